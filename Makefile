@@ -1,0 +1,78 @@
+# Every verb needs only python3 with its venv module; the rest is installed into .venv,
+# at the versions constraints.txt names.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+# What `make run`, `make bench` and `make study` need; the other verbs add the dev tools.
+RUN_EXTRAS := all
+DEV_EXTRAS := all,dev
+
+# Options for the script or for pytest, as in: make test ARGS="-k statistics -x"
+ARGS ?=
+
+# Stamps: a file per set of installed packages, renewed when the requirements change.
+CREATED := $(VENV)/.created
+RUN := $(VENV)/.installed-run
+DEV := $(VENV)/.installed-dev
+
+.DELETE_ON_ERROR:
+.PHONY: help run test bench study check format build clean
+
+help: ## list the verbs
+	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | while IFS='	' read -r verb does; do \
+		printf '  make %-8s %s\n' "$$verb" "$$does"; done
+
+run: $(RUN) ## one guided run: break an arm, measure it, find the loose link
+	$(BIN)/python scripts/run.py $(ARGS)
+
+test: $(DEV) ## run the tests and the examples in the docstrings
+	$(BIN)/python -m pytest $(ARGS)
+
+bench: $(RUN) ## time the simulation and the diagnosis on this machine
+	$(BIN)/python scripts/benchmark.py $(ARGS)
+
+study: $(RUN) ## halve the time step and see what the results depend on
+	$(BIN)/python scripts/step_halving.py $(ARGS)
+
+check: $(DEV) ## formatting, lint and types; changes nothing
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+format: $(DEV) ## format the code and apply the safe fixes
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+build: $(DEV) ## make the wheel and the sdist, and try each in a clean environment
+	rm -rf dist
+	$(BIN)/python -m build --no-isolation
+	@set -e; scratch=$$(mktemp -d); trap 'rm -rf "$$scratch"' EXIT; \
+	for file in dist/*.whl dist/*.tar.gz; do \
+		echo "Trying $$file"; \
+		$(PYTHON) -m venv --clear "$$scratch/venv"; \
+		"$$scratch/venv/bin/pip" install --quiet -c constraints.txt "$$file"; \
+		(cd "$$scratch" && venv/bin/python -I -W error "$(CURDIR)/scripts/smoke.py"); \
+	done
+
+clean: ## remove .venv, the built files and the caches
+	rm -rf $(VENV) build dist *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(CREATED):
+	@command -v $(PYTHON) >/dev/null || { echo "loose-env needs Python 3.11 or newer and found no $(PYTHON): install it (Debian: sudo apt install python3 python3-venv) or name it, as in: make PYTHON=/path/to/python3" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "loose-env needs Python 3.11 or newer, but $(PYTHON) is $$($(PYTHON) -V 2>&1): name a newer one, as in: make PYTHON=python3.12" >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo "$(PYTHON) cannot make virtual environments: install its venv module (Debian: sudo apt install python3-venv)" >&2; exit 1; }
+	$(PYTHON) -m venv --clear $(VENV)
+	@touch $@
+
+$(RUN): $(CREATED) pyproject.toml constraints.txt
+	@echo "Installing into $(VENV); the first time takes a few minutes."
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[$(RUN_EXTRAS)]"
+	@touch $@
+
+$(DEV): $(CREATED) pyproject.toml constraints.txt
+	@echo "Installing into $(VENV); the first time takes a few minutes."
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[$(DEV_EXTRAS)]"
+	@touch $@

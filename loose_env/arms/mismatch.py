@@ -1,0 +1,145 @@
+"""How the true arm differs from the nominal one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.arm import Arm
+from loose_env.errors import InvalidSetting
+
+__all__ = ["Mismatch", "MismatchDraw"]
+
+Array = NDArray[np.float64]
+_CUT = 3.0  # draws beyond three standard deviations are cut off
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mismatch:
+    """Standard deviations of what the nominal model gets wrong about the true arm."""
+
+    length: float = 0.002
+    """Link lengths, relative."""
+    mass: float = 0.03
+    """Masses of bodies, relative."""
+    inertia: float = 0.03
+    """Inertias of bodies and rotors, relative."""
+    stiffness: float = 0.10
+    """Stiffness of bending modes, brakes and servos, relative."""
+    damping: float = 0.10
+    """Damping of joints, bending modes, brakes and servos, relative."""
+    tilt: float = 1.0
+    """Tilt of the base about each horizontal axis [deg]."""
+    gain: float = 0.01
+    """Gains of drives and of accelerometer axes, relative."""
+    cross_axis: float = 0.02
+    """Leakage of each accelerometer axis into each other one, relative."""
+    misalignment: float = 0.5
+    """Rotation of the tool accelerometer about each of its axes [deg]."""
+    joint_zero: float = 0.2
+    """Zero of each joint encoder [deg]."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not np.isfinite(value) or value < 0:
+                raise InvalidSetting(
+                    f"mismatch {field.name} is a standard deviation, zero or more; got {value!r}"
+                )
+
+    def scaled(self, factor: float) -> Mismatch:
+        """Return the same mismatch, every deviation multiplied by a factor."""
+        return Mismatch(**{f.name: factor * getattr(self, f.name) for f in fields(self)})
+
+    def draw(self, arm: Arm, rng: np.random.Generator) -> MismatchDraw:
+        """Draw one true arm."""
+        bodies, n = arm.model.nbody, arm.n
+
+        def normal(*shape: int) -> Array:
+            return np.clip(rng.standard_normal(shape), -_CUT, _CUT)
+
+        cross = self.cross_axis * normal(3, 3)
+        np.fill_diagonal(cross, self.gain * normal(3))
+        x, y, z = np.radians(self.misalignment) * normal(3)
+        mounting = np.array([[1.0, z, -y], [-z, 1.0, x], [y, -x, 1.0]])
+        return MismatchDraw(
+            length=1 + self.length * normal(bodies),
+            mass=1 + self.mass * normal(bodies),
+            inertia=1 + self.inertia * normal(bodies),
+            rotor=1 + self.inertia * normal(n),
+            stiffness=1 + self.stiffness * normal(arm.model.njnt),
+            damping=1 + self.damping * normal(arm.model.njnt),
+            holding_stiffness=1 + self.stiffness * normal(n),
+            holding_damping=1 + self.damping * normal(n),
+            tilt=np.radians(self.tilt) * normal(2),
+            drive_gain=1 + self.gain * normal(n),
+            sensor=(np.eye(3) + cross) @ mounting,
+            joint_zero=np.radians(self.joint_zero) * normal(n),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MismatchDraw:
+    """One true arm, as factors and offsets on the nominal one."""
+
+    length: Array
+    """Factor on each body's offset from its parent (bodies,)."""
+    mass: Array
+    """Factor on each body's mass (bodies,)."""
+    inertia: Array
+    """Factor on each body's inertia, beside that of its mass (bodies,)."""
+    rotor: Array
+    """Factor on each joint's rotor inertia (n,)."""
+    stiffness: Array
+    """Factor on the stiffness of each joint of the bare arm, bending modes included."""
+    damping: Array
+    """Factor on the damping of each joint of the bare arm."""
+    holding_stiffness: Array
+    """Factor on each joint's brake or servo stiffness (n,)."""
+    holding_damping: Array
+    """Factor on each joint's brake or servo damping (n,)."""
+    tilt: Array
+    """Rotation of the base about its x and y axes [rad] (2,)."""
+    drive_gain: Array
+    """Torque delivered per torque commanded (n,)."""
+    sensor: Array
+    """Accelerometer output per true acceleration: gains, cross-axis, mounting (3, 3)."""
+    joint_zero: Array
+    """True joint position minus encoder reading [rad] (n,)."""
+
+    @classmethod
+    def none(cls, arm: Arm) -> MismatchDraw:
+        """Return the draw in which the true arm is the nominal one."""
+        zero = Mismatch().scaled(0.0)
+        return zero.draw(arm, np.random.default_rng(0))
+
+    def apply(self, model: mujoco.MjModel, arm: Arm, data: mujoco.MjData) -> None:
+        """Write the draw into a compiled model of the arm, seat and instruments included.
+
+        The model must be a fresh copy of its template: factors act on what they find.
+        ``data`` is scratch space of the same layout.
+        """
+        bare = arm.model
+        for b in range(1, bare.nbody):
+            i = model.body(bare.body(b).name).id
+            model.body_pos[i] *= self.length[b]
+            model.body_mass[i] *= self.mass[b]
+            model.body_inertia[i] *= self.mass[b] * self.inertia[b]
+        tool = model.site(arm.tool)
+        model.site_pos[tool.id] *= self.length[int(bare.site(arm.tool).bodyid[0])]
+        for j in range(bare.njnt):
+            joint = model.joint(bare.joint(j).name)
+            model.jnt_stiffness[joint.id] *= self.stiffness[j]
+            model.dof_damping[joint.dofadr[0]] *= self.damping[j]
+        for j, name in enumerate(arm.joints):
+            model.dof_armature[model.joint(name).dofadr[0]] *= self.rotor[j]
+        rotation = np.zeros(9)
+        quaternion = np.zeros(4)
+        mujoco.mju_euler2Quat(quaternion, np.array([*self.tilt, 0.0]), "xyz")
+        mujoco.mju_quat2Mat(rotation, quaternion)
+        # Tilting the base turns gravity the other way in the base's own frame.
+        model.opt.gravity[:] = rotation.reshape(3, 3).T @ model.opt.gravity
+        mujoco.mj_setConst(model, data)

@@ -1,0 +1,88 @@
+"""Parts from which the planar arms are built."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from loose_env.arms.arm import Holding
+
+__all__ = ["HOLDING_MODE_HZ", "SERVO_MODE_HZ", "add_link", "holdings", "new_spec"]
+
+HOLDING_MODE_HZ = 800.0
+"""Holding mode of a default brake: several times the top of the default band."""
+SERVO_MODE_HZ = 25.0
+"""Holding mode of a default position servo: what industrial drives reach on a large arm."""
+CENTRING_MODE_HZ = 4.0
+
+
+def new_spec(*, gravity: Sequence[float]) -> mujoco.MjSpec:
+    """Return an empty spec in radians, without contacts, under the given gravity [m/s²]."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    spec.compiler.autolimits = True
+    spec.option.gravity = list(gravity)
+    return spec
+
+
+def add_link(
+    parent: mujoco.MjsBody,
+    number: int,
+    *,
+    at: Sequence[float],
+    flange_mass: float,
+    rotor_inertia: float,
+    joint_damping: float,
+) -> mujoco.MjsBody:
+    """Add link ``number``: a flange that carries the joint, and on it the still massless link.
+
+    The flange is the link's share on the motor side of a loose seat; the seat lies between
+    flange and link. ``at`` is the joint's place in the parent's frame [m].
+    """
+    flange = parent.add_body(
+        name=f"flange{number}",
+        pos=list(at),
+        mass=flange_mass,
+        ipos=[0, 0, 0],
+        # A disc of 40 mm radius about the joint axis.
+        inertia=[flange_mass * 0.0004, flange_mass * 0.0004, flange_mass * 0.0008],
+        explicitinertial=True,
+    )
+    flange.add_joint(
+        name=f"joint{number}",
+        type=mujoco.mjtJoint.mjJNT_HINGE,
+        axis=[0, 0, 1],
+        armature=rotor_inertia,
+        damping=[joint_damping, 0, 0],
+    )
+    return flange.add_body(name=f"link{number}")
+
+
+def holdings(
+    spec: mujoco.MjSpec, joints: Sequence[str], *, damping_ratio: float = 0.1
+) -> tuple[Holding, Holding, Holding]:
+    """Brake, servo and centring spring for every joint, from the modes they should have.
+
+    The inertia a joint holds is that of everything distal to it with the arm straight.
+    """
+    model = spec.copy().compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    inertia = np.array([full[model.joint(j).dofadr[0], model.joint(j).dofadr[0]] for j in joints])
+
+    def holding(mode_hz: float, ratio: float) -> Holding:
+        omega = 2 * np.pi * mode_hz
+        return Holding(
+            stiffness=tuple(float(f"{k:.3g}") for k in inertia * omega**2),
+            damping=tuple(float(f"{c:.3g}") for c in 2 * ratio * inertia * omega),
+        )
+
+    return (
+        holding(HOLDING_MODE_HZ, damping_ratio),
+        holding(SERVO_MODE_HZ, 0.5),
+        holding(CENTRING_MODE_HZ, 0.7),
+    )

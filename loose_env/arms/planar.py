@@ -1,0 +1,86 @@
+"""A planar arm of n links, horizontal or vertical."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from loose_env.arms.arm import Arm, HoldKind
+from loose_env.arms.parts import add_link, holdings, new_spec
+from loose_env.errors import InvalidSetting
+
+__all__ = ["planar"]
+
+GRAVITY = 9.81
+
+
+def planar(n_links: int = 4, *, vertical: bool = False, hold: HoldKind = "brake") -> Arm:
+    """Build a planar arm of ``n_links`` equal lengths whose masses taper towards the tool.
+
+    Each link is 0.30 m long; link 1 has 4 kg, each next one 0.75 of it, centre of mass at
+    0.55 of the length because the next joint's drive sits at the far end. The drives'
+    reflected rotor inertia is half the link's own inertia (inertia matching), torque limits
+    halve from joint to joint, starting at 150 N·m.
+
+    Parameters
+    ----------
+    n_links : int
+        2 to 7.
+    vertical : bool
+        Whether the plane of motion holds gravity; else gravity is normal to it.
+    hold : {"brake", "servo"}
+        How joints that are not excited are held.
+
+    Raises
+    ------
+    InvalidSetting
+        If ``n_links`` is not 2 to 7.
+
+    Examples
+    --------
+    >>> planar(3).joints
+    ('joint1', 'joint2', 'joint3')
+    """
+    if isinstance(n_links, bool) or n_links not in range(2, 8):
+        raise InvalidSetting(f"a planar arm has 2 to 7 links, got n_links={n_links!r}")
+    length, first_mass, taper, centre = 0.30, 4.0, 0.75, 0.55
+    # The plane of motion is x-y: gravity along -y makes the arm a vertical one.
+    spec = new_spec(gravity=(0, -GRAVITY, 0) if vertical else (0, 0, -GRAVITY))
+    parent = spec.worldbody
+    for i in range(1, n_links + 1):
+        mass = first_mass * taper ** (i - 1)
+        own_inertia = mass * length**2 * (1 / 12 + centre**2)
+        link = add_link(
+            parent,
+            i,
+            at=(0.0 if i == 1 else length, 0, 0),
+            flange_mass=0.05 * mass,
+            rotor_inertia=0.5 * own_inertia,
+            joint_damping=0.3 * taper ** (i - 1),
+        )
+        link.mass = 0.95 * mass
+        link.ipos = [centre * length, 0, 0]
+        across = 0.95 * mass * length**2 / 12
+        link.inertia = [0.1 * across, across, across]
+        link.explicitinertial = True
+        parent = link
+    parent.add_site(name="tool", pos=[length, 0, 0])
+    joints = tuple(f"joint{i}" for i in range(1, n_links + 1))
+    brake, servo, centring = holdings(spec, joints)
+    limit = np.radians(150.0)
+    return Arm(
+        name=f"planar{n_links}{'v' if vertical else ''}",
+        spec=spec,
+        joints=joints,
+        seat_bodies=tuple(f"link{i}" for i in range(1, n_links + 1)),
+        tool="tool",
+        axes=(0, 1),
+        torque_limits=tuple(150.0 * 0.5 ** (i - 1) for i in range(1, n_links + 1)),
+        joint_ranges=((-np.pi, np.pi), *((-limit, limit) for _ in joints[1:])),
+        levels=(1.0, 4.0, 12.0),
+        band=(30.0, 150.0),
+        brake=brake,
+        servo=servo,
+        centring=centring,
+        timestep=2e-4,
+        hold=hold,
+    )

@@ -1,0 +1,54 @@
+"""One measurement: what the sensors and the commands say, and nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.excitation import Excitation
+
+__all__ = ["Measurement", "Rig"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Measurement:
+    """Readings of one record in one pose.
+
+    All channels are sampled together at ``rate``. Encoder channels have one sample more at
+    either end, so that accelerations can be formed by differences.
+    """
+
+    pose: Array
+    """Commanded pose [rad] (n,)."""
+    excitation: Excitation
+    """What was played."""
+    rate: float
+    """Sampling rate [Hz]."""
+    command: Array
+    """Random part of the commanded torque [N·m] (n, N)."""
+    encoder: Array
+    """Encoder readings, motor side [rad] (n, N + 2)."""
+    tool: Array
+    """Tool accelerometer, tool frame, proper acceleration [m/s²] (d, N)."""
+    links: Array | None = None
+    """Link accelerometers, link frames [m/s²] (n, d, N); None where there are none."""
+    failure: str | None = None
+    """Why the record is worthless; None for a good one."""
+
+    @property
+    def excited(self) -> NDArray[np.bool_]:
+        """Whether each joint was excited (n,)."""
+        return np.array(self.excitation.excited)
+
+
+class Rig(Protocol):
+    """Where a measurement comes from: a simulated arm, a recorded or a real one."""
+
+    def measure(self, pose: Array, excitation: Excitation) -> Measurement:
+        """Take the arm to a pose, play the excitation, and return the readings."""
+        ...

@@ -1,0 +1,144 @@
+"""The arm as it stands on the rig: seat, drives, brakes and sensors in one model."""
+
+from __future__ import annotations
+
+import copy
+
+import mujoco
+import numpy as np
+
+from loose_env.arms.arm import Arm
+from loose_env.arms.linear import inertance_rate
+from loose_env.arms.mismatch import MismatchDraw
+from loose_env.faults import SEAT, Fault, SeatKind, seat_of, seated_spec, set_seat
+
+__all__ = ["PlantShop", "Plant"]
+
+
+class Plant:
+    """One true arm: a compiled model of its own, and where things lie in it."""
+
+    def __init__(
+        self, template: mujoco.MjModel, arm: Arm, fault: Fault, mismatch: MismatchDraw
+    ) -> None:
+        self.fault = fault
+        self.mismatch = mismatch
+        self.model = model = copy.copy(template)
+        mismatch.apply(model, arm, mujoco.MjData(model))
+        set_seat(model, fault)
+        joints = [model.joint(name) for name in arm.joints]
+        self.position = np.array([j.qposadr[0] for j in joints], dtype=np.intp)
+        self.seat_position = int(model.joint(SEAT).qposadr[0])
+        self.brakes = np.array(
+            [model.equality(f"hold_{name}").id for name in arm.joints], dtype=np.intp
+        )
+        self._set_brakes(arm, [j.dofadr[0] for j in joints])
+
+    def _set_brakes(self, arm: Arm, dofs: list[int]) -> None:
+        model = self.model
+        corner = inertance_rate(model.opt.timestep)
+        for j, (equality, dof) in enumerate(zip(self.brakes, dofs, strict=True)):
+            stiffness = arm.holding.stiffness[j] * self.mismatch.holding_stiffness[j]
+            damping = arm.holding.damping[j] * self.mismatch.holding_damping[j]
+            weight = model.dof_invweight0[dof]
+            ratio = weight * stiffness / corner**2
+            impedance = float(np.clip(ratio / (1 + ratio), 1e-4, 0.9999))
+            scale = (1 - impedance) * weight
+            model.eq_solimp[equality] = (impedance, impedance, 0.001, 0.5, 2)
+            model.eq_solref[equality] = (-stiffness * scale, -max(damping * scale, 1e-12))
+
+    def hold_at(self, pose: np.ndarray) -> np.ndarray:
+        """Set the brakes and centring springs to a commanded pose; return the true one [rad]."""
+        true = pose + self.mismatch.joint_zero
+        self.model.eq_data[self.brakes, 0] = true
+        self.model.qpos_spring[self.position] = true
+        return np.asarray(true)
+
+
+class PlantShop:
+    """Builds plants for one arm; keeps the compiled template of every seat.
+
+    Parameters
+    ----------
+    arm : Arm
+        The nominal arm.
+    timestep : float
+        Simulation step [s].
+    link_accelerometers : bool
+        Whether every link carries an accelerometer.
+    """
+
+    def __init__(self, arm: Arm, *, timestep: float, link_accelerometers: bool) -> None:
+        self.arm = arm
+        self.timestep = timestep
+        self.link_accelerometers = link_accelerometers
+        self._templates: dict[tuple[int, SeatKind], mujoco.MjModel] = {}
+
+    def template(self, link: int, kind: SeatKind) -> mujoco.MjModel:
+        """Compiled model with the given seat; its layout is the same for all seats."""
+        found = self._templates.get((link, kind))
+        if found is None:
+            found = self._templates[link, kind] = self._compile(link, kind)
+        return found
+
+    def build(self, fault: Fault, mismatch: MismatchDraw) -> Plant:
+        """Build the true arm with its fault seated.
+
+        Raises
+        ------
+        UnknownName
+            If the fault names a link or joint the arm does not have, or is no fault.
+        """
+        link, kind = seat_of(fault)
+        if link is not None:
+            self.arm.link_number(link)
+        # A shut seat shows nowhere; the last link's is as good as any.
+        template = self.template(link if link is not None else self.arm.n, kind)
+        return Plant(template, self.arm, fault, mismatch)
+
+    def _compile(self, link: int, kind: SeatKind) -> mujoco.MjModel:
+        arm = self.arm
+        spec = seated_spec(arm, link, kind)
+        option = spec.option
+        option.timestep = self.timestep
+        option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+        # MuJoCo 4.0.0 has a fault in its sparse Cholesky factorisation.
+        option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+        # Implicit damping is applied after the constraints are solved and would loosen them.
+        option.disableflags |= int(
+            mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_EULERDAMP
+        )
+        for j, name in enumerate(arm.joints):
+            joint = spec.joint(name)
+            joint.stiffness = [arm.centring.stiffness[j], 0, 0]
+            joint.damping = [joint.damping[0] + arm.centring.damping[j], *joint.damping[1:]]
+            spec.add_actuator(
+                name=f"drive_{name}", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=name
+            )
+            spec.add_equality(
+                name=f"hold_{name}",
+                type=mujoco.mjtEq.mjEQ_JOINT,
+                objtype=mujoco.mjtObj.mjOBJ_JOINT,
+                name1=name,
+            )
+        sensor, obj = mujoco.mjtSensor, mujoco.mjtObj
+        spec.add_sensor(
+            name="tool", type=sensor.mjSENS_ACCELEROMETER, objtype=obj.mjOBJ_SITE, objname=arm.tool
+        )
+        for name in arm.joints:
+            spec.add_sensor(
+                name=f"encoder_{name}",
+                type=sensor.mjSENS_JOINTPOS,
+                objtype=obj.mjOBJ_JOINT,
+                objname=name,
+            )
+        if self.link_accelerometers:
+            for i, body in enumerate(arm.seat_bodies, start=1):
+                spec.body(body).add_site(name=f"accelerometer{i}")
+                spec.add_sensor(
+                    name=f"link{i}",
+                    type=sensor.mjSENS_ACCELEROMETER,
+                    objtype=obj.mjOBJ_SITE,
+                    objname=f"accelerometer{i}",
+                )
+        return spec.compile()

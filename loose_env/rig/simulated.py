@@ -1,0 +1,296 @@
+"""A rig on which many simulated arms are measured at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch, SimulationError
+from numpy.typing import NDArray
+
+from loose_env.arms.arm import Arm
+from loose_env.arms.linear import LinearArm
+from loose_env.arms.mismatch import MismatchDraw
+from loose_env.errors import InvalidSetting
+from loose_env.excitation import Excitation, torque_signals
+from loose_env.faults import Fault, Healthy
+from loose_env.rig.measurement import Measurement
+from loose_env.rig.plant import Plant, PlantShop
+from loose_env.sensors import SensorSuite, decimation_filter, read_accelerometer, read_encoder
+
+__all__ = ["Job", "SimulatedRig"]
+
+Array = NDArray[np.float64]
+RUN_IN = 0.1
+"""Excitation before the record, in which the seat and the holdings settle [s]."""
+_CHUNK = 64  # arms simulated in one call: bounds the memory of the recorded channels
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Job:
+    """One measurement to take."""
+
+    slot: int
+    """Which arm of the rig."""
+    pose: Array
+    """Commanded pose [rad] (n,)."""
+    excitation: Excitation
+    """What to play."""
+    rng: np.random.Generator
+    """Source of the excitation, the sensor noise and the seat's place in its gap."""
+
+
+class SimulatedRig:
+    """Measures simulated arms, many at once, on MuJoCo's batched engine.
+
+    Each slot holds one true arm: a fault and a draw of the mismatch. A slot's readings depend
+    on its arm, the pose, the excitation and the generator alone, not on the other slots, the
+    batch size, the thread count or what was measured before.
+
+    Parameters
+    ----------
+    arm : Arm
+        The nominal arm.
+    slots : int
+        Number of arms.
+    sensors : SensorSuite
+        What reads the motion.
+    timestep : float, optional
+        Simulation step [s]; the arm's own by default.
+    threads : int
+        Simulation threads; 0 takes all processors.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from loose_env.arms import planar
+    >>> from loose_env.excitation import Excitation
+    >>> rig = SimulatedRig(planar(2))
+    >>> shake = Excitation(torque_rms=(5.0, 0.0), duration=0.2, band=(30.0, 150.0))
+    >>> rig.measure(np.array([0.1, 0.4]), shake).tool.shape
+    (2, 200)
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        *,
+        slots: int = 1,
+        sensors: SensorSuite | None = None,
+        timestep: float | None = None,
+        threads: int = 0,
+    ) -> None:
+        if isinstance(slots, bool) or not isinstance(slots, (int, np.integer)) or slots < 1:
+            raise InvalidSetting(f"a rig needs at least one slot, got {slots!r}")
+        self.arm = arm
+        self.sensors = sensors if sensors is not None else SensorSuite()
+        self.timestep = arm.timestep if timestep is None else timestep
+        self.factor = round(1 / (self.sensors.rate * self.timestep))
+        if self.factor < 1 or abs(self.factor * self.sensors.rate * self.timestep - 1) > 1e-6:
+            raise InvalidSetting(
+                f"the sampling rate {self.sensors.rate:g} Hz must be a whole fraction of the "
+                f"simulation's {1 / self.timestep:g} Hz"
+            )
+        self.nominal = LinearArm(arm)
+        self.shop = PlantShop(
+            arm, timestep=self.timestep, link_accelerometers=self.sensors.link_accelerometers
+        )
+        self._batch = Batch(self.shop.template(arm.n, "slide"), int(slots), threads)
+        healthy = self.shop.build(Healthy(), MismatchDraw.none(arm))
+        self.plants: list[Plant] = [healthy] * int(slots)
+        self._batch.set_models([p.model for p in self.plants])
+        self._models_changed = False
+        self._room = np.empty(0)
+        self._default_state = self._batch.state[0].copy()
+        self._default_state[:] = 0.0
+
+    @property
+    def slots(self) -> int:
+        """Number of arms on the rig."""
+        return len(self.plants)
+
+    def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
+        """Put a new arm into a slot."""
+        draw = MismatchDraw.none(self.arm) if mismatch is None else mismatch
+        self.plants[slot] = self.shop.build(fault, draw)
+        self._models_changed = True
+
+    def measure(
+        self,
+        pose: Array,
+        excitation: Excitation,
+        *,
+        rng: np.random.Generator | None = None,
+        slot: int = 0,
+    ) -> Measurement:
+        """Measure one arm (the first seam: any rig answers this call)."""
+        generator = np.random.default_rng(0) if rng is None else rng
+        job = Job(
+            slot=slot, pose=np.asarray(pose, dtype=float), excitation=excitation, rng=generator
+        )
+        return self.measure_many([job])[0]
+
+    def measure_many(self, jobs: Sequence[Job]) -> list[Measurement]:
+        """Take measurements on different slots at once; results in the order of the jobs.
+
+        Raises
+        ------
+        InvalidSetting
+            If a slot is named twice, or a pose or excitation does not fit the arm.
+        """
+        slots = [job.slot for job in jobs]
+        if len(set(slots)) != len(slots):
+            raise InvalidSetting(f"each slot can be measured once at a time, got slots {slots}")
+        n = self.arm.n
+        for job in jobs:
+            if job.pose.shape != (n,) or len(job.excitation.torque_rms) != n:
+                raise InvalidSetting(
+                    f"arm {self.arm.name!r} needs {n} joint positions and {n} torques, got "
+                    f"{job.pose.shape} and {len(job.excitation.torque_rms)}"
+                )
+        if self._models_changed:
+            self._batch.set_models([p.model for p in self.plants])
+            self._models_changed = False
+        results: list[Measurement | None] = [None] * len(jobs)
+        by_length: dict[float, list[int]] = {}
+        for k, job in enumerate(jobs):
+            by_length.setdefault(job.excitation.duration, []).append(k)
+        for members in by_length.values():
+            for start in range(0, len(members), _CHUNK):
+                chunk = members[start : start + _CHUNK]
+                for k, result in zip(chunk, self._run([jobs[k] for k in chunk]), strict=True):
+                    results[k] = result
+        return [r for r in results if r is not None]
+
+    def _run(self, jobs: Sequence[Job]) -> list[Measurement]:
+        """Simulate and read jobs of one length."""
+        factor, rate = self.factor, self.sensors.rate
+        count = round(jobs[0].excitation.duration * rate)
+        half = len(decimation_filter(factor, self.sensors.accelerometer.bandwidth, rate)) // 2
+        before = round(RUN_IN * rate) * factor
+        after = max(half, factor) + 1
+        control = self._controls(jobs, before, after)
+        failures, recorded = self._simulate(jobs, control)
+        return [
+            self._read(job, control[k], recorded[k], before, count, failures.get(job.slot))
+            for k, job in enumerate(jobs)
+        ]
+
+    def _controls(self, jobs: Sequence[Job], before: int, after: int) -> Array:
+        """Torques of every step (jobs, steps, n): random part plus gravity, within limits."""
+        limits = np.array(self.arm.torque_limits)
+        rows = []
+        for job in jobs:
+            torque = torque_signals(
+                job.excitation, timestep=self.timestep, before=before, after=after, rng=job.rng
+            )
+            gravity = self.nominal.at(job.pose).gravity_torque
+            torque += gravity[:, None]
+            rows.append(np.clip(torque, -limits[:, None], limits[:, None]).T)
+        return np.ascontiguousarray(rows)
+
+    def _simulate(self, jobs: Sequence[Job], control: Array) -> tuple[dict[int, str], Array]:
+        batch = self._batch
+        ids = np.array([job.slot for job in jobs])
+        position, active = batch.bind("qpos"), batch.bind("eq_active")
+        delivered = np.empty_like(control)
+        for k, job in enumerate(jobs):
+            plant = self.plants[job.slot]
+            batch.state[job.slot] = self._default_state
+            true = plant.hold_at(job.pose)
+            position[job.slot, plant.position] = true
+            fault = plant.fault
+            gap = getattr(fault, "gap", 0.0)
+            position[job.slot, plant.seat_position] = gap * (job.rng.random() - 0.5)
+            active[job.slot] = plant.model.eq_active0
+            active[job.slot, plant.brakes] = ~np.array(job.excitation.excited)
+            delivered[k] = control[k] * plant.mismatch.drive_gain
+        batch.warning[ids] = 0
+        data = self._buffer(len(jobs), control.shape[1])
+        failures: dict[int, str] = {}
+        try:
+            batch.rollout(
+                control.shape[1],
+                delivered,
+                record=("sensordata",),
+                ids=ids,
+                out={"sensordata": data},
+            )
+        except SimulationError as error:  # the other simulations ran to their end
+            failures = {int(i): f"the simulation stopped: {batch.error(i)}" for i in error.ids}
+        for k, slot in enumerate(ids):
+            if batch.warning[slot, :, 0].any():
+                kinds = [
+                    mujoco.mjtWarning(w).name.removeprefix("mjWARN_").lower()
+                    for w in np.flatnonzero(batch.warning[slot, :, 0])
+                ]
+                failures[int(slot)] = f"the simulation diverged: {', '.join(kinds)}"
+            elif not np.isfinite(data[k]).all():
+                failures.setdefault(int(slot), "the simulation diverged: motion not finite")
+        return failures, data
+
+    def _buffer(self, jobs: int, steps: int) -> Array:
+        """Give room for the recorded channels, kept from call to call."""
+        size = jobs * steps * self._batch.model.nsensordata
+        if self._room.size < size:
+            self._room = np.empty(size)
+        return self._room[:size].reshape(jobs, steps, -1)
+
+    def _read(
+        self,
+        job: Job,
+        control: Array,
+        recorded: Array,
+        before: int,
+        count: int,
+        failure: str | None,
+    ) -> Measurement:
+        """Turn recorded motion (steps, channels) into readings."""
+        n, axes, factor = self.arm.n, self.arm.axes, self.factor
+        suite, plant = self.sensors, self.plants[job.slot]
+        steps = before + factor * np.arange(-1, count + 1)
+        gravity = self.nominal.at(job.pose).gravity_torque
+        command = (control[steps[1:-1]] - gravity).T
+        if failure is not None:
+            empty = np.zeros((len(axes), count))
+            return Measurement(
+                pose=job.pose,
+                excitation=job.excitation,
+                rate=suite.rate,
+                command=command,
+                encoder=np.zeros((n, count + 2)),
+                tool=empty,
+                links=np.zeros((n, *empty.shape)) if suite.link_accelerometers else None,
+                failure=failure,
+            )
+        def accelerometer(columns: slice) -> Array:
+            return read_accelerometer(
+                recorded[:, columns],
+                sensor=suite.accelerometer,
+                matrix=plant.mismatch.sensor[list(axes)],
+                factor=factor,
+                first=before,
+                count=count,
+                rate=suite.rate,
+                rng=job.rng,
+            )
+
+        angle = recorded[steps, 3 : 3 + n].T - plant.mismatch.joint_zero[:, None]
+        links = None
+        tool = accelerometer(slice(0, 3))
+        encoder = read_encoder(angle, sensor=suite.encoder, rng=job.rng)
+        if suite.link_accelerometers:
+            links = np.array(
+                [accelerometer(slice(3 + n + 3 * i, 6 + n + 3 * i)) for i in range(n)]
+            )
+        return Measurement(
+            pose=job.pose,
+            excitation=job.excitation,
+            rate=suite.rate,
+            command=command,
+            encoder=encoder,
+            tool=tool,
+            links=links,
+        )

@@ -1,0 +1,177 @@
+"""Angles of axes: a direction and its opposite are the same axis.
+
+A looseness slides both ways, so its direction is known modulo 180 degrees. Angles are in
+radians, measured in the plane of the tool from the tool's x axis towards its y axis.
+"""
+
+import math
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from loose_env.errors import InvalidData
+from loose_env.statistics._checks import FloatArray, as_direction, as_floats, require_finite
+
+Angles = NDArray[np.floating[Any]]
+
+
+@overload
+def wrap_axial(angle: float) -> float: ...
+@overload
+def wrap_axial(angle: Angles) -> FloatArray: ...
+def wrap_axial(angle: float | Angles) -> float | FloatArray:
+    """Wrap the angle of an axis to [0, pi).
+
+    Parameters
+    ----------
+    angle : float or array
+        Angle, rad.
+
+    Returns
+    -------
+    float or array
+        The same axis, rad, of the shape given.
+
+    Examples
+    --------
+    >>> round(wrap_axial(-0.25), 4)
+    2.8916
+    """
+    wrapped = np.mod(angle, np.pi)
+    # The remainder of a tiny negative angle rounds up to pi itself.
+    wrapped = np.where(wrapped >= np.pi, 0.0, wrapped)
+    return float(wrapped) if wrapped.ndim == 0 else wrapped
+
+
+@overload
+def axial_difference(a: float, b: float) -> float: ...
+@overload
+def axial_difference(a: Angles, b: float | Angles) -> FloatArray: ...
+@overload
+def axial_difference(a: float, b: Angles) -> FloatArray: ...
+def axial_difference(a: float | Angles, b: float | Angles) -> float | FloatArray:
+    """Turn from axis `b` to axis `a` the short way.
+
+    Parameters
+    ----------
+    a, b : float or array
+        Angles of the axes, rad.
+
+    Returns
+    -------
+    float or array
+        Difference in [-pi/2, pi/2), rad.
+
+    Examples
+    --------
+    >>> import math
+    >>> round(math.degrees(axial_difference(math.radians(2), math.radians(179))), 6)
+    3.0
+    """
+    return wrap_axial(np.asarray(a) - np.asarray(b) + np.pi / 2) - np.pi / 2
+
+
+def axial_mean(angles: ArrayLike, weights: ArrayLike | None = None) -> float:
+    """Mean of axes: half the direction of the mean of the doubled angles.
+
+    Parameters
+    ----------
+    angles : array, shape (K,)
+        Angles of the axes, rad.
+    weights : array, shape (K,), optional
+        Weight of each axis, none negative. Equal by default.
+
+    Returns
+    -------
+    float
+        Angle of the mean axis in [0, pi), rad.
+
+    Raises
+    ------
+    InvalidData
+        If there is no angle, a value is not finite, the weights do not fit, or the axes cancel
+        and have no mean.
+
+    References
+    ----------
+    Mardia and Jupp, Directional Statistics, section 1.1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> round(np.degrees(axial_mean(np.radians([176.0, 2.0]))), 6)
+    179.0
+    """
+    axes = np.atleast_1d(as_floats(angles, "angles"))
+    share = np.ones(axes.shape) if weights is None else as_floats(weights, "weights")
+    if axes.ndim != 1 or axes.size == 0 or share.shape != axes.shape:
+        raise InvalidData(
+            f"angles has shape {axes.shape} and weights {share.shape}; both must be (K,), K > 0"
+        )
+    require_finite(axes, "angles")
+    require_finite(share, "weights")
+    if share.min() < 0.0 or share.sum() == 0.0:
+        raise InvalidData(f"weights are {share}; none may be negative and one must be positive")
+    cosine = float(np.sum(share * np.cos(2 * axes)))
+    sine = float(np.sum(share * np.sin(2 * axes)))
+    if math.hypot(cosine, sine) <= 1e-12 * float(share.sum()):
+        raise InvalidData("the axes cancel: they have no mean direction")
+    return wrap_axial(0.5 * math.atan2(sine, cosine))
+
+
+def axial_vector(direction: ArrayLike) -> FloatArray:
+    """Unit vector of an axis, with its sign chosen: the last non-zero component is positive.
+
+    In the plane this picks the vector whose angle lies in [0, pi).
+
+    Parameters
+    ----------
+    direction : array, shape (d,)
+        Any vector along the axis.
+
+    Returns
+    -------
+    array, shape (d,)
+        Unit vector.
+
+    Raises
+    ------
+    InvalidData
+        If `direction` is no vector, is not finite or has no length.
+
+    Examples
+    --------
+    >>> axial_vector([3.0, -4.0]).tolist()
+    [-0.6, 0.8]
+    """
+    vector = np.atleast_1d(as_floats(direction, "direction"))
+    unit = as_direction(vector, vector.shape[-1])
+    return unit if unit[np.flatnonzero(unit)[-1]] > 0.0 else -unit
+
+
+def axial_angle(direction: ArrayLike) -> float:
+    """Angle of a planar axis.
+
+    Parameters
+    ----------
+    direction : array, shape (2,)
+        Any vector along the axis, in the tool frame.
+
+    Returns
+    -------
+    float
+        Angle in [0, pi), rad.
+
+    Raises
+    ------
+    InvalidData
+        If `direction` does not have two components, is not finite or has no length.
+
+    Examples
+    --------
+    >>> round(axial_angle([0.0, -1.0]), 4)
+    1.5708
+    """
+    unit = as_direction(direction, 2)
+    return wrap_axial(math.atan2(unit[1], unit[0]))

@@ -1,0 +1,270 @@
+"""Correlation of the tool's motion with one excited joint, as a function of direction.
+
+With x the joint acceleration, a the tool acceleration, c = cov(x, a) and S = cov(a), the
+correlation along the unit vector u is r(u) = u.c / (sd(x) sqrt(u.S u)). Equation numbers are
+those of the thesis.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.statistics._checks import FloatArray, as_angles, as_direction
+from loose_env.statistics.angles import wrap_axial
+from loose_env.statistics.covariance import (
+    STILL,
+    Covariances,
+    covariances,
+    single_excitation,
+    whitener,
+)
+
+
+class MaximumCorrelation(NamedTuple):
+    """Largest correlation over all directions, and where it is."""
+
+    value: float
+    """Correlation, 0 to 1."""
+    direction: FloatArray
+    """Unit vector in the tool frame, shape (d,)."""
+
+
+def correlation_along(x: ArrayLike, a: ArrayLike, direction: ArrayLike) -> float:
+    """Correlation of x with the component of a along a direction (4.10, 4.13).
+
+    Parameters
+    ----------
+    x : array, shape (N,)
+        Acceleration of the excited joint, rad/s^2.
+    a : array, shape (d, N)
+        Tool acceleration in the tool frame, m/s^2.
+    direction : array, shape (d,)
+        Direction in the tool frame, of any length above zero.
+
+    Returns
+    -------
+    float
+        Correlation, -1 to 1. Zero along a direction in which the tool does not move.
+
+    Raises
+    ------
+    InvalidData
+        If the record or the direction cannot be used, or x has several rows.
+
+    Examples
+    --------
+    >>> x = [1.0, -1.0, 1.0, -1.0]
+    >>> a = [[1.0, -1.0, 1.0, -1.0], [1.0, 1.0, -1.0, -1.0]]
+    >>> round(correlation_along(x, a, [1.0, 1.0]), 4)
+    0.7071
+    """
+    return correlation_along_from(covariances(x, a), direction)
+
+
+def correlation_along_from(cov: Covariances, direction: ArrayLike) -> float:
+    """`correlation_along` on covariances."""
+    c = single_excitation(cov)
+    u = as_direction(direction, len(c))
+    variance = float(np.einsum("i,ij,j", u, cov.aa, u))
+    if variance <= STILL * float(np.trace(cov.aa)):
+        return 0.0
+    return float(np.sum(u * c)) / math.sqrt(float(cov.xx[0, 0]) * variance)
+
+
+def correlation_loop(x: ArrayLike, a: ArrayLike, angles: ArrayLike) -> FloatArray:
+    """Correlation vector: the correlation at every angle of the plane (4.14).
+
+    Parameters
+    ----------
+    x : array, shape (N,)
+        Acceleration of the excited joint, rad/s^2.
+    a : array, shape (2, N)
+        Tool acceleration in the tool frame, m/s^2.
+    angles : array, shape (K,)
+        Angles from the tool's x axis, rad.
+
+    Returns
+    -------
+    array, shape (K,)
+        Correlation, -1 to 1; it changes sign from an angle to its opposite (4.15).
+
+    Raises
+    ------
+    InvalidData
+        If the record or the angles cannot be used, x has several rows or a not two.
+
+    Examples
+    --------
+    >>> x = [1.0, -1.0, 1.0, -1.0]
+    >>> a = [[1.0, -1.0, 1.0, -1.0], [1.0, 1.0, -1.0, -1.0]]
+    >>> correlation_loop(x, a, np.radians([0.0, 60.0, 180.0])).round(4).tolist()
+    [1.0, 0.5, -1.0]
+    """
+    return correlation_loop_from(covariances(x, a), angles)
+
+
+def correlation_loop_from(cov: Covariances, angles: ArrayLike) -> FloatArray:
+    """`correlation_loop` on covariances."""
+    c = _planar(cov)
+    phi = as_angles(angles)
+    cosine, sine = np.cos(phi), np.sin(phi)
+    s = cov.aa
+    variance = s[0, 0] * cosine**2 + 2 * s[0, 1] * cosine * sine + s[1, 1] * sine**2
+    still = variance <= STILL * (s[0, 0] + s[1, 1])
+    scale = np.sqrt(cov.xx[0, 0] * np.where(still, 1.0, variance))
+    return np.where(still, 0.0, (c[0] * cosine + c[1] * sine) / scale)
+
+
+def lowest_correlation_direction(x: ArrayLike, a: ArrayLike) -> float:
+    """Direction in the plane along which the tool does not follow the excited joint.
+
+    The correlation is zero perpendicular to c = cov(x, a), so no search is needed:
+    phi0 = atan2(c_y, c_x) + 90 degrees.
+
+    Parameters
+    ----------
+    x : array, shape (N,)
+        Acceleration of the excited joint, rad/s^2.
+    a : array, shape (2, N)
+        Tool acceleration in the tool frame, m/s^2.
+
+    Returns
+    -------
+    float
+        Angle from the tool's x axis in [0, pi), rad.
+
+    Raises
+    ------
+    InvalidData
+        If the record cannot be used, x has several rows, a not two, or x is correlated with no
+        direction at all.
+
+    Examples
+    --------
+    >>> x = [1.0, -1.0, 1.0, -1.0]
+    >>> round(lowest_correlation_direction(x, [x, [1.0, 1.0, -1.0, -1.0]]), 4)
+    1.5708
+    """
+    return lowest_correlation_direction_from(covariances(x, a))
+
+
+def lowest_correlation_direction_from(cov: Covariances) -> float:
+    """`lowest_correlation_direction` on covariances."""
+    c = _planar(cov)
+    if not c.any():
+        raise InvalidData("x is uncorrelated with a in every direction; none is the lowest")
+    return wrap_axial(math.atan2(c[1], c[0]) + math.pi / 2)
+
+
+def lowest_correlation_search(x: ArrayLike, a: ArrayLike, tolerance: float = 1e-9) -> float:
+    """Direction of lowest correlation found as the thesis does: bisection for the zero crossing.
+
+    The correlation changes sign from 0 to pi (4.15), so a crossing lies between.
+    `lowest_correlation_direction` gives the same angle at once.
+
+    Parameters
+    ----------
+    x : array, shape (N,)
+        Acceleration of the excited joint, rad/s^2.
+    a : array, shape (2, N)
+        Tool acceleration in the tool frame, m/s^2.
+    tolerance : float
+        Width of the last bracket, rad.
+
+    Returns
+    -------
+    float
+        Angle from the tool's x axis in [0, pi), rad.
+
+    Raises
+    ------
+    InvalidData
+        As `lowest_correlation_direction`.
+    InvalidSetting
+        If the tolerance is not above zero.
+
+    Examples
+    --------
+    >>> x = [1.0, -1.0, 1.0, -1.0]
+    >>> round(lowest_correlation_search(x, [x, [1.0, 1.0, -1.0, -1.0]]), 4)
+    1.5708
+    """
+    if not tolerance > 0.0:
+        raise InvalidSetting(f"tolerance is {tolerance} rad; it must be above zero")
+    cov = covariances(x, a)
+    c = _planar(cov)
+    if not c.any():
+        raise InvalidData("x is uncorrelated with a in every direction; none is the lowest")
+
+    def correlation(phi: float) -> float:
+        return correlation_along_from(cov, (math.cos(phi), math.sin(phi)))
+
+    low, high = 0.0, math.pi
+    at_low = correlation(low)
+    if at_low == 0.0:
+        return 0.0
+    while high - low > tolerance:
+        middle = 0.5 * (low + high)
+        if not low < middle < high:
+            break  # The bracket is two neighbouring floats wide.
+        if correlation(middle) * at_low > 0.0:
+            low = middle
+        else:
+            high = middle
+    return wrap_axial(0.5 * (low + high))
+
+
+def maximum_correlation(x: ArrayLike, a: ArrayLike) -> MaximumCorrelation:
+    """Largest correlation over all directions: C in the thesis's tables.
+
+    It lies along S^-1 c and is sqrt(c.S^-1 c) / sd(x).
+
+    Parameters
+    ----------
+    x : array, shape (N,)
+        Acceleration of the excited joint, rad/s^2.
+    a : array, shape (d, N)
+        Tool acceleration in the tool frame, m/s^2.
+
+    Returns
+    -------
+    MaximumCorrelation
+        Its value and its direction, the sign chosen so that the correlation is positive.
+
+    Raises
+    ------
+    InvalidData
+        If the record cannot be used, x has several rows, or x is correlated with no direction.
+
+    Examples
+    --------
+    >>> x = [1.0, -1.0, 1.0, -1.0]
+    >>> value, direction = maximum_correlation(x, [x, [1.0, 1.0, -1.0, -1.0]])
+    >>> round(value, 6), direction.round(6).tolist()
+    (1.0, [1.0, 0.0])
+    """
+    return maximum_correlation_from(covariances(x, a))
+
+
+def maximum_correlation_from(cov: Covariances) -> MaximumCorrelation:
+    """`maximum_correlation` on covariances."""
+    c = single_excitation(cov)
+    if not c.any():
+        raise InvalidData("x is uncorrelated with a in every direction; none is the highest")
+    w = whitener(cov.aa)
+    whitened = w.T @ c
+    value = math.sqrt(float(np.sum(whitened * whitened)) / float(cov.xx[0, 0]))
+    return MaximumCorrelation(min(value, 1.0), as_direction(w @ whitened, len(c)))
+
+
+def _planar(cov: Covariances) -> FloatArray:
+    c = single_excitation(cov)
+    if len(c) != 2:
+        raise InvalidData(
+            f"a has {len(c)} rows; an angle needs two. In space one excitation leaves a whole "
+            "plane uncorrelated"
+        )
+    return c
