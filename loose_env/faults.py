@@ -240,6 +240,11 @@ def set_seat(model: mujoco.MjModel, fault: Fault) -> None:
 
     Call it after every change of masses, once ``mj_setConst`` has run: the stops are scaled
     with the seat's inverse weight.
+
+    Raises
+    ------
+    InvalidSetting
+        If a stop is too stiff for the simulation step.
     """
     step = model.opt.timestep
     seat = model.joint(SEAT)
@@ -259,6 +264,13 @@ def set_seat(model: mujoco.MjModel, fault: Fault) -> None:
     for side, stop in enumerate((low, high)):
         stiffness, damping = (fault.stiffness[side], fault.damping[side]) if loose else (1.0, 0.0)
         weight = (1 - _SOFT) * model.tendon_invweight0[stop]
+        if stiffness * weight * step**2 > 1.0:
+            mode = np.sqrt(stiffness * weight) / (2 * np.pi)
+            raise InvalidSetting(
+                f"a stop stiffness of {stiffness:g} gives a contact mode of {mode:.0f} Hz, too fast "
+                f"for a step of {step:g} s; use {1 / weight / step**2:.3g} at most, or a step of "
+                f"{1 / np.sqrt(stiffness * weight):.2g} s at most"
+            )
         # The direct format needs both numbers negative; MuJoCo takes 0 as its default.
         model.tendon_solref_lim[stop] = (
             -max(stiffness * weight, 1e-12),

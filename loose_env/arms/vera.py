@@ -26,8 +26,8 @@ def vera(*, hold: HoldKind = "brake") -> Arm:
 
     Lengths, the masses of link 1, the bending mode and the peak torques (5.08 and
     3.39 N·m) are those of chapter 6 of the thesis. Link 2, which the thesis does not weigh,
-    is taken as a beam of 1.0 kg with a 0.25 kg block of accelerometers at its end. Rotor
-    inertias are those of a 1.4 kg servomotor behind gears of 6:1 and 4:1 with their wheels.
+    is taken as a beam of 0.85 kg with a 0.25 kg block of accelerometers at its end. The motor
+    sides (rotor behind gears of 6:1 and 4:1, steel gear wheel) are estimates too.
 
     The bending mode is a hinge in link 1 at a third of its length: there, deflection and
     slope under a force at the end are those of a clamped beam (deflection F L³ / 3EI,
@@ -50,7 +50,7 @@ def vera(*, hold: HoldKind = "brake") -> Arm:
     root_mass, tip_mass = line_density * root, line_density * (length - root)
 
     link1 = add_link(
-        spec.worldbody, 1, at=(0, 0, 0.3), flange_mass=0.3, rotor_inertia=0.02, joint_damping=0.05
+        spec.worldbody, 1, at=(0, 0, 0.3), flange_mass=0.3, rotor_inertia=0.08, joint_damping=0.05
     )
     link1.mass = root_mass
     link1.ipos = [root / 2, 0, 0]

@@ -1,0 +1,180 @@
+"""Third and fourth moments: how far a motion is from Gaussian, and in which direction.
+
+Sums are divided by the number of samples, as in the thesis (4.16 to 4.20).
+"""
+
+from typing import NamedTuple, overload
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loose_env.errors import InvalidData
+from loose_env.statistics._checks import FloatArray, as_angles, as_direction, as_record, as_samples
+
+# Standard deviation relative to the mean, or of one component to the other, taken as rounding.
+ROUNDING = 1e-12
+
+
+class DirectionalMoments(NamedTuple):
+    """Skewness and excess kurtosis at every angle of the plane."""
+
+    skewness: FloatArray
+    """Shape (K,)."""
+    kurtosis: FloatArray
+    """Excess, shape (K,)."""
+
+
+@overload
+def skewness(a: ArrayLike, direction: None = None) -> FloatArray: ...
+@overload
+def skewness(a: ArrayLike, direction: ArrayLike) -> float: ...
+def skewness(a: ArrayLike, direction: ArrayLike | None = None) -> FloatArray | float:
+    """Asymmetry of the distribution, E[(X - mu)^3] / sigma^3 (4.19).
+
+    Zero for a Gaussian motion. Stops of unequal stiffness make it differ from zero.
+
+    Parameters
+    ----------
+    a : array, shape (N,) or (d, N)
+        Tool acceleration in the tool frame, m/s^2.
+    direction : array, shape (d,), optional
+        Direction in the tool frame, of any length above zero.
+
+    Returns
+    -------
+    array, shape () or (d,), or float
+        Skewness of each row of a, or of the component along `direction`.
+
+    Raises
+    ------
+    InvalidData
+        If a or the direction cannot be used, or a component asked for does not vary.
+
+    Examples
+    --------
+    >>> skewness([[0.0, 0.0, 0.0, 4.0], [-1.0, 1.0, -1.0, 1.0]]).round(4).tolist()
+    [1.1547, 0.0]
+    """
+    z = _standardised(a, direction)
+    moment = np.einsum("...n,...n,...n->...", z, z, z) / z.shape[-1]
+    return np.asarray(moment) if direction is None else float(moment)
+
+
+@overload
+def kurtosis(a: ArrayLike, direction: None = None) -> FloatArray: ...
+@overload
+def kurtosis(a: ArrayLike, direction: ArrayLike) -> float: ...
+def kurtosis(a: ArrayLike, direction: ArrayLike | None = None) -> FloatArray | float:
+    """Excess kurtosis, E[(X - mu)^4] / sigma^4 - 3 (4.20).
+
+    Zero for a Gaussian motion; impacts at the stops raise it.
+
+    Parameters
+    ----------
+    a : array, shape (N,) or (d, N)
+        Tool acceleration in the tool frame, m/s^2.
+    direction : array, shape (d,), optional
+        Direction in the tool frame, of any length above zero.
+
+    Returns
+    -------
+    array, shape () or (d,), or float
+        Excess kurtosis of each row of a, or of the component along `direction`.
+
+    Raises
+    ------
+    InvalidData
+        If a or the direction cannot be used, or a component asked for does not vary.
+
+    Examples
+    --------
+    >>> kurtosis([[-1.0, 1.0, -1.0, 1.0], [0.0, 0.0, 0.0, 1.0]], [1.0, 0.0])
+    -2.0
+    """
+    z = _standardised(a, direction)
+    square = z * z
+    moment = np.einsum("...n,...n->...", square, square) / z.shape[-1] - 3.0
+    return np.asarray(moment) if direction is None else float(moment)
+
+
+def moments_by_direction(a: ArrayLike, angles: ArrayLike) -> DirectionalMoments:
+    """Skewness and excess kurtosis of the component at every angle of the plane.
+
+    A moment along a direction is a polynomial in its cosines, so the record is read once, however
+    many angles there are.
+
+    Parameters
+    ----------
+    a : array, shape (2, N)
+        Tool acceleration in the tool frame, m/s^2.
+    angles : array, shape (K,)
+        Angles from the tool's x axis, rad.
+
+    Returns
+    -------
+    DirectionalMoments
+        Skewness and excess kurtosis, each of shape (K,).
+
+    Raises
+    ------
+    InvalidData
+        If a or the angles cannot be used, or the tool moves along one line only.
+
+    Examples
+    --------
+    >>> a = [[-1.0, 1.0, -1.0, 1.0], [0.0, 0.0, 0.0, 4.0]]
+    >>> moments_by_direction(a, np.radians([0.0, 90.0])).skewness.round(4).tolist()
+    [0.0, 1.1547]
+    """
+    record, phi = as_record(a, "a"), as_angles(angles)
+    if len(record) != 2:
+        raise InvalidData(f"a has shape {record.shape}; an angle needs two rows")
+    count = record.shape[1]
+    means = record.mean(axis=1, keepdims=True)
+    centred = record - means
+    squares = np.einsum("in,in->i", centred, centred) / count
+    if not np.isfinite(squares).all():
+        raise InvalidData("a holds NaN, infinite or too large values")
+    # The larger component, and what of the other it does not explain: uncorrelated with unit
+    # variance, so that moments along nearly still directions keep their precision.
+    major = int(np.argmax(squares))
+    if squares[major] <= (ROUNDING * float(np.abs(means).max())) ** 2:
+        raise InvalidData("a is constant; it must vary in the plane")
+    p, q = centred[major], centred[1 - major]
+    slope = float(np.einsum("n,n", p, q)) / count / float(squares[major])
+    rest = q - slope * p
+    sd_p = float(np.sqrt(squares[major]))
+    sd_rest = float(np.sqrt(np.einsum("n,n", rest, rest) / count))
+    if sd_rest <= ROUNDING * sd_p:
+        raise InvalidData("a moves along one line; across it there are no moments")
+    z = np.stack((p / sd_p, rest / sd_rest))
+    pairs = np.stack((z[0] * z[0], z[0] * z[1], z[1] * z[1]))
+    third = np.einsum("in,jn->ij", pairs, z) / count
+    fourth = np.einsum("in,jn->ij", pairs, pairs) / count
+
+    u = np.cos(phi), np.sin(phi)
+    v, w = (u[major] + slope * u[1 - major]) * sd_p, u[1 - major] * sd_rest
+    length = np.sqrt(v * v + w * w)
+    v, w = v / length, w / length
+    powers = np.stack((v * v, 2 * v * w, w * w))
+    cubic = np.einsum("ik,ij,jk->k", powers, third, np.stack((v, w)))
+    quartic = np.einsum("ik,ij,jk->k", powers, fourth, powers)
+    return DirectionalMoments(cubic, quartic - 3.0)
+
+
+def _standardised(a: ArrayLike, direction: ArrayLike | None) -> FloatArray:
+    record = as_samples(a, "a")
+    if record.ndim > 2:
+        raise InvalidData(f"a has shape {record.shape}; it must be (N,) or (d, N)")
+    if direction is not None:
+        if record.ndim != 2:
+            raise InvalidData(f"a has shape {record.shape}; a direction needs (d, N)")
+        record = np.einsum("d,dn->n", as_direction(direction, len(record)), record)
+    means = record.mean(axis=-1, keepdims=True)
+    centred = record - means
+    sd = np.sqrt(np.einsum("...n,...n->...", centred, centred) / record.shape[-1])[..., None]
+    if not np.isfinite(sd).all():
+        raise InvalidData("a holds NaN, infinite or too large values")
+    if (sd <= ROUNDING * np.abs(means)).any():
+        raise InvalidData("a is constant in a component asked for; it must vary")
+    return np.asarray(centred / sd)
