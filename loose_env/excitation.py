@@ -15,9 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from loose_env.arms.linear import LinearArm, LinearPose
 from loose_env.errors import InvalidSetting
 
-__all__ = ["CREST_FACTOR", "Excitation", "Shaping", "compensation", "torque_signals"]
+__all__ = [
+    "CREST_FACTOR",
+    "Excitation",
+    "SeatDrive",
+    "Shaping",
+    "at_levels",
+    "compensation",
+    "torque_signals",
+]
 
 Array = NDArray[np.float64]
 Shaping = Callable[[Array], Array]
@@ -64,6 +73,110 @@ class Excitation:
     def excited(self) -> tuple[bool, ...]:
         """Whether each joint is excited."""
         return tuple(t > 0 for t in self.torque_rms)
+
+
+def at_levels(
+    pose: LinearPose, levels: Array, *, duration: float
+) -> tuple[Excitation, Array]:
+    """Find the torques that give the nominal tool the wanted acceleration.
+
+    Parameters
+    ----------
+    pose : LinearPose
+        The nominal arm at the pose.
+    levels : array_like (n,)
+        Wanted rms acceleration of the tool from each joint alone, with the brakes as they
+        are for the whole set of excited joints [m/s²]; 0 holds the joint.
+    duration : float
+        Length of the record [s].
+
+    Returns
+    -------
+    Excitation
+        Torques, clipped so that `CREST_FACTOR` times their rms plus the torque that holds
+        the arm against gravity stays within the joint's limit.
+    ndarray (n,)
+        Share of each wanted level that the joint's torque limit allows, 0 to 1; 1 for
+        joints that are held.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.linear import LinearArm
+    >>> at = LinearArm(planar(2)).at([0.0, 1.0])
+    >>> shake, share = at_levels(at, np.array([0.0, 4.0]), duration=1.2)
+    >>> shake.excited, share.tolist()
+    ((False, True), [1.0, 1.0])
+    """
+    arm = pose.linear.arm
+    wanted = np.asarray(levels, dtype=float)
+    if wanted.shape != (arm.n,) or not np.isfinite(wanted).all() or (wanted < 0).any():
+        raise InvalidSetting(
+            f"levels of {arm.name!r} are {arm.n} numbers, zero or more m/s², got {levels!r}"
+        )
+    torque, share = np.zeros(arm.n), np.ones(arm.n)
+    on = wanted > 0
+    if on.any():
+        tool = pose.response(on).tool
+        per_torque = np.sqrt(np.mean(np.sum(np.abs(tool) ** 2, axis=1), axis=0))
+        spare = np.array(arm.torque_limits) - np.abs(pose.gravity_torque)
+        allowed = np.maximum(spare[on], 0.0) / CREST_FACTOR
+        needed = wanted[on] / per_torque
+        torque[on] = np.minimum(needed, allowed)
+        share[on] = torque[on] / needed
+    excitation = Excitation(
+        torque_rms=tuple(float(t) for t in torque), duration=duration, band=arm.band
+    )
+    return excitation, share
+
+
+class SeatDrive:
+    """How hard the strongest excitation drives each seat: the yardstick for its friction.
+
+    For every joint excited alone at the top level, the nominal arm says which force a shut
+    seat transmits. The best joint counts; the figure is the median over ``poses`` random
+    poses, the same for everybody.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> drive = SeatDrive(LinearArm(planar(2)), poses=8)
+    >>> drive.slide(1, (1.0, 0.0, 0.0)) > 0
+    True
+    """
+
+    def __init__(self, linear: LinearArm, *, poses: int = 48) -> None:
+        arm = linear.arm
+        rng = np.random.default_rng(0)
+        axes = linear.slide_dofs.shape[1]
+        self._slide = np.zeros((poses, arm.n, arm.n, axes, axes))
+        self._hinge = np.zeros((poses, arm.n, arm.n))
+        for p in range(poses):
+            at = linear.at(arm.random_pose(rng))
+            for j in range(arm.n):
+                levels = np.zeros(arm.n)
+                levels[j] = arm.levels[-1]
+                excitation, _ = at_levels(at, levels, duration=1.0)
+                answer = at.response(excitation.excited)
+                power = excitation.torque_rms[j] ** 2
+                slide = answer.slide[..., 0]
+                outer = np.einsum("kia,kib->iab", slide, slide.conj()).real
+                self._slide[p, j] = power * outer / len(slide)
+                self._hinge[p, j] = power * np.mean(np.abs(answer.hinge[..., 0]) ** 2, axis=0)
+
+    def slide(self, link: int, direction: tuple[float, ...]) -> float:
+        """Rms force across the slide of a link along a direction of its frame [N]."""
+        u = np.asarray(direction, dtype=float)
+        u = u / np.linalg.norm(u)
+        m = self._slide[:, :, link - 1]
+        u = u[: m.shape[-1]]
+        power = np.einsum("a,pjab,b->pj", u, m, u)
+        return float(np.median(np.sqrt(power.max(axis=1))))
+
+    def hinge(self, joint: int) -> float:
+        """Rms torque across the play of a joint [N·m]."""
+        return float(np.median(np.sqrt(self._hinge[:, :, joint - 1].max(axis=1))))
 
 
 def torque_signals(

@@ -28,6 +28,7 @@ from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidSetting, UnknownName
 
 __all__ = [
+    "FASTEST_STOP",
     "SEAT",
     "Backlash",
     "Fault",
@@ -45,6 +46,9 @@ __all__ = [
 
 SEAT = "seat"
 """Name of the loose degree of freedom in every model under test."""
+
+FASTEST_STOP = 1.4
+"""Largest angle [rad] by which a contact mode may turn in one simulation step."""
 
 SeatKind = Literal["slide", "hinge"]
 FaultKind = Literal["healthy", "structural_looseness", "backlash"]
@@ -264,12 +268,12 @@ def set_seat(model: mujoco.MjModel, fault: Fault) -> None:
     for side, stop in enumerate((low, high)):
         stiffness, damping = (fault.stiffness[side], fault.damping[side]) if loose else (1.0, 0.0)
         weight = (1 - _SOFT) * model.tendon_invweight0[stop]
-        if stiffness * weight * step**2 > 1.0:
+        if stiffness * weight * step**2 > FASTEST_STOP**2:
             mode = np.sqrt(stiffness * weight) / (2 * np.pi)
             raise InvalidSetting(
                 f"a stop stiffness of {stiffness:g} gives a contact mode of {mode:.0f} Hz, too fast "
-                f"for a step of {step:g} s; use {1 / weight / step**2:.3g} at most, or a step of "
-                f"{1 / np.sqrt(stiffness * weight):.2g} s at most"
+                f"for a step of {step:g} s; use {FASTEST_STOP**2 / weight / step**2:.3g} at most, "
+                f"or a step of {FASTEST_STOP / np.sqrt(stiffness * weight):.2g} s at most"
             )
         # The direct format needs both numbers negative; MuJoCo takes 0 as its default.
         model.tendon_solref_lim[stop] = (

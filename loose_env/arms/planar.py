@@ -11,6 +11,7 @@ from loose_env.errors import InvalidSetting
 __all__ = ["planar"]
 
 GRAVITY = 9.81
+CREST_FACTOR = 3.0
 
 
 def planar(n_links: int = 4, *, vertical: bool = False, hold: HoldKind = "brake") -> Arm:
@@ -20,7 +21,7 @@ def planar(n_links: int = 4, *, vertical: bool = False, hold: HoldKind = "brake"
     0.55 of the length because the next joint's drive sits at the far end. A drive's
     reflected rotor inertia is half the inertia it moves with the arm straight, as on
     industrial arms (PUMA 560: 1.1 and 4.7 kg·m² at the first two joints). Torque limits
-    halve from joint to joint, starting at 150 N·m.
+    are what the top level asks of each joint with the arm straight, peaks included.
 
     Parameters
     ----------
@@ -44,6 +45,7 @@ def planar(n_links: int = 4, *, vertical: bool = False, hold: HoldKind = "brake"
     if isinstance(n_links, bool) or n_links not in range(2, 8):
         raise InvalidSetting(f"a planar arm has 2 to 7 links, got n_links={n_links!r}")
     length, first_mass, taper, centre = 0.30, 4.0, 0.75, 0.55
+    levels = (1.0, 4.0, 12.0)
     # The plane of motion is x-y: gravity along -y makes the arm a vertical one.
     spec = new_spec(gravity=(0, -GRAVITY, 0) if vertical else (0, 0, -GRAVITY))
     parent = spec.worldbody
@@ -75,9 +77,12 @@ def planar(n_links: int = 4, *, vertical: bool = False, hold: HoldKind = "brake"
         seat_bodies=tuple(f"link{i}" for i in range(1, n_links + 1)),
         tool="tool",
         axes=(0, 1),
-        torque_limits=tuple(150.0 * 0.5 ** (i - 1) for i in range(1, n_links + 1)),
+        torque_limits=tuple(
+            float(f"{_peak_torque(masses[i:], length, centre, levels[-1]):.2g}")
+            for i in range(n_links)
+        ),
         joint_ranges=((-np.pi, np.pi), *((-limit, limit) for _ in joints[1:])),
-        levels=(1.0, 4.0, 12.0),
+        levels=levels,
         band=(30.0, 150.0),
         brake=brake,
         servo=servo,
@@ -92,3 +97,9 @@ def _distal_inertia(masses: list[float], length: float, centre: float) -> float:
     return sum(
         m * length**2 * (1 / 12 + (k + centre) ** 2) for k, m in enumerate(masses)
     )
+
+
+def _peak_torque(masses: list[float], length: float, centre: float, level: float) -> float:
+    """Peak torque that shakes the tool of the straight arm at a level [N·m]."""
+    inertia = 1.5 * _distal_inertia(masses, length, centre)
+    return CREST_FACTOR * level * inertia / (len(masses) * length)

@@ -15,6 +15,8 @@ BEAM_MASS = 1.34
 """Mass of the beam of link 1 [kg] (6.1.2)."""
 END_MASS = 3.2
 """Mass at the end of link 1, the drive of joint 2 [kg] (6.1.2)."""
+GEAR_MASS, GEAR_RADIUS = 4.0, 0.12
+"""Gear wheel of joint 1, a steel disc: mass [kg] and radius [m]; an estimate."""
 BENDING_MODE_HZ = 83.0
 """First bending mode of link 1 alone, clamped at joint 1 [Hz] (eq. 6.6)."""
 MODE_DAMPING = 0.01
@@ -26,8 +28,8 @@ def vera(*, hold: HoldKind = "brake") -> Arm:
 
     Lengths, the masses of link 1, the bending mode and the peak torques (5.08 and
     3.39 N·m) are those of chapter 6 of the thesis. Link 2, which the thesis does not weigh,
-    is taken as a beam of 0.85 kg with a 0.25 kg block of accelerometers at its end. The motor
-    sides (rotor behind gears of 6:1 and 4:1, steel gear wheel) are estimates too.
+    is taken as a beam of 0.85 kg with a 0.25 kg block of accelerometers at its end. The gear
+    wheel of joint 1 and the rotors behind gears of 6:1 and 4:1 are estimates too.
 
     The bending mode is a hinge in link 1 at a third of its length: there, deflection and
     slope under a force at the end are those of a clamped beam (deflection F L³ / 3EI,
@@ -50,11 +52,18 @@ def vera(*, hold: HoldKind = "brake") -> Arm:
     root_mass, tip_mass = line_density * root, line_density * (length - root)
 
     link1 = add_link(
-        spec.worldbody, 1, at=(0, 0, 0.3), flange_mass=0.3, rotor_inertia=0.08, joint_damping=0.05
+        spec.worldbody, 1, at=(0, 0, 0.3), flange_mass=0.3, rotor_inertia=0.03, joint_damping=0.05
     )
-    link1.mass = root_mass
-    link1.ipos = [root / 2, 0, 0]
-    link1.inertia = _rod(root_mass, root)
+    # Root of the beam and gear wheel on the shaft as one body.
+    link1.mass = root_mass + GEAR_MASS
+    centre = root_mass * root / 2 / link1.mass
+    about_z = (
+        root_mass * root**2 / 12
+        + root_mass * (root / 2 - centre) ** 2
+        + GEAR_MASS * (GEAR_RADIUS**2 / 2 + centre**2)
+    )
+    link1.ipos = [centre, 0, 0]
+    link1.inertia = [GEAR_MASS * GEAR_RADIUS**2 / 4, about_z, about_z]
     link1.explicitinertial = True
 
     # Beam end and drive of joint 2 as one body, about their common centre of mass.
@@ -123,7 +132,3 @@ def vera(*, hold: HoldKind = "brake") -> Arm:
         hold=hold,
     )
 
-
-def _rod(mass: float, length: float) -> list[float]:
-    across = mass * length**2 / 12
-    return [0.1 * across, across, across]

@@ -65,15 +65,15 @@ def axial_difference(a: float | Angles, b: float | Angles) -> float | FloatArray
 
     Examples
     --------
-    >>> import math
     >>> round(math.degrees(axial_difference(math.radians(2), math.radians(179))), 6)
     3.0
     """
-    return wrap_axial(np.asarray(a) - np.asarray(b) + np.pi / 2) - np.pi / 2
+    turn: float | FloatArray = wrap_axial(np.subtract(a, b) + np.pi / 2)
+    return turn - np.pi / 2
 
 
 def axial_mean(angles: ArrayLike, weights: ArrayLike | None = None) -> float:
-    """Mean of axes: half the direction of the mean of the doubled angles.
+    """Average axes: half the direction of the mean of the doubled angles.
 
     Parameters
     ----------
@@ -99,8 +99,7 @@ def axial_mean(angles: ArrayLike, weights: ArrayLike | None = None) -> float:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> round(np.degrees(axial_mean(np.radians([176.0, 2.0]))), 6)
+    >>> round(math.degrees(axial_mean(np.radians([176.0, 2.0]))), 6)
     179.0
     """
     axes = np.atleast_1d(as_floats(angles, "angles"))
@@ -121,7 +120,7 @@ def axial_mean(angles: ArrayLike, weights: ArrayLike | None = None) -> float:
 
 
 def axial_vector(direction: ArrayLike) -> FloatArray:
-    """Unit vector of an axis, with its sign chosen: the last non-zero component is positive.
+    """Scale an axis to unit length and choose its sign: the last non-zero component is positive.
 
     In the plane this picks the vector whose angle lies in [0, pi).
 
@@ -151,7 +150,7 @@ def axial_vector(direction: ArrayLike) -> FloatArray:
 
 
 def axial_angle(direction: ArrayLike) -> float:
-    """Angle of a planar axis.
+    """Find the angle of a planar axis.
 
     Parameters
     ----------

@@ -41,7 +41,7 @@ class RankTest(NamedTuple):
 
 
 def lowest_coherence_direction(x: ArrayLike, a: ArrayLike) -> LowestCoherence:
-    """Direction of lowest coherence with all excited joints together.
+    """Find the direction of lowest coherence with all excited joints together.
 
     The smallest generalised eigenvector of (C Sx^-1 C.T) u = rho^2 S u, with C = cov(a, x),
     Sx = cov(x) and S = cov(a). With one excited joint in the plane this is the direction of
@@ -72,7 +72,7 @@ def lowest_coherence_direction(x: ArrayLike, a: ArrayLike) -> LowestCoherence:
     >>> a = [[1.0, -1.0, 1.0, -1.0], [2.0, 0.0, -2.0, 0.0]]
     >>> lowest = lowest_coherence_direction(x, a)
     >>> lowest.direction.round(6).tolist(), round(lowest.coherence, 6)
-    ([-0.707107, 0.707107], 0.5)
+    ([0.0, 1.0], 0.5)
     """
     return lowest_coherence_direction_from(covariances(x, a))
 
@@ -86,7 +86,9 @@ def lowest_coherence_direction_from(cov: Covariances) -> LowestCoherence:
     vectors, rho, _ = np.linalg.svd(whitened)
     coherences = np.zeros(len(cov.aa))
     coherences[: len(rho)] = np.minimum(rho, 1.0) ** 2
-    return LowestCoherence(axial_vector(w @ vectors[:, -1]), float(coherences[-1]), coherences[::-1])
+    return LowestCoherence(
+        axial_vector(w @ vectors[:, -1]), float(coherences[-1]), coherences[::-1]
+    )
 
 
 def rank_test(x: ArrayLike, a: ArrayLike, count: float | None = None) -> RankTest:

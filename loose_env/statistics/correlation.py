@@ -18,6 +18,7 @@ from loose_env.statistics.covariance import (
     STILL,
     Covariances,
     covariances,
+    planar_excitation,
     single_excitation,
     whitener,
 )
@@ -33,7 +34,7 @@ class MaximumCorrelation(NamedTuple):
 
 
 def correlation_along(x: ArrayLike, a: ArrayLike, direction: ArrayLike) -> float:
-    """Correlation of x with the component of a along a direction (4.10, 4.13).
+    """Correlate x with the component of a along a direction (4.10, 4.13).
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ def correlation_along_from(cov: Covariances, direction: ArrayLike) -> float:
 
 
 def correlation_loop(x: ArrayLike, a: ArrayLike, angles: ArrayLike) -> FloatArray:
-    """Correlation vector: the correlation at every angle of the plane (4.14).
+    """Trace the correlation vector: the correlation at every angle of the plane (4.14).
 
     Parameters
     ----------
@@ -108,7 +109,7 @@ def correlation_loop(x: ArrayLike, a: ArrayLike, angles: ArrayLike) -> FloatArra
 
 def correlation_loop_from(cov: Covariances, angles: ArrayLike) -> FloatArray:
     """`correlation_loop` on covariances."""
-    c = _planar(cov)
+    c = planar_excitation(cov)
     phi = as_angles(angles)
     cosine, sine = np.cos(phi), np.sin(phi)
     s = cov.aa
@@ -119,7 +120,7 @@ def correlation_loop_from(cov: Covariances, angles: ArrayLike) -> FloatArray:
 
 
 def lowest_correlation_direction(x: ArrayLike, a: ArrayLike) -> float:
-    """Direction in the plane along which the tool does not follow the excited joint.
+    """Find the direction in the plane along which the tool does not follow the excited joint.
 
     The correlation is zero perpendicular to c = cov(x, a), so no search is needed:
     phi0 = atan2(c_y, c_x) + 90 degrees.
@@ -153,14 +154,14 @@ def lowest_correlation_direction(x: ArrayLike, a: ArrayLike) -> float:
 
 def lowest_correlation_direction_from(cov: Covariances) -> float:
     """`lowest_correlation_direction` on covariances."""
-    c = _planar(cov)
+    c = planar_excitation(cov)
     if not c.any():
         raise InvalidData("x is uncorrelated with a in every direction; none is the lowest")
     return wrap_axial(math.atan2(c[1], c[0]) + math.pi / 2)
 
 
 def lowest_correlation_search(x: ArrayLike, a: ArrayLike, tolerance: float = 1e-9) -> float:
-    """Direction of lowest correlation found as the thesis does: bisection for the zero crossing.
+    """Search the direction of lowest correlation as the thesis does: bisect for the zero crossing.
 
     The correlation changes sign from 0 to pi (4.15), so a crossing lies between.
     `lowest_correlation_direction` gives the same angle at once.
@@ -195,7 +196,7 @@ def lowest_correlation_search(x: ArrayLike, a: ArrayLike, tolerance: float = 1e-
     if not tolerance > 0.0:
         raise InvalidSetting(f"tolerance is {tolerance} rad; it must be above zero")
     cov = covariances(x, a)
-    c = _planar(cov)
+    c = planar_excitation(cov)
     if not c.any():
         raise InvalidData("x is uncorrelated with a in every direction; none is the lowest")
 
@@ -218,7 +219,7 @@ def lowest_correlation_search(x: ArrayLike, a: ArrayLike, tolerance: float = 1e-
 
 
 def maximum_correlation(x: ArrayLike, a: ArrayLike) -> MaximumCorrelation:
-    """Largest correlation over all directions: C in the thesis's tables.
+    """Find the largest correlation over all directions: C in the thesis's tables.
 
     It lies along S^-1 c and is sqrt(c.S^-1 c) / sd(x).
 
@@ -258,13 +259,3 @@ def maximum_correlation_from(cov: Covariances) -> MaximumCorrelation:
     whitened = w.T @ c
     value = math.sqrt(float(np.sum(whitened * whitened)) / float(cov.xx[0, 0]))
     return MaximumCorrelation(min(value, 1.0), as_direction(w @ whitened, len(c)))
-
-
-def _planar(cov: Covariances) -> FloatArray:
-    c = single_excitation(cov)
-    if len(c) != 2:
-        raise InvalidData(
-            f"a has {len(c)} rows; an angle needs two. In space one excitation leaves a whole "
-            "plane uncorrelated"
-        )
-    return c

@@ -12,6 +12,8 @@ from loose_env.statistics._checks import FloatArray, as_record
 # covariances, not the record, decides what is seen there.
 STILL = 1e-12
 
+DEPENDENT = "the rows of x depend on each other linearly; each joint needs its own excitation"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Covariances:
@@ -31,7 +33,7 @@ class Covariances:
 
 
 def covariances(x: ArrayLike, a: ArrayLike) -> Covariances:
-    """Covariances of a record, means removed.
+    """Compute the covariances of a record, means removed.
 
     Parameters
     ----------
@@ -80,6 +82,12 @@ def covariances(x: ArrayLike, a: ArrayLike) -> Covariances:
     return Covariances(xx=full[:m, :m], xa=full[:m, m:], aa=full[m:, m:], count=count)
 
 
+def centred(signal: ArrayLike) -> FloatArray:
+    """Return a signal of shape (N,) or (k, N) as (k, N), means removed."""
+    record = as_record(signal, "signal")
+    return np.subtract(record, record.mean(axis=1, keepdims=True))
+
+
 def single_excitation(cov: Covariances) -> FloatArray:
     """Return c = cov(x, a), shape (d,), of a record with one excited joint."""
     if len(cov.xx) != 1:
@@ -90,6 +98,17 @@ def single_excitation(cov: Covariances) -> FloatArray:
     return cov.xa[0]
 
 
+def planar_excitation(cov: Covariances) -> FloatArray:
+    """Return c = cov(x, a), shape (2,), of a planar record with one excited joint."""
+    c = single_excitation(cov)
+    if len(c) != 2:
+        raise InvalidData(
+            f"a has {len(c)} rows; an angle needs two. In space one excitation leaves a whole "
+            "plane uncorrelated"
+        )
+    return c
+
+
 def whitener(aa: FloatArray) -> FloatArray:
     """Return W, shape (d, d), with W.T S W = 1 for the covariance S of the tool acceleration.
 
@@ -97,7 +116,8 @@ def whitener(aa: FloatArray) -> FloatArray:
     the limit with sensor noise: its correlation with anything is zero.
     """
     values, vectors = np.linalg.eigh(aa)
-    return np.asarray(vectors / np.sqrt(np.maximum(values, STILL * values[-1])))
+    scale = np.sqrt(np.maximum(values, STILL * values[-1]))
+    return np.asarray(vectors / scale, dtype=np.float64)
 
 
 def excitation_factor(xx: FloatArray) -> FloatArray:
@@ -109,7 +129,4 @@ def excitation_factor(xx: FloatArray) -> FloatArray:
     # The square of a pivot is what of a row's variance the rows above leave unexplained.
     if (factor.diagonal() ** 2 < STILL * xx.diagonal()).any():
         raise InvalidData(DEPENDENT)
-    return factor
-
-
-DEPENDENT = "the rows of x depend on each other linearly; each joint needs its own excitation"
+    return np.asarray(factor, dtype=np.float64)

@@ -29,7 +29,7 @@ def skewness(a: ArrayLike, direction: None = None) -> FloatArray: ...
 @overload
 def skewness(a: ArrayLike, direction: ArrayLike) -> float: ...
 def skewness(a: ArrayLike, direction: ArrayLike | None = None) -> FloatArray | float:
-    """Asymmetry of the distribution, E[(X - mu)^3] / sigma^3 (4.19).
+    """Measure the asymmetry of the distribution, E[(X - mu)^3] / sigma^3 (4.19).
 
     Zero for a Gaussian motion. Stops of unequal stiffness make it differ from zero.
 
@@ -65,7 +65,7 @@ def kurtosis(a: ArrayLike, direction: None = None) -> FloatArray: ...
 @overload
 def kurtosis(a: ArrayLike, direction: ArrayLike) -> float: ...
 def kurtosis(a: ArrayLike, direction: ArrayLike | None = None) -> FloatArray | float:
-    """Excess kurtosis, E[(X - mu)^4] / sigma^4 - 3 (4.20).
+    """Measure the excess kurtosis, E[(X - mu)^4] / sigma^4 - 3 (4.20).
 
     Zero for a Gaussian motion; impacts at the stops raise it.
 
@@ -98,7 +98,7 @@ def kurtosis(a: ArrayLike, direction: ArrayLike | None = None) -> FloatArray | f
 
 
 def moments_by_direction(a: ArrayLike, angles: ArrayLike) -> DirectionalMoments:
-    """Skewness and excess kurtosis of the component at every angle of the plane.
+    """Measure skewness and excess kurtosis of the component at every angle of the plane.
 
     A moment along a direction is a polynomial in its cosines, so the record is read once, however
     many angles there are.

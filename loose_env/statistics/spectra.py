@@ -69,9 +69,7 @@ def bandpass(signal: ArrayLike, rate: float, band: tuple[float, float]) -> Float
     return np.fft.irfft(spectrum, count)
 
 
-def acceleration_from_angle(
-    angle: ArrayLike, rate: float, band: tuple[float, float]
-) -> FloatArray:
+def acceleration_from_angle(angle: ArrayLike, rate: float, band: tuple[float, float]) -> FloatArray:
     """Differentiate a joint angle twice within a band.
 
     The second central difference is taken in time, so that slow drift, which does not repeat over
@@ -177,7 +175,7 @@ def transfer_function(
         raise InvalidData("x is constant; it must vary")
     cross = np.sum(np.conj(from_x) * from_y, axis=1)
     present = power_x > EMPTY * power_x.max()
-    response = np.where(present, cross, 0.0) / np.where(present, power_x, 1.0)
+    response = np.where(present, cross / np.where(present, power_x, 1.0), 0.0)
     both = np.where(present, power_x * power_y, 0.0)
     coherence = np.where(both > 0.0, np.abs(cross) ** 2, 0.0) / np.where(both > 0.0, both, 1.0)
     return TransferFunction(
@@ -188,7 +186,7 @@ def transfer_function(
 def spectral_flatness(
     signal: ArrayLike, rate: float, band: tuple[float, float], segments: int = 8
 ) -> FloatArray:
-    """Flatness of the power spectrum in a band: geometric over arithmetic mean.
+    """Measure the flatness of the power spectrum in a band: geometric over arithmetic mean.
 
     One for a flat spectrum, near zero for a few sharp peaks. The scatter of the spectrum lowers
     it: with eight segments flat noise gives about 0.9.

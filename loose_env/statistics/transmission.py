@@ -39,7 +39,7 @@ class TransmissionChange:
 
 
 def transmission(x: ArrayLike, a: ArrayLike) -> FloatArray:
-    """Regression of the tool acceleration on the excited joints' accelerations.
+    """Regress the tool acceleration on the excited joints' accelerations.
 
     B = C Sx^-1 with C = cov(a, x) and Sx = cov(x). Noise in x shrinks it: then use
     `transmission_by_instrument`.
@@ -75,11 +75,12 @@ def transmission_from(cov: Covariances) -> FloatArray:
     if len(cov.xx) == 1:
         return (cov.xa / cov.xx).T
     factor = excitation_factor(cov.xx)
-    return np.linalg.solve(factor.T, np.linalg.solve(factor, cov.xa)).T
+    b = np.linalg.solve(factor.T, np.linalg.solve(factor, cov.xa)).T
+    return np.asarray(b, dtype=np.float64)
 
 
 def transmission_by_instrument(command: ArrayLike, x: ArrayLike, a: ArrayLike) -> FloatArray:
-    """Regression of the tool acceleration on measured joint accelerations through the command.
+    """Regress the tool acceleration on measured joint accelerations through the command.
 
     B = cov(a, u) cov(x, u)^-1 with the command u as instrument. Noise in the measured x drops
     out, since the command does not know it.
@@ -116,11 +117,11 @@ def transmission_by_instrument(command: ArrayLike, x: ArrayLike, a: ArrayLike) -
 def transmission_by_instrument_from(command_x: Covariances, command_a: Covariances) -> FloatArray:
     """`transmission_by_instrument` on the covariances of the command with x and with a."""
     _require_related(command_x)
-    return np.linalg.solve(command_x.xa, command_a.xa).T
+    return np.asarray(np.linalg.solve(command_x.xa, command_a.xa).T, dtype=np.float64)
 
 
 def apparent_inertia(command: ArrayLike, x: ArrayLike) -> FloatArray:
-    """Inertia that the excited joints feel, from commanded torque and joint acceleration.
+    """Find the inertia that the excited joints feel from commanded torque and joint acceleration.
 
     Torque is regressed on acceleration with the command u as instrument,
     M = cov(u, u) cov(x, u)^-1, so noise in x does not shrink it. For one joint this is
@@ -155,7 +156,7 @@ def apparent_inertia(command: ArrayLike, x: ArrayLike) -> FloatArray:
 def apparent_inertia_from(command_x: Covariances) -> FloatArray:
     """`apparent_inertia` on the covariances of the command with x."""
     _require_related(command_x)
-    return np.linalg.solve(command_x.xa, command_x.xx).T
+    return np.asarray(np.linalg.solve(command_x.xa, command_x.xx).T, dtype=np.float64)
 
 
 def transmission_change(b: ArrayLike, b_reference: ArrayLike) -> TransmissionChange:

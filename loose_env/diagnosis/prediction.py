@@ -1,0 +1,119 @@
+"""What the nominal, healthy arm would show in a pose, in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.linear import LinearPose, Response
+from loose_env.excitation import Excitation
+from loose_env.sensors import SensorSuite
+
+__all__ = ["Prediction", "SensorFloor", "predict"]
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorFloor:
+    """Noise that the sensors leave in the band."""
+
+    joint: float
+    """Standard deviation of a joint acceleration from an encoder [rad/s²]."""
+    tool: float
+    """Standard deviation of one axis of the tool acceleration [m/s²]."""
+
+    @classmethod
+    def of(cls, sensors: SensorSuite, band: tuple[float, float]) -> SensorFloor:
+        """Work out the floor of a set of sensors in a band [Hz].
+
+        Readings are taken to be white, quantisation included; twice differentiated, the
+        encoder's noise rises with the square of the frequency.
+        """
+        low, high = band
+        share = (high - low) / (sensors.rate / 2)
+        encoder = sensors.encoder.noise**2 + sensors.encoder.resolution**2 / 12
+        fourth = (2 * np.pi) ** 4 * (high**5 - low**5) / 5 / (high - low)
+        accelerometer = sensors.accelerometer
+        tool = accelerometer.noise_density**2 * (high - low)
+        tool += accelerometer.resolution**2 / 12 * share
+        return cls(joint=float(np.sqrt(encoder * fourth * share)), tool=float(np.sqrt(tool)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prediction:
+    """Second-order statistics of one record; m joints are excited.
+
+    The command is scaled to its rms; all covariances are in-band.
+    """
+
+    joint: Array
+    """Covariance of the excited joints' accelerations (m, m) [rad²/s⁴]."""
+    joint_tool: Array
+    """Covariance of joint and tool acceleration (m, d) [rad/s² m/s²]."""
+    tool: Array
+    """Covariance of the tool acceleration (d, d) [m²/s⁴]."""
+    command_joint: Array
+    """Covariance of command and joint acceleration (m, m) [N·m rad/s²]."""
+    command_tool: Array
+    """Covariance of command and tool acceleration (m, d) [N·m m/s²]."""
+
+    @property
+    def transmission(self) -> Array:
+        """Regression of the tool on the measured joint accelerations (d, m) [m]."""
+        result: Array = np.linalg.solve(self.joint, self.joint_tool).T
+        return result
+
+    @property
+    def transmission_by_instrument(self) -> Array:
+        """The same with the command as instrument: free of encoder noise (d, m) [m]."""
+        result: Array = np.linalg.solve(self.command_joint, self.command_tool).T
+        return result
+
+
+def predict(pose: LinearPose, excitation: Excitation, floor: SensorFloor) -> Prediction:
+    """Predict a record of the nominal, healthy arm.
+
+    Parameters
+    ----------
+    pose : LinearPose
+        The nominal arm at the pose.
+    excitation : Excitation
+        What is played; at least one joint must be on. Spectra are taken as flat.
+    floor : SensorFloor
+        What the sensors add.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.linear import LinearArm
+    >>> shake = Excitation(torque_rms=(0.0, 3.0), duration=1.2, band=(30.0, 150.0))
+    >>> quiet = SensorFloor(joint=0.0, tool=0.0)
+    >>> at = LinearArm(planar(2)).at([0.0, 1.0])
+    >>> predict(at, shake, quiet).transmission.round(2).ravel().tolist()
+    [0.0, 0.3]
+    """
+    response = pose.response(excitation.excited)
+    joints = np.flatnonzero(excitation.excited)
+    torque = np.array(excitation.torque_rms)[joints]
+    return _statistics(response, response.joint[:, joints], response.tool, torque, floor)
+
+
+def _statistics(
+    response: Response, joint: Complex, tool: Complex, torque: Array, floor: SensorFloor
+) -> Prediction:
+    """Average spectra over the band; joint (K, m, m), tool (K, d, m)."""
+    x, a = joint * torque, tool * torque
+    count = len(response.frequency)
+    m, d = x.shape[1], a.shape[1]
+    return Prediction(
+        joint=np.einsum("kim,kjm->ij", x, x.conj()).real / count + floor.joint**2 * np.eye(m),
+        joint_tool=np.einsum("kim,kdm->id", x, a.conj()).real / count,
+        tool=np.einsum("kim,kjm->ij", a, a.conj()).real / count + floor.tool**2 * np.eye(d),
+        # The command of joint j drives column j alone.
+        command_joint=np.einsum("kim,m->mi", x, torque).real / count,
+        command_tool=np.einsum("kdm,m->md", a, torque).real / count,
+    )

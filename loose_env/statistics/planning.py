@@ -1,0 +1,98 @@
+"""Scatter of a direction by formula, and the length of record that a wanted scatter needs."""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loose_env.errors import InvalidSetting
+from loose_env.statistics._checks import as_record, require_rate
+from loose_env.statistics.covariance import centred, covariances, planar_excitation
+from loose_env.statistics.effective_samples import effective_samples
+
+
+def direction_sd(x: ArrayLike, a: ArrayLike, rate: float) -> float:
+    """Compute the standard deviation of the direction of lowest correlation by formula.
+
+    sd = sd(u) sd(x) / (|c| sqrt(N_eff)), with u the tool acceleration along that direction,
+    c = cov(x, a) and N_eff from `effective_samples`. For small angles, and for u unrelated to x,
+    not merely uncorrelated.
+
+    Parameters
+    ----------
+    x : array, shape (N,)
+        Acceleration of the excited joint, rad/s^2.
+    a : array, shape (2, N)
+        Tool acceleration in the tool frame, m/s^2.
+    rate : float
+        Sampling rate, Hz. It cancels: time and spectra scale against each other.
+
+    Returns
+    -------
+    float
+        Standard deviation, rad.
+
+    Raises
+    ------
+    InvalidData
+        If the record or the rate cannot be used.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> x, noise = rng.standard_normal(1000), rng.standard_normal((2, 1000))
+    >>> bool(abs(direction_sd(x, np.stack((x, 0 * x)) + noise, 1000.0) - 1000**-0.5) < 0.005)
+    True
+    """
+    require_rate(rate)
+    cov = covariances(x, a)
+    c = planar_excitation(cov)
+    size = float(np.hypot(c[0], c[1]))
+    if size == 0.0:
+        return math.inf
+    tool = centred(a)
+    u = (c[0] * tool[1] - c[1] * tool[0]) / size
+    sd_u = math.sqrt(float(np.einsum("n,n", u, u)) / cov.count)
+    if sd_u <= 1e-12 * math.sqrt(float(np.trace(cov.aa))):
+        return 0.0
+    sd_x = math.sqrt(float(cov.xx[0, 0]))
+    return sd_u * sd_x / (size * math.sqrt(effective_samples(as_record(x, "x")[0], u)))
+
+
+def record_length_for(sd_wanted: float, x: ArrayLike, a: ArrayLike, rate: float) -> float:
+    """Find the length of record that gives a direction of wanted standard deviation.
+
+    `direction_sd` of a trial record, inverted: scatter falls with the root of time.
+
+    Parameters
+    ----------
+    sd_wanted : float
+        Standard deviation wanted, rad.
+    x, a, rate
+        Trial record at the level and in the pose meant, as in `direction_sd`.
+
+    Returns
+    -------
+    float
+        Length, s.
+
+    Raises
+    ------
+    InvalidSetting
+        If `sd_wanted` is not above zero.
+    InvalidData
+        If the record or the rate cannot be used.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> x, noise = rng.standard_normal(1000), rng.standard_normal((2, 1000))
+    >>> a = np.stack((x, 0 * x)) + noise
+    >>> ratio = record_length_for(0.5 * direction_sd(x, a, 1000.0), x, a, 1000.0) / 1.0
+    >>> round(ratio, 6)
+    4.0
+    """
+    if not (math.isfinite(sd_wanted) and sd_wanted > 0.0):
+        raise InvalidSetting(f"sd_wanted is {sd_wanted} rad; it must be finite and above zero")
+    trial = direction_sd(x, a, rate)
+    return as_record(x, "x").shape[1] / rate * (trial / sd_wanted) ** 2
