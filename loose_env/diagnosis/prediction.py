@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from loose_env.arms.linear import LinearPose, Response
 from loose_env.excitation import Excitation
 from loose_env.sensors import SensorSuite
+from loose_env.statistics import Covariances, LowestCoherence, lowest_coherence_direction_from
 
 __all__ = ["Prediction", "SensorFloor", "predict"]
 
@@ -61,6 +63,9 @@ class Prediction:
     command_tool: Array
     """Covariance of command and tool acceleration (m, d) [N·m m/s²]."""
 
+    command: Array
+    """Covariance of the command, diagonal (m, m) [N²·m²]."""
+
     @property
     def transmission(self) -> Array:
         """Regression of the tool on the measured joint accelerations (d, m) [m]."""
@@ -72,6 +77,32 @@ class Prediction:
         """The same with the command as instrument: free of encoder noise (d, m) [m]."""
         result: Array = np.linalg.solve(self.command_joint, self.command_tool).T
         return result
+
+    @property
+    def inertia(self) -> Array:
+        """Apparent inertia of each excited joint (m,) [kg·m²]."""
+        return np.asarray(np.diag(np.linalg.solve(self.command_joint, self.command).T))
+
+    @cached_property
+    def _lowest(self) -> LowestCoherence:
+        return lowest_coherence_direction_from(
+            Covariances(xx=self.joint, xa=self.joint_tool, aa=self.tool, count=0)
+        )
+
+    @property
+    def lowest_direction(self) -> Array:
+        """Direction of lowest coherence with the excitation, tool frame, unit vector (d,)."""
+        return self._lowest.direction
+
+    @property
+    def lowest_coherence(self) -> float:
+        """Squared correlation along that direction [1]."""
+        return float(self._lowest.coherence)
+
+    @property
+    def maximum_correlation(self) -> float:
+        """Highest correlation over directions [1]."""
+        return float(np.sqrt(self._lowest.coherences.max()))
 
 
 def predict(pose: LinearPose, excitation: Excitation, floor: SensorFloor) -> Prediction:
@@ -115,5 +146,6 @@ def _statistics(
         tool=np.einsum("kim,kjm->ij", a, a.conj()).real / count + floor.tool**2 * np.eye(d),
         # The command of joint j drives column j alone.
         command_joint=np.einsum("kim,m->mi", x, torque).real / count,
+        command=np.diag(torque**2),
         command_tool=np.einsum("kdm,m->md", a, torque).real / count,
     )

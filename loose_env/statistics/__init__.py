@@ -33,7 +33,12 @@ from loose_env.statistics.correlation import (
     maximum_correlation,
     maximum_correlation_from,
 )
-from loose_env.statistics.covariance import Covariances, covariances
+from loose_env.statistics.covariance import (
+    Covariances,
+    RecordCovariances,
+    covariances,
+    record_covariances,
+)
 from loose_env.statistics.effective_samples import effective_samples
 from loose_env.statistics.index import ComparativeIndex, comparative_index
 from loose_env.statistics.intervals import change_direction_interval, direction_interval
@@ -70,6 +75,7 @@ __all__ = [
     "LowestCoherence",
     "MaximumCorrelation",
     "RankTest",
+    "RecordCovariances",
     "TransferFunction",
     "TransmissionChange",
     "acceleration_from_angle",
@@ -101,6 +107,7 @@ __all__ = [
     "moments_by_direction",
     "rank_test",
     "rank_test_from",
+    "record_covariances",
     "record_length_for",
     "skewness",
     "spectral_flatness",

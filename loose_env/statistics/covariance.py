@@ -1,6 +1,7 @@
 """Second-order statistics of one record, computed once and shared by the functions on them."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,8 +12,6 @@ from loose_env.statistics._checks import FloatArray, as_record
 # Below this share of the largest variance a direction counts as not moving: rounding of the
 # covariances, not the record, decides what is seen there.
 STILL = 1e-12
-
-DEPENDENT = "the rows of x depend on each other linearly; each joint needs its own excitation"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,6 +29,17 @@ class Covariances:
     """cov(a, a), shape (d, d), (m/s^2)^2."""
     count: int
     """Number of samples."""
+
+
+class RecordCovariances(NamedTuple):
+    """Covariances of a record with the command that excited it."""
+
+    x_a: Covariances
+    """Of the joint accelerations with the tool acceleration."""
+    command_x: Covariances
+    """Of the command with the joint accelerations."""
+    command_a: Covariances
+    """Of the command with the tool acceleration."""
 
 
 def covariances(x: ArrayLike, a: ArrayLike) -> Covariances:
@@ -59,33 +69,57 @@ def covariances(x: ArrayLike, a: ArrayLike) -> Covariances:
     >>> cov.xa.tolist()
     [[2.0, 1.5]]
     """
-    excitation, response = as_record(x, "x"), as_record(a, "a")
-    count = excitation.shape[1]
-    if response.shape[1] != count:
-        raise InvalidData(
-            f"x has {count} samples and a has {response.shape[1]}; they must be sampled together"
-        )
-    joined = np.concatenate((excitation, response))
-    means = joined.mean(axis=1, keepdims=True)
-    joined -= means
-    # einsum sums in one fixed order, whatever the number of threads.
-    full = np.einsum("in,jn->ij", joined, joined) / count
-    if not np.isfinite(full).all():
-        raise InvalidData("x or a holds NaN, infinite or too large values")
-    m = len(excitation)
-    # What is left of a constant after its mean is removed is rounding.
-    moving = full.diagonal() > (1e-15 * means[:, 0]) ** 2
-    if not moving[:m].all():
-        raise InvalidData(f"x is constant in row {int(np.argmin(moving[:m]))}; it must vary")
-    if not moving[m:].any():
-        raise InvalidData("a is constant; it must vary in one row at least")
-    return Covariances(xx=full[:m, :m], xa=full[:m, m:], aa=full[m:, m:], count=count)
+    joint = _Joint(x=x, a=a)
+    joint.require_every_row("x")
+    joint.require_one_row("a")
+    return joint.between("x", "a")
+
+
+def record_covariances(command: ArrayLike, x: ArrayLike, a: ArrayLike) -> RecordCovariances:
+    """Compute all covariances of a record and its command, in one pass.
+
+    Parameters
+    ----------
+    command : array, shape (N,) or (m, N)
+        Commanded torques of the excited joints, N m.
+    x : array, shape (N,) or (m, N)
+        Accelerations of the excited joints, rad/s^2.
+    a : array, shape (d, N)
+        Tool acceleration in the tool frame, m/s^2.
+
+    Returns
+    -------
+    RecordCovariances
+        The same as `covariances` of each pair.
+
+    Raises
+    ------
+    InvalidData
+        As `covariances`, for each pair.
+
+    Examples
+    --------
+    >>> u = [1.0, -1.0, 1.0, -1.0]
+    >>> cov = record_covariances(u, [3.0, -3.0, 3.0, -3.0], [u, u])
+    >>> cov.command_x.xa.tolist(), cov.command_a.xa.tolist(), cov.x_a.xa.tolist()
+    ([[3.0]], [[1.0, 1.0]], [[3.0, 3.0]])
+    """
+    joint = _Joint(command=command, x=x, a=a)
+    joint.require_every_row("command")
+    joint.require_every_row("x")
+    joint.require_one_row("a")
+    return RecordCovariances(
+        x_a=joint.between("x", "a"),
+        command_x=joint.between("command", "x"),
+        command_a=joint.between("command", "a"),
+    )
 
 
 def centred(signal: ArrayLike) -> FloatArray:
     """Return a signal of shape (N,) or (k, N) as (k, N), means removed."""
     record = as_record(signal, "signal")
-    return np.subtract(record, record.mean(axis=1, keepdims=True))
+    removed: FloatArray = record - record.mean(axis=1, keepdims=True)
+    return removed
 
 
 def single_excitation(cov: Covariances) -> FloatArray:
@@ -95,7 +129,8 @@ def single_excitation(cov: Covariances) -> FloatArray:
             f"x has {len(cov.xx)} rows; one excited joint is needed here, with several use "
             "lowest_coherence_direction"
         )
-    return cov.xa[0]
+    c: FloatArray = cov.xa[0]
+    return c
 
 
 def planar_excitation(cov: Covariances) -> FloatArray:
@@ -122,11 +157,50 @@ def whitener(aa: FloatArray) -> FloatArray:
 
 def excitation_factor(xx: FloatArray) -> FloatArray:
     """Return the lower Cholesky factor of cov(x, x), shape (m, m)."""
+    dependent = "the rows of x depend on each other; each joint needs an excitation of its own"
     try:
         factor = np.linalg.cholesky(xx)
     except np.linalg.LinAlgError as error:
-        raise InvalidData(DEPENDENT) from error
+        raise InvalidData(dependent) from error
     # The square of a pivot is what of a row's variance the rows above leave unexplained.
     if (factor.diagonal() ** 2 < STILL * xx.diagonal()).any():
-        raise InvalidData(DEPENDENT)
+        raise InvalidData(dependent)
     return np.asarray(factor, dtype=np.float64)
+
+
+class _Joint:
+    """Covariance of all signals of a record with each other."""
+
+    def __init__(self, **signals: ArrayLike) -> None:
+        records = {name: as_record(signal, name) for name, signal in signals.items()}
+        lengths = {name: record.shape[1] for name, record in records.items()}
+        if len(set(lengths.values())) > 1:
+            raise InvalidData(f"the numbers of samples are {lengths}; they must be equal")
+        joined = np.concatenate(list(records.values()))
+        self.count = joined.shape[1]
+        means = joined.mean(axis=1, keepdims=True)
+        joined -= means
+        # einsum sums in one fixed order, whatever the number of threads.
+        self.full = np.einsum("in,jn->ij", joined, joined) / self.count
+        if not np.isfinite(self.full).all():
+            raise InvalidData(f"{' or '.join(records)} holds NaN, infinite or too large values")
+        # What is left of a constant after its mean is removed is rounding.
+        self.moving = self.full.diagonal() > (1e-15 * means[:, 0]) ** 2
+        self.rows: dict[str, slice] = {}
+        start = 0
+        for name, record in records.items():
+            self.rows[name] = slice(start, start + len(record))
+            start += len(record)
+
+    def require_every_row(self, name: str) -> None:
+        moving = self.moving[self.rows[name]]
+        if not moving.all():
+            raise InvalidData(f"{name} is constant in row {int(moving.argmin())}; it must vary")
+
+    def require_one_row(self, name: str) -> None:
+        if not self.moving[self.rows[name]].any():
+            raise InvalidData(f"{name} is constant; it must vary in one row at least")
+
+    def between(self, x: str, a: str) -> Covariances:
+        p, q = self.rows[x], self.rows[a]
+        return Covariances(self.full[p, p], self.full[p, q], self.full[q, q], self.count)

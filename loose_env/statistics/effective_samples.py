@@ -45,8 +45,11 @@ def effective_samples(x: ArrayLike, u: ArrayLike) -> float:
     require_finite(both, "x or u")
     if (np.ptp(both, axis=1) == 0.0).any():
         raise InvalidData("x or u is constant; both must vary")
-    transform = np.fft.fft(both - both.mean(axis=1, keepdims=True))
-    power_x, power_u = transform.real**2 + transform.imag**2
+    transform = np.fft.rfft(both - both.mean(axis=1, keepdims=True))
+    half = transform.real**2 + transform.imag**2
+    # The other side of the two-sided spectrum mirrors this one without its ends.
+    mirrored = half[:, (both.shape[1] - 1) // 2 : 0 : -1]
+    power_x, power_u = np.concatenate((half, mirrored), axis=1)
     # A neighbouring bin in place of the same one: two raw periodograms of correlated signals
     # scatter together in a bin, which would count the overlap up to twice.
     beside = 0.5 * (np.roll(power_u, 1) + np.roll(power_u, -1))

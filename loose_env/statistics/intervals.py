@@ -151,7 +151,9 @@ def change_direction_interval(
     b = transmission_by_instrument_from(cov_x, cov)
     z, joint, tool = centred(instrument), centred(x), centred(a)
     change = b - healthy
-    influence = _turn_by_sample(change, b, np.linalg.inv(cov_x.xa), z, joint, tool)
+    influence = _turn_by_sample(
+        change, b, as_floats(np.linalg.inv(cov_x.xa), "weight"), z, joint, tool
+    )
     m = len(joint)
 
     def axis(drawn: FloatArray) -> FloatArray:
@@ -187,4 +189,4 @@ def _turn_by_sample(
 def _leading_angle(change: FloatArray) -> FloatArray:
     """Angle of the leading left singular vector of matrices of shape (R, 2, m), rad."""
     g = np.einsum("rik,rjk->rij", change, change)
-    return 0.5 * np.arctan2(2 * g[:, 0, 1], g[:, 0, 0] - g[:, 1, 1])
+    return np.asarray(0.5 * np.arctan2(2 * g[:, 0, 1], g[:, 0, 0] - g[:, 1, 1]))

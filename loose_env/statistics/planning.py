@@ -94,5 +94,5 @@ def record_length_for(sd_wanted: float, x: ArrayLike, a: ArrayLike, rate: float)
     """
     if not (math.isfinite(sd_wanted) and sd_wanted > 0.0):
         raise InvalidSetting(f"sd_wanted is {sd_wanted} rad; it must be finite and above zero")
-    trial = direction_sd(x, a, rate)
-    return as_record(x, "x").shape[1] / rate * (trial / sd_wanted) ** 2
+    seconds = np.shape(x)[-1] / rate
+    return float(seconds * (direction_sd(x, a, rate) / sd_wanted) ** 2)

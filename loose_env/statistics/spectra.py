@@ -178,9 +178,8 @@ def transfer_function(
     response = np.where(present, cross / np.where(present, power_x, 1.0), 0.0)
     both = np.where(present, power_x * power_y, 0.0)
     coherence = np.where(both > 0.0, np.abs(cross) ** 2, 0.0) / np.where(both > 0.0, both, 1.0)
-    return TransferFunction(
-        np.arange(length // 2 + 1) * (rate / length), response, np.minimum(coherence, 1.0)
-    )
+    frequencies = np.asarray(np.fft.rfftfreq(length, 1.0 / rate), dtype=np.float64)
+    return TransferFunction(frequencies, response, np.minimum(coherence, 1.0))
 
 
 def spectral_flatness(

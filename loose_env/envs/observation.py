@@ -1,0 +1,343 @@
+"""The observation: one slot per record, every element with a name, a unit and bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from loose_env.arms.arm import Arm
+from loose_env.diagnosis.prediction import Prediction
+from loose_env.diagnosis.record import RecordStatistics
+from loose_env.envs.settings import DiagnosisSettings
+from loose_env.errors import UnknownName
+
+__all__ = ["Element", "ObservationLayout"]
+
+Array = NDArray[np.float64]
+Scaling = Literal["linear", "log10", "asinh"]
+_AXES = "xyz"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Element:
+    """One number of the observation."""
+
+    name: str
+    """Name; elements of record k start with ``record<k>.``."""
+    unit: str
+    """Unit before scaling; 1 for a pure number."""
+    scaling: Scaling
+    """Linear: value / scale. log10: log10(value / scale). asinh: asinh(value / scale)."""
+    scale: float
+    """Scale, in the element's unit."""
+    low: float
+    """Lower bound after scaling; smaller values are clipped to it."""
+    high: float
+    """Upper bound after scaling."""
+
+
+class ObservationLayout:
+    """Where everything stands in the flat observation, and how it is scaled.
+
+    Global elements come first, then ``max_records`` slots of equal layout. A slot that has
+    not been measured is zero throughout.
+
+    Parameters
+    ----------
+    arm : Arm
+        The nominal arm.
+    settings : DiagnosisSettings
+        Settings of the environment.
+
+    Examples
+    --------
+    >>> from loose_env.arms import vera
+    >>> layout = ObservationLayout(vera(), DiagnosisSettings())
+    >>> layout.elements[0].name, layout.elements[0].unit
+    ('now.sin_pose.joint1', '1')
+    """
+
+    def __init__(self, arm: Arm, settings: DiagnosisSettings) -> None:
+        self.arm, self.settings = arm, settings
+        self.global_elements = tuple(_global_elements(arm, settings))
+        self.slot_elements = tuple(_slot_elements(arm, settings))
+        self.slots = settings.max_records
+        self.size = len(self.global_elements) + self.slots * len(self.slot_elements)
+        self._global_scaling = _Scaling(self.global_elements)
+        self._slot_scaling = _Scaling(self.slot_elements)
+        self._slot_index = _spans(self.slot_elements)
+        self._global_index = _spans(self.global_elements)
+
+    @property
+    def elements(self) -> tuple[Element, ...]:
+        """All elements in the order of the observation."""
+        slots = (
+            Element(
+                name=f"record{k}.{e.name}",
+                unit=e.unit,
+                scaling=e.scaling,
+                scale=e.scale,
+                low=e.low,
+                high=e.high,
+            )
+            for k in range(1, self.slots + 1)
+            for e in self.slot_elements
+        )
+        return (*self.global_elements, *slots)
+
+    @property
+    def space(self) -> spaces.Box:
+        """The observation space: flat, float32, finite bounds."""
+        low = [e.low for e in self.global_elements]
+        high = [e.high for e in self.global_elements]
+        # An empty slot is all zero, whatever its bounds.
+        slot_low = [min(e.low, 0.0) for e in self.slot_elements]
+        slot_high = [max(e.high, 0.0) for e in self.slot_elements]
+        return spaces.Box(
+            np.array(low + slot_low * self.slots, dtype=np.float32),
+            np.array(high + slot_high * self.slots, dtype=np.float32),
+            dtype=np.float32,
+        )
+
+    def globals_of(self, pose: Array, records: int, seconds: float, levels: int) -> NDArray[np.float32]:
+        """Scale the global elements."""
+        most = self.settings.max_records
+        values = np.concatenate(
+            [np.sin(pose), np.cos(pose), [records / most, (most - records) / most, seconds, levels]]
+        )
+        return self._global_scaling.forward(values)
+
+    def slot_of(
+        self,
+        levels: NDArray[np.intp],
+        share: Array,
+        record: RecordStatistics,
+        nominal: Prediction,
+    ) -> NDArray[np.float32]:
+        """Scale the elements of one record."""
+        on = np.flatnonzero(record.excited)
+
+        def spread(values: Array) -> Array:
+            wide = np.zeros((*values.shape[:-1], self.arm.n))
+            wide[..., on] = values
+            return wide
+
+        values = [
+            np.ones(1),
+            np.sin(record.pose),
+            np.cos(record.pose),
+            levels.astype(float),
+            record.torque / np.array(self.arm.torque_limits),
+            share,
+            [record.duration],
+            record.transmission.T.ravel(),
+            record.transmission_by_instrument.T.ravel(),
+            record.joint_rms,
+            record.inertia,
+            _covariance_numbers(record.tool_covariance),
+            _axial_numbers(record.lowest_direction),
+            [record.lowest_coherence, record.maximum_correlation],
+            record.skewness,
+            record.kurtosis,
+            [record.lowest_skewness, record.lowest_kurtosis],
+            spread(nominal.transmission).T.ravel(),
+            spread(nominal.transmission_by_instrument).T.ravel(),
+            spread(np.sqrt(np.diag(nominal.joint))),
+            spread(nominal.inertia),
+            _covariance_numbers(nominal.tool),
+            _axial_numbers(nominal.lowest_direction),
+            [nominal.lowest_coherence, nominal.maximum_correlation],
+        ]
+        return self._slot_scaling.forward(np.concatenate(values))
+
+    def __iter__(self) -> Iterator[Element]:
+        return iter(self.elements)
+
+    def table(self) -> str:
+        """One line for each element of the globals and of one slot, for people to read."""
+        rows = [("name", "unit", "scaling", "scale", "bounds")]
+        for prefix, elements in (("", self.global_elements), ("record<k>.", self.slot_elements)):
+            rows += [
+                (prefix + e.name, e.unit, e.scaling, f"{e.scale:g}", f"[{e.low:g}, {e.high:g}]")
+                for e in elements
+            ]
+        widths = [max(len(r[c]) for r in rows) for c in range(5)]
+        return "\n".join(
+            "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip()
+            for row in rows
+        )
+
+    def slots_of(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """View the slots of observations (..., size) as (..., slots, slot size)."""
+        start = len(self.global_elements)
+        tail = observation[..., start:]
+        return tail.reshape(*observation.shape[:-1], self.slots, len(self.slot_elements))
+
+    def physical(self, observation: NDArray[np.float32], name: str) -> Array:
+        """Value of a group of elements in its own unit.
+
+        Parameters
+        ----------
+        observation : ndarray (..., size)
+            Observations.
+        name : str
+            A global group such as ``"now.sin_pose"``, or a slot group such as
+            ``"transmission"``: the element's name without its last part.
+
+        Returns
+        -------
+        ndarray (..., elements) or (..., slots, elements)
+            Values in the elements' unit, clipped where the observation is.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such group.
+        """
+        if name in self._global_index:
+            span = self._global_index[name]
+            return self._global_scaling.backward(observation[..., span], span)
+        if name in self._slot_index:
+            span = self._slot_index[name]
+            slots = self.slots_of(observation)[..., span]
+            values = self._slot_scaling.backward(slots, span)
+            # An empty slot is zero, not the value that scaling takes to zero.
+            empty = self.slots_of(observation)[..., 0] < 0.5
+            values[empty] = 0.0
+            return values
+        known = [*self._global_index, *self._slot_index]
+        raise UnknownName(f"the observation has no group {name!r}; groups are {known}")
+
+
+class _Scaling:
+    """Scaling of a run of elements, both ways."""
+
+    def __init__(self, elements: tuple[Element, ...]) -> None:
+        kinds = np.array([e.scaling for e in elements])
+        self.log, self.asinh = kinds == "log10", kinds == "asinh"
+        self.scale = np.array([e.scale for e in elements])
+        self.low = np.array([e.low for e in elements])
+        self.high = np.array([e.high for e in elements])
+
+    def forward(self, values: Array) -> NDArray[np.float32]:
+        y = values / self.scale
+        y[self.asinh] = np.arcsinh(y[self.asinh])
+        # Zero stands for "not excited" and goes to the lower bound.
+        with np.errstate(divide="ignore"):
+            y[self.log] = np.log10(np.maximum(y[self.log], 0.0))
+        return np.clip(y, self.low, self.high).astype(np.float32)
+
+    def backward(self, scaled: NDArray[np.float32], span: slice) -> Array:
+        y = scaled.astype(float)
+        log, asinh = self.log[span], self.asinh[span]
+        y[..., asinh] = np.sinh(y[..., asinh])
+        at_bottom = y[..., log] <= self.low[span][log]
+        y[..., log] = np.where(at_bottom, 0.0, 10.0 ** y[..., log])
+        return np.asarray(y * self.scale[span])
+
+
+def _covariance_numbers(covariance: Array) -> Array:
+    """Rms along the axes, then the correlations of the pairs of axes."""
+    rms = np.sqrt(np.diag(covariance))
+    upper = np.triu_indices(len(rms), 1)
+    outer = np.maximum(np.outer(rms, rms), 1e-30)
+    return np.concatenate([rms, (covariance / outer)[upper]])
+
+
+def _axial_numbers(direction: Array) -> Array:
+    """A direction without sign as numbers without a jump: the products of its components."""
+    pairs = np.triu_indices(len(direction))
+    return np.asarray(np.outer(direction, direction)[pairs])
+
+
+def _spans(elements: tuple[Element, ...]) -> dict[str, slice]:
+    """Span of each group of elements: those that share all but the last part of their name."""
+    spans: dict[str, slice] = {}
+    for k, element in enumerate(elements):
+        group, _, last = element.name.rpartition(".")
+        name = group or last
+        start = spans[name].start if name in spans else k
+        spans[name] = slice(start, k + 1)
+    return spans
+
+
+def _global_elements(arm: Arm, settings: DiagnosisSettings) -> Iterator[Element]:
+    def linear(name: str, unit: str, scale: float, low: float, high: float) -> Element:
+        return Element(name=name, unit=unit, scaling="linear", scale=scale, low=low, high=high)
+
+    for part in ("sin_pose", "cos_pose"):
+        for joint in arm.joints:
+            yield linear(f"now.{part}.{joint}", "1", 1.0, -1.0, 1.0)
+    yield linear("spent.records", "1", 1.0, 0.0, 1.0)
+    yield linear("left.records", "1", 1.0, 0.0, 1.0)
+    longest = settings.max_records * max(settings.durations)
+    yield linear("spent.seconds", "s", longest, 0.0, 1.0)
+    most = settings.max_records * arm.n * len(arm.levels)
+    yield linear("spent.levels", "1", float(most), 0.0, 1.0)
+
+
+def _slot_elements(arm: Arm, settings: DiagnosisSettings) -> Iterator[Element]:
+    axes = [_AXES[a] for a in arm.axes]
+    pairs = [(a, b) for i, a in enumerate(axes) for b in axes[i + 1 :]]
+    products = [(a, b) for i, a in enumerate(axes) for b in axes[i:]]
+    top = arm.levels[-1]
+
+    def linear(name: str, unit: str, scale: float, low: float, high: float) -> Element:
+        return Element(name=name, unit=unit, scaling="linear", scale=scale, low=low, high=high)
+
+    def asinh(name: str, unit: str, scale: float) -> Element:
+        return Element(name=name, unit=unit, scaling="asinh", scale=scale, low=-6.0, high=6.0)
+
+    def log(name: str, unit: str, scale: float) -> Element:
+        return Element(name=name, unit=unit, scaling="log10", scale=scale, low=-4.0, high=4.0)
+
+    def second_order(prefix: str) -> Iterator[Element]:
+        for kind in ("transmission", "transmission_by_instrument"):
+            for joint in arm.joints:
+                for axis in axes:
+                    yield asinh(f"{prefix}{kind}.{joint}_{axis}", "m", 0.25 * arm.reach)
+        for joint in arm.joints:
+            yield log(f"{prefix}joint_rms.{joint}", "rad/s²", top / arm.reach)
+
+    def inertia(prefix: str) -> Iterator[Element]:
+        for joint in arm.joints:
+            yield log(f"{prefix}inertia.{joint}", "kg·m²", 1.0)
+
+    def tool(prefix: str) -> Iterator[Element]:
+        for axis in axes:
+            yield log(f"{prefix}tool_rms.{axis}", "m/s²", top)
+        for a, b in pairs:
+            yield linear(f"{prefix}tool_correlation.{a}{b}", "1", 1.0, -1.0, 1.0)
+        for a, b in products:
+            yield linear(f"{prefix}lowest_direction.{a}{b}", "1", 1.0, -1.0, 1.0)
+        yield linear(f"{prefix}coherence.lowest", "1", 1.0, 0.0, 1.0)
+        yield linear(f"{prefix}correlation.maximum", "1", 1.0, 0.0, 1.0)
+
+    yield linear("valid", "1", 1.0, 0.0, 1.0)
+    for part in ("sin_pose", "cos_pose"):
+        for joint in arm.joints:
+            yield linear(f"{part}.{joint}", "1", 1.0, -1.0, 1.0)
+    for joint in arm.joints:
+        yield linear(f"level.{joint}", "1", float(len(arm.levels)), 0.0, 1.0)
+    for joint in arm.joints:
+        yield linear(f"torque.{joint}", "of limit", 1.0, 0.0, 1.0)
+    for joint in arm.joints:
+        yield linear(f"level_share.{joint}", "1", 1.0, 0.0, 1.0)
+    yield linear("duration", "s", max(settings.durations), 0.0, 1.0)
+    yield from second_order("")
+    yield from inertia("")
+    yield from tool("")
+    for axis in axes:
+        yield asinh(f"skewness.{axis}", "1", 1.0)
+    for axis in axes:
+        yield asinh(f"kurtosis.{axis}", "1", 1.0)
+    yield asinh("lowest_skewness", "1", 1.0)
+    yield asinh("lowest_kurtosis", "1", 1.0)
+    yield from second_order("nominal_")
+    yield from inertia("nominal_")
+    yield from tool("nominal_")
