@@ -232,7 +232,6 @@ def trajectory(
     now, state = float(times[0]), np.array(start, dtype=float)
     result[0] = state[:3]
     while now < times[-1]:
-        ahead = times[times > now]
         done = solve_ivp(
             slope,
             (now, times[-1]),
@@ -245,8 +244,8 @@ def trajectory(
             dense_output=True,
         )
         end = done.t[-1]
-        covered = ahead[ahead <= end]
-        result[np.isin(times, covered)] = done.sol(covered)[:3].T
+        for k in np.flatnonzero((times > now) & (times <= end)):
+            result[k] = done.sol(times[k])[:3]
         now, state = float(end), done.y[:, -1]
         if done.status == 1:
             # Step over the event, or the next stretch would end where it starts.

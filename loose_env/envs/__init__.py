@@ -1,0 +1,1 @@
+"""Gymnasium environments in which a fault is hidden in an arm."""

@@ -1,0 +1,130 @@
+"""The action: a move of every joint, a level for every joint, a record length, a verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from loose_env.arms.arm import Arm
+from loose_env.envs.settings import DiagnosisSettings
+from loose_env.errors import InvalidAction
+
+__all__ = ["Action", "ActionLayout"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Action:
+    """A decoded action."""
+
+    moves: NDArray[np.intp]
+    """Index into the moves, one for each joint (n,)."""
+    levels: NDArray[np.intp]
+    """Excitation level of each joint, 0 for off (n,)."""
+    duration: float
+    """Record length [s]."""
+    verdict: int
+    """0 to go on, k to name the k-th hypothesis and end."""
+
+
+class ActionLayout:
+    """Where everything stands in the `MultiDiscrete` action, and what may be chosen when.
+
+    Parameters
+    ----------
+    arm : Arm
+        The arm.
+    settings : DiagnosisSettings
+        Settings of the environment.
+    hypotheses : int
+        Number of hypotheses.
+    """
+
+    def __init__(self, arm: Arm, settings: DiagnosisSettings, hypotheses: int) -> None:
+        self.arm, self.settings, self.hypotheses = arm, settings, hypotheses
+        n = arm.n
+        self.moves = np.radians(settings.moves)
+        self.nvec = np.array(
+            [len(settings.moves)] * n
+            + [1 + len(arm.levels)] * n
+            + [len(settings.durations), 1 + hypotheses]
+        )
+
+    @property
+    def space(self) -> spaces.MultiDiscrete:
+        """The action space."""
+        return spaces.MultiDiscrete(self.nvec)
+
+    def decode(self, action: Any) -> Action:
+        """Check an action and take it apart.
+
+        Raises
+        ------
+        InvalidAction
+            If it is not one whole number in range for every entry.
+        """
+        array = np.asarray(action)
+        if array.shape != self.nvec.shape:
+            raise InvalidAction(
+                f"an action has {len(self.nvec)} entries (a move and a level for each of "
+                f"{self.arm.n} joints, a record length, a verdict), got shape {array.shape}"
+            )
+        if not np.issubdtype(array.dtype, np.integer):
+            if not np.issubdtype(array.dtype, np.number) or np.any(array != np.round(array)):
+                raise InvalidAction(f"an action is made of whole numbers, got {action!r}")
+            array = array.astype(int)
+        if np.any(array < 0) or np.any(array >= self.nvec):
+            raise InvalidAction(
+                f"entries of an action run from 0 to {(self.nvec - 1).tolist()}, "
+                f"got {array.tolist()}"
+            )
+        n = self.arm.n
+        return Action(
+            moves=array[:n].astype(np.intp),
+            levels=array[n : 2 * n].astype(np.intp),
+            duration=self.settings.durations[int(array[2 * n])],
+            verdict=int(array[2 * n + 1]),
+        )
+
+    def encode(
+        self,
+        *,
+        moves: NDArray[np.intp] | None = None,
+        levels: NDArray[np.intp] | None = None,
+        duration: int | None = None,
+        verdict: int = 0,
+    ) -> NDArray[np.int64]:
+        """Build an action; by default stay, excite nothing, the longest record, go on."""
+        n = self.arm.n
+        longest = int(np.argmax(self.settings.durations))
+        action = np.zeros(len(self.nvec), dtype=np.int64)
+        action[:n] = self.settings.stay if moves is None else moves
+        action[n : 2 * n] = 0 if levels is None else levels
+        action[2 * n] = longest if duration is None else duration
+        action[2 * n + 1] = verdict
+        return action
+
+    def allowed_moves(self, pose: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which moves keep each joint within its range (n, moves)."""
+        allowed = np.ones((self.arm.n, len(self.moves)), dtype=bool)
+        for j, limits in enumerate(self.arm.joint_ranges):
+            if limits is not None:
+                target = pose[j] + self.moves
+                allowed[j] = (target >= limits[0] - 1e-9) & (target <= limits[1] + 1e-9)
+        allowed[:, self.settings.stay] = True
+        return allowed
+
+    def mask(self, pose: NDArray[np.float64], records: int) -> NDArray[np.bool_]:
+        """Allowed choices of all entries, one after the other, as MaskablePPO takes them."""
+        last = records >= self.settings.max_records
+        return np.concatenate(
+            [
+                self.allowed_moves(pose).ravel(),
+                np.ones(int(self.nvec[self.arm.n : -1].sum()), dtype=bool),
+                [not last],
+                np.full(self.hypotheses, records > 0),
+            ]
+        )

@@ -1,0 +1,206 @@
+"""The Gymnasium environment: one arm with a hidden fault."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium.error import ResetNeeded
+from numpy.typing import NDArray
+
+from loose_env.arms.arm import Arm
+from loose_env.arms.mismatch import MismatchDraw
+from loose_env.envs.episode import BatchRig, EpisodeBatch
+from loose_env.envs.raw import raw_observation, raw_space
+from loose_env.envs.settings import DiagnosisSettings
+from loose_env.errors import UnknownName
+from loose_env.excitation import Excitation
+from loose_env.faults import Fault
+from loose_env.rig.measurement import Measurement
+
+__all__ = ["DiagnosisEnv", "new_seed"]
+
+
+class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
+    """Find the fault hidden in a robot arm.
+
+    ## Description
+    An arm may have a link that slides on its flange, a joint with play, or nothing wrong.
+    The agent moves joints, shakes some of them with band-limited Gaussian torque while the
+    others are held, and sees how the tool's acceleration correlates with the excitation. It
+    names the fault when it is sure; every record has its price.
+
+    ## Action Space
+    `MultiDiscrete`, in this order:
+
+    | entries | choices | meaning |
+    |---|---|---|
+    | one a joint | 5 | relative move: -90, -45, 0, 45, 90 degrees |
+    | one a joint | 4 | excitation: 0 off, levels 1 to 3 (rms tool acceleration of the nominal arm) |
+    | 1 | 3 | record length: 0.2, 0.4, 1.2 s |
+    | 1 | 1 + hypotheses | verdict: 0 go on, k name the k-th hypothesis |
+
+    With a verdict nothing is measured and the rest is ignored. Levels beyond a joint's torque
+    limit are clipped; the share that remains is in the observation and in
+    `info["level_share"]`. With all levels off the arm moves, a record is spent and its slot
+    stays empty. `action_masks()` and `info["action_mask"]` say what makes sense: no move past
+    a joint limit (such a joint stays), no verdict before the first record (it is ignored),
+    no going on after the last record (it ends the episode as a wrong verdict).
+
+    ## Observation Space
+    A flat float32 `Box` with finite bounds: the pose and what has been spent, then a slot for
+    each record: pose, excitation, the record's statistics, and the same statistics as the
+    nominal healthy arm would show them. `layout` lists every element with name, unit and
+    scaling; `print(env.unwrapped.layout.table())` shows them. With `raw=True` a `Dict` of
+    the same vector as `"statistics"` and the signals of the latest record.
+
+    ## Rewards
+    +1 for the right hypothesis, -1 for a wrong one or for running out of records; less the
+    prices of each record (0.05), second of excitation (0.02) and level (0.002).
+
+    ## Starting State
+    A fault drawn from the difficulty's ranges, a true arm that differs from the nominal one, a
+    random pose. Nothing is measured.
+
+    ## Episode End
+    A verdict terminates, and so does going on after the last record. A simulation that
+    diverges truncates; `info["failure"]` says why, `divergences` counts by fault kind.
+
+    ## Arguments
+    `difficulty`, `max_records`, `prices` and all other fields of `DiagnosisSettings`; for the
+    planar arm also `n_links` and `vertical`; `hold` says whether joints that are not excited
+    are braked or servoed. `reset(options={"fault": ...})` seats a given fault or one drawn
+    under a given hypothesis; `{"pose": ...}` sets the first pose.
+
+    ## Version History
+    * v0: first version
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array", "human"], "render_fps": 2}
+
+    def __init__(
+        self,
+        arm: Arm,
+        settings: DiagnosisSettings | None = None,
+        *,
+        render_mode: str | None = None,
+        rig: BatchRig | None = None,
+        threads: int = 0,
+    ) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise UnknownName(
+                f"unknown render_mode {render_mode!r}; modes are {self.metadata['render_modes']}"
+            )
+        self.settings = DiagnosisSettings() if settings is None else settings
+        self.batch = EpisodeBatch(arm, self.settings, threads=threads, rig=rig)
+        self.arm = arm
+        self.hypotheses = self.batch.hypotheses
+        self.layout = self.batch.observations
+        self.actions = self.batch.actions
+        self.action_space = self.actions.space
+        self.observation_space = (
+            raw_space(arm, self.settings, self.layout) if self.settings.raw else self.layout.space
+        )
+        self.render_mode = render_mode
+        self._picture: Any = None
+        self._seed: int | None = None
+        self._number = -1
+
+    @property
+    def divergences(self) -> dict[str, int]:
+        """Number of diverged simulations by fault kind."""
+        return dict(self.batch.divergences)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Hide a fault and take a random pose; measures nothing."""
+        super().reset(seed=seed)
+        if seed is not None:
+            self._seed, self._number = seed, -1
+        elif self._seed is None:
+            self._seed = new_seed()
+        self._number += 1
+        info = self.batch.start(0, seed=self._seed, number=self._number, options=options)
+        if self.render_mode == "human":
+            self.render()
+        return self._observe(), info
+
+    def step(self, action: NDArray[np.int64]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Move, excite and measure; or give a verdict."""
+        episode = self.batch.episode(0)
+        if episode is None or episode.ended:
+            raise ResetNeeded("no episode is running: call reset() before step()")
+        outcome = self.batch.step([0], [action])[0]
+        if self.render_mode == "human":
+            self.render()
+        return (
+            self._observe(),
+            outcome.reward,
+            outcome.terminated,
+            outcome.truncated,
+            outcome.info,
+        )
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Allowed choices of the next action, in the form MaskablePPO takes."""
+        if self.batch.episode(0) is None:
+            raise ResetNeeded("no episode is running: call reset() before action_masks()")
+        return self.batch.mask(0)
+
+    def sample_fault(self, rng: np.random.Generator) -> Fault:
+        """Draw a fault from the difficulty's ranges."""
+        return self.batch.sampler.draw(rng)
+
+    def simulate(
+        self,
+        fault: Fault,
+        pose: NDArray[np.float64],
+        excitation: Excitation,
+        rng: np.random.Generator,
+        *,
+        mismatch: MismatchDraw | None = None,
+    ) -> Measurement:
+        """Measure an arm with a given fault outside any episode.
+
+        The mismatch is drawn from ``rng`` unless it is given.
+        """
+        return self.batch.simulate(fault, pose, excitation, rng, mismatch=mismatch)
+
+    def render(self) -> Any:
+        """Draw the arm in its pose with the latest record on it."""
+        if self.render_mode is None:
+            raise UnknownName(
+                "no render_mode was given; make the environment with render_mode='rgb_array' "
+                "or 'human'"
+            )
+        episode = self.batch.episode(0)
+        if episode is None:
+            raise ResetNeeded("no episode is running: call reset() before render()")
+        if self._picture is None:
+            from loose_env.envs.picture import Picture
+
+            self._picture = Picture(self.batch.nominal, show=self.render_mode == "human")
+        return self._picture.draw(episode)
+
+    def close(self) -> None:
+        """Close the picture."""
+        if self._picture is not None:
+            self._picture.close()
+            self._picture = None
+
+    def _observe(self) -> Any:
+        flat = self.batch.observe(0)
+        if not self.settings.raw:
+            return flat
+        episode = self.batch.episode(0)
+        last = episode.last if episode is not None else None
+        return raw_observation(self.arm, self.settings, flat, last)
+
+
+def new_seed() -> int:
+    """Draw a seed from the system, where the user gives none."""
+    entropy = np.random.SeedSequence().entropy
+    assert isinstance(entropy, int)
+    return entropy

@@ -1,0 +1,330 @@
+"""Episodes: the rules of the diagnosis, for any number of arms at once.
+
+The single and the vector environment are thin shells around `EpisodeBatch`, so that both
+give the same episode bit for bit. Every random draw comes from a stream of its own, keyed by
+(seed, episode, stream, record): what an agent does, how many arms run beside it and what ran
+before change nothing.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.arm import Arm
+from loose_env.arms.linear import LinearArm
+from loose_env.arms.mismatch import MismatchDraw
+from loose_env.diagnosis.prediction import SensorFloor, predict
+from loose_env.diagnosis.record import statistics_of
+from loose_env.envs.actions import Action, ActionLayout
+from loose_env.envs.difficulty import FaultSampler, difficulty_named
+from loose_env.envs.observation import ObservationLayout
+from loose_env.envs.settings import DiagnosisSettings
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.excitation import Excitation, at_levels
+from loose_env.faults import Backlash, Fault, Healthy, Preload, StructuralLooseness, hypotheses, place_of
+from loose_env.rig.measurement import Measurement
+from loose_env.rig.simulated import Job, SimulatedRig
+
+__all__ = ["BatchRig", "Episode", "EpisodeBatch", "Outcome"]
+
+Array = NDArray[np.float64]
+_FAULT, _MISMATCH, _POSE, _RECORD = range(4)
+
+
+class BatchRig(Protocol):
+    """What the episodes need of a rig: arms in slots, measured several at once."""
+
+    def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
+        """Put a new arm into a slot."""
+        ...
+
+    def measure_many(self, jobs: Sequence[Job]) -> list[Measurement]:
+        """Take one measurement on each of several slots."""
+        ...
+
+
+@dataclass(kw_only=True, eq=False)
+class Episode:
+    """The state of one episode."""
+
+    seed: int
+    number: int
+    fault: Fault
+    pose: Array
+    slots: NDArray[np.float32]
+    steps: int = 0
+    records: int = 0
+    seconds: float = 0.0
+    levels: int = 0
+    visited: set[bytes] = field(default_factory=set)
+    last: Measurement | None = None
+    ended: bool = False
+
+    def stream(self, kind: int, index: int = 0) -> np.random.Generator:
+        """Return the generator of one kind of draw."""
+        key = (self.number, kind, index)
+        return np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=key)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What one step gave."""
+
+    reward: float
+    terminated: bool
+    truncated: bool
+    info: dict[str, Any]
+
+
+class EpisodeBatch:
+    """Runs the episodes of ``num`` arms.
+
+    Parameters
+    ----------
+    arm : Arm
+        The nominal arm.
+    settings : DiagnosisSettings
+        Settings of the environment.
+    num : int
+        Number of arms.
+    threads : int
+        Simulation threads; 0 takes all processors.
+    rig : BatchRig, optional
+        Where measurements come from; simulated arms by default.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        settings: DiagnosisSettings,
+        *,
+        num: int = 1,
+        threads: int = 0,
+        rig: BatchRig | None = None,
+    ) -> None:
+        self.arm, self.settings, self.num, self.threads = arm, settings, num, threads
+        self.nominal = LinearArm(arm)
+        self.rig: BatchRig = (
+            SimulatedRig(arm, slots=num, sensors=settings.sensors, threads=threads)
+            if rig is None
+            else rig
+        )
+        self.difficulty = difficulty_named(settings.difficulty)
+        self.sampler = FaultSampler(self.nominal, self.difficulty)
+        self.hypotheses = hypotheses(arm)
+        self.actions = ActionLayout(arm, settings, len(self.hypotheses))
+        self.observations = ObservationLayout(arm, settings)
+        self.floor = SensorFloor.of(settings.sensors, arm.band)
+        self.divergences: Counter[str] = Counter()
+        self._episodes: list[Episode | None] = [None] * num
+        self._levels = np.array([0.0, *arm.levels])
+
+    def episode(self, slot: int) -> Episode | None:
+        """Return the running episode of a slot, if there is one."""
+        return self._episodes[slot]
+
+    def start(
+        self, slot: int, *, seed: int, number: int, options: Mapping[str, Any] | None = None
+    ) -> dict[str, Any]:
+        """Begin an episode in a slot: hide a fault, take a random pose, measure nothing."""
+        given = dict(options or {})
+        unknown = set(given) - {"fault", "pose"}
+        if unknown:
+            raise UnknownName(f"unknown reset options {sorted(unknown)}; known: fault, pose")
+        blank = np.zeros(
+            (self.settings.max_records, len(self.observations.slot_elements)), dtype=np.float32
+        )
+        episode = Episode(
+            seed=seed, number=number, fault=Healthy(), pose=np.zeros(self.arm.n), slots=blank
+        )
+        episode.fault = self._fault(given.get("fault"), episode.stream(_FAULT))
+        pose = given.get("pose")
+        episode.pose = (
+            self.arm.random_pose(episode.stream(_POSE)) if pose is None else self._pose(pose)
+        )
+        mismatch = self.difficulty.mismatch.draw(self.arm, episode.stream(_MISMATCH))
+        self.rig.mount(slot, episode.fault, mismatch)
+        self._episodes[slot] = episode
+        return {"action_mask": self.mask(slot)}
+
+    def mask(self, slot: int) -> NDArray[np.bool_]:
+        """Return the allowed choices of a slot's next action."""
+        episode = self._running(slot)
+        return self.actions.mask(episode.pose, episode.records)
+
+    def observe(self, slot: int) -> NDArray[np.float32]:
+        """Return the flat observation of a slot."""
+        e = self._running(slot)
+        head = self.observations.globals_of(e.pose, e.records, e.seconds, e.levels)
+        return np.concatenate([head, e.slots.ravel()])
+
+    def step(self, slots: Sequence[int], actions: Sequence[Any]) -> list[Outcome]:
+        """Take one step in each of the given slots; arms that measure do so together."""
+        decoded = [self.actions.decode(action) for action in actions]
+        outcomes: dict[int, Outcome] = {}
+        jobs: list[Job] = []
+        plans: list[tuple[int, Action, Array, dict[str, Any]]] = []
+        for slot, action in zip(slots, decoded, strict=True):
+            episode = self._running(slot)
+            if episode.records >= self.settings.max_records and action.verdict == 0:
+                outcomes[slot] = self._end(episode, None, {"out_of_records": True})
+            elif action.verdict > 0 and episode.records > 0:
+                outcomes[slot] = self._end(episode, self.hypotheses[action.verdict - 1], {})
+            else:
+                ignored = action.verdict > 0
+                info: dict[str, Any] = {"verdict_ignored": ignored}
+                info["move_ignored"] = self._move(episode, action)
+                levels = self._levels[action.levels]
+                excitation, share = at_levels(
+                    self.nominal.at(episode.pose), levels, duration=action.duration
+                )
+                info["level_share"] = share
+                plans.append((slot, action, share, info))
+                if action.levels.any():
+                    jobs.append(self._job(slot, episode, excitation))
+        measured = {
+            job.slot: result
+            for job, result in zip(jobs, self.rig.measure_many(jobs), strict=True)
+        } if jobs else {}
+        for slot, action, share, info in plans:
+            outcomes[slot] = self._record(slot, action, share, measured.get(slot), info)
+        return [outcomes[slot] for slot in slots]
+
+    def simulate(
+        self,
+        fault: Fault,
+        pose: Array,
+        excitation: Excitation,
+        rng: np.random.Generator,
+        *,
+        mismatch: MismatchDraw | None = None,
+    ) -> Measurement:
+        """Measure an arm with a given fault outside any episode.
+
+        The mismatch is drawn from ``rng`` unless it is given.
+        """
+        draw = self.difficulty.mismatch.draw(self.arm, rng) if mismatch is None else mismatch
+        rig = SimulatedRig(self.arm, sensors=self.settings.sensors, threads=1)
+        rig.mount(0, fault, draw)
+        return rig.measure(pose, excitation, rng=rng)
+
+    def _job(self, slot: int, episode: Episode, excitation: Excitation) -> Job:
+        return Job(
+            slot=slot,
+            pose=episode.pose,
+            excitation=excitation,
+            rng=episode.stream(_RECORD, episode.records),
+        )
+
+    def _move(self, episode: Episode, action: Action) -> NDArray[np.bool_]:
+        """Move the joints; a joint whose move leaves its range stays. Return which stayed."""
+        allowed = self.actions.allowed_moves(episode.pose)
+        fits = allowed[np.arange(self.arm.n), action.moves]
+        step = np.where(fits, self.actions.moves[action.moves], 0.0)
+        # Rounded to a nanoradian so that going there and back is the same pose.
+        episode.pose = np.round(self.arm.wrap(episode.pose + step), 9)
+        return ~fits
+
+    def _record(
+        self,
+        slot: int,
+        action: Action,
+        share: Array,
+        measurement: Measurement | None,
+        info: dict[str, Any],
+    ) -> Outcome:
+        """Enter a record into the episode; None is a record without excitation."""
+        episode = self._running(slot)
+        prices = self.settings.prices
+        price = prices.record
+        if measurement is not None:
+            levels = int(action.levels.sum())
+            price += prices.second * action.duration + prices.level * levels
+            episode.seconds += action.duration
+            episode.levels += levels
+            episode.visited.add(episode.pose.tobytes())
+            episode.last = measurement
+        failure = measurement.failure if measurement is not None else None
+        if measurement is not None and failure is None:
+            try:
+                statistics = statistics_of(measurement)
+            except InvalidData as error:
+                failure = f"the readings make no statistics: {error}"
+            else:
+                nominal = predict(
+                    self.nominal.at(episode.pose), measurement.excitation, self.floor
+                )
+                episode.slots[episode.records] = self.observations.slot_of(
+                    action.levels, share, statistics, nominal
+                )
+        episode.records += 1
+        if failure is not None:
+            self.divergences[episode.fault.kind] += 1
+            episode.ended = True
+            info |= {"failure": failure} | self._truth(episode, None)
+            return Outcome(reward=-price, terminated=False, truncated=True, info=info)
+        if self.settings.raw:
+            info["measurement"] = measurement
+        info["action_mask"] = self.mask(slot)
+        return Outcome(reward=-price, terminated=False, truncated=False, info=info)
+
+    def _end(self, episode: Episode, named: str | None, info: dict[str, Any]) -> Outcome:
+        truth = episode.fault.hypothesis
+        prices = self.settings.prices
+        reward = prices.wrong if named is None else prices.verdict(named, truth)
+        episode.ended = True
+        return Outcome(
+            reward=reward, terminated=True, truncated=False, info=info | self._truth(episode, named)
+        )
+
+    def _truth(self, episode: Episode, named: str | None) -> dict[str, Any]:
+        truth = episode.fault.hypothesis
+        right_place = named is not None and place_of(named) == place_of(truth)
+        return {
+            "fault": truth,
+            "fault_figures": episode.fault,
+            "verdict": named,
+            "is_success": named == truth,
+            "link_success": right_place,
+            "poses": len(episode.visited),
+            "records": episode.records,
+            "seconds": episode.seconds,
+            "action_mask": self.actions.mask(episode.pose, episode.records),
+        }
+
+    def _running(self, slot: int) -> Episode:
+        episode = self._episodes[slot]
+        if episode is None:
+            raise InvalidSetting("no episode is running: call reset() first")
+        return episode
+
+    def _fault(self, given: Any, rng: np.random.Generator) -> Fault:
+        if given is None:
+            return self.sampler.draw(rng)
+        if isinstance(given, (Healthy, Preload, StructuralLooseness, Backlash)):
+            return given
+        if given in self.hypotheses:
+            return self.sampler.draw(rng, hypothesis=given)
+        raise UnknownName(
+            f"unknown fault {given!r}; give a fault of loose_env.faults or one of "
+            f"{list(self.hypotheses)}"
+        )
+
+    def _pose(self, given: Any) -> Array:
+        try:
+            pose = np.asarray(given, dtype=float)
+        except (TypeError, ValueError):
+            pose = np.empty(0)
+        if pose.shape != (self.arm.n,) or not np.isfinite(pose).all():
+            raise InvalidSetting(f"a pose is {self.arm.n} finite numbers [rad], got {given!r}")
+        if not self.arm.within_ranges(pose).all():
+            raise InvalidSetting(
+                f"pose {pose.tolist()} leaves the joint ranges {self.arm.joint_ranges}"
+            )
+        return self.arm.wrap(pose)

@@ -1,0 +1,61 @@
+"""The optional raw-signal observation."""
+
+from __future__ import annotations
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from loose_env.arms.arm import Arm
+from loose_env.envs.observation import ObservationLayout
+from loose_env.envs.settings import DiagnosisSettings
+from loose_env.rig.measurement import Measurement
+
+__all__ = ["raw_observation", "raw_space"]
+
+_LIMIT = 1e3  # bound of every channel: signals beyond it are clipped
+
+
+def raw_space(arm: Arm, settings: DiagnosisSettings, layout: ObservationLayout) -> spaces.Dict:
+    """Space of the statistics and the latest record's signals, padded to the longest record."""
+    n, d, count = arm.n, len(arm.axes), _longest(settings)
+
+    def box(*shape: int) -> spaces.Box:
+        return spaces.Box(-_LIMIT, _LIMIT, shape, dtype=np.float32)
+
+    return spaces.Dict(
+        {
+            "statistics": layout.space,
+            "command": box(n, count),
+            "encoder": box(n, count),
+            "tool": box(d, count),
+        }
+    )
+
+
+def raw_observation(
+    arm: Arm, settings: DiagnosisSettings, flat: NDArray[np.float32], last: Measurement | None
+) -> dict[str, NDArray[np.float32]]:
+    """Lay the signals of the latest record beside the statistics.
+
+    The command is in N·m, the encoder in mrad off the commanded pose, the tool in m/s².
+    """
+    n, d, count = arm.n, len(arm.axes), _longest(settings)
+    signals = {
+        "command": np.zeros((n, count), dtype=np.float32),
+        "encoder": np.zeros((n, count), dtype=np.float32),
+        "tool": np.zeros((d, count), dtype=np.float32),
+    }
+    if last is not None and last.failure is None:
+        channels = {
+            "command": last.command,
+            "encoder": 1e3 * (last.encoder[:, 1:-1] - last.pose[:, None]),
+            "tool": last.tool,
+        }
+        for name, channel in channels.items():
+            signals[name][:, : channel.shape[1]] = np.clip(channel, -_LIMIT, _LIMIT)
+    return {"statistics": flat, **signals}
+
+
+def _longest(settings: DiagnosisSettings) -> int:
+    return round(max(settings.durations) * settings.sensors.rate)

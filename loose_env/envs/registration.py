@@ -1,0 +1,88 @@
+"""Ids of the environments, and how their arguments become arms and settings."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+import gymnasium
+
+from loose_env.errors import UnknownName
+
+__all__ = ["IDS", "make_planar", "make_planar_vector", "make_vera", "make_vera_vector", "register"]
+
+IDS = ("loose_env/Vera-v0", "loose_env/Planar-v0")
+"""Every registered id."""
+
+
+def register() -> None:
+    """Register all ids with Gymnasium; those already there are left alone."""
+    here = "loose_env.envs.registration"
+    for env_id, name in zip(IDS, ("vera", "planar"), strict=True):
+        if env_id not in gymnasium.registry:
+            gymnasium.register(
+                id=env_id,
+                entry_point=f"{here}:make_{name}",
+                vector_entry_point=f"{here}:make_{name}_vector",
+            )
+
+
+def make_vera(**arguments: Any) -> gymnasium.Env[Any, Any]:
+    """Make the environment of VERA."""
+    return _single(_vera(arguments), arguments)
+
+
+def make_vera_vector(num_envs: int = 1, **arguments: Any) -> Any:
+    """Make the vector environment of VERA."""
+    return _vector(_vera(arguments), num_envs, arguments)
+
+
+def make_planar(**arguments: Any) -> gymnasium.Env[Any, Any]:
+    """Make the environment of the planar arm of n links."""
+    return _single(_planar(arguments), arguments)
+
+
+def make_planar_vector(num_envs: int = 1, **arguments: Any) -> Any:
+    """Make the vector environment of the planar arm of n links."""
+    return _vector(_planar(arguments), num_envs, arguments)
+
+
+def _vera(arguments: dict[str, Any]) -> Any:
+    from loose_env.arms.vera import vera
+
+    return vera(**_take(arguments, "hold"))
+
+
+def _planar(arguments: dict[str, Any]) -> Any:
+    from loose_env.arms.planar import planar
+
+    return planar(**_take(arguments, "n_links", "vertical", "hold"))
+
+
+def _take(arguments: dict[str, Any], *names: str) -> dict[str, Any]:
+    return {name: arguments.pop(name) for name in names if name in arguments}
+
+
+def _single(arm: Any, arguments: dict[str, Any]) -> gymnasium.Env[Any, Any]:
+    from loose_env.envs.diagnosis import DiagnosisEnv
+
+    own = _take(arguments, "render_mode", "rig", "threads")
+    return DiagnosisEnv(arm, _settings(arguments), **own)
+
+
+def _vector(arm: Any, num_envs: int, arguments: dict[str, Any]) -> Any:
+    from loose_env.envs.vector import DiagnosisVectorEnv
+
+    own = _take(arguments, "threads")
+    _take(arguments, "render_mode")
+    return DiagnosisVectorEnv(arm, _settings(arguments), num_envs=num_envs, **own)
+
+
+def _settings(arguments: dict[str, Any]) -> Any:
+    from loose_env.envs.settings import DiagnosisSettings
+
+    known = [f.name for f in fields(DiagnosisSettings)]
+    unknown = sorted(set(arguments) - set(known))
+    if unknown:
+        raise UnknownName(f"unknown arguments {unknown}; settings of the environment are {known}")
+    return DiagnosisSettings(**arguments)

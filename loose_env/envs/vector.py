@@ -1,0 +1,163 @@
+"""The native vector form: many arms stepped together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from loose_env.arms.arm import Arm
+from loose_env.envs.diagnosis import new_seed
+from loose_env.envs.episode import EpisodeBatch
+from loose_env.envs.raw import raw_observation, raw_space
+from loose_env.envs.settings import DiagnosisSettings
+from loose_env.errors import InvalidAction, InvalidSetting
+
+__all__ = ["DiagnosisVectorEnv"]
+
+
+class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
+    """`num_envs` diagnosis episodes side by side, simulated in one batch.
+
+    Episodes end by themselves and start anew in the same step: the observation is the new
+    episode's first one, that of the ended episode is in `infos["final_obs"]`, its info in
+    `infos["final_info"]`. Environment i of a batch seeded with s plays the same episodes as a
+    single environment seeded with s + i.
+
+    Parameters
+    ----------
+    arm : Arm
+        The nominal arm.
+    settings : DiagnosisSettings, optional
+        Settings of the environment.
+    num_envs : int
+        Number of arms.
+    threads : int
+        Simulation threads; 0 takes all processors.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": [],
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+    }
+
+    def __init__(
+        self,
+        arm: Arm,
+        settings: DiagnosisSettings | None = None,
+        *,
+        num_envs: int = 1,
+        threads: int = 0,
+    ) -> None:
+        if isinstance(num_envs, bool) or num_envs < 1:
+            raise InvalidSetting(f"num_envs must be 1 or more, got {num_envs!r}")
+        super().__init__()
+        self.num_envs = num_envs
+        self.settings = DiagnosisSettings() if settings is None else settings
+        self.batch = EpisodeBatch(arm, self.settings, num=num_envs, threads=threads)
+        self.arm = arm
+        self.hypotheses = self.batch.hypotheses
+        self.layout = self.batch.observations
+        self.actions = self.batch.actions
+        self.single_action_space = self.actions.space
+        self.single_observation_space = (
+            raw_space(arm, self.settings, self.layout) if self.settings.raw else self.layout.space
+        )
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self._seeds: list[int | None] = [None] * num_envs
+        self._numbers = [-1] * num_envs
+
+    @property
+    def divergences(self) -> dict[str, int]:
+        """Number of diverged simulations by fault kind."""
+        return dict(self.batch.divergences)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode in every environment, or in those of `options["reset_mask"]`."""
+        given = dict(options or {})
+        chosen = self._reset_mask(given.pop("reset_mask", None))
+        seeds: Sequence[int | None]
+        if seed is None or isinstance(seed, (int, np.integer)):
+            seeds = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
+        else:
+            seeds = list(seed)
+        if len(seeds) != self.num_envs:
+            raise InvalidSetting(f"{self.num_envs} seeds are needed, got {len(seeds)}")
+        infos: dict[str, Any] = {}
+        for i in np.flatnonzero(chosen):
+            if seeds[i] is not None:
+                self._seeds[i], self._numbers[i] = seeds[i], -1
+            infos = self._add_info(infos, self._begin(int(i), given), int(i))
+        return self._observe(), infos
+
+    def step(
+        self, actions: Any
+    ) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Step every environment; those that end begin anew."""
+        rows = np.asarray(actions)
+        if rows.ndim != 2 or len(rows) != self.num_envs:
+            raise InvalidAction(
+                f"actions of {self.num_envs} environments have shape "
+                f"({self.num_envs}, {len(self.actions.nvec)}), got {rows.shape}"
+            )
+        if any(self.batch.episode(i) is None for i in range(self.num_envs)):
+            raise ResetNeeded("no episodes are running: call reset() before step()")
+        outcomes = self.batch.step(range(self.num_envs), list(rows))
+        rewards = np.array([o.reward for o in outcomes])
+        terminated = np.array([o.terminated for o in outcomes])
+        truncated = np.array([o.truncated for o in outcomes])
+        infos: dict[str, Any] = {}
+        for i, outcome in enumerate(outcomes):
+            info = outcome.info
+            if outcome.terminated or outcome.truncated:
+                final = {"final_obs": self._single(i), "final_info": info}
+                infos = self._add_info(infos, final, i)
+                info = self._begin(i, {})
+            infos = self._add_info(infos, info, i)
+        return self._observe(), rewards, terminated, truncated, infos
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Allowed choices of the next actions (num_envs, sum of choices)."""
+        return np.array([self.batch.mask(i) for i in range(self.num_envs)])
+
+    def _begin(self, i: int, options: dict[str, Any]) -> dict[str, Any]:
+        seed = self._seeds[i]
+        if seed is None:
+            seed = self._seeds[i] = new_seed()
+        self._numbers[i] += 1
+        return self.batch.start(i, seed=seed, number=self._numbers[i], options=options)
+
+    def _reset_mask(self, given: Any) -> NDArray[np.bool_]:
+        if given is None:
+            return np.ones(self.num_envs, dtype=bool)
+        mask = np.asarray(given)
+        if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
+            raise InvalidSetting(
+                f"reset_mask must be {self.num_envs} booleans, at least one of them true; got {given!r}"
+            )
+        return mask
+
+    def _single(self, i: int) -> Any:
+        flat = self.batch.observe(i)
+        if not self.settings.raw:
+            return flat
+        episode = self.batch.episode(i)
+        last = episode.last if episode is not None else None
+        return raw_observation(self.arm, self.settings, flat, last)
+
+    def _observe(self) -> Any:
+        singles = [self._single(i) for i in range(self.num_envs)]
+        if not self.settings.raw:
+            return np.stack(singles)
+        return {key: np.stack([s[key] for s in singles]) for key in singles[0]}
