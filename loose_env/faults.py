@@ -114,7 +114,7 @@ class StructuralLooseness:
     def __post_init__(self) -> None:
         _direction(self.direction)
         _not_negative(gap=self.gap, friction=self.friction)
-        _not_negative(stiffness=min(self.stiffness), damping=min(self.damping))
+        _two_sides(stiffness=self.stiffness, damping=self.damping)
 
     @property
     def hypothesis(self) -> str:
@@ -140,7 +140,7 @@ class Backlash:
 
     def __post_init__(self) -> None:
         _not_negative(gap=self.gap, friction=self.friction)
-        _not_negative(stiffness=min(self.stiffness), damping=min(self.damping))
+        _two_sides(stiffness=self.stiffness, damping=self.damping)
 
     @property
     def hypothesis(self) -> str:
@@ -243,7 +243,7 @@ def set_seat(model: mujoco.MjModel, fault: Fault) -> None:
     """Write a fault's figures into a compiled model that has its seat.
 
     Call it after every change of masses, once ``mj_setConst`` has run: the stops are scaled
-    with the seat's inverse weight.
+    with the seat's inverse weight, that along the fault's direction.
 
     Raises
     ------
@@ -260,6 +260,7 @@ def set_seat(model: mujoco.MjModel, fault: Fault) -> None:
     model.dof_solref[dof] = (2 * step, 1.0)
     if isinstance(fault, (StructuralLooseness, Preload)):
         model.jnt_axis[seat.id] = _direction(fault.direction)
+        mujoco.mj_setConst(model, mujoco.MjData(model))  # the inverse weight follows the axis
     loose = isinstance(fault, (StructuralLooseness, Backlash))
     model.dof_frictionloss[dof] = max(fault.friction, 1e-9) if loose else 1e-9
     reach = fault.gap / 2 if loose else _FAR
@@ -297,3 +298,13 @@ def _not_negative(**values: float) -> None:
     for name, value in values.items():
         if not np.isfinite(value) or value < 0:
             raise InvalidSetting(f"{name} must be a finite number, zero or more; got {value!r}")
+
+
+def _two_sides(**pairs: tuple[float, float]) -> None:
+    for name, pair in pairs.items():
+        if np.shape(pair) != (2,):
+            raise InvalidSetting(
+                f"{name} is two numbers, for the lower and the upper stop; got {pair!r}"
+            )
+        for value in pair:
+            _not_negative(**{name: value})

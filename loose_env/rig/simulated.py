@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import threading
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -25,7 +28,31 @@ __all__ = ["Job", "SimulatedRig"]
 Array = NDArray[np.float64]
 RUN_IN = 0.1
 """Excitation before the record, in which the seat and the holdings settle [s]."""
-_CHUNK = 64  # arms simulated in one call: bounds the memory of the recorded channels
+_CHUNK = 16  # arms simulated in one call; reading one chunk overlaps with the next
+
+_log_lock = threading.Lock()
+_log_before: list[mujoco.MjLogConfig] = []  # one entry for every call inside `_quiet`
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep MuJoCo's warnings off the console and out of its log file.
+
+    A diverging simulation is reported through its measurement. The setting belongs to the
+    whole process: the first call in saves it, the last one out puts it back.
+    """
+    with _log_lock:
+        _log_before.append(mujoco.MjLogConfig.get())
+        silent = mujoco.MjLogConfig.get()
+        silent.logto_console = silent.logto_file = False
+        silent.set()
+    try:
+        yield
+    finally:
+        with _log_lock:
+            last = _log_before.pop()
+            if not _log_before:
+                last.set()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,6 +67,24 @@ class Job:
     """What to play."""
     rng: np.random.Generator
     """Source of the excitation, the sensor noise and the seat's place in its gap."""
+
+
+@dataclass(kw_only=True, eq=False)
+class _Run:
+    """A chunk of jobs of one length on its way through the engine."""
+
+    jobs: Sequence[Job]
+    control: Array
+    """Commanded torques, gravity included (jobs, steps, n)."""
+    delivered: Array
+    """What the drives make of them (jobs, steps, n)."""
+    recorded: Array
+    """Sensor channels of every step (jobs, steps, channels)."""
+    before: int
+    """Steps of run-in."""
+    count: int
+    """Samples of the record."""
+    failures: dict[int, str] = field(default_factory=dict)
 
 
 class SimulatedRig:
@@ -98,11 +143,14 @@ class SimulatedRig:
             arm, timestep=self.timestep, link_accelerometers=self.sensors.link_accelerometers
         )
         self._batch = Batch(self.shop.template(arm.n, "slide"), int(slots), threads)
-        healthy = self.shop.build(Healthy(), MismatchDraw.none(arm))
-        self.plants: list[Plant] = [healthy] * int(slots)
+        # One each: a plant's model holds the pose at which its brakes and springs rest.
+        self.plants: list[Plant] = [
+            self.shop.build(Healthy(), MismatchDraw.none(arm)) for _ in range(slots)
+        ]
         self._batch.set_models([p.model for p in self.plants])
         self._models_changed = False
-        self._room = np.empty(0)
+        # Two, so that one chunk can be read while the next is simulated.
+        self._rooms = [np.empty(0), np.empty(0)]
         self._default_state = self._batch.state[0].copy()
         self._default_state[:] = 0.0
 
@@ -153,30 +201,67 @@ class SimulatedRig:
         if self._models_changed:
             self._batch.set_models([p.model for p in self.plants])
             self._models_changed = False
-        results: list[Measurement | None] = [None] * len(jobs)
         by_length: dict[float, list[int]] = {}
         for k, job in enumerate(jobs):
             by_length.setdefault(job.excitation.duration, []).append(k)
+        chunks: list[list[int]] = []
         for members in by_length.values():
-            for start in range(0, len(members), _CHUNK):
-                chunk = members[start : start + _CHUNK]
-                for k, result in zip(chunk, self._run([jobs[k] for k in chunk]), strict=True):
-                    results[k] = result
-        return [r for r in results if r is not None]
+            members.sort(key=lambda k: jobs[k].slot)  # as the batch wants them
+            chunks += [members[i : i + _CHUNK] for i in range(0, len(members), _CHUNK)]
+        results: dict[int, Measurement] = {}
+        for chunk, measured in zip(
+            chunks, self._pipeline([[jobs[k] for k in chunk] for chunk in chunks]), strict=True
+        ):
+            results.update(zip(chunk, measured, strict=True))
+        return [results[k] for k in range(len(jobs))]
 
-    def _run(self, jobs: Sequence[Job]) -> list[Measurement]:
-        """Simulate and read jobs of one length."""
+    def _pipeline(self, chunks: Sequence[Sequence[Job]]) -> Iterator[list[Measurement]]:
+        """Prepare and read on this thread while the engine simulates the neighbouring chunk."""
+        if len(chunks) == 1:
+            run = self._prepare(chunks[0], 0)
+            self._simulate(run)
+            yield self._read_all(run)
+            return
+        with ThreadPoolExecutor(max_workers=1) as engine:
+            pending: tuple[_Run, Future[None]] | None = None
+            for k, chunk in enumerate(chunks):
+                run = self._prepare(chunk, k % 2)
+                if pending is not None:
+                    pending[1].result()
+                started = engine.submit(self._simulate, run)
+                if pending is not None:
+                    yield self._read_all(pending[0])
+                pending = (run, started)
+            if pending is not None:
+                pending[1].result()
+                yield self._read_all(pending[0])
+
+    def _prepare(self, jobs: Sequence[Job], room: int) -> _Run:
+        """Draw the torques of jobs of one length and set their arms up."""
         factor, rate = self.factor, self.sensors.rate
-        count = round(jobs[0].excitation.duration * rate)
         half = len(decimation_filter(factor, self.sensors.accelerometer.bandwidth, rate)) // 2
         before = round(RUN_IN * rate) * factor
-        after = max(half, factor) + 1
-        control = self._controls(jobs, before, after)
-        failures, recorded = self._simulate(jobs, control)
-        return [
-            self._read(job, control[k], recorded[k], before, count, failures.get(job.slot))
-            for k, job in enumerate(jobs)
-        ]
+        control = self._controls(jobs, before, max(half, factor) + 1)
+        batch = self._batch
+        position, active = batch.bind("qpos"), batch.bind("eq_active")
+        delivered = np.empty_like(control)
+        for k, job in enumerate(jobs):
+            plant = self.plants[job.slot]
+            batch.state[job.slot] = self._default_state
+            position[job.slot, plant.position] = plant.hold_at(job.pose)
+            gap = getattr(plant.fault, "gap", 0.0)
+            position[job.slot, plant.seat_position] = gap * (job.rng.random() - 0.5)
+            active[job.slot] = plant.model.eq_active0
+            active[job.slot, plant.brakes] = ~np.array(job.excitation.excited)
+            delivered[k] = control[k] * plant.mismatch.drive_gain
+        return _Run(
+            jobs=jobs,
+            control=control,
+            delivered=delivered,
+            recorded=self._buffer(room, len(jobs), control.shape[1]),
+            before=before,
+            count=round(jobs[0].excitation.duration * rate),
+        )
 
     def _controls(self, jobs: Sequence[Job], before: int, after: int) -> Array:
         """Torques of every step (jobs, steps, n): random part plus gravity, within limits."""
@@ -191,52 +276,52 @@ class SimulatedRig:
             rows.append(np.clip(torque, -limits[:, None], limits[:, None]).T)
         return np.ascontiguousarray(rows)
 
-    def _simulate(self, jobs: Sequence[Job], control: Array) -> tuple[dict[int, str], Array]:
-        batch = self._batch
-        ids = np.array([job.slot for job in jobs])
-        position, active = batch.bind("qpos"), batch.bind("eq_active")
-        delivered = np.empty_like(control)
-        for k, job in enumerate(jobs):
-            plant = self.plants[job.slot]
-            batch.state[job.slot] = self._default_state
-            true = plant.hold_at(job.pose)
-            position[job.slot, plant.position] = true
-            fault = plant.fault
-            gap = getattr(fault, "gap", 0.0)
-            position[job.slot, plant.seat_position] = gap * (job.rng.random() - 0.5)
-            active[job.slot] = plant.model.eq_active0
-            active[job.slot, plant.brakes] = ~np.array(job.excitation.excited)
-            delivered[k] = control[k] * plant.mismatch.drive_gain
+    def _simulate(self, run: _Run) -> None:
+        """Run the engine; fill in what it recorded and which arms failed."""
+        batch, data, failures = self._batch, run.recorded, run.failures
+        ids = np.array([job.slot for job in run.jobs])
         batch.warning[ids] = 0
-        data = self._buffer(len(jobs), control.shape[1])
-        failures: dict[int, str] = {}
         try:
-            batch.rollout(
-                control.shape[1],
-                delivered,
-                record=("sensordata",),
-                ids=ids,
-                out={"sensordata": data},
-            )
+            with _quiet():
+                batch.rollout(
+                    run.control.shape[1],
+                    run.delivered,
+                    record=("sensordata",),
+                    ids=ids,
+                    out={"sensordata": data},
+                )
         except SimulationError as error:  # the other simulations ran to their end
-            failures = {int(i): f"the simulation stopped: {batch.error(i)}" for i in error.ids}
+            failures |= {int(i): f"the simulation stopped: {batch.error(i)}" for i in error.ids}
         for k, slot in enumerate(ids):
-            if batch.warning[slot, :, 0].any():
+            counts = batch.warning[slot, :, 1]  # column 0 holds what the last one was about
+            if counts.any():
                 kinds = [
                     mujoco.mjtWarning(w).name.removeprefix("mjWARN_").lower()
-                    for w in np.flatnonzero(batch.warning[slot, :, 0])
+                    for w in np.flatnonzero(counts)
                 ]
                 failures[int(slot)] = f"the simulation diverged: {', '.join(kinds)}"
             elif not np.isfinite(data[k]).all():
                 failures.setdefault(int(slot), "the simulation diverged: motion not finite")
-        return failures, data
 
-    def _buffer(self, jobs: int, steps: int) -> Array:
-        """Give room for the recorded channels, kept from call to call."""
+    def _buffer(self, room: int, jobs: int, steps: int) -> Array:
+        """Give space for the recorded channels, kept from call to call."""
         size = jobs * steps * self._batch.model.nsensordata
-        if self._room.size < size:
-            self._room = np.empty(size)
-        return self._room[:size].reshape(jobs, steps, -1)
+        if self._rooms[room].size < size:
+            self._rooms[room] = np.empty(size)
+        return self._rooms[room][:size].reshape(jobs, steps, -1)
+
+    def _read_all(self, run: _Run) -> list[Measurement]:
+        return [
+            self._read(
+                job,
+                run.control[k],
+                run.recorded[k],
+                run.before,
+                run.count,
+                run.failures.get(job.slot),
+            )
+            for k, job in enumerate(run.jobs)
+        ]
 
     def _read(
         self,

@@ -20,7 +20,6 @@ from loose_env.statistics.covariance import (
     covariances,
     planar_excitation,
     single_excitation,
-    whitener,
 )
 
 
@@ -255,7 +254,10 @@ def maximum_correlation_from(cov: Covariances) -> MaximumCorrelation:
     c = single_excitation(cov)
     if not c.any():
         raise InvalidData("x is uncorrelated with a in every direction; none is the highest")
-    w = whitener(cov.aa)
-    whitened = w.T @ c
-    value = math.sqrt(float(np.sum(whitened * whitened)) / float(cov.xx[0, 0]))
-    return MaximumCorrelation(min(value, 1.0), as_direction(w @ whitened, len(c)))
+    variances, axes = np.linalg.eigh(cov.aa)
+    along = axes.T @ c
+    # A direction in which the tool does not move adds nothing but rounding.
+    moving = variances > STILL * variances[-1]
+    weights = np.where(moving, along, 0.0) / np.where(moving, variances, 1.0)
+    value = math.sqrt(float(np.sum(weights * along)) / float(cov.xx[0, 0]))
+    return MaximumCorrelation(min(value, 1.0), as_direction(axes @ weights, len(c)))

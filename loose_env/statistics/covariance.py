@@ -178,10 +178,11 @@ class _Joint:
             raise InvalidData(f"the numbers of samples are {lengths}; they must be equal")
         joined = np.concatenate(list(records.values()))
         self.count = joined.shape[1]
-        means = joined.mean(axis=1, keepdims=True)
-        joined -= means
-        # einsum sums in one fixed order, whatever the number of threads.
-        self.full = np.einsum("in,jn->ij", joined, joined) / self.count
+        with np.errstate(invalid="ignore", over="ignore"):
+            means = joined.mean(axis=1, keepdims=True)
+            joined -= means
+            # einsum sums in one fixed order, whatever the number of threads.
+            self.full = np.einsum("in,jn->ij", joined, joined) / self.count
         if not np.isfinite(self.full).all():
             raise InvalidData(f"{' or '.join(records)} holds NaN, infinite or too large values")
         # What is left of a constant after its mean is removed is rounding.

@@ -174,7 +174,7 @@ def _turn_by_sample(
     """Turn of the leading left singular vector of `change` by the noise in each sample, rad."""
     left, values, right = np.linalg.svd(change)
     first, second = float(values[0]), float(values[1]) if len(values) == 2 else 0.0
-    if first - second <= 1e-12 * first:
+    if first - second <= 1e-12 * float(np.linalg.norm(b)):
         raise InvalidData("the transmission changes alike in every direction, or not at all")
     residual = np.einsum("ji,jn->in", left, a - np.einsum("ij,jn->in", b, x))
     drive = np.einsum("ij,jn->in", right @ weight, z)

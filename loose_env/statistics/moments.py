@@ -130,9 +130,10 @@ def moments_by_direction(a: ArrayLike, angles: ArrayLike) -> DirectionalMoments:
     if len(record) != 2:
         raise InvalidData(f"a has shape {record.shape}; an angle needs two rows")
     count = record.shape[1]
-    means = record.mean(axis=1, keepdims=True)
-    centred = record - means
-    squares = np.einsum("in,in->i", centred, centred) / count
+    with np.errstate(invalid="ignore", over="ignore"):
+        means = record.mean(axis=1, keepdims=True)
+        centred = record - means
+        squares = np.einsum("in,in->i", centred, centred) / count
     if not np.isfinite(squares).all():
         raise InvalidData("a holds NaN, infinite or too large values")
     # The larger component, and what of the other it does not explain: uncorrelated with unit
@@ -170,9 +171,10 @@ def _standardised(a: ArrayLike, direction: ArrayLike | None) -> FloatArray:
         if record.ndim != 2:
             raise InvalidData(f"a has shape {record.shape}; a direction needs (d, N)")
         record = np.einsum("d,dn->n", as_direction(direction, len(record)), record)
-    means = record.mean(axis=-1, keepdims=True)
-    centred = record - means
-    sd = np.sqrt(np.einsum("...n,...n->...", centred, centred) / record.shape[-1])[..., None]
+    with np.errstate(invalid="ignore", over="ignore"):
+        means = record.mean(axis=-1, keepdims=True)
+        centred = record - means
+        sd = np.sqrt(np.einsum("...n,...n->...", centred, centred) / record.shape[-1])[..., None]
     if not np.isfinite(sd).all():
         raise InvalidData("a holds NaN, infinite or too large values")
     if (sd <= ROUNDING * np.abs(means)).any():

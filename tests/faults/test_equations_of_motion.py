@@ -81,7 +81,9 @@ def forward(model: mujoco.MjModel, q: Array, v: Array, torque: Array) -> Array:
     return data.qacc.copy()
 
 
-def stepped(model: mujoco.MjModel, start: Array, every: float, until: float, torque: Array) -> Array:
+def stepped(
+    model: mujoco.MjModel, start: Array, every: float, until: float, torque: Array
+) -> Array:
     """Positions (K, nv) at every multiple of `every`, from 0 to `until`."""
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = start[: model.nq], start[model.nq :]

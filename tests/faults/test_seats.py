@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -236,6 +237,14 @@ def test_figures_below_zero_or_not_finite_are_refused(
             loosened(kind, 1, **{name: value})
 
 
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("bad", [1e4, (1e4,), (1e4, 1e4, 1e4)])
+def test_a_stiffness_that_is_not_one_for_each_stop_is_refused(kind: SeatKind, bad: Any) -> None:
+    with pytest.raises(InvalidSetting, match="stiffness is two numbers") as refusal:
+        loosened(kind, 1, stiffness=bad)
+    assert repr(bad) in str(refusal.value)
+
+
 @pytest.mark.parametrize("name", ["stiffness", "damping"])
 @pytest.mark.parametrize("bad", [-1.0, float("nan"), float("inf")])
 def test_a_preload_below_zero_or_not_finite_is_refused(name: str, bad: float) -> None:
@@ -271,8 +280,9 @@ def test_a_stop_too_stiff_for_the_step_is_refused_with_what_would_do(
     with pytest.raises(InvalidSetting, match=r"1e\+09 .* Hz, too fast for a step of") as refusal:
         set_seat(model, loosened(kind, 2, stiffness=tuple(stiffness)))
     # The message names a stiffness and a step that are allowed: they must be.
-    words = str(refusal.value).replace(";", "").replace(",", "").split()
-    allowed, step = float(words[words.index("use") + 1]), float(words[-5])
+    named = re.search(r"use (\S+) at most, or a step of (\S+) s at most", str(refusal.value))
+    assert named is not None
+    allowed, step = float(named[1]), float(named[2])
     set_seat(model, loosened(kind, 2, stiffness=(0.99 * allowed, 0.99 * allowed)))
     model.opt.timestep = 0.95 * step
     set_seat(model, loosened(kind, 2, stiffness=tuple(stiffness)))

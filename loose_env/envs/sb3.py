@@ -1,0 +1,120 @@
+"""Adapter from the native vector environment to the `VecEnv` of stable-baselines3."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
+
+from loose_env.envs.vector import DiagnosisVectorEnv
+from loose_env.errors import UnknownName
+
+__all__ = ["Sb3VecEnv"]
+
+
+class Sb3VecEnv(VecEnv):
+    """The native vector environment as stable-baselines3 wants it.
+
+    Every environment keeps its own info dictionary; ended episodes carry
+    ``terminal_observation``, ``TimeLimit.truncated`` and ``episode`` (return and length), and
+    the masks come through ``env_method("action_masks")`` as sb3-contrib asks for them.
+
+    Parameters
+    ----------
+    env : DiagnosisVectorEnv
+        The environments, made for example by ``gymnasium.make_vec(id, num_envs=8)``.
+    """
+
+    def __init__(self, env: DiagnosisVectorEnv) -> None:
+        self.env = env
+        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+        self._actions: NDArray[np.int64] | None = None
+        self._returns = np.zeros(env.num_envs)
+        self._lengths = np.zeros(env.num_envs, dtype=int)
+
+    def reset(self) -> Any:
+        """Begin an episode in every environment."""
+        seeds = self._seeds if any(s is not None for s in self._seeds) else None
+        options = self._options[0] if any(self._options) else None
+        observation, infos = self.env.reset(seed=seeds, options=options)
+        self.reset_infos = [self._info(infos, i) for i in range(self.num_envs)]
+        self._returns[:], self._lengths[:] = 0.0, 0
+        self._reset_seeds()
+        self._reset_options()
+        return observation
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Take the actions of the next step."""
+        self._actions = np.asarray(actions)
+
+    def step_wait(self) -> Any:
+        """Step all environments."""
+        observation, reward, terminated, truncated, infos = self.env.step(self._actions)
+        done = terminated | truncated
+        self._returns += reward
+        self._lengths += 1
+        single: list[dict[str, Any]] = []
+        for i in range(self.num_envs):
+            info = self._info(infos, i)
+            if done[i]:
+                info = self._info(infos["final_info"], i)
+                info["terminal_observation"] = infos["final_obs"][i]
+                info["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
+                info["episode"] = {"r": float(self._returns[i]), "l": int(self._lengths[i])}
+                self._returns[i], self._lengths[i] = 0.0, 0
+            single.append(info)
+        return observation, reward.astype(np.float32), done, single
+
+    def close(self) -> None:
+        """Close the environments."""
+        self.env.close()
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """Attribute of the environments; it is the same object for all."""
+        if attr_name == "render_mode":
+            return [None for _ in self._chosen(indices)]
+        return [getattr(self.env, attr_name) for _ in self._chosen(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Set an attribute of the vector environment, for all of it at once."""
+        setattr(self.env, attr_name, value)
+
+    def has_attr(self, attr_name: str) -> bool:
+        """Whether the environments have an attribute."""
+        return hasattr(self.env, attr_name)
+
+    def env_method(
+        self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
+    ) -> list[Any]:
+        """Call a method; of the environments' own methods, only ``action_masks`` exists."""
+        if method_name != "action_masks":
+            raise UnknownName(
+                f"environments of a batch have the method 'action_masks' only, got {method_name!r}"
+            )
+        masks = self.env.action_masks()
+        return [masks[i] for i in self._chosen(indices)]
+
+    def env_is_wrapped(
+        self, wrapper_class: type[Any], indices: VecEnvIndices = None
+    ) -> list[bool]:
+        """Return False for every environment: none is wrapped."""
+        return [False for _ in self._chosen(indices)]
+
+    def _chosen(self, indices: VecEnvIndices) -> Sequence[int]:
+        if indices is None:
+            return range(self.num_envs)
+        return list(indices) if isinstance(indices, Iterable) else [indices]
+
+    def _info(self, infos: dict[str, Any], i: int) -> dict[str, Any]:
+        """Take the info of one environment out of the vector's."""
+        return {
+            key: value[i]
+            for key, value in infos.items()
+            if not key.startswith("_")
+            and not key.startswith("final_")
+            and infos.get(f"_{key}", np.zeros(self.num_envs, dtype=bool))[i]
+        }

@@ -1,0 +1,76 @@
+"""The covariances of a record, and what records are refused."""
+
+import numpy as np
+import pytest
+
+from loose_env.errors import InvalidData
+from loose_env.statistics import covariances, record_covariances
+
+GOOD = np.array([1.0, 2.0, 4.0, 3.0, 0.0])
+
+
+def test_covariances_are_those_of_numpy(rng):
+    x, a = rng.standard_normal((3, 200)) + 5.0, rng.standard_normal((2, 200))
+    cov = covariances(x, a)
+    expected = np.cov(np.vstack((x, a)), bias=True)
+    np.testing.assert_allclose(cov.xx, expected[:3, :3])
+    np.testing.assert_allclose(cov.xa, expected[:3, 3:])
+    np.testing.assert_allclose(cov.aa, expected[3:, 3:])
+    assert cov.count == 200
+
+
+def test_a_single_signal_needs_no_second_axis(rng):
+    x, a = rng.standard_normal(50), rng.standard_normal((3, 50))
+    np.testing.assert_array_equal(covariances(x, a).xa, covariances(x[None], a).xa)
+
+
+def test_the_record_is_left_as_it_was(rng):
+    x, a = rng.standard_normal((2, 50)), rng.standard_normal((2, 50))
+    before = x.copy(), a.copy()
+    covariances(x, a)
+    np.testing.assert_array_equal(x, before[0])
+    np.testing.assert_array_equal(a, before[1])
+
+
+def test_one_pass_with_the_command_gives_the_covariances_of_each_pair(rng):
+    u, x, a = rng.standard_normal((2, 90)), rng.standard_normal((2, 90)), rng.standard_normal(90)
+    joint = record_covariances(u, x, a)
+    for found, pair in (
+        (joint.x_a, (x, a)),
+        (joint.command_x, (u, x)),
+        (joint.command_a, (u, a)),
+    ):
+        expected = covariances(*pair)
+        for name in ("xx", "xa", "aa", "count"):
+            np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("x", "a", "said"),
+    [
+        (GOOD[:3], GOOD[:3], "4 samples"),
+        (GOOD, GOOD[:4], "'x': 5, 'a': 4"),
+        (3.0, GOOD, r"shape \(\)"),
+        (np.ones((2, 2, 5)), GOOD, r"\(2, 2, 5\)"),
+        (np.where(GOOD > 3, np.nan, GOOD), GOOD, "NaN"),
+        (GOOD, np.where(GOOD > 3, np.inf, GOOD), "infinite"),
+        (1e200 * GOOD, GOOD, "too large"),
+        ([GOOD, np.full(5, 0.1)], GOOD, "x is constant in row 1"),
+        (GOOD, np.full((2, 5), 9.81), "a is constant"),
+        (["a", "b", "c", "d"], GOOD, "real numbers"),
+        (np.empty((0, 5)), GOOD, r"\(0, 5\)"),
+    ],
+)
+def test_a_record_that_cannot_be_used_is_refused_with_the_reason(x, a, said):
+    with pytest.raises(InvalidData, match=said):
+        covariances(x, a)
+
+
+def test_one_still_row_of_the_tool_is_allowed():
+    assert covariances(GOOD, [GOOD, np.full(5, 9.81)]).aa[1, 1] == pytest.approx(0, abs=1e-30)
+
+
+def test_a_constant_command_is_refused(rng):
+    x = rng.standard_normal(20)
+    with pytest.raises(InvalidData, match="command is constant"):
+        record_covariances(np.ones(20), x, x)
