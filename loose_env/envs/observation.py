@@ -108,7 +108,7 @@ class ObservationLayout:
         """Scale the global elements."""
         most = self.settings.max_records
         values = np.concatenate(
-            [np.sin(pose), np.cos(pose), [records / most, (most - records) / most, seconds, levels]]
+            [np.sin(pose), np.cos(pose), [records / most, seconds, levels, (most - records) / most]]
         )
         return self._global_scaling.forward(values)
 
@@ -274,11 +274,11 @@ def _global_elements(arm: Arm, settings: DiagnosisSettings) -> Iterator[Element]
         for joint in arm.joints:
             yield linear(f"now.{part}.{joint}", "1", 1.0, -1.0, 1.0)
     yield linear("spent.records", "1", 1.0, 0.0, 1.0)
-    yield linear("left.records", "1", 1.0, 0.0, 1.0)
     longest = settings.max_records * max(settings.durations)
     yield linear("spent.seconds", "s", longest, 0.0, 1.0)
     most = settings.max_records * arm.n * len(arm.levels)
     yield linear("spent.levels", "1", float(most), 0.0, 1.0)
+    yield linear("left.records", "1", 1.0, 0.0, 1.0)
 
 
 def _slot_elements(arm: Arm, settings: DiagnosisSettings) -> Iterator[Element]:

@@ -16,7 +16,8 @@ def direction_sd(x: ArrayLike, a: ArrayLike, rate: float) -> float:
 
     sd = sd(u) sd(x) / (|c| sqrt(N_eff)), with u the tool acceleration along that direction,
     c = cov(x, a) and N_eff from `effective_samples`. For small angles, and for u unrelated to x,
-    not merely uncorrelated.
+    not merely uncorrelated: where the strength of u follows x, as the motion in a gap does, the
+    scatter can be twice this, and `direction_interval` says so.
 
     Parameters
     ----------
@@ -88,8 +89,7 @@ def record_length_for(sd_wanted: float, x: ArrayLike, a: ArrayLike, rate: float)
     >>> rng = np.random.default_rng(0)
     >>> x, noise = rng.standard_normal(1000), rng.standard_normal((2, 1000))
     >>> a = np.stack((x, 0 * x)) + noise
-    >>> ratio = record_length_for(0.5 * direction_sd(x, a, 1000.0), x, a, 1000.0) / 1.0
-    >>> round(ratio, 6)
+    >>> round(record_length_for(0.5 * direction_sd(x, a, 1000.0), x, a, 1000.0), 6)
     4.0
     """
     if not (math.isfinite(sd_wanted) and sd_wanted > 0.0):

@@ -188,7 +188,7 @@ def spectral_flatness(
     """Measure the flatness of the power spectrum in a band: geometric over arithmetic mean.
 
     One for a flat spectrum, near zero for a few sharp peaks. The scatter of the spectrum lowers
-    it: with eight segments flat noise gives about 0.9.
+    it: flat noise gives about 0.94 with eight segments, 0.57 with one.
 
     Parameters
     ----------

@@ -66,6 +66,13 @@ def test_a_record_that_cannot_be_used_is_refused_with_the_reason(x, a, said):
         covariances(x, a)
 
 
+def test_the_rounding_of_a_mean_is_no_motion(rng):
+    constant = np.full(1201, 0.1)
+    assert np.var(constant) > 0
+    with pytest.raises(InvalidData, match="x is constant"):
+        covariances(constant, rng.standard_normal(1201))
+
+
 def test_one_still_row_of_the_tool_is_allowed():
     assert covariances(GOOD, [GOOD, np.full(5, 9.81)]).aa[1, 1] == pytest.approx(0, abs=1e-30)
 

@@ -219,7 +219,7 @@ def test_records_without_a_direction_are_refused(rng):
 @pytest.mark.parametrize("encoder", [0.0, 0.3])
 def test_both_methods_agree_when_the_change_has_two_directions(rng, encoder):
     # The error by hand and the error by resampling, where both singular values count.
-    reference = REFERENCE + [[0.5, 0.3], [-0.2, 0.35]]
+    reference = REFERENCE + np.array([[0.2, 0.4], [-0.5, 0.6]])
     sds = {"block": [], "hac": []}
     for _ in range(20):
         command, x, a = loose(rng, 0.7, 2, encoder)
@@ -229,3 +229,11 @@ def test_both_methods_agree_when_the_change_has_two_directions(rng, encoder):
             )
             found.append(interval.sd)
     assert np.mean(sds["hac"]) == pytest.approx(np.mean(sds["block"]), rel=0.1)
+
+
+@pytest.mark.parametrize("method", ["block", "hac"])
+def test_few_blocks_widen_the_interval_as_few_degrees_of_freedom_do(rng, method):
+    # Blocks of 0.3 s in 1.2 s leave 6 degrees of freedom: 2.45 standard deviations, not 1.96.
+    x, a = steady(rng, 0.4)
+    found = direction_interval(x, a, RATE, method=method, rng=rng, resamples=4000, block=0.3)
+    assert 0.5 * (found.upper - found.lower) / found.sd == pytest.approx(2.447, rel=0.1)

@@ -1,0 +1,113 @@
+"""What every agent has in common: ``predict`` over any number of episodes."""
+
+from __future__ import annotations
+
+import zlib
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.arm import Arm
+from loose_env.arms.linear import LinearArm
+from loose_env.envs.actions import ActionLayout
+from loose_env.envs.observation import ObservationLayout
+from loose_env.envs.settings import DiagnosisSettings
+from loose_env.faults import hypotheses
+
+__all__ = ["Agent", "EpisodeAgent", "Problem"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Problem:
+    """What an agent knows beforehand: the nominal arm, the rules, the spaces."""
+
+    arm: Arm
+    settings: DiagnosisSettings
+    linear: LinearArm
+    layout: ObservationLayout
+    actions: ActionLayout
+    hypotheses: tuple[str, ...]
+
+    @classmethod
+    def of(cls, arm: Arm, settings: DiagnosisSettings) -> Problem:
+        """Describe the problem that an arm and its settings pose."""
+        names = hypotheses(arm)
+        return cls(
+            arm=arm,
+            settings=settings,
+            linear=LinearArm(arm),
+            layout=ObservationLayout(arm, settings),
+            actions=ActionLayout(arm, settings, len(names)),
+            hypotheses=names,
+        )
+
+    def verdict(self, hypothesis: str) -> NDArray[np.int64]:
+        """Build the action that names a hypothesis."""
+        return self.actions.encode(verdict=1 + self.hypotheses.index(hypothesis))
+
+
+class Agent(Protocol):
+    """The one method that the evaluator calls (stable-baselines3's protocol)."""
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        """Choose actions for observations (num, size); carry the state along."""
+        ...
+
+
+class EpisodeAgent(ABC):
+    """An agent that keeps a memory of its own for every episode.
+
+    Subclasses say what a fresh memory is and how one observation and the memory make an
+    action. ``predict`` does the rest: one observation or many, memories in ``state``.
+    """
+
+    def __init__(self, problem: Problem, *, seed: int = 0) -> None:
+        self.problem = problem
+        self.seed = seed
+
+    @abstractmethod
+    def begin(self, rng: np.random.Generator) -> Any:
+        """Return the memory of a new episode."""
+
+    @abstractmethod
+    def act(self, observation: NDArray[np.float32], memory: Any) -> NDArray[np.int64]:
+        """Choose an action; may change the memory."""
+
+    def predict(
+        self,
+        observation: Any,
+        state: Sequence[Any] | None = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        """Choose an action for one observation (size,) or for several (num, size)."""
+        rows = np.atleast_2d(np.asarray(observation))
+        num = len(rows)
+        memories = list(state) if state is not None else [None] * num
+        starts = (
+            np.full(num, state is None) if episode_start is None else np.atleast_1d(episode_start)
+        )
+        actions = []
+        for i, row in enumerate(rows):
+            if starts[i] or memories[i] is None:
+                memories[i] = self.begin(self._generator(row))
+            actions.append(self.act(row, memories[i]))
+        chosen = np.array(actions) if np.ndim(observation) == 2 else actions[0]
+        return chosen, memories
+
+    def _generator(self, first: NDArray[np.float32]) -> np.random.Generator:
+        """Draw an episode's own generator from its first observation.
+
+        So an episode goes the same way wherever in a batch it runs.
+        """
+        return np.random.default_rng([self.seed, zlib.crc32(first.tobytes())])

@@ -1,0 +1,317 @@
+"""The picture of an episode: the arm in its pose, with the latest record on its tool."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.linear import LinearArm
+from loose_env.diagnosis.prediction import SensorFloor, predict
+from loose_env.envs.arm_drawing import ArmDrawing
+from loose_env.envs.episode import Episode
+from loose_env.envs.ink import EDGE, INK, MEASURED, MUTED, PAPER, SHAKEN, TRUTH
+from loose_env.envs.loop import Loop, measured_loop, predicted_loop
+from loose_env.envs.loop_drawing import draw_healthy, draw_measured, draw_scale
+from loose_env.envs.planar_view import PlanarPose, PlanarView
+from loose_env.envs.words import fault_words, hypothesis_words, pose_words, shaking_words
+from loose_env.errors import InvalidSetting, LooseEnvError
+from loose_env.faults import Backlash, Fault, StructuralLooseness
+from loose_env.rig.measurement import Measurement
+from loose_env.sensors import SensorSuite
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["Picture"]
+
+_SIZE = (5.0, 6.25)  # inches
+_DPI = 144  # 720 x 900 pixels
+_HEADER, _LEGEND = 0.165, 0.105  # shares of the height
+_LOOP = 0.34  # radius of r = 1 over half the height of the drawing
+_SHOWN = 0.5  # seconds that a window stays before the episode goes on
+
+
+class Picture:
+    """Draws the episodes of one arm, as arrays of pixels or in a window.
+
+    The true fault shows once the episode has ended, never before.
+
+    Parameters
+    ----------
+    linear : LinearArm
+        The nominal arm; it must move in a plane.
+    show : bool
+        Whether to draw in a window; else `draw` returns the pixels.
+    sensors : SensorSuite, optional
+        What reads the motion: the noise that the healthy arm's loop would show.
+
+    Raises
+    ------
+    InvalidSetting
+        If the arm does not move in a plane, or a window is wanted and there is no display.
+    LooseEnvError
+        If matplotlib is not installed.
+    """
+
+    def __init__(
+        self, linear: LinearArm, *, show: bool, sensors: SensorSuite | None = None
+    ) -> None:
+        _require_matplotlib()
+        if show:
+            _require_display()
+        arm = linear.arm
+        self.linear, self.show = linear, show
+        self._view = PlanarView(arm)
+        self._drawing = ArmDrawing(arm.reach, arm.n, vertical=self._view.vertical)
+        self._floor = SensorFloor.of(SensorSuite() if sensors is None else sensors, arm.band)
+        self._window: Any = None
+
+    def draw(self, episode: Episode, *, verdict: str | None = None) -> NDArray[np.uint8] | None:
+        """Draw an episode as it stands.
+
+        Parameters
+        ----------
+        episode : Episode
+            The episode.
+        verdict : str, optional
+            The hypothesis that the agent named; shown once the episode has ended.
+
+        Returns
+        -------
+        ndarray (900, 720, 3) of uint8, or None
+            The picture in red, green and blue; None where it is shown in a window.
+        """
+        if self.show:
+            self._update_window(episode, verdict)
+            return None
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+        figure = self.figure(episode, verdict=verdict)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        return np.array(canvas.buffer_rgba(), dtype=np.uint8)[..., :3].copy()
+
+    def figure(self, episode: Episode, *, verdict: str | None = None) -> Figure:
+        """Return the picture as a figure of matplotlib, for saving in any format."""
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=_SIZE, dpi=_DPI)
+        self._compose(figure, episode, verdict)
+        return figure
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._window is not None:
+            from matplotlib import pyplot
+
+            pyplot.close(self._window)
+            self._window = None
+
+    def _update_window(self, episode: Episode, verdict: str | None) -> None:
+        from matplotlib import pyplot
+
+        if self._window is None or not pyplot.fignum_exists(self._window.number):
+            self._window = pyplot.figure(
+                num=f"loose-env: {self.linear.arm.name}", figsize=_SIZE, clear=True
+            )
+            self._window.show()
+        self._window.clear()
+        self._compose(self._window, episode, verdict)
+        self._window.canvas.draw()
+        self._window.canvas.start_event_loop(_SHOWN)
+
+    def _compose(self, figure: Figure, episode: Episode, verdict: str | None) -> None:
+        figure.set_facecolor(PAPER)
+        drawing = self._drawing
+        measurement = _shown_measurement(episode)
+        excited = None if measurement is None else measurement.excited
+        truth = episode.fault if episode.ended else None
+        pose = self._view.at(episode.pose)
+
+        axes = figure.add_axes((0.0, _LEGEND, 1.0, 1.0 - _HEADER - _LEGEND))
+        axes.set_axis_off()
+        half = _frame(axes, pose, drawing)
+        drawing.surroundings(axes)
+        drawing.base(axes)
+        loose = truth.link if isinstance(truth, StructuralLooseness) else None
+        drawing.links(axes, pose, loose=loose)
+        drawing.joints(axes, pose, excited)
+        measured = healthy = None
+        if measurement is not None:
+            measured, healthy = self._loops(measurement)
+            radius = _LOOP * half
+            draw_scale(axes, pose, radius)
+            draw_healthy(axes, pose, radius, healthy)
+            draw_measured(axes, pose, radius, measured)
+        drawing.tool(axes, pose)
+        if truth is not None:
+            drawing.fault(axes, pose, truth)
+        self._write_header(figure, episode, measurement, measured, healthy, verdict)
+        if measurement is not None:
+            _write_legend(figure, truth, some_held=not measurement.excited.all())
+
+    def _loops(self, measurement: Measurement) -> tuple[Loop, Loop]:
+        at = self.linear.at(measurement.pose)
+        measured = measured_loop(measurement)
+        healthy = predicted_loop(predict(at, measurement.excitation, self._floor))
+        return measured, healthy.facing(measured)
+
+    def _write_header(
+        self,
+        figure: Figure,
+        episode: Episode,
+        measurement: Measurement | None,
+        measured: Loop | None,
+        healthy: Loop | None,
+        verdict: str | None,
+    ) -> None:
+        lines: list[tuple[str, dict[str, Any]]] = []
+        title = {"fontsize": 13.5, "fontweight": "bold", "color": INK}
+        if episode.ended:
+            truth = fault_words(episode.fault)
+            lines.append((truth[0].upper() + truth[1:], title | {"color": TRUTH}))
+            lines += [(line, {"color": INK}) for line in _verdict_words(episode, verdict)]
+        record = f"Record {episode.records}"
+        if measurement is not None and measured is not None and healthy is not None:
+            shaking = shaking_words(self.linear.at(measurement.pose), measurement.excitation)
+            correlation = (
+                rf"$r_\mathrm{{max}}$ {measured.maximum:.3f} measured, "
+                f"{healthy.maximum:.3f} on a healthy arm"
+            )
+        else:
+            shaking, correlation = _why_nothing(episode), ""
+            record = record if episode.records else "Not measured yet"
+        if not episode.ended:
+            lines.append((record, title))
+            lines.append((shaking, {"color": INK}))
+        elif episode.records:
+            lines.append((f"{record}: {shaking[0].lower()}{shaking[1:]}", {"color": MUTED}))
+        lines.append((f"Pose {pose_words(episode.pose)}", {"color": MUTED}))
+        if correlation:
+            lines.append((correlation, {"color": MUTED}))
+        y = 1.0 - 0.16 / _SIZE[1]
+        for text, style in lines:
+            look = {"fontsize": 9.5} | style
+            for line in wrap(text, 62):
+                figure.text(0.04, y, line, ha="left", va="top", **look)
+                y -= (0.27 if look["fontsize"] > 10 else 0.195) / _SIZE[1]
+
+
+def _frame(axes: Axes, pose: PlanarPose, drawing: ArmDrawing) -> float:
+    """Fit the view round the arm and its loop; return half its height [m].
+
+    The loop has the same size in every picture, so that records can be compared.
+    """
+    box = axes.get_position()
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    width, height = figure.get_size_inches() * (box.width, box.height)
+    wide = width / height
+    half = 0.5 * drawing.reach
+    for _ in range(20):
+        room = np.vstack(
+            [drawing.room(pose), *(pose.tool + s * 1.35 * _LOOP * half for s in (-1, 1))]
+        )
+        low, high = room.min(axis=0), room.max(axis=0)
+        span = 0.5 * (high - low) + 0.06 * half
+        half = max(0.5 * drawing.reach, float(span[0]) / wide, float(span[1]))
+    middle = 0.5 * (low + high)
+    axes.set(
+        xlim=(middle[0] - wide * half, middle[0] + wide * half),
+        ylim=(middle[1] - half, middle[1] + half),
+    )
+    return half
+
+
+def _shown_measurement(episode: Episode) -> Measurement | None:
+    """Return the latest record's measurement, if it has one that makes statistics."""
+    valid = episode.records > 0 and episode.slots[episode.records - 1, 0] > 0.5
+    return episode.last if valid else None
+
+
+def _why_nothing(episode: Episode) -> str:
+    if episode.records == 0:
+        return "The arm takes its first pose."
+    if episode.ended:
+        return "The simulation broke off: this record says nothing."
+    return "Nothing was shaken, so there is nothing to see on the tool."
+
+
+def _verdict_words(episode: Episode, verdict: str | None) -> Iterator[str]:
+    if verdict is not None:
+        right = verdict == episode.fault.hypothesis
+        yield f"Verdict: {hypothesis_words(verdict)} – {'right' if right else 'wrong'}"
+
+
+def _write_legend(figure: Figure, truth: Fault | None, *, some_held: bool) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    entries: list[Any] = [
+        Patch(facecolor="#cce3f0", edgecolor=MEASURED, linewidth=1.6, label="correlation r(φ)"),
+        Line2D([], [], color=MEASURED, linewidth=2.6, label="lowest correlation"),
+        Line2D(
+            [], [], color=MUTED, linewidth=1.3, ls=(0, (4, 2.5)), label="healthy arm, predicted"
+        ),
+        _joint_entry("o", SHAKEN, "shaken joint"),
+    ]
+    if some_held:
+        entries.append(_joint_entry("s", EDGE, "held joint"))
+    if truth is not None and not isinstance(truth, Backlash) and truth.kind != "healthy":
+        entries.append(Patch(facecolor=TRUTH, edgecolor=EDGE, label="loose link"))
+    elif isinstance(truth, Backlash):
+        ring = Line2D([], [], ls="", marker="o", ms=9, mfc="none", mec=TRUTH, mew=2.2)
+        ring.set_label("joint with play")
+        entries.append(ring)
+    figure.legend(
+        handles=entries,
+        loc="lower left",
+        bbox_to_anchor=(0.04, 0.018),
+        borderpad=0.0,
+        borderaxespad=0.0,
+        ncols=3 if len(entries) > 4 else 2,
+        frameon=False,
+        fontsize=8.5,
+        labelcolor=INK,
+        columnspacing=1.4,
+        handlelength=1.7,
+        handletextpad=0.6,
+    )
+
+
+def _joint_entry(marker: str, colour: str, label: str) -> Any:
+    from matplotlib.lines import Line2D
+
+    return Line2D(
+        [], [], ls="", marker=marker, markersize=8, mfc=colour, mec=EDGE, mew=1.0, label=label
+    )
+
+
+def _require_matplotlib() -> None:
+    try:
+        import matplotlib.figure  # noqa: F401
+    except ImportError as error:
+        raise LooseEnvError(
+            "pictures need matplotlib: install it with pip install 'loose-env[report]'"
+        ) from error
+
+
+def _require_display() -> None:
+    from matplotlib import pyplot
+    from matplotlib.backends import BackendFilter, backend_registry
+
+    why = (
+        "render_mode='human' opens a window and there is no display for one; use "
+        "render_mode='rgb_array' and save the pictures, or set DISPLAY"
+    )
+    try:
+        pyplot.switch_backend(pyplot.get_backend())
+    except ImportError as error:
+        raise InvalidSetting(f"{why} ({error})") from error
+    if pyplot.get_backend().lower() in backend_registry.list_builtin(BackendFilter.NON_INTERACTIVE):
+        raise InvalidSetting(f"{why} (matplotlib draws with {pyplot.get_backend()!r} here)")

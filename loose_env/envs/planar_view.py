@@ -1,0 +1,102 @@
+"""Where the parts of a planar arm lie in its plane of motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.arm import Arm
+from loose_env.errors import InvalidSetting
+
+__all__ = ["PlanarPose", "PlanarView"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlanarPose:
+    """The arm in one pose, in the two coordinates of the picture."""
+
+    joints: Array
+    """Joints, base first [m] (n, 2)."""
+    tool: Array
+    """Origin of the tool frame [m] (2,)."""
+    frame: Array
+    """The two measured axes of the tool frame as columns (2, 2)."""
+    seats: Array
+    """From each link's frame to the picture (n, 2, 3)."""
+
+    @property
+    def ends(self) -> Array:
+        """Far end of each link: the next joint, or the tool [m] (n, 2)."""
+        return np.vstack([self.joints[1:], self.tool])
+
+
+class PlanarView:
+    """The plane in which an arm moves, seen against its joint axes.
+
+    Gravity points down in the picture where the plane holds it; elsewhere the x axis of the
+    world points right.
+
+    Parameters
+    ----------
+    arm : Arm
+        An arm whose joint axes are parallel and whose accelerometer measures two axes.
+
+    Raises
+    ------
+    InvalidSetting
+        If the arm does not move in a plane.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> view = PlanarView(planar(2))
+    >>> view.at(np.array([0.0, np.pi / 2])).tool.round(3).tolist()
+    [0.3, 0.3]
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        self.arm = arm
+        self._data = mujoco.MjData(arm.model)
+        mujoco.mj_forward(arm.model, self._data)
+        axes = np.array([self._data.joint(name).xaxis for name in arm.joints])
+        if len(arm.axes) != 2 or np.linalg.norm(np.cross(axes, axes[0]), axis=1).max() > 1e-6:
+            raise InvalidSetting(
+                f"a picture shows an arm that moves in a plane: parallel joint axes and two "
+                f"measured tool axes. Arm {arm.name!r} has joint axes "
+                f"{axes.round(3).tolist()} and measures the tool axes {arm.axes}"
+            )
+        normal = axes[0] / np.linalg.norm(axes[0])
+        gravity = np.asarray(arm.model.opt.gravity, dtype=float)
+        within = gravity - (gravity @ normal) * normal
+        self.vertical = bool(np.linalg.norm(within) > 0.1 * max(np.linalg.norm(gravity), 1e-9))
+        """Whether gravity pulls within the plane, down in the picture."""
+        if self.vertical:
+            right = np.cross(-within, normal)
+        else:
+            world = np.eye(3)[0 if abs(normal[0]) < 0.9 else 1]
+            right = world - (world @ normal) * normal
+        right = right / np.linalg.norm(right)
+        self._axes = np.stack([right, np.cross(normal, right)])
+
+    def at(self, pose: Array) -> PlanarPose:
+        """Place the nominal arm in a pose [rad] (n,)."""
+        model, data, arm = self.arm.model, self._data, self.arm
+        mujoco.mj_resetData(model, data)
+        data.qpos[arm.pose_addresses] = pose
+        mujoco.mj_forward(model, data)
+        site = data.site(arm.tool)
+        origin = data.joint(arm.joints[0]).xanchor.copy()
+        turns = [data.body(name).xmat.reshape(3, 3) for name in arm.seat_bodies]
+        return PlanarPose(
+            joints=np.array(
+                [self._axes @ (data.joint(name).xanchor - origin) for name in arm.joints]
+            ),
+            tool=self._axes @ (site.xpos - origin),
+            frame=(self._axes @ site.xmat.reshape(3, 3))[:, list(arm.axes)],
+            seats=np.array([self._axes @ turn for turn in turns]),
+        )

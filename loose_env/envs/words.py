@@ -1,0 +1,107 @@
+"""Plain words for what the arm does and what is wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.arm import Arm
+from loose_env.arms.linear import LinearPose
+from loose_env.excitation import Excitation
+from loose_env.faults import Backlash, Fault, StructuralLooseness, place_of
+
+__all__ = ["fault_words", "hypothesis_words", "pose_words", "shaking_words"]
+
+
+def hypothesis_words(hypothesis: str | None, *, past: bool = False) -> str:
+    """Say a hypothesis, or what was the matter once the episode is over.
+
+    Examples
+    --------
+    >>> hypothesis_words("structural_looseness@link2")
+    'link 2 is loose'
+    >>> hypothesis_words("backlash@joint1", past=True)
+    'joint 1 had play'
+    >>> hypothesis_words(None)
+    'no verdict'
+    """
+    if hypothesis is None:
+        return "no verdict"
+    place = place_of(hypothesis)
+    if place is None:
+        return f"nothing {'was' if past else 'is'} loose"
+    if hypothesis.startswith("backlash"):
+        return f"joint {place} {'had' if past else 'has'} play"
+    return f"link {place} {'was' if past else 'is'} loose"
+
+
+def fault_words(fault: Fault) -> str:
+    """Say what was wrong with an arm, with the travel of the loose seat.
+
+    Examples
+    --------
+    >>> from loose_env.faults import Healthy
+    >>> fault_words(Healthy())
+    'nothing was loose'
+    """
+    words = hypothesis_words(fault.hypothesis, past=True)
+    if isinstance(fault, StructuralLooseness):
+        return f"{words} ({1e3 * fault.gap:.2g} mm of travel)"
+    if isinstance(fault, Backlash):
+        return f"{words} ({np.degrees(fault.gap):.2g}°)"
+    return words
+
+
+def pose_words(pose: NDArray[np.float64]) -> str:
+    """Write a pose in whole degrees.
+
+    Examples
+    --------
+    >>> pose_words(np.radians([30.0, -90.2]))
+    '30°, −90°'
+    """
+    return ", ".join(f"{round(float(np.degrees(q)))}°".replace("-", "−") for q in pose)
+
+
+def shaking_words(at: LinearPose, excitation: Excitation) -> str:
+    """Say which joints are shaken, how hard and for how long.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.linear import LinearArm
+    >>> from loose_env.excitation import at_levels
+    >>> at = LinearArm(planar(2)).at([0.0, 1.0])
+    >>> shake, _ = at_levels(at, np.array([0.0, 4.0]), duration=1.2)
+    >>> shaking_words(at, shake)
+    'Joint 2 shaken at level 2 (4 m/s²) for 1.2 s'
+    """
+    joints = np.flatnonzero(excitation.excited)
+    torque = np.array(excitation.torque_rms)[joints]
+    tool = at.response(excitation.excited).tool
+    rms = torque * np.sqrt(np.mean(np.sum(np.abs(tool) ** 2, axis=1), axis=0))
+    who = "All joints" if len(joints) == at.linear.arm.n else _list("Joint", joints + 1)
+    return f"{who} shaken at {_how_hard(at.linear.arm, rms)} for {excitation.duration:g} s"
+
+
+def _how_hard(arm: Arm, rms: NDArray[np.float64]) -> str:
+    """Name the levels, or what the torque limits left of them."""
+    near = np.isclose(rms[:, None], np.array(arm.levels), rtol=0.01)
+    same = bool(np.ptp(rms) < 0.01 * rms.max())
+    if not near.any(axis=1).all():
+        amounts = [f"{a:.2g}" for a in (rms[:1] if same else rms)]
+        return f"{_list('', amounts)} m/s²".strip()
+    numbers = near.argmax(axis=1) + 1
+    if same:
+        return f"level {numbers[0]} ({arm.levels[numbers[0] - 1]:g} m/s²)"
+    return _list("level", numbers)
+
+
+def _list(noun: str, items: Sequence[object] | NDArray[np.intp]) -> str:
+    """Join items with commas and "and" behind their noun."""
+    words = [str(item) for item in items]
+    if len(words) == 1:
+        return f"{noun} {words[0]}"
+    return f"{noun}{'s' if noun else ''} {', '.join(words[:-1])} and {words[-1]}"

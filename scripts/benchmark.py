@@ -1,0 +1,233 @@
+"""Speed and size of the vector environment, each as a ratio within one run.
+
+Usage: python scripts/benchmark.py [--arms 64] [--rounds 4] [--quick]
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import gymnasium
+import mujoco
+import mujoco.rollout
+import numpy as np
+
+import loose_env  # noqa: F401  (registers the ids)
+from loose_env.envs.episode import EpisodeBatch
+from loose_env.rig.simulated import SimulatedRig, _Run
+
+IDS = ("loose_env/Vera-v0", "loose_env/Planar-v0")
+
+
+class PythonLoopRig(SimulatedRig):
+    """Rival: `mj_step` called from Python, one arm after the other."""
+
+    def _simulate(self, run: _Run) -> None:
+        for k, job in enumerate(run.jobs):
+            model = self.plants[job.slot].model
+            data = mujoco.MjData(model)
+            spec = mujoco.mjtState.mjSTATE_INTEGRATION
+            mujoco.mj_setState(model, data, self._batch.state[job.slot], spec)
+            control, recorded, sensordata = run.delivered[k], run.recorded[k], data.sensordata
+            for i in range(len(control)):
+                data.ctrl[:] = control[i]
+                mujoco.mj_step(model, data)
+                recorded[i] = sensordata
+
+
+class RolloutRig(SimulatedRig):
+    """Rival: `mujoco.rollout`, which simulates many models on a thread pool."""
+
+    def _simulate(self, run: _Run) -> None:
+        models = [self.plants[job.slot].model for job in run.jobs]
+        if not hasattr(self, "_pool"):
+            threads = os.cpu_count() or 1
+            self._datas = [mujoco.MjData(models[0]) for _ in range(threads)]
+            self._pool = mujoco.rollout.Rollout(nthread=threads)
+        state = mujoco.mjtState
+        states = []
+        scratch = mujoco.MjData(models[0])
+        inputs = state.mjSTATE_CTRL | state.mjSTATE_EQ_ACTIVE
+        size = mujoco.mj_stateSize(models[0], inputs)
+        count = run.delivered.shape[1]
+        controls = np.empty((len(models), count, size))
+        for k, job in enumerate(run.jobs):
+            mujoco.mj_setState(
+                models[k], scratch, self._batch.state[job.slot], state.mjSTATE_INTEGRATION
+            )
+            full = np.empty(mujoco.mj_stateSize(models[k], state.mjSTATE_FULLPHYSICS))
+            mujoco.mj_getState(models[k], scratch, full, state.mjSTATE_FULLPHYSICS)
+            states.append(full)
+            n = run.delivered.shape[2]
+            controls[k, :, :n] = run.delivered[k]
+            controls[k, :, n:] = scratch.eq_active
+        self._pool.rollout(
+            models,
+            self._datas,
+            np.array(states),
+            controls,
+            control_spec=inputs,
+            nstep=count,
+            sensordata=run.recorded,
+        )
+
+
+def actions_of(batch: EpisodeBatch, rng: np.random.Generator, duration: int) -> list[Any]:
+    """Draw one joint at a random level and random moves for every arm."""
+    n = batch.arm.n
+    chosen = []
+    for _ in range(batch.num):
+        levels = np.zeros(n, dtype=np.intp)
+        levels[rng.integers(n)] = rng.integers(1, 4)
+        moves = rng.integers(0, len(batch.settings.moves), n)
+        chosen.append(batch.actions.encode(moves=moves, levels=levels, duration=duration))
+    return chosen
+
+
+def new_batch(env_id: str, arms: int, rig: type[SimulatedRig] | None = None) -> EpisodeBatch:
+    """Make the episodes behind an id, on a rival rig if one is given."""
+    env = gymnasium.make(env_id).unwrapped
+    arm, settings = env.arm, env.settings  # type: ignore[attr-defined]
+    made = None if rig is None else rig(arm, slots=arms, sensors=settings.sensors)
+    batch = EpisodeBatch(arm, settings, num=arms, rig=made)
+    for slot in range(arms):
+        batch.start(slot, seed=slot, number=0)
+    return batch
+
+
+def seconds_per_record(
+    batch: EpisodeBatch, rounds: int, duration: int, *, restart: Callable[[], None] | None = None
+) -> float:
+    """Time the steps of a batch."""
+    rng = np.random.default_rng(0)
+    batch.step(range(batch.num), actions_of(batch, rng, duration))  # warm up
+    begin = time.perf_counter()
+    for _ in range(rounds):
+        batch.step(range(batch.num), actions_of(batch, rng, duration))
+    return (time.perf_counter() - begin) / (rounds * batch.num)
+
+
+def bare_seconds_per_record(env_id: str, arms: int, rounds: int, duration: int) -> float:
+    """Time `mujoco.batch` alone on the same models, states, controls and threads."""
+    batch = new_batch(env_id, arms)
+    rig = batch.rig
+    assert isinstance(rig, SimulatedRig)
+    rng = np.random.default_rng(0)
+    kept: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    simulate = rig._simulate
+
+    def keep(run: _Run) -> None:
+        ids = np.array([job.slot for job in run.jobs])
+        kept.append((ids, rig._batch.state[ids].copy(), run.delivered))
+        simulate(run)
+
+    rig._simulate = keep  # type: ignore[method-assign]
+    batch.step(range(arms), actions_of(batch, rng, duration))
+    ids = np.concatenate([k[0] for k in kept])
+    states, controls = (np.concatenate([k[i] for k in kept]) for i in (1, 2))
+    out = {"sensordata": np.empty((arms, controls.shape[1], rig._batch.model.nsensordata))}
+    spent = 0.0
+    for k in range(rounds + 1):
+        rig._batch.state[ids] = states
+        begin = time.perf_counter()
+        rig._batch.rollout(controls.shape[1], controls, record=("sensordata",), ids=ids, out=out)
+        if k > 0:  # the first one warms up
+            spent += time.perf_counter() - begin
+    return spent / (rounds * arms)
+
+
+def _play_alone(env_id: str, records: int, duration: int, seed: int) -> None:
+    batch = new_batch(env_id, 1, PythonLoopRig)
+    rng = np.random.default_rng(seed)
+    for k in range(records):
+        if k % batch.settings.max_records == 0:
+            batch.start(0, seed=seed, number=k)
+        batch.step([0], actions_of(batch, rng, duration))
+
+
+def subprocess_seconds_per_record(env_id: str, records: int, duration: int) -> float:
+    """Time the Python loop in two processes that share the records."""
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(2) as pool:
+        jobs = [(env_id, 1, duration, s) for s in range(2)]
+        pool.starmap(_play_alone, jobs)  # warm up: imports and models
+        begin = time.perf_counter()
+        pool.starmap(_play_alone, [(env_id, records // 2, duration, s) for s in range(2)])
+        return (time.perf_counter() - begin) / (2 * (records // 2))
+
+
+def child(code: str) -> str:
+    """Run code in a fresh interpreter and return what it prints."""
+    return subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True
+    ).stdout.strip()
+
+
+def memory_of(env_id: str, arms: int) -> float:
+    """Peak memory of a vector environment through three steps of full records [GiB]."""
+    code = (
+        "import resource, numpy as np, gymnasium, loose_env\n"
+        f"v = gymnasium.make_vec({env_id!r}, num_envs={arms}); v.reset(seed=0)\n"
+        f"a = np.array([v.actions.encode(levels=np.full(v.arm.n, 3))] * {arms})\n"
+        "for _ in range(3): v.step(a)\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20)"
+    )
+    return float(child(code))
+
+
+def import_time() -> tuple[float, bool]:
+    """Time of `import loose_env` in a fresh interpreter [s], best of three; and whether torch came."""
+    code = (
+        "import sys, time; t = time.perf_counter(); import loose_env\n"
+        "print(time.perf_counter() - t, 'torch' in sys.modules)"
+    )
+    answers = [child(code).split() for _ in range(3)]
+    return min(float(a[0]) for a in answers), any(a[1] == "True" for a in answers)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table of ratios."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--arms", type=int, default=64, help="arms side by side")
+    parser.add_argument("--rounds", type=int, default=4, help="timed steps of the whole batch")
+    parser.add_argument("--ids", nargs="*", default=list(IDS), help="environments to time")
+    parser.add_argument("--quick", action="store_true", help="fewer arms and rounds")
+    options = parser.parse_args(arguments)
+    arms, rounds = (16, 1) if options.quick else (options.arms, options.rounds)
+    print(f"{os.cpu_count()} processors, {arms} arms, times per record\n")
+    head = f"{'environment':22}{'record':>8}{'ours':>10}{'records/s':>11}"
+    print(head + f"{'of bare batch':>15}{'vs 2 processes':>16}{'vs rollout':>12}")
+    for env_id in options.ids:
+        durations = new_batch(env_id, 1).settings.durations
+        for duration in (len(durations) - 1, 0):
+            # In turn and more than once, so that a slow spell of the machine hits all of them.
+            ours, bare, rollout = [], [], []
+            for _ in range(2):
+                ours.append(seconds_per_record(new_batch(env_id, arms), rounds, duration))
+                bare.append(bare_seconds_per_record(env_id, arms, rounds, duration))
+                rollout.append(
+                    seconds_per_record(new_batch(env_id, arms, RolloutRig), rounds, duration)
+                )
+            loop = subprocess_seconds_per_record(env_id, max(arms, 16), duration)
+            mine = min(ours)
+            print(
+                f"{env_id:22}{durations[duration]:>6} s{1e3 * mine:>7.1f} ms{1 / mine:>11.1f}"
+                f"{min(bare) / mine:>15.2f}{loop / mine:>16.2f}{min(rollout) / mine:>12.2f}",
+                flush=True,
+            )
+    many = 4 * arms
+    for env_id in options.ids:
+        print(f"\npeak memory of {many} arms of {env_id}: {memory_of(env_id, many):.2f} GiB", end="")
+    seconds, torch = import_time()
+    print(f"\nimport loose_env: {seconds:.2f} s, {'with' if torch else 'without'} torch")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,90 @@
+"""Fixtures that several folders of tests share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import pytest
+from hypothesis import settings
+
+from loose_env.arms import planar, vera
+from loose_env.arms.mismatch import MismatchDraw
+from loose_env.envs.diagnosis import DiagnosisEnv
+from loose_env.envs.episode import BatchRig
+from loose_env.envs.settings import DiagnosisSettings
+from loose_env.envs.vector import DiagnosisVectorEnv
+from loose_env.faults import Fault
+from loose_env.rig.measurement import Measurement
+from loose_env.rig.simulated import Job
+
+settings.register_profile("loose_env", deadline=None, derandomize=True, database=None)
+settings.load_profile("loose_env")
+
+ARMS = {"planar": planar, "vera": vera}
+
+
+class SpyRig:
+    """A rig that notes what is asked of it and passes it on."""
+
+    def __init__(self, rig: BatchRig) -> None:
+        self.rig = rig
+        self.jobs: list[Job] = []
+        self.calls = 0
+
+    def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
+        self.rig.mount(slot, fault, mismatch)
+
+    def measure_many(self, jobs: Sequence[Job]) -> list[Measurement]:
+        self.calls += 1
+        self.jobs += jobs
+        return self.rig.measure_many(jobs)
+
+
+def _take_arm(arguments: dict[str, Any]) -> dict[str, Any]:
+    names = ("n_links", "vertical", "hold")
+    return {name: arguments.pop(name) for name in names if name in arguments}
+
+
+@pytest.fixture
+def make_env() -> Iterator[Callable[..., DiagnosisEnv]]:
+    """Make a single environment without wrappers: arm's name, its arguments, settings."""
+    made: list[DiagnosisEnv] = []
+
+    def make(name: str = "planar", *, rig: BatchRig | None = None, **arguments: Any) -> Any:
+        arm = ARMS[name](**_take_arm(arguments))
+        made.append(DiagnosisEnv(arm, DiagnosisSettings(**arguments), rig=rig, threads=1))
+        return made[-1]
+
+    yield make
+    for env in made:
+        env.close()
+
+
+@pytest.fixture
+def make_vector() -> Iterator[Callable[..., DiagnosisVectorEnv]]:
+    """Make a vector environment: arm's name, its arguments, number of arms, settings."""
+    made: list[DiagnosisVectorEnv] = []
+
+    def make(name: str = "planar", num_envs: int = 2, threads: int = 1, **arguments: Any) -> Any:
+        arm = ARMS[name](**_take_arm(arguments))
+        env = DiagnosisVectorEnv(
+            arm, DiagnosisSettings(**arguments), num_envs=num_envs, threads=threads
+        )
+        made.append(env)
+        return env
+
+    yield make
+    for env in made:
+        env.close()
+
+
+@pytest.fixture
+def spy_on() -> Callable[[DiagnosisEnv | DiagnosisVectorEnv], SpyRig]:
+    """Put a spy between an environment and its rig; returns the spy."""
+
+    def spy(env: DiagnosisEnv | DiagnosisVectorEnv) -> SpyRig:
+        env.batch.rig = SpyRig(env.batch.rig)
+        return env.batch.rig
+
+    return spy
