@@ -5,8 +5,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-# What `make run`, `make bench` and `make study` need; the other verbs add the dev tools.
-RUN_EXTRAS := all
+# What `make run`, `make bench` and `make study` need; the other verbs add learning and dev tools.
+RUN_EXTRAS := report,play
 DEV_EXTRAS := all,dev
 
 # Options for the script or for pytest, as in: make test ARGS="-k statistics -x"
@@ -24,7 +24,7 @@ help: ## list the verbs
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | while IFS='	' read -r verb does; do \
 		printf '  make %-8s %s\n' "$$verb" "$$does"; done
 
-run: $(RUN) ## one guided run: break an arm, measure it, find the loose link
+run: $(RUN) ## let three agents find hidden faults: a table, and a page with pictures
 	$(BIN)/python scripts/run.py $(ARGS)
 
 test: $(DEV) ## run the tests and the examples in the docstrings

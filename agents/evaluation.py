@@ -11,7 +11,7 @@ from scipy import stats
 
 from agents.base import Agent
 from loose_env.arms.arm import Arm
-from loose_env.envs.episode import EpisodeBatch
+from loose_env.envs.episode import BatchRig, EpisodeBatch
 from loose_env.envs.settings import DiagnosisSettings
 
 __all__ = ["EpisodeRow", "Summary", "evaluate", "summarise", "wilson_interval"]
@@ -63,6 +63,7 @@ def evaluate(
     seed: int,
     width: int = 64,
     threads: int = 0,
+    rig: BatchRig | None = None,
     progress: Callable[[int], None] | None = None,
     deterministic: bool = True,
 ) -> list[EpisodeRow]:
@@ -72,7 +73,7 @@ def evaluate(
     at any ``width`` (number of arms side by side) and thread count.
     """
     width = min(width, episodes)
-    batch = EpisodeBatch(arm, settings, num=width, threads=threads)
+    batch = EpisodeBatch(arm, settings, num=width, threads=threads, rig=rig)
     rows: dict[int, EpisodeRow] = {}
     running: dict[int, int] = {}  # slot -> episode
     returns: dict[int, float] = {}

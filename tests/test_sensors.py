@@ -150,5 +150,7 @@ def test_a_rate_that_is_no_rate_is_refused(rate: float) -> None:
 
 
 def test_a_rate_too_low_for_the_accelerometer_is_refused() -> None:
-    with pytest.raises(InvalidSetting, match="400.0 Hz needs a sampling rate above twice that.*800"):
+    with pytest.raises(
+        InvalidSetting, match=r"400.0 Hz needs a sampling rate above twice that.*800"
+    ):
         SensorSuite(rate=800.0)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,15 +9,16 @@ from numpy.typing import NDArray
 
 from loose_env.arms.linear import LinearArm
 from loose_env.diagnosis.prediction import SensorFloor, predict
-from loose_env.envs.arm_drawing import ArmDrawing
+from loose_env.envs.drawing.arm import ArmDrawing
+from loose_env.envs.drawing.caption import header_lines, write_header, write_legend
+from loose_env.envs.drawing.ink import PAPER
+from loose_env.envs.drawing.loop import LoopPair, measured_loop, predicted_loop
+from loose_env.envs.drawing.loop_shapes import draw_healthy, draw_measured, draw_scale
+from loose_env.envs.drawing.scenery import draw_base, draw_measure
+from loose_env.envs.drawing.view import PlanarPose, PlanarView
 from loose_env.envs.episode import Episode
-from loose_env.envs.ink import EDGE, INK, MEASURED, MUTED, PAPER, SHAKEN, TRUTH
-from loose_env.envs.loop import Loop, measured_loop, predicted_loop
-from loose_env.envs.loop_drawing import draw_healthy, draw_measured, draw_scale
-from loose_env.envs.planar_view import PlanarPose, PlanarView
-from loose_env.envs.words import fault_words, hypothesis_words, pose_words, shaking_words
 from loose_env.errors import InvalidSetting, LooseEnvError
-from loose_env.faults import Backlash, Fault, StructuralLooseness
+from loose_env.faults import StructuralLooseness
 from loose_env.rig.measurement import Measurement
 from loose_env.sensors import SensorSuite
 
@@ -93,8 +92,9 @@ class Picture:
 
         figure = self.figure(episode, verdict=verdict)
         canvas = FigureCanvasAgg(figure)
-        canvas.draw()
-        return np.array(canvas.buffer_rgba(), dtype=np.uint8)[..., :3].copy()
+        canvas.draw()  # type: ignore[no-untyped-call]
+        pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
+        return np.array(pixels[..., :3], dtype=np.uint8)
 
     def figure(self, episode: Episode, *, verdict: str | None = None) -> Figure:
         """Return the picture as a figure of matplotlib, for saving in any format."""
@@ -136,70 +136,30 @@ class Picture:
         axes = figure.add_axes((0.0, _LEGEND, 1.0, 1.0 - _HEADER - _LEGEND))
         axes.set_axis_off()
         half = _frame(axes, pose, drawing)
-        drawing.surroundings(axes)
-        drawing.base(axes)
+        draw_measure(axes, vertical=drawing.vertical)
+        draw_base(axes, float(drawing.radii[0]), vertical=drawing.vertical)
         loose = truth.link if isinstance(truth, StructuralLooseness) else None
         drawing.links(axes, pose, loose=loose)
         drawing.joints(axes, pose, excited)
-        measured = healthy = None
+        loops = None
         if measurement is not None:
-            measured, healthy = self._loops(measurement)
+            loops = self._loops(measurement)
             radius = _LOOP * half
             draw_scale(axes, pose, radius)
-            draw_healthy(axes, pose, radius, healthy)
-            draw_measured(axes, pose, radius, measured)
+            draw_healthy(axes, pose, radius, loops.healthy)
+            draw_measured(axes, pose, radius, loops.measured)
         drawing.tool(axes, pose)
         if truth is not None:
             drawing.fault(axes, pose, truth)
-        self._write_header(figure, episode, measurement, measured, healthy, verdict)
+        write_header(figure, header_lines(self.linear, episode, measurement, loops, verdict))
         if measurement is not None:
-            _write_legend(figure, truth, some_held=not measurement.excited.all())
+            write_legend(figure, truth, some_held=not measurement.excited.all())
 
-    def _loops(self, measurement: Measurement) -> tuple[Loop, Loop]:
+    def _loops(self, measurement: Measurement) -> LoopPair:
         at = self.linear.at(measurement.pose)
         measured = measured_loop(measurement)
         healthy = predicted_loop(predict(at, measurement.excitation, self._floor))
-        return measured, healthy.facing(measured)
-
-    def _write_header(
-        self,
-        figure: Figure,
-        episode: Episode,
-        measurement: Measurement | None,
-        measured: Loop | None,
-        healthy: Loop | None,
-        verdict: str | None,
-    ) -> None:
-        lines: list[tuple[str, dict[str, Any]]] = []
-        title = {"fontsize": 13.5, "fontweight": "bold", "color": INK}
-        if episode.ended:
-            truth = fault_words(episode.fault)
-            lines.append((truth[0].upper() + truth[1:], title | {"color": TRUTH}))
-            lines += [(line, {"color": INK}) for line in _verdict_words(episode, verdict)]
-        record = f"Record {episode.records}"
-        if measurement is not None and measured is not None and healthy is not None:
-            shaking = shaking_words(self.linear.at(measurement.pose), measurement.excitation)
-            correlation = (
-                rf"$r_\mathrm{{max}}$ {measured.maximum:.3f} measured, "
-                f"{healthy.maximum:.3f} on a healthy arm"
-            )
-        else:
-            shaking, correlation = _why_nothing(episode), ""
-            record = record if episode.records else "Not measured yet"
-        if not episode.ended:
-            lines.append((record, title))
-            lines.append((shaking, {"color": INK}))
-        elif episode.records:
-            lines.append((f"{record}: {shaking[0].lower()}{shaking[1:]}", {"color": MUTED}))
-        lines.append((f"Pose {pose_words(episode.pose)}", {"color": MUTED}))
-        if correlation:
-            lines.append((correlation, {"color": MUTED}))
-        y = 1.0 - 0.16 / _SIZE[1]
-        for text, style in lines:
-            look = {"fontsize": 9.5} | style
-            for line in wrap(text, 62):
-                figure.text(0.04, y, line, ha="left", va="top", **look)
-                y -= (0.27 if look["fontsize"] > 10 else 0.195) / _SIZE[1]
+        return LoopPair(measured=measured, healthy=healthy.facing(measured))
 
 
 def _frame(axes: Axes, pose: PlanarPose, drawing: ArmDrawing) -> float:
@@ -234,64 +194,6 @@ def _shown_measurement(episode: Episode) -> Measurement | None:
     return episode.last if valid else None
 
 
-def _why_nothing(episode: Episode) -> str:
-    if episode.records == 0:
-        return "The arm takes its first pose."
-    if episode.ended:
-        return "The simulation broke off: this record says nothing."
-    return "Nothing was shaken, so there is nothing to see on the tool."
-
-
-def _verdict_words(episode: Episode, verdict: str | None) -> Iterator[str]:
-    if verdict is not None:
-        right = verdict == episode.fault.hypothesis
-        yield f"Verdict: {hypothesis_words(verdict)} – {'right' if right else 'wrong'}"
-
-
-def _write_legend(figure: Figure, truth: Fault | None, *, some_held: bool) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    entries: list[Any] = [
-        Patch(facecolor="#cce3f0", edgecolor=MEASURED, linewidth=1.6, label="correlation r(φ)"),
-        Line2D([], [], color=MEASURED, linewidth=2.6, label="lowest correlation"),
-        Line2D(
-            [], [], color=MUTED, linewidth=1.3, ls=(0, (4, 2.5)), label="healthy arm, predicted"
-        ),
-        _joint_entry("o", SHAKEN, "shaken joint"),
-    ]
-    if some_held:
-        entries.append(_joint_entry("s", EDGE, "held joint"))
-    if truth is not None and not isinstance(truth, Backlash) and truth.kind != "healthy":
-        entries.append(Patch(facecolor=TRUTH, edgecolor=EDGE, label="loose link"))
-    elif isinstance(truth, Backlash):
-        ring = Line2D([], [], ls="", marker="o", ms=9, mfc="none", mec=TRUTH, mew=2.2)
-        ring.set_label("joint with play")
-        entries.append(ring)
-    figure.legend(
-        handles=entries,
-        loc="lower left",
-        bbox_to_anchor=(0.04, 0.018),
-        borderpad=0.0,
-        borderaxespad=0.0,
-        ncols=3 if len(entries) > 4 else 2,
-        frameon=False,
-        fontsize=8.5,
-        labelcolor=INK,
-        columnspacing=1.4,
-        handlelength=1.7,
-        handletextpad=0.6,
-    )
-
-
-def _joint_entry(marker: str, colour: str, label: str) -> Any:
-    from matplotlib.lines import Line2D
-
-    return Line2D(
-        [], [], ls="", marker=marker, markersize=8, mfc=colour, mec=EDGE, mew=1.0, label=label
-    )
-
-
 def _require_matplotlib() -> None:
     try:
         import matplotlib.figure  # noqa: F401
@@ -303,15 +205,19 @@ def _require_matplotlib() -> None:
 
 def _require_display() -> None:
     from matplotlib import pyplot
-    from matplotlib.backends import BackendFilter, backend_registry
+    from matplotlib.backends.registry import BackendFilter, backend_registry
 
     why = (
-        "render_mode='human' opens a window and there is no display for one; use "
-        "render_mode='rgb_array' and save the pictures, or set DISPLAY"
+        "render_mode='human' opens a window, which needs a display and a window toolkit "
+        "(tkinter or PyQt6); without them use render_mode='rgb_array' and save the pictures"
+    )
+    silent = backend_registry.list_builtin(  # type: ignore[no-untyped-call]
+        BackendFilter.NON_INTERACTIVE
     )
     try:
-        pyplot.switch_backend(pyplot.get_backend())
+        backend = pyplot.get_backend()
+        pyplot.switch_backend(backend)
     except ImportError as error:
         raise InvalidSetting(f"{why} ({error})") from error
-    if pyplot.get_backend().lower() in backend_registry.list_builtin(BackendFilter.NON_INTERACTIVE):
-        raise InvalidSetting(f"{why} (matplotlib draws with {pyplot.get_backend()!r} here)")
+    if backend.lower() in silent:
+        raise InvalidSetting(f"{why} (matplotlib draws with {backend!r})")

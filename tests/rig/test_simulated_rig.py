@@ -38,9 +38,7 @@ LOOSE = StructuralLooseness(
 PLAY = Backlash(joint=2, gap=4e-4, stiffness=(3e3, 5e3), damping=(0.2, 0.4), friction=0.05)
 
 
-def job(
-    slot: int = 0, *, seed: int = 0, pose: Array = POSE, excitation: Excitation = SHAKE
-) -> Job:
+def job(slot: int = 0, *, seed: int = 0, pose: Array = POSE, excitation: Excitation = SHAKE) -> Job:
     return Job(slot=slot, pose=pose, excitation=excitation, rng=np.random.default_rng(seed))
 
 
@@ -190,7 +188,7 @@ def test_a_job_that_cannot_be_done_is_refused(jobs: Sequence[Job], message: str)
 
 
 def test_a_fault_in_a_link_the_arm_lacks_is_refused() -> None:
-    with pytest.raises(UnknownName, match="links 1 to 2.*got 3"):
+    with pytest.raises(UnknownName, match=r"links 1 to 2.*got 3"):
         SimulatedRig(planar(2)).mount(0, dataclasses.replace(LOOSE, link=3))
 
 
@@ -362,6 +360,23 @@ def test_a_diverging_arm_fails_alone_and_in_silence(
     assert captured.err == ""
     assert captured.out == ""
     assert list(tmp_path.iterdir()) == []
+
+
+def test_arms_that_diverge_in_several_chunks_fail_alone() -> None:
+    brief = dataclasses.replace(SHAKE, duration=0.04)
+    rig = SimulatedRig(planar(2), slots=40, threads=2)
+
+    def measured() -> list[Measurement]:
+        return rig.measure_many([job(s, seed=s, excitation=brief) for s in range(40)])
+
+    before = measured()
+    bad = {3, 20, 21, 39}
+    for slot in bad:
+        absurd_damping_at_the_first_joint(rig.plants[slot].model)
+    after = measured()
+    assert {slot for slot in range(40) if after[slot].failure is not None} == bad
+    for slot in set(range(40)) - bad:
+        assert_same(after[slot], before[slot])
 
 
 def test_a_failed_record_has_the_shapes_of_a_good_one() -> None:

@@ -19,7 +19,7 @@ from loose_env.statistics import (
     lowest_coherence_direction_from,
 )
 
-__all__ = ["Loop", "loop_of", "measured_loop", "predicted_loop"]
+__all__ = ["Loop", "LoopPair", "loop_of", "measured_loop", "predicted_loop"]
 
 Array = NDArray[np.float64]
 
@@ -42,6 +42,14 @@ class Loop:
         if self.peak @ other.peak >= 0:
             return self
         return Loop(points=-self.points, lowest=self.lowest, maximum=self.maximum, peak=-self.peak)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoopPair:
+    """What a record shows, and what it would show on the healthy arm."""
+
+    measured: Loop
+    healthy: Loop
 
 
 def loop_of(cov: Covariances) -> Loop:

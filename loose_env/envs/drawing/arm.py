@@ -1,14 +1,15 @@
-"""Drawing a planar arm: base, links, joints and tool, and how big it all is."""
+"""Drawing a planar arm: its links, joints and tool, and what is loose in it."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.envs.ink import BODY, EDGE, INK, MUTED, PAPER, SHAKEN, TRUTH
-from loose_env.envs.planar_view import PlanarPose
+from loose_env.envs.drawing.ink import BODY, EDGE, INK, PAPER, SHAKEN, TRUTH
+from loose_env.envs.drawing.scenery import arrow, half_height
+from loose_env.envs.drawing.view import PlanarPose
 from loose_env.faults import Backlash, Fault, StructuralLooseness
 
 if TYPE_CHECKING:
@@ -47,35 +48,6 @@ class ArmDrawing:
         corners = np.vstack([pose.joints, pose.tool])
         return np.vstack([corners - r, corners + r, [[0.0, foot]]])
 
-    def base(self, axes: Axes) -> None:
-        """Draw what the arm stands on."""
-        from matplotlib.patches import Circle, Polygon, Rectangle
-
-        r = self.radii[0]
-        style = {"facecolor": PAPER, "edgecolor": EDGE, "linewidth": 1.0, "zorder": 2}
-        if not self.vertical:
-            axes.add_patch(Circle((0.0, 0.0), 2.0 * r, **style))
-            for angle in np.radians([45, 135, 225, 315]):
-                at = 1.6 * r * np.array([np.cos(angle), np.sin(angle)])
-                axes.add_patch(Circle((at[0], at[1]), 0.14 * r, **style))
-            return
-        foot = -2.6 * r
-        axes.add_patch(
-            Polygon([(-1.9 * r, foot), (-0.9 * r, 0.0), (0.9 * r, 0.0), (1.9 * r, foot)], **style)
-        )
-        ground = Rectangle(
-            (-3.2 * r, foot - 0.6 * r),
-            6.4 * r,
-            0.6 * r,
-            facecolor="none",
-            edgecolor=MUTED,
-            linewidth=0.0,
-            hatch="/////",
-            zorder=1,
-        )
-        axes.add_patch(ground)
-        axes.plot([-3.2 * r, 3.2 * r], [foot, foot], color=EDGE, linewidth=1.4, zorder=2)
-
     def links(self, axes: Axes, pose: PlanarPose, *, loose: int | None = None) -> None:
         """Draw the links, distal ones on top; the loose one in the colour of the truth."""
         for i, (start, end) in enumerate(zip(pose.joints, pose.ends, strict=True)):
@@ -84,18 +56,12 @@ class ArmDrawing:
             link.set_zorder(4 + 0.1 * i)
             axes.add_patch(link)
 
-    def joints(
-        self,
-        axes: Axes,
-        pose: PlanarPose,
-        excited: NDArray[np.bool_] | None,
-    ) -> None:
+    def joints(self, axes: Axes, pose: PlanarPose, excited: NDArray[np.bool_] | None) -> None:
         """Draw the joints with their numbers; without a record, none is shaken or held."""
-        from matplotlib.patches import Circle, FancyBboxPatch
+        from matplotlib.patches import FancyBboxPatch
 
         for j, centre in enumerate(pose.joints):
             r = 0.95 * float(self.radii[j])
-            x, y = float(centre[0]), float(centre[1])
             order = 8.0 + 0.01 * j
             on = excited is not None and bool(excited[j])
             held = excited is not None and not on
@@ -106,19 +72,12 @@ class ArmDrawing:
                 clamp.set(facecolor=EDGE, edgecolor=PAPER, linewidth=0.8, zorder=order)
                 axes.add_patch(clamp)
             face = SHAKEN if on else (EDGE if held else PAPER)
-            axes.add_patch(
-                Circle(
-                    (x, y),
-                    r,
-                    facecolor=face,
-                    edgecolor=EDGE,
-                    linewidth=1.2,
-                    zorder=order + 0.001,
-                )
+            _disc(
+                axes, centre, r, facecolor=face, edgecolor=EDGE, linewidth=1.2, zorder=order + 0.001
             )
             axes.text(
-                x,
-                y,
+                float(centre[0]),
+                float(centre[1]),
                 str(j + 1),
                 color=PAPER if held else INK,
                 fontsize=_number_size(axes, r),
@@ -132,24 +91,10 @@ class ArmDrawing:
 
     def tool(self, axes: Axes, pose: PlanarPose) -> None:
         """Draw the tool and the axes of its frame."""
-        from matplotlib.patches import Circle
-
-        r, length = 0.7 * float(self.radii[-1]), 0.16 * _half_height(axes)
+        r, length = 0.7 * float(self.radii[-1]), 0.16 * half_height(axes)
         for name, axis in zip("xy", pose.frame.T, strict=True):
             end = pose.tool + length * axis
-            axes.annotate(
-                "",
-                xy=(end[0], end[1]),
-                xytext=(pose.tool[0], pose.tool[1]),
-                arrowprops={
-                    "arrowstyle": "-|>,head_width=0.18,head_length=0.35",
-                    "color": INK,
-                    "linewidth": 1.2,
-                    "shrinkA": 0,
-                    "shrinkB": 0,
-                },
-                zorder=9,
-            )
+            arrow(axes, pose.tool, end, color=INK, width=1.2, zorder=9.0)
             label = pose.tool + 1.22 * length * axis
             axes.text(
                 label[0],
@@ -162,11 +107,7 @@ class ArmDrawing:
                 va="center",
                 zorder=9,
             )
-        axes.add_patch(
-            Circle(
-                (pose.tool[0], pose.tool[1]), r, facecolor=INK, edgecolor=PAPER, lw=0.8, zorder=9.1
-            )
-        )
+        _disc(axes, pose.tool, r, facecolor=INK, edgecolor=PAPER, linewidth=0.8, zorder=9.1)
 
     def fault(self, axes: Axes, pose: PlanarPose, fault: Fault) -> None:
         """Point at the loose seat: which way a link slides, or where the play is."""
@@ -174,65 +115,21 @@ class ArmDrawing:
             where = fault.link - 1
             direction = pose.seats[where] @ np.asarray(fault.direction, dtype=float)
             direction = direction / max(float(np.linalg.norm(direction)), 1e-12)
-            # Beside the joint's number, on the link that slides.
             along = pose.ends[where] - pose.joints[where]
             middle = pose.joints[where] + 0.45 * along
-            half = 0.13 * _half_height(axes) * direction
-            axes.annotate(
-                "",
-                xy=tuple(middle + half),
-                xytext=tuple(middle - half),
-                arrowprops={
-                    "arrowstyle": "<|-|>,head_width=0.22,head_length=0.4",
-                    "color": INK,
-                    "linewidth": 1.8,
-                    "shrinkA": 0,
-                    "shrinkB": 0,
-                },
-                zorder=8.5,
-            )
+            half = 0.13 * half_height(axes) * direction
+            start, end = middle - half, middle + half
+            arrow(axes, start, end, color=INK, width=1.8, zorder=8.5, both=True)
         elif isinstance(fault, Backlash):
-            self._ring(
-                axes, pose.joints[fault.joint - 1], 1.55 * float(self.radii[fault.joint - 1])
-            )
-
-    def surroundings(self, axes: Axes) -> None:
-        """Draw which way gravity pulls, and a measure of length."""
-        half = _half_height(axes)
-        left, right, bottom, top = *axes.get_xlim(), *axes.get_ylim()
-        inset = 0.05 * half
-        side = 0.04 * (right - left)
-        length = 10.0 ** np.floor(np.log10(0.6 * half))
-        length *= max(k for k in (1, 2, 5) if k * length <= 0.6 * half)
-        x, y = left + side, bottom + inset
-        axes.plot([x, x + length], [y, y], color=MUTED, linewidth=1.2, solid_capstyle="butt")
-        for end in (x, x + length):
-            axes.plot([end, end], [y - 0.3 * inset, y + 0.3 * inset], color=MUTED, linewidth=1.2)
-        small = {"color": MUTED, "fontsize": 8.5}
-        axes.text(x, y + 0.5 * inset, f"{length:g} m", ha="left", va="bottom", **small)
-        if self.vertical:
-            x = right - 1.4 * side
-            axes.annotate(
-                "",
-                xy=(x, bottom + inset),
-                xytext=(x, bottom + inset + 0.2 * half),
-                arrowprops={
-                    "arrowstyle": "-|>,head_width=0.2,head_length=0.4",
-                    "color": MUTED,
-                    "linewidth": 1.4,
-                    "shrinkA": 0,
-                    "shrinkB": 0,
-                },
-            )
-            axes.text(x - 0.9 * inset, bottom + inset, "gravity", ha="right", va="bottom", **small)
-        else:
-            axes.text(
-                right - side,
-                bottom + 0.7 * inset,
-                "seen from above",
-                ha="right",
-                va="bottom",
-                **small,
+            joint = fault.joint - 1
+            _disc(
+                axes,
+                pose.joints[joint],
+                1.55 * float(self.radii[joint]),
+                facecolor="none",
+                edgecolor=TRUTH,
+                linewidth=3.2,
+                zorder=8.4,
             )
 
     def _link(self, start: Array, end: Array, wide: float, narrow: float) -> PathPatch:
@@ -261,7 +158,7 @@ class ArmDrawing:
         from matplotlib.path import Path
 
         centre = pose.joints[j]
-        radius = max(2.0 * float(self.radii[j]), 0.08 * _half_height(axes))
+        radius = max(2.0 * float(self.radii[j]), 0.08 * half_height(axes))
         out = _unit(pose.ends[j] - centre)
         back = _unit(pose.joints[j - 1] - centre) if j > 0 else -out
         free = -(out + back)
@@ -271,7 +168,7 @@ class ArmDrawing:
         arc = Path.arc(middle - 75, middle + 75)
         axes.add_patch(
             FancyArrowPatch(
-                path=Path(centre + radius * arc.vertices, arc.codes),
+                path=Path(centre + radius * np.asarray(arc.vertices), arc.codes),
                 arrowstyle="<|-|>,head_width=3.2,head_length=5.5",
                 facecolor=SHAKEN,
                 edgecolor=SHAKEN,
@@ -282,19 +179,11 @@ class ArmDrawing:
             )
         )
 
-    def _ring(self, axes: Axes, centre: Array, radius: float) -> None:
-        from matplotlib.patches import Circle
 
-        axes.add_patch(
-            Circle(
-                (centre[0], centre[1]),
-                radius,
-                facecolor="none",
-                edgecolor=TRUTH,
-                linewidth=3.2,
-                zorder=8.4,
-            )
-        )
+def _disc(axes: Axes, centre: Array, radius: float, **look: Any) -> None:
+    from matplotlib.patches import Circle
+
+    axes.add_patch(Circle((float(centre[0]), float(centre[1])), radius, **look))
 
 
 def _placed(axes: Axes, pose: PlanarPose, j: int) -> Transform:
@@ -314,10 +203,6 @@ def _number_size(axes: Axes, radius: float) -> float:
     return float(np.clip(1.15 * (high[0] - low[0]) * 72.0 / figure.dpi, 4.5, 11.0))
 
 
-def _half_height(axes: Axes) -> float:
-    low, high = axes.get_ylim()
-    return 0.5 * (high - low)
-
-
 def _unit(vector: Array) -> Array:
-    return vector / max(float(np.linalg.norm(vector)), 1e-12)
+    unit: Array = vector / max(float(np.linalg.norm(vector)), 1e-12)
+    return unit

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.envs.ink import FAINT, MEASURED, MUTED
-from loose_env.envs.loop import Loop
-from loose_env.envs.planar_view import PlanarPose
+from loose_env.envs.drawing.ink import FAINT, MEASURED, MUTED
+from loose_env.envs.drawing.loop import Loop
+from loose_env.envs.drawing.view import PlanarPose
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -85,9 +86,7 @@ def _clear_side(axes: Axes, pose: PlanarPose, radius: float) -> Array:
     """Direction from the tool in which a label is farthest from the arm and inside the frame."""
     corners = np.vstack([pose.joints, pose.tool])
     share = np.linspace(0.0, 1.0, 20)[:, None]
-    along = np.vstack(
-        [start + share * (end - start) for start, end in zip(corners, corners[1:], strict=False)]
-    )
+    along = np.vstack([start + share * (end - start) for start, end in pairwise(corners)])
     angles = np.radians(np.arange(20.0, 380.0, 40.0))
     sides = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     labels = pose.tool + 1.17 * radius * sides
@@ -98,4 +97,5 @@ def _clear_side(axes: Axes, pose: PlanarPose, radius: float) -> Array:
     inside &= (labels[:, 1] > low + margin) & (labels[:, 1] < high - margin)
     # The ends of the tool frame's arrows stay clear as well.
     gaps = np.minimum(gaps, 0.9 * radius)
-    return sides[int(np.argmax(np.where(inside, gaps, -1.0)))]
+    best: Array = sides[int(np.argmax(np.where(inside, gaps, -1.0)))]
+    return best

@@ -73,7 +73,7 @@ class PlanarView:
         normal = axes[0] / np.linalg.norm(axes[0])
         gravity = np.asarray(arm.model.opt.gravity, dtype=float)
         within = gravity - (gravity @ normal) * normal
-        self.vertical = bool(np.linalg.norm(within) > 0.1 * max(np.linalg.norm(gravity), 1e-9))
+        self.vertical = float(np.linalg.norm(within)) > 0.1 * float(np.linalg.norm(gravity))
         """Whether gravity pulls within the plane, down in the picture."""
         if self.vertical:
             right = np.cross(-within, normal)

@@ -1,0 +1,129 @@
+"""The words above the drawing and the legend below it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any, Literal
+
+from loose_env.arms.linear import LinearArm
+from loose_env.envs.drawing.ink import EDGE, INK, MEASURED, MUTED, SHAKEN, TRUTH
+from loose_env.envs.drawing.loop import LoopPair
+from loose_env.envs.drawing.words import fault_words, hypothesis_words, pose_words, shaking_words
+from loose_env.envs.episode import Episode
+from loose_env.faults import Backlash, Fault, StructuralLooseness
+from loose_env.rig.measurement import Measurement
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Line", "header_lines", "write_header", "write_legend"]
+
+_LETTERS = 62  # that fit beside each other
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line above the drawing."""
+
+    text: str
+    rank: Literal["title", "truth", "plain", "muted"]
+
+
+def header_lines(
+    linear: LinearArm,
+    episode: Episode,
+    measurement: Measurement | None,
+    loops: LoopPair | None,
+    verdict: str | None,
+) -> Iterator[Line]:
+    """Say what the picture shows; the truth first, once it is out."""
+    if measurement is not None:
+        shaking = shaking_words(linear.at(measurement.pose), measurement.excitation)
+    elif episode.records == 0:
+        shaking = "The arm takes its first pose."
+    elif episode.ended:
+        shaking = "The simulation broke off: this record says nothing."
+    else:
+        shaking = "Nothing was shaken, so there is nothing to see on the tool."
+    if episode.ended:
+        truth = fault_words(episode.fault)
+        yield Line(truth[0].upper() + truth[1:], "truth")
+        if verdict is not None:
+            mark = "right" if verdict == episode.fault.hypothesis else "wrong"
+            yield Line(f"Verdict: {hypothesis_words(verdict)} – {mark}", "plain")
+        yield Line(f"Record {episode.records}: {shaking[0].lower()}{shaking[1:]}", "muted")
+    else:
+        yield Line(f"Record {episode.records}" if episode.records else "Not measured yet", "title")
+        yield Line(shaking, "plain")
+    yield Line(f"Pose {pose_words(episode.pose)}", "muted")
+    if loops is not None:
+        measured, healthy = loops.measured.maximum, loops.healthy.maximum
+        yield Line(
+            rf"$r_\mathrm{{max}}$ {measured:.3f} measured, {healthy:.3f} on a healthy arm", "muted"
+        )
+
+
+def write_header(figure: Figure, lines: Iterator[Line]) -> None:
+    """Write the lines at the top of a figure."""
+    height = float(figure.get_size_inches()[1])
+    large: dict[str, Any] = {"fontsize": 13.5, "fontweight": "bold"}
+    small: dict[str, Any] = {"fontsize": 9.5}
+    looks = {
+        "title": large | {"color": INK},
+        "truth": large | {"color": TRUTH},
+        "plain": small | {"color": INK},
+        "muted": small | {"color": MUTED},
+    }
+    y = 1.0 - 0.16 / height
+    for line in lines:
+        for text in wrap(line.text, _LETTERS):
+            figure.text(0.04, y, text, ha="left", va="top", **looks[line.rank])
+            y -= (0.27 if line.rank in ("title", "truth") else 0.195) / height
+
+
+def write_legend(figure: Figure, truth: Fault | None, *, some_held: bool) -> None:
+    """Write the legend at the bottom of a figure."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    loop = Patch(facecolor="#cce3f0", edgecolor=MEASURED, linewidth=1.6, label="correlation r(φ)")
+    lowest = Line2D([], [], color=MEASURED, linewidth=2.6, label="lowest correlation")
+    healthy = Line2D([], [], color=MUTED, linewidth=1.3, label="healthy arm, predicted")
+    healthy.set_linestyle((0, (4, 2.5)))
+    entries: list[Any] = [loop, lowest, healthy, _mark("o", SHAKEN, "shaken joint")]
+    if some_held:
+        entries.append(_mark("s", EDGE, "held joint"))
+    if isinstance(truth, StructuralLooseness):
+        entries.append(Patch(facecolor=TRUTH, edgecolor=EDGE, label="loose link"))
+    elif isinstance(truth, Backlash):
+        ring = _mark("o", "none", "joint with play")
+        ring.set(markeredgecolor=TRUTH, markeredgewidth=2.2)
+        entries.append(ring)
+    _place(figure, entries)
+
+
+def _place(figure: Figure, entries: Sequence[Any]) -> None:
+    figure.legend(
+        handles=entries,
+        loc="lower left",
+        bbox_to_anchor=(0.04, 0.018),
+        borderpad=0.0,
+        borderaxespad=0.0,
+        ncols=3 if len(entries) > 4 else 2,
+        frameon=False,
+        fontsize=8.5,
+        labelcolor=INK,
+        columnspacing=1.4,
+        handlelength=1.7,
+        handletextpad=0.6,
+    )
+
+
+def _mark(marker: str, colour: str, label: str) -> Any:
+    from matplotlib.lines import Line2D
+
+    mark = Line2D([], [], linestyle="", marker=marker, markersize=8, label=label)
+    mark.set(markerfacecolor=colour, markeredgecolor=EDGE, markeredgewidth=1.0)
+    return mark

@@ -1,0 +1,24 @@
+"""The main job: three agents diagnose the same hidden faults on the VERA arm.
+
+Usage: python scripts/run.py [options of scripts/compare.py]
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import compare
+
+EPISODES = 300
+
+
+def main() -> None:
+    """Compare the three agents on VERA and write the page; later options win."""
+    compare.main(["--page", "--episodes", str(EPISODES), *sys.argv[1:]])
+
+
+if __name__ == "__main__":
+    main()
