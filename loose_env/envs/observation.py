@@ -306,7 +306,8 @@ def _slot_elements(arm: Arm, settings: DiagnosisSettings) -> Iterator[Element]:
 
     def inertia(prefix: str) -> Iterator[Element]:
         for joint in arm.joints:
-            yield log(f"{prefix}inertia.{joint}", "kg·m²", 1.0)
+            # A bending mode can make the apparent inertia negative (joint 1 of VERA).
+            yield asinh(f"{prefix}inertia.{joint}", "kg·m²", 0.1)
 
     def tool(prefix: str) -> Iterator[Element]:
         for axis in axes:

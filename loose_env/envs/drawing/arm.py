@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.envs.drawing.ink import BODY, EDGE, INK, PAPER, SHAKEN, TRUTH
+from loose_env.envs.drawing.ink import BODY, EDGE, INK, ON_SHAKEN, PAPER, SHAKEN, TRUTH
 from loose_env.envs.drawing.scenery import arrow, half_height
 from loose_env.envs.drawing.view import PlanarPose
 from loose_env.faults import Backlash, Fault, StructuralLooseness
@@ -79,7 +79,7 @@ class ArmDrawing:
                 float(centre[0]),
                 float(centre[1]),
                 str(j + 1),
-                color=PAPER if held else INK,
+                color=ON_SHAKEN if on else (PAPER if held else INK),
                 fontsize=_number_size(axes, r),
                 fontweight="bold",
                 ha="center",

@@ -88,7 +88,8 @@ def write_legend(figure: Figure, truth: Fault | None, *, some_held: bool) -> Non
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    loop = Patch(facecolor="#cce3f0", edgecolor=MEASURED, linewidth=1.6, label="correlation r(φ)")
+    loop = Patch(facecolor=(MEASURED, 0.22), edgecolor=MEASURED, linewidth=1.6)
+    loop.set_label("correlation r(φ)")
     lowest = Line2D([], [], color=MEASURED, linewidth=2.6, label="lowest correlation")
     healthy = Line2D([], [], color=MUTED, linewidth=1.3, label="healthy arm, predicted")
     healthy.set_linestyle((0, (4, 2.5)))

@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
-__all__ = ["BODY", "EDGE", "FAINT", "INK", "MEASURED", "MUTED", "PAPER", "SHAKEN", "TRUTH"]
+__all__ = [
+    "BODY",
+    "EDGE",
+    "FAINT",
+    "INK",
+    "MEASURED",
+    "MUTED",
+    "ON_SHAKEN",
+    "PAPER",
+    "SHAKEN",
+    "TRUTH",
+]
 
 PAPER = "#ffffff"
+"""Background, and letters on dark parts."""
 INK = "#1b2128"
 """Text, and everything dark."""
 MUTED = "#66717d"
@@ -17,6 +29,8 @@ EDGE = "#46525e"
 """Outline of links and joints."""
 SHAKEN = "#f0a30a"
 """Joints that are shaken."""
+ON_SHAKEN = "#16191d"
+"""Letters on shaken joints; they stay dark on a dark page."""
 MEASURED = "#0072b2"
 """What the record says."""
 TRUTH = "#d0451b"
