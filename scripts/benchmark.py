@@ -21,7 +21,8 @@ import numpy as np
 
 import loose_env  # noqa: F401  (registers the ids)
 from loose_env.envs.episode import EpisodeBatch
-from loose_env.rig.simulated import SimulatedRig, _Run
+from loose_env.rig.jobs import Run
+from loose_env.rig.simulated import SimulatedRig
 
 IDS = ("loose_env/Vera-v0", "loose_env/Planar-v0")
 
@@ -29,7 +30,7 @@ IDS = ("loose_env/Vera-v0", "loose_env/Planar-v0")
 class PythonLoopRig(SimulatedRig):
     """Rival: `mj_step` called from Python, one arm after the other."""
 
-    def _simulate(self, run: _Run) -> None:
+    def _simulate(self, run: Run) -> None:
         for k, job in enumerate(run.jobs):
             model = self.plants[job.slot].model
             data = mujoco.MjData(model)
@@ -45,7 +46,7 @@ class PythonLoopRig(SimulatedRig):
 class RolloutRig(SimulatedRig):
     """Rival: `mujoco.rollout`, which simulates many models on a thread pool."""
 
-    def _simulate(self, run: _Run) -> None:
+    def _simulate(self, run: Run) -> None:
         models = [self.plants[job.slot].model for job in run.jobs]
         if not hasattr(self, "_pool"):
             threads = os.cpu_count() or 1
@@ -123,7 +124,7 @@ def bare_seconds_per_record(env_id: str, arms: int, rounds: int, duration: int) 
     kept: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     simulate = rig._simulate
 
-    def keep(run: _Run) -> None:
+    def keep(run: Run) -> None:
         ids = np.array([job.slot for job in run.jobs])
         kept.append((ids, rig._batch.state[ids].copy(), run.delivered))
         simulate(run)
@@ -224,7 +225,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             )
     many = 4 * arms
     for env_id in options.ids:
-        print(f"\npeak memory of {many} arms of {env_id}: {memory_of(env_id, many):.2f} GiB", end="")
+        print(
+            f"\npeak memory of {many} arms of {env_id}: {memory_of(env_id, many):.2f} GiB", end=""
+        )
     seconds, torch = import_time()
     print(f"\nimport loose_env: {seconds:.2f} s, {'with' if torch else 'without'} torch")
 

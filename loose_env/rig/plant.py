@@ -12,7 +12,7 @@ from loose_env.arms.linear import inertance_rate
 from loose_env.arms.mismatch import MismatchDraw
 from loose_env.faults import SEAT, Fault, SeatKind, seat_of, seated_spec, set_seat
 
-__all__ = ["PlantShop", "Plant"]
+__all__ = ["Plant", "PlantShop"]
 
 
 class Plant:
@@ -112,9 +112,7 @@ class PlantShop:
             joint = spec.joint(name)
             joint.stiffness = [arm.centring.stiffness[j], 0, 0]
             joint.damping = [joint.damping[0] + arm.centring.damping[j], *joint.damping[1:]]
-            spec.add_actuator(
-                name=f"drive_{name}", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=name
-            )
+            spec.add_actuator(name=f"drive_{name}", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=name)
             spec.add_equality(
                 name=f"hold_{name}",
                 type=mujoco.mjtEq.mjEQ_JOINT,

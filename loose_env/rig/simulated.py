@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
-from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -19,9 +16,12 @@ from loose_env.arms.mismatch import MismatchDraw
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import Fault, Healthy
+from loose_env.rig.jobs import Job, Run
 from loose_env.rig.measurement import Measurement
 from loose_env.rig.plant import Plant, PlantShop
-from loose_env.sensors import SensorSuite, decimation_filter, read_accelerometer, read_encoder
+from loose_env.rig.quiet import quiet
+from loose_env.rig.reading import read_record
+from loose_env.sensors import SensorSuite, decimation_filter
 
 __all__ = ["Job", "SimulatedRig"]
 
@@ -29,62 +29,6 @@ Array = NDArray[np.float64]
 RUN_IN = 0.1
 """Excitation before the record, in which the seat and the holdings settle [s]."""
 _CHUNK = 16  # arms simulated in one call; reading one chunk overlaps with the next
-
-_log_lock = threading.Lock()
-_log_before: list[mujoco.MjLogConfig] = []  # one entry for every call inside `_quiet`
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep MuJoCo's warnings off the console and out of its log file.
-
-    A diverging simulation is reported through its measurement. The setting belongs to the
-    whole process: the first call in saves it, the last one out puts it back.
-    """
-    with _log_lock:
-        _log_before.append(mujoco.MjLogConfig.get())
-        silent = mujoco.MjLogConfig.get()
-        silent.logto_console = silent.logto_file = False
-        silent.set()
-    try:
-        yield
-    finally:
-        with _log_lock:
-            last = _log_before.pop()
-            if not _log_before:
-                last.set()
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Job:
-    """One measurement to take."""
-
-    slot: int
-    """Which arm of the rig."""
-    pose: Array
-    """Commanded pose [rad] (n,)."""
-    excitation: Excitation
-    """What to play."""
-    rng: np.random.Generator
-    """Source of the excitation, the sensor noise and the seat's place in its gap."""
-
-
-@dataclass(kw_only=True, eq=False)
-class _Run:
-    """A chunk of jobs of one length on its way through the engine."""
-
-    jobs: Sequence[Job]
-    control: Array
-    """Commanded torques, gravity included (jobs, steps, n)."""
-    delivered: Array
-    """What the drives make of them (jobs, steps, n)."""
-    recorded: Array
-    """Sensor channels of every step (jobs, steps, channels)."""
-    before: int
-    """Steps of run-in."""
-    count: int
-    """Samples of the record."""
-    failures: dict[int, str] = field(default_factory=dict)
 
 
 class SimulatedRig:
@@ -223,7 +167,7 @@ class SimulatedRig:
             yield self._read_all(run)
             return
         with ThreadPoolExecutor(max_workers=1) as engine:
-            pending: tuple[_Run, Future[None]] | None = None
+            pending: tuple[Run, Future[None]] | None = None
             for k, chunk in enumerate(chunks):
                 run = self._prepare(chunk, k % 2)
                 if pending is not None:
@@ -236,7 +180,7 @@ class SimulatedRig:
                 pending[1].result()
                 yield self._read_all(pending[0])
 
-    def _prepare(self, jobs: Sequence[Job], room: int) -> _Run:
+    def _prepare(self, jobs: Sequence[Job], room: int) -> Run:
         """Draw the torques of jobs of one length and set their arms up."""
         factor, rate = self.factor, self.sensors.rate
         half = len(decimation_filter(factor, self.sensors.accelerometer.bandwidth, rate)) // 2
@@ -254,7 +198,7 @@ class SimulatedRig:
             active[job.slot] = plant.model.eq_active0
             active[job.slot, plant.brakes] = ~np.array(job.excitation.excited)
             delivered[k] = control[k] * plant.mismatch.drive_gain
-        return _Run(
+        return Run(
             jobs=jobs,
             control=control,
             delivered=delivered,
@@ -276,13 +220,13 @@ class SimulatedRig:
             rows.append(np.clip(torque, -limits[:, None], limits[:, None]).T)
         return np.ascontiguousarray(rows)
 
-    def _simulate(self, run: _Run) -> None:
+    def _simulate(self, run: Run) -> None:
         """Run the engine; fill in what it recorded and which arms failed."""
         batch, data, failures = self._batch, run.recorded, run.failures
         ids = np.array([job.slot for job in run.jobs])
         batch.warning[ids] = 0
         try:
-            with _quiet():
+            with quiet():
                 batch.rollout(
                     run.control.shape[1],
                     run.delivered,
@@ -310,72 +254,16 @@ class SimulatedRig:
             self._rooms[room] = np.empty(size)
         return self._rooms[room][:size].reshape(jobs, steps, -1)
 
-    def _read_all(self, run: _Run) -> list[Measurement]:
+    def _read_all(self, run: Run) -> list[Measurement]:
         return [
-            self._read(
-                job,
-                run.control[k],
-                run.recorded[k],
-                run.before,
-                run.count,
-                run.failures.get(job.slot),
+            read_record(
+                run,
+                k,
+                arm=self.arm,
+                sensors=self.sensors,
+                factor=self.factor,
+                mismatch=self.plants[job.slot].mismatch,
+                gravity=self.nominal.at(job.pose).gravity_torque,
             )
             for k, job in enumerate(run.jobs)
         ]
-
-    def _read(
-        self,
-        job: Job,
-        control: Array,
-        recorded: Array,
-        before: int,
-        count: int,
-        failure: str | None,
-    ) -> Measurement:
-        """Turn recorded motion (steps, channels) into readings."""
-        n, axes, factor = self.arm.n, self.arm.axes, self.factor
-        suite, plant = self.sensors, self.plants[job.slot]
-        steps = before + factor * np.arange(-1, count + 1)
-        gravity = self.nominal.at(job.pose).gravity_torque
-        command = (control[steps[1:-1]] - gravity).T
-        if failure is not None:
-            empty = np.zeros((len(axes), count))
-            return Measurement(
-                pose=job.pose,
-                excitation=job.excitation,
-                rate=suite.rate,
-                command=command,
-                encoder=np.zeros((n, count + 2)),
-                tool=empty,
-                links=np.zeros((n, *empty.shape)) if suite.link_accelerometers else None,
-                failure=failure,
-            )
-        def accelerometer(columns: slice) -> Array:
-            return read_accelerometer(
-                recorded[:, columns],
-                sensor=suite.accelerometer,
-                matrix=plant.mismatch.sensor[list(axes)],
-                factor=factor,
-                first=before,
-                count=count,
-                rate=suite.rate,
-                rng=job.rng,
-            )
-
-        angle = recorded[steps, 3 : 3 + n].T - plant.mismatch.joint_zero[:, None]
-        links = None
-        tool = accelerometer(slice(0, 3))
-        encoder = read_encoder(angle, sensor=suite.encoder, rng=job.rng)
-        if suite.link_accelerometers:
-            links = np.array(
-                [accelerometer(slice(3 + n + 3 * i, 6 + n + 3 * i)) for i in range(n)]
-            )
-        return Measurement(
-            pose=job.pose,
-            excitation=job.excitation,
-            rate=suite.rate,
-            command=command,
-            encoder=encoder,
-            tool=tool,
-            links=links,
-        )

@@ -1,0 +1,94 @@
+"""From recorded motion to readings: the sensors' part of a simulated measurement."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.arm import Arm
+from loose_env.arms.mismatch import MismatchDraw
+from loose_env.rig.jobs import Run
+from loose_env.rig.measurement import Measurement
+from loose_env.sensors import SensorSuite, read_accelerometer, read_encoder
+
+__all__ = ["read_record"]
+
+Array = NDArray[np.float64]
+
+
+def read_record(
+    run: Run,
+    k: int,
+    *,
+    arm: Arm,
+    sensors: SensorSuite,
+    factor: int,
+    mismatch: MismatchDraw,
+    gravity: Array,
+) -> Measurement:
+    """Read job ``k`` of a run with the sensors of an arm.
+
+    Parameters
+    ----------
+    run : Run
+        The run, simulated.
+    k : int
+        Which of its jobs.
+    arm : Arm
+        The nominal arm.
+    sensors : SensorSuite
+        What reads the motion.
+    factor : int
+        Simulation steps per reading.
+    mismatch : MismatchDraw
+        Gains, cross-axis and mounting of the accelerometer, and the encoders' zeros.
+    gravity : ndarray (n,)
+        Torque commanded against gravity, to be taken off the command [N·m].
+    """
+    job, count, n = run.jobs[k], run.count, arm.n
+    axes, rate = list(arm.axes), sensors.rate
+    steps = run.before + factor * np.arange(-1, count + 1)
+    command = (run.control[k][steps[1:-1]] - gravity).T
+    failure = run.failures.get(job.slot)
+    if failure is not None:
+        still = np.zeros((len(axes), count))
+        return Measurement(
+            pose=job.pose,
+            excitation=job.excitation,
+            rate=rate,
+            command=command,
+            encoder=np.zeros((n, count + 2)),
+            tool=still,
+            links=np.zeros((n, *still.shape)) if sensors.link_accelerometers else None,
+            failure=failure,
+        )
+    recorded = run.recorded[k]
+
+    def accelerometer(first: int) -> Array:
+        return read_accelerometer(
+            recorded[:, first : first + 3],
+            sensor=sensors.accelerometer,
+            matrix=mismatch.sensor[axes],
+            factor=factor,
+            first=run.before,
+            count=count,
+            rate=rate,
+            rng=job.rng,
+        )
+
+    # Channels: tool accelerometer, encoders, link accelerometers.
+    tool = accelerometer(0)
+    angle = recorded[steps, 3 : 3 + n].T - mismatch.joint_zero[:, None]
+    encoder = read_encoder(angle, sensor=sensors.encoder, rng=job.rng)
+    links = None
+    if sensors.link_accelerometers:
+        links = np.array([accelerometer(3 + n + 3 * i) for i in range(n)])
+    return Measurement(
+        pose=job.pose,
+        excitation=job.excitation,
+        rate=rate,
+        command=command,
+        encoder=encoder,
+        tool=tool,
+        links=links,
+    )
