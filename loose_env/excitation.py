@@ -75,9 +75,7 @@ class Excitation:
         return tuple(t > 0 for t in self.torque_rms)
 
 
-def at_levels(
-    pose: LinearPose, levels: Array, *, duration: float
-) -> tuple[Excitation, Array]:
+def at_levels(pose: LinearPose, levels: Array, *, duration: float) -> tuple[Excitation, Array]:
     """Find the torques that give the nominal tool the wanted acceleration.
 
     Parameters

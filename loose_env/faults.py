@@ -261,19 +261,21 @@ def set_seat(model: mujoco.MjModel, fault: Fault) -> None:
     if isinstance(fault, (StructuralLooseness, Preload)):
         model.jnt_axis[seat.id] = _direction(fault.direction)
         mujoco.mj_setConst(model, mujoco.MjData(model))  # the inverse weight follows the axis
-    loose = isinstance(fault, (StructuralLooseness, Backlash))
-    model.dof_frictionloss[dof] = max(fault.friction, 1e-9) if loose else 1e-9
-    reach = fault.gap / 2 if loose else _FAR
+    friction, reach = 0.0, _FAR
+    stops = ((1.0, 0.0), (1.0, 0.0))
+    if isinstance(fault, (StructuralLooseness, Backlash)):
+        friction, reach = fault.friction, fault.gap / 2
+        stops = tuple(zip(fault.stiffness, fault.damping, strict=True))  # type: ignore[assignment]
+    model.dof_frictionloss[dof] = max(friction, 1e-9)
     model.tendon_range[low] = (-reach, 2 * _FAR)
     model.tendon_range[high] = (-2 * _FAR, reach)
-    for side, stop in enumerate((low, high)):
-        stiffness, damping = (fault.stiffness[side], fault.damping[side]) if loose else (1.0, 0.0)
+    for stop, (stiffness, damping) in zip((low, high), stops, strict=True):
         weight = (1 - _SOFT) * model.tendon_invweight0[stop]
         if stiffness * weight * step**2 > FASTEST_STOP**2:
             mode = np.sqrt(stiffness * weight) / (2 * np.pi)
             raise InvalidSetting(
-                f"a stop stiffness of {stiffness:g} gives a contact mode of {mode:.0f} Hz, too fast "
-                f"for a step of {step:g} s; use {FASTEST_STOP**2 / weight / step**2:.3g} at most, "
+                f"a stop stiffness of {stiffness:g} gives a contact mode of {mode:.0f} Hz, "
+                f"too fast for a step of {step:g} s; use {FASTEST_STOP**2 / weight / step**2:.3g} at most, "
                 f"or a step of {FASTEST_STOP / np.sqrt(stiffness * weight):.2g} s at most"
             )
         # The direct format needs both numbers negative; MuJoCo takes 0 as its default.
@@ -289,9 +291,10 @@ def _direction(direction: tuple[float, float, float]) -> NDArray[np.float64]:
     vector = np.asarray(direction, dtype=float)
     if vector.shape != (3,) or not np.isfinite(vector).all() or not np.linalg.norm(vector) > 0:
         raise InvalidSetting(
-            f"a direction is three finite numbers, not all zero, in the link frame; got {direction!r}"
+            "a direction is three finite numbers, not all zero, in the link frame; "
+            f"got {direction!r}"
         )
-    return vector / np.linalg.norm(vector)
+    return np.asarray(vector / np.linalg.norm(vector))
 
 
 def _not_negative(**values: float) -> None:

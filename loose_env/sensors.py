@@ -119,7 +119,7 @@ def decimation_filter(factor: int, cutoff: float, rate: float) -> Array:
     taps = np.sinc(2 * cutoff / (rate * factor) * k) * np.hamming(2 * half + 1)
     taps /= taps.sum()
     taps.flags.writeable = False
-    return taps
+    return np.asarray(taps)
 
 
 def read_accelerometer(

@@ -184,7 +184,7 @@ def memory_of(env_id: str, arms: int) -> float:
 
 
 def import_time() -> tuple[float, bool]:
-    """Time of `import loose_env` in a fresh interpreter [s], best of three; and whether torch came."""
+    """Time `import loose_env` in a fresh interpreter [s], and say whether torch came along."""
     code = (
         "import sys, time; t = time.perf_counter(); import loose_env\n"
         "print(time.perf_counter() - t, 'torch' in sys.modules)"

@@ -75,7 +75,9 @@ class RememberingRig:
         )
 
 
-def candidate(order: Order, joints: int, levels: int, rng: np.random.Generator) -> LinkFindingSettings:
+def candidate(
+    order: Order, joints: int, levels: int, rng: np.random.Generator
+) -> LinkFindingSettings:
     """Draw settings, the untuned defaults in the middle of the ranges."""
     return LinkFindingSettings(
         order=order,
@@ -113,14 +115,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
             found = candidate(order, arm.n, len(arm.levels), rng)
             tried.append((_score(problem, found, options.episodes, rig), found))
             best = max(tried, key=lambda t: t[0])
-            print(f"\r{order}: {k + 1} of {options.candidates}, best return {best[0]:+.3f}", end="",
-                  file=sys.stderr, flush=True)
+            print(
+                f"\r{order}: {k + 1} of {options.candidates}, best return {best[0]:+.3f}",
+                end="",
+                file=sys.stderr,
+                flush=True,
+            )
         finalists = sorted(tried, key=lambda t: -t[0])[: max(options.candidates // 10, 2)]
         score, winner = max(
             ((_score(problem, f, 4 * options.episodes, rig), f) for _, f in finalists),
             key=lambda t: t[0],
         )
-        print(f"\n{arm.name} {order}: return {score:+.3f} on {4 * options.episodes} training episodes")
+        print(
+            f"\n{arm.name} {order}: return {score:+.3f} on {4 * options.episodes} training episodes"
+        )
         path = Path(options.out) / f"{arm.name}-{order}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
         beside = path.with_suffix(".part")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from loose_env.errors import InvalidSetting, UnknownName
 
-__all__ = ["Arm", "Holding", "HoldKind"]
+__all__ = ["Arm", "HoldKind", "Holding"]
 
 HoldKind = Literal["brake", "servo"]
 
@@ -169,4 +169,4 @@ class Arm:
         """Draw a pose, uniform over the joints' ranges [rad] (n,)."""
         low = np.array([-np.pi if r is None else r[0] for r in self.joint_ranges])
         high = np.array([np.pi if r is None else r[1] for r in self.joint_ranges])
-        return low + (high - low) * rng.random(self.n)
+        return np.asarray(low + (high - low) * rng.random(self.n))

@@ -94,9 +94,7 @@ def planar(n_links: int = 4, *, vertical: bool = False, hold: HoldKind = "brake"
 
 def _distal_inertia(masses: list[float], length: float, centre: float) -> float:
     """Inertia of straight links about the joint of the first of them [kg·m²]."""
-    return sum(
-        m * length**2 * (1 / 12 + (k + centre) ** 2) for k, m in enumerate(masses)
-    )
+    return sum(m * length**2 * (1 / 12 + (k + centre) ** 2) for k, m in enumerate(masses))
 
 
 def _peak_torque(masses: list[float], length: float, centre: float, level: float) -> float:

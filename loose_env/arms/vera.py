@@ -131,4 +131,3 @@ def vera(*, hold: HoldKind = "brake") -> Arm:
         timestep=1e-4,
         hold=hold,
     )
-

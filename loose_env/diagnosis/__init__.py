@@ -1,0 +1,1 @@
+"""What several records say together: predictions, link finding, the posterior over faults."""

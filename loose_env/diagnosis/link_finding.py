@@ -72,13 +72,9 @@ class LinkFindingSettings:
 
     def __post_init__(self) -> None:
         if self.order not in ("outward", "inward", "bisection"):
-            raise InvalidSetting(
-                f"order is 'outward', 'inward' or 'bisection', got {self.order!r}"
-            )
+            raise InvalidSetting(f"order is 'outward', 'inward' or 'bisection', got {self.order!r}")
         if self.joint < 1 or self.level < 1:
-            raise InvalidSetting(
-                f"joint and level count from 1, got {self.joint} and {self.level}"
-            )
+            raise InvalidSetting(f"joint and level count from 1, got {self.joint} and {self.level}")
         for name in ("still", "turned", "healthy_index", "backlash_angle"):
             if not np.isfinite(getattr(self, name)) or getattr(self, name) < 0:
                 raise InvalidSetting(f"{name} must be zero or more, got {getattr(self, name)}")
@@ -112,7 +108,7 @@ class Sighting:
 def judge_turn(
     before: Sighting, after: Sighting, joint: int, settings: LinkFindingSettings
 ) -> Finding:
-    """Steps 5 to 8: did the direction turn when a joint moved?
+    """Say whether the direction turned when a joint moved (steps 5 to 8).
 
     The estimate of the joint's axis is z* = (p x p*) / sin(-move) (4.31). In the plane it is
     a number: 0 if the direction stayed, 1 if it turned by the whole move.
@@ -129,8 +125,14 @@ def judge_turn(
     Examples
     --------
     >>> def at(q2, direction):
-    ...     return Sighting(pose=np.array([0.0, q2]), direction=direction, correlation=0.5,
-    ...                     kurtosis=0.0, nominal_direction=0.0, nominal_correlation=0.5)
+    ...     return Sighting(
+    ...         pose=np.array([0.0, q2]),
+    ...         direction=direction,
+    ...         correlation=0.5,
+    ...         kurtosis=0.0,
+    ...         nominal_direction=0.0,
+    ...         nominal_correlation=0.5,
+    ...     )
     >>> judge_turn(at(0.0, 0.3), at(1.0, 0.3 - 1.0), 2, LinkFindingSettings())
     'turned'
     """

@@ -69,14 +69,12 @@ class Prediction:
     @property
     def transmission(self) -> Array:
         """Regression of the tool on the measured joint accelerations (d, m) [m]."""
-        result: Array = np.linalg.solve(self.joint, self.joint_tool).T
-        return result
+        return np.asarray(np.linalg.solve(self.joint, self.joint_tool).T)
 
     @property
     def transmission_by_instrument(self) -> Array:
         """The same with the command as instrument: free of encoder noise (d, m) [m]."""
-        result: Array = np.linalg.solve(self.command_joint, self.command_tool).T
-        return result
+        return np.asarray(np.linalg.solve(self.command_joint, self.command_tool).T)
 
     @property
     def inertia(self) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -37,7 +37,7 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
     | entries | choices | meaning |
     |---|---|---|
     | one a joint | 5 | relative move: -90, -45, 0, 45, 90 degrees |
-    | one a joint | 4 | excitation: 0 off, levels 1 to 3 (rms tool acceleration of the nominal arm) |
+    | one a joint | 4 | excitation: 0 off, levels 1 to 3 (rms acceleration of the nominal tool) |
     | 1 | 3 | record length: 0.2, 0.4, 1.2 s |
     | 1 | 1 + hypotheses | verdict: 0 go on, k name the k-th hypothesis |
 
@@ -77,7 +77,10 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
     * v0: first version
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array", "human"], "render_fps": 2}
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": ["rgb_array", "human"],
+        "render_fps": 2,
+    }
 
     def __init__(
         self,

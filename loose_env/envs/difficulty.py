@@ -27,7 +27,7 @@ from loose_env.faults import (
 __all__ = ["DIFFICULTIES", "Difficulty", "FaultSampler", "difficulty_named"]
 
 _KINDS: tuple[FaultKind, ...] = ("healthy", "structural_looseness", "backlash")
-_EQUAL = MappingProxyType(dict.fromkeys(_KINDS, 1 / 3))
+_EQUAL: Mapping[str, float] = MappingProxyType({kind: 1 / 3 for kind in _KINDS})
 
 Range = tuple[float, float]
 Array = NDArray[np.float64]

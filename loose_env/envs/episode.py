@@ -27,7 +27,15 @@ from loose_env.envs.observation import ObservationLayout
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, at_levels
-from loose_env.faults import Backlash, Fault, Healthy, Preload, StructuralLooseness, hypotheses, place_of
+from loose_env.faults import (
+    Backlash,
+    Fault,
+    Healthy,
+    Preload,
+    StructuralLooseness,
+    hypotheses,
+    place_of,
+)
 from loose_env.rig.measurement import Measurement
 from loose_env.rig.simulated import Job, SimulatedRig
 
@@ -69,7 +77,9 @@ class Episode:
     def stream(self, kind: int, index: int = 0) -> np.random.Generator:
         """Return the generator of one kind of draw."""
         key = (self.number, kind, index)
-        return np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=key)))
+        return np.random.Generator(
+            np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=key))
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,10 +198,14 @@ class EpisodeBatch:
                 plans.append((slot, action, share, info))
                 if action.levels.any():
                     jobs.append(self._job(slot, episode, excitation))
-        measured = {
-            job.slot: result
-            for job, result in zip(jobs, self.rig.measure_many(jobs), strict=True)
-        } if jobs else {}
+        measured = (
+            {
+                job.slot: result
+                for job, result in zip(jobs, self.rig.measure_many(jobs), strict=True)
+            }
+            if jobs
+            else {}
+        )
         for slot, action, share, info in plans:
             outcomes[slot] = self._record(slot, action, share, measured.get(slot), info)
         return [outcomes[slot] for slot in slots]
@@ -257,9 +271,7 @@ class EpisodeBatch:
             except InvalidData as error:
                 failure = f"the readings make no statistics: {error}"
             else:
-                nominal = predict(
-                    self.nominal.at(episode.pose), measurement.excitation, self.floor
-                )
+                nominal = predict(self.nominal.at(episode.pose), measurement.excitation, self.floor)
                 episode.slots[episode.records] = self.observations.slot_of(
                     action.levels, share, statistics, nominal
                 )

@@ -104,7 +104,9 @@ class ObservationLayout:
             dtype=np.float32,
         )
 
-    def globals_of(self, pose: Array, records: int, seconds: float, levels: int) -> NDArray[np.float32]:
+    def globals_of(
+        self, pose: Array, records: int, seconds: float, levels: int
+    ) -> NDArray[np.float32]:
         """Scale the global elements."""
         most = self.settings.max_records
         values = np.concatenate(
@@ -230,7 +232,7 @@ class _Scaling:
         # Zero stands for "not excited" and goes to the lower bound.
         with np.errstate(divide="ignore"):
             y[self.log] = np.log10(np.maximum(y[self.log], 0.0))
-        return np.clip(y, self.low, self.high).astype(np.float32)
+        return np.asarray(np.clip(y, self.low, self.high), dtype=np.float32)
 
     def backward(self, scaled: NDArray[np.float32], span: slice) -> Array:
         y = scaled.astype(float)

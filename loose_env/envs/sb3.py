@@ -98,9 +98,7 @@ class Sb3VecEnv(VecEnv):
         masks = self.env.action_masks()
         return [masks[i] for i in self._chosen(indices)]
 
-    def env_is_wrapped(
-        self, wrapper_class: type[Any], indices: VecEnvIndices = None
-    ) -> list[bool]:
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
         """Return False for every environment: none is wrapped."""
         return [False for _ in self._chosen(indices)]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from gymnasium.error import ResetNeeded
@@ -41,7 +41,7 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         Simulation threads; 0 takes all processors.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: dict[str, Any] = {  # noqa: RUF012
         "render_modes": [],
         "autoreset_mode": AutoresetMode.SAME_STEP,
     }
@@ -144,7 +144,8 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         mask = np.asarray(given)
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
             raise InvalidSetting(
-                f"reset_mask must be {self.num_envs} booleans, at least one of them true; got {given!r}"
+                f"reset_mask must be {self.num_envs} booleans, at least one of them true; "
+                f"got {given!r}"
             )
         return mask
 

@@ -123,16 +123,38 @@ def test_every_drawn_fault_can_be_simulated_in_every_drawn_arm(arm: str, difficu
             shop.build(fault, DIFFICULTIES[difficulty].mismatch.draw(own, rng))
 
 
+def seat_masses(arm: str, fault: StructuralLooseness | Backlash) -> tuple[float, float]:
+    """Mass on a seat with the rest of the straight arm held, and with the rest free."""
+    at = linear(arm)
+    whole = at.at(np.zeros(ARMS[arm].n)).inertia
+    seat = np.zeros(len(whole))
+    if isinstance(fault, Backlash):
+        seat[at.hinge_dofs[fault.joint - 1]] = 1.0
+    else:
+        seat[at.slide_dofs[fault.link - 1]] = fault.direction[:2]
+    moving = np.vstack([np.eye(len(whole))[[*at.joint_dofs, *at.flexible_dofs]], seat])
+    inertia = moving @ whole @ moving.T
+    return float(inertia[-1, -1]), float(1 / np.linalg.inv(inertia)[-1, -1])
+
+
 @pytest.mark.parametrize("arm", ARMS)
-def test_stops_differ_from_side_to_side_and_have_room_below_the_fastest(arm: str) -> None:
+def test_stops_are_as_stiff_and_damped_as_stated_each_side_its_own(arm: str) -> None:
     rng = np.random.default_rng(2)
+    fastest = 0.85 * FASTEST_STOP / ARMS[arm].timestep
     for name in hypotheses(ARMS[arm])[1:]:
-        faults = [sampler(arm, "default").draw(rng, hypothesis=name) for _ in range(10)]
-        dampings = [fault.damping for fault in faults]  # type: ignore[union-attr]
-        assert all(low != high and min(low, high) > 0 for low, high in dampings)
-        stiffness = [fault.stiffness for fault in faults]  # type: ignore[union-attr]
-        assert all(min(pair) > 0 for pair in stiffness)
-    assert FASTEST_STOP < 2  # beyond it the integrator is unstable
+        for _ in range(10):
+            fault = sampler(arm, "default").draw(rng, hypothesis=name)
+            assert isinstance(fault, (StructuralLooseness, Backlash))
+            held, free = seat_masses(arm, fault)
+            stiffness, damping = np.array(fault.stiffness), np.array(fault.damping)
+            mode = np.sqrt(stiffness / held) / (2 * np.pi)
+            local = np.sqrt(stiffness / free)
+            assert ((mode < 360.001) & (local < fastest * 1.001)).all()
+            # Below 300 Hz only where the local mode would be too fast for the step.
+            assert ((mode > 299.999) | (local > fastest * 0.999)).all()
+            ratio = damping / (2 * np.sqrt(stiffness * free))
+            assert ((ratio > 0.0499) & (ratio < 0.3001)).all()
+            assert damping[0] != damping[1]
 
 
 def test_a_draw_by_name_is_of_that_hypothesis_and_a_draw_takes_the_same_variates() -> None:
