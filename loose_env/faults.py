@@ -274,8 +274,9 @@ def set_seat(model: mujoco.MjModel, fault: Fault) -> None:
         if stiffness * weight * step**2 > FASTEST_STOP**2:
             mode = np.sqrt(stiffness * weight) / (2 * np.pi)
             raise InvalidSetting(
-                f"a stop stiffness of {stiffness:g} gives a contact mode of {mode:.0f} Hz, "
-                f"too fast for a step of {step:g} s; use {FASTEST_STOP**2 / weight / step**2:.3g} at most, "
+                f"a stop stiffness of {stiffness:g} gives a contact mode of {mode:.0f} Hz, too "
+                f"fast for a step of {step:g} s; use "
+                f"{FASTEST_STOP**2 / weight / step**2:.3g} at most, "
                 f"or a step of {FASTEST_STOP / np.sqrt(stiffness * weight):.2g} s at most"
             )
         # The direct format needs both numbers negative; MuJoCo takes 0 as its default.

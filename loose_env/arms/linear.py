@@ -235,7 +235,7 @@ class LinearPose:
         # Unit seat acceleration pushes back on the moving coordinates through the inertia.
         right[:, :, len(driven) :] = -coupling
         motion = np.linalg.solve(stiffness, right)
-        acceleration: Complex = -(omega**2)[:, None, None] * motion
+        acceleration = np.asarray(-(omega**2)[:, None, None] * motion, dtype=np.complex128)
         by_torque, by_seat = acceleration[:, :, : len(driven)], acceleration[:, :, len(driven) :]
 
         d, axes = self.jacobian.shape[0], lin.slide_dofs.shape[1]

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Picture"]
 
-_SIZE = (5.0, 6.25)  # inches
-_DPI = 144  # 720 x 900 pixels
-_HEADER, _LEGEND = 0.165, 0.105  # shares of the height
+_SIZE = (4.5, 5.6)  # inches
+_DPI = 160  # 720 x 896 pixels
+_HEADER, _LEGEND = 0.185, 0.105  # shares of the height
 _LOOP = 0.34  # radius of r = 1 over half the height of the drawing
 _SHOWN = 0.5  # seconds that a window stays before the episode goes on
 
@@ -82,7 +82,7 @@ class Picture:
 
         Returns
         -------
-        ndarray (900, 720, 3) of uint8, or None
+        ndarray (896, 720, 3) of uint8, or None
             The picture in red, green and blue; None where it is shown in a window.
         """
         if self.show:

@@ -16,11 +16,15 @@ from loose_env.report.story import Story
 
 __all__ = ["write_comparison"]
 
+_MATRIX = (
+    "Number of arms by truth (rows) and verdict (columns); the stronger the colour, the larger the "
+    "share of the arms in that row. Right verdicts lie in the framed cells."
+)
 _READING = (
     "How to read the pictures: the blue loop on the tool shows, direction by direction, how well "
     "the tool follows the shaken joint; on the grey circle it follows perfectly. The blue line is "
-    "the direction in which it follows least. Dashed is what the healthy arm would show. Where "
-    "the two differ, something is loose between the shaken joint and the tool."
+    "the direction in which it follows least. Dashed is what a healthy arm would show. Where the "
+    "two differ clearly, something may be loose."
 )
 
 
@@ -65,6 +69,7 @@ def write_comparison(
         The file written.
     """
     own, found = by_agent(rows), standings(rows)
+    result, *rest = who_won(rows)
     colours = agent_colours(list(own))
     names = ordered_hypotheses(rows) if hypotheses is None else tuple(hypotheses)
     figures = [
@@ -84,17 +89,22 @@ def write_comparison(
         figures.append(
             Plate(
                 heading="What they took for what" if k == 0 else "",
+                intro=_MATRIX,
+                title=standing.agent,
                 image=confusion_matrix(
                     own[standing.agent], hypotheses=names, colour=colours[standing.agent]
                 ),
-                caption=f"{standing.agent}: number of arms by truth and verdict. Right verdicts "
-                "lie in the framed cells.",
+                caption=f"Confusion matrix of {standing.agent}",
             )
         )
     return write_comparison_page(
         path,
         title=title,
-        text=[*([played] if isinstance(played, str) else played), *_result(rows)],
+        text=[
+            *([played] if isinstance(played, str) else played),
+            *([" ".join(rest)] if rest else []),
+        ],
+        result=result,
         table=table_of(found),
         colours=colours,
         figures=figures,
@@ -102,12 +112,6 @@ def write_comparison(
         story_text=() if story is None else _told(story, story_of),
         notes=notes,
     )
-
-
-def _result(rows: Sequence[Row]) -> list[str]:
-    """Join the sentences about the result: the winner, then the others and the lead."""
-    first, *others = who_won(rows)
-    return [first, " ".join(others)] if others else [first]
 
 
 def _told(story: Story, teller: str) -> list[str]:

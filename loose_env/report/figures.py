@@ -105,7 +105,7 @@ def success_against_records(
     axes = figure.add_axes((0.62 / WIDTH, 0.155, 1 - (0.62 + beside) / WIDTH, 0.8))
     counts = np.arange(most + 1)
     ends = {}
-    for k, agent in enumerate(own):
+    for k, agent in enumerate(order):
         right = np.array([bool(row["success"]) for row in own[agent]])
         records = np.array([int(row["records"]) for row in own[agent]])
         share = (right[:, None] & (records[:, None] <= counts)).mean(axis=0)
@@ -175,7 +175,7 @@ def _plain(axes: Axes, *, grid: str, spines: Sequence[str]) -> None:
     axes.patch.set_alpha(0.0)
     axes.set_axisbelow(True)
     getattr(axes, f"{grid}axis").grid(color=FAINT, linewidth=0.8)
-    axes.tick_params(length=0, labelsize=9, labelcolor=MUTED)
+    axes.tick_params(length=0, pad=6, labelsize=9, labelcolor=MUTED)
     for side, spine in axes.spines.items():
         spine.set_visible(side in spines)
         spine.set_color(MUTED)

@@ -31,6 +31,7 @@ def write_comparison_page(
     table: Sequence[Mapping[str, object]],
     figures: Sequence[Image],
     text: str | Sequence[str],
+    result: str = "",
     colours: Mapping[str, str] | None = None,
     story: Sequence[Image] = (),
     story_text: str | Sequence[str] = (),
@@ -52,7 +53,9 @@ def write_comparison_page(
     figures : sequence of Plate or (caption, image)
         Figures in order; an image is a matplotlib figure, or an SVG or a PNG as bytes.
     text : str or sequence of str
-        Paragraphs that stand first: what was played and who won.
+        Paragraphs that stand first: what was played, and who won.
+    result : str
+        One sentence that stands out among them: the outcome.
     colours : mapping, optional
         Colour of each agent, ``#rrggbb``, shown beside its name in the table.
     story : sequence of Plate or (caption, image)
@@ -77,6 +80,7 @@ def write_comparison_page(
         table=table,
         figures=figures,
         text=text,
+        result=result,
         colours=colours,
         story=story,
         story_text=story_text,
@@ -99,6 +103,7 @@ def render_page(
     table: Sequence[Mapping[str, object]],
     figures: Sequence[Image],
     text: str | Sequence[str],
+    result: str = "",
     colours: Mapping[str, str] | None = None,
     story: Sequence[Image] = (),
     story_text: str | Sequence[str] = (),
@@ -114,6 +119,7 @@ def render_page(
     page: str = template.render(
         title=title,
         text=_paragraphs(text),
+        result=result,
         columns=columns,
         table=[[str(value) for value in row.values()] for row in table],
         colours=dict(colours or {}),
@@ -147,7 +153,14 @@ def _shown(item: Image, name: str) -> dict[str, str]:
     """Return heading, caption and either SVG markup or the address of a PNG."""
     plate = item if isinstance(item, Plate) else Plate(caption=item[0], image=item[1])
     image = plate.image if isinstance(plate.image, bytes) else to_svg(plate.image)
-    shown = {"heading": plate.heading, "caption": plate.caption, "svg": "", "png": ""}
+    shown = {
+        "heading": plate.heading,
+        "intro": plate.intro,
+        "title": plate.title,
+        "caption": plate.caption,
+        "svg": "",
+        "png": "",
+    }
     if image.startswith(_PNG):
         shown["png"] = f"data:image/png;base64,{base64.b64encode(image).decode('ascii')}"
     else:
@@ -160,6 +173,6 @@ def _groups(shown: Sequence[dict[str, str]]) -> list[dict[str, Any]]:
     groups: list[dict[str, Any]] = []
     for plate in shown:
         if plate["heading"] or not groups:
-            groups.append({"heading": plate["heading"], "plates": []})
+            groups.append({"heading": plate["heading"], "intro": plate["intro"], "plates": []})
         groups[-1]["plates"].append(plate)
     return groups

@@ -19,5 +19,9 @@ class Plate:
     """A figure of matplotlib, or the bytes of an SVG or a PNG."""
     caption: str
     """What there is to see; stands below the picture and is read out in its place."""
+    title: str = ""
+    """A name that stands on the picture."""
     heading: str = ""
     """What stands above it; pictures without a heading stand beside the one before."""
+    intro: str = ""
+    """A paragraph below the heading."""

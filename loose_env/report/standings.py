@@ -108,20 +108,19 @@ def table_of(found: Sequence[Standing]) -> list[dict[str, str]]:
 
 
 def who_won(rows: Sequence[Row]) -> list[str]:
-    """Say in plain words who was right most often, and whether the lead may be luck."""
-    found = standings(rows)
-    best = found[0]
+    """Say in plain words who was right most often, who came next, and whether it was luck."""
+    best, *others = standings(rows)
     sentences = [
-        f"{best.agent} named the fault rightly on {best.right} of {best.episodes} arms"
+        f"The best was {best.agent}: right on {best.right} of {best.episodes} arms"
         f" ({100 * best.success:.0f} %), after {best.records:.1f} records on average."
     ]
-    for other in found[1:]:
-        sentences.append(
-            f"{other.agent}: {other.right} of {other.episodes}"
-            f" ({100 * other.success:.0f} %), after {other.records:.1f} records."
-        )
-    if len(found) > 1:
-        sentences.append(_lead(rows, best, found[1]))
+    if others:
+        followed = [
+            f"{s.agent} ({s.right} of {s.episodes}, {s.records:.1f} records)" for s in others
+        ]
+        ahead = ", ".join(followed[:-1])
+        sentences.append(f"Then came {ahead}{' and ' if ahead else ''}{followed[-1]}.")
+        sentences.append(_lead(rows, best, others[0]))
     return sentences
 
 
@@ -138,12 +137,14 @@ def _lead(rows: Sequence[Row], first: Standing, second: Standing) -> str:
     if alone == lost:
         return f"Between {first.agent} and {second.agent} there is nothing to choose."
     chance = float(stats.binomtest(alone, alone + lost).pvalue)
-    met = f"Of the arms on which only one of the two best was right, {first.agent} won {alone}"
-    met += f" and {second.agent} {lost}:"
+    met = (
+        f"Where only one of the two best was right, it was {first.agent} on {alone} arms and "
+        f"{second.agent} on {lost}:"
+    )
     if chance > _CHANCE:
         return f"{met} such a lead may well be luck (sign test, p = {chance:.2f})."
     shown = "p < 0.001" if chance < 0.001 else f"p = {chance:.3f}"
-    return f"{met} more than luck would give (sign test, {shown})."
+    return f"{met} luck alone would hardly do that (sign test, {shown})."
 
 
 def _arm(row: Row) -> tuple[Any, Any]:

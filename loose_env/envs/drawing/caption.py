@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Line", "header_lines", "write_header", "write_legend"]
 
-_LETTERS = 62  # that fit beside each other
+_LETTERS = 56  # that fit beside each other
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def header_lines(
 def write_header(figure: Figure, lines: Iterator[Line]) -> None:
     """Write the lines at the top of a figure."""
     height = float(figure.get_size_inches()[1])
-    large: dict[str, Any] = {"fontsize": 13.5, "fontweight": "bold"}
+    large: dict[str, Any] = {"fontsize": 14.0, "fontweight": "bold"}
     small: dict[str, Any] = {"fontsize": 9.5}
     looks = {
         "title": large | {"color": INK},
@@ -80,7 +80,7 @@ def write_header(figure: Figure, lines: Iterator[Line]) -> None:
     for line in lines:
         for text in wrap(line.text, _LETTERS):
             figure.text(0.04, y, text, ha="left", va="top", **looks[line.rank])
-            y -= (0.27 if line.rank in ("title", "truth") else 0.195) / height
+            y -= (0.28 if line.rank in ("title", "truth") else 0.195) / height
 
 
 def write_legend(figure: Figure, truth: Fault | None, *, some_held: bool) -> None:
@@ -91,7 +91,7 @@ def write_legend(figure: Figure, truth: Fault | None, *, some_held: bool) -> Non
     loop = Patch(facecolor=(MEASURED, 0.22), edgecolor=MEASURED, linewidth=1.6)
     loop.set_label("correlation r(φ)")
     lowest = Line2D([], [], color=MEASURED, linewidth=2.6, label="lowest correlation")
-    healthy = Line2D([], [], color=MUTED, linewidth=1.3, label="healthy arm, predicted")
+    healthy = Line2D([], [], color=MUTED, linewidth=1.3, label="healthy arm")
     healthy.set_linestyle((0, (4, 2.5)))
     entries: list[Any] = [loop, lowest, healthy, _mark("o", SHAKEN, "shaken joint")]
     if some_held:
@@ -116,7 +116,7 @@ def _place(figure: Figure, entries: Sequence[Any]) -> None:
         frameon=False,
         fontsize=8.5,
         labelcolor=INK,
-        columnspacing=1.4,
+        columnspacing=1.3,
         handlelength=1.7,
         handletextpad=0.6,
     )
