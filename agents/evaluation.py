@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from agents.base import Agent
 from loose_env.arms.arm import Arm
 from loose_env.envs.episode import BatchRig, EpisodeBatch
 from loose_env.envs.settings import DiagnosisSettings
 
-__all__ = ["EpisodeRow", "Summary", "evaluate", "summarise", "wilson_interval"]
+__all__ = ["EpisodeRow", "evaluate"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,25 +31,6 @@ class EpisodeRow:
     seconds: float
     reward: float
     truncated: bool
-
-
-@dataclass(frozen=True, kw_only=True)
-class Summary:
-    """How one agent did over many episodes."""
-
-    agent: str
-    episodes: int
-    success: float
-    success_low: float
-    success_high: float
-    link_success: float
-    poses: float
-    records: float
-    seconds: float
-    reward: float
-    false_alarms: float
-    """Share of healthy arms on which a fault was named."""
-    diverged: int
 
 
 def evaluate(
@@ -118,49 +98,6 @@ def evaluate(
                     progress(len(rows))
                 begin(slot)
     return [rows[k] for k in range(episodes)]
-
-
-def summarise(rows: Sequence[EpisodeRow]) -> Summary:
-    """Average the rows of one agent; the success rate has a 95 % Wilson interval."""
-    success = np.array([r.success for r in rows])
-    low, high = wilson_interval(int(success.sum()), len(rows))
-    healthy = [r for r in rows if r.truth == "healthy"]
-    alarms = [r.verdict != "healthy" for r in healthy]
-
-    def mean(name: str) -> float:
-        return float(np.mean([getattr(r, name) for r in rows]))
-
-    return Summary(
-        agent=rows[0].agent,
-        episodes=len(rows),
-        success=float(success.mean()),
-        success_low=low,
-        success_high=high,
-        link_success=mean("link_success"),
-        poses=mean("poses"),
-        records=mean("records"),
-        seconds=mean("seconds"),
-        reward=mean("reward"),
-        false_alarms=float(np.mean(alarms)) if alarms else 0.0,
-        diverged=sum(r.truncated for r in rows),
-    )
-
-
-def wilson_interval(hits: int, trials: int, level: float = 0.95) -> tuple[float, float]:
-    """Wilson score interval of a rate.
-
-    Examples
-    --------
-    >>> [round(x, 3) for x in wilson_interval(90, 100)]
-    [0.826, 0.945]
-    """
-    result = stats.binomtest(hits, trials).proportion_ci(level, method="wilson")
-    return float(result.low), float(result.high)
-
-
-def as_dicts(rows: Sequence[EpisodeRow]) -> list[dict[str, Any]]:
-    """Turn rows into dictionaries, for tables and files."""
-    return [asdict(r) for r in rows]
 
 
 def _gather(states: dict[int, Any], slots: Sequence[int]) -> Any:

@@ -9,28 +9,31 @@ import argparse
 import json
 import sys
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 
 import loose_env
 from agents.base import Problem
-from agents.evaluation import EpisodeRow, Summary, evaluate, summarise
+from agents.evaluation import EpisodeRow, evaluate
 from agents.registry import AGENTS, make_agent
 from loose_env.errors import LooseEnvError
+from loose_env.report.standings import Standing, standings
 
 EVALUATION_SEED = 20_260_000
 """Seed of the evaluation episodes; training uses others."""
 
 
-def table(summaries: Sequence[Summary]) -> str:
-    """Lay the summaries out for a terminal."""
+def table(found: Sequence[Standing]) -> str:
+    """Lay the standings out for a terminal."""
     head = f"{'agent':<12}{'success':>9}{'95 % interval':>17}{'mean poses':>12}"
     lines = [head + f"{'mean records':>14}{'mean return':>13}", "-" * 77]
-    for s in summaries:
-        interval = f"{100 * s.success_low:.1f} to {100 * s.success_high:.1f} %"
+    for s in found:
+        interval = f"{100 * s.low:.1f} to {100 * s.high:.1f} %"
         lines.append(
             f"{s.agent:<12}{100 * s.success:>7.1f} %{interval:>17}{s.poses:>12.2f}"
             f"{s.records:>14.2f}{s.reward:>+13.3f}"
@@ -48,14 +51,11 @@ def play(
         begin = time.perf_counter()
 
         def progress(done: int, name: str = name, begin: float = begin) -> None:
-            spent = time.perf_counter() - begin
-            end = "\n" if done == episodes else ""
-            print(
-                f"\r{name:<12}{done:>6} of {episodes} episodes, {spent:.0f} s",
-                end=end,
-                file=sys.stderr,
-                flush=True,
-            )
+            if done == episodes or (sys.stderr.isatty() and done % 10 == 0):
+                spent = time.perf_counter() - begin
+                line = f"\r{name:<12}{done:>6} of {episodes} episodes, {spent:.0f} s"
+                end = "\n" if done == episodes else ""
+                print(line, end=end, file=sys.stderr, flush=True)
 
         results[name] = evaluate(
             agent,
@@ -71,13 +71,57 @@ def play(
     return results
 
 
-def write_rows(path: Path, results: dict[str, list[EpisodeRow]], configuration: object) -> None:
+def write_rows(path: Path, rows: Sequence[dict[str, Any]], configuration: object) -> None:
     """Write all rows with the configuration, beside first, then renamed."""
-    rows = [asdict(row) for agent in results.values() for row in agent]
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_suffix(".part")
     beside.write_text(json.dumps({"configuration": configuration, "rows": rows}, indent=0) + "\n")
     beside.replace(path)
+
+
+def write_page(
+    path: Path,
+    problem: Problem,
+    rows: Sequence[dict[str, Any]],
+    options: argparse.Namespace,
+) -> Path:
+    """Write the page: what was played, who won, figures, and one episode in pictures."""
+    from loose_env.report.comparison import write_comparison
+    from loose_env.report.story import tell_episode
+
+    best = standings(rows)[0].agent
+    own = [row for row in rows if row["agent"] == best]
+    # The first faulty arm that the best agent got right after more than one record.
+    right = (r for r in own if r["success"] and r["truth"] != "healthy" and r["records"] > 1)
+    told = next(right, own[0])
+    story = tell_episode(
+        make_agent(best, problem),
+        problem.arm,
+        problem.settings,
+        seed=options.seed,
+        number=told["episode"],
+    )
+    kinds = len(problem.hypotheses)
+    return write_comparison(
+        path,
+        rows,
+        title=f"Finding the loose link on {problem.arm.name}",
+        played=[
+            f"{options.episodes} arms, each with a fault hidden at random: nothing, a link that "
+            "slides on its flange, or a joint with play. Every agent met the same arms. It moved "
+            "joints, shook one at a time, saw how the tool followed, and named the fault when it "
+            f"was sure. There are {kinds} possible verdicts. A right one earns 1, a wrong one "
+            "loses 1, and every record costs a little.",
+            *(f"{name}: {AGENTS[name][1]}." for name in options.agents),
+        ],
+        hypotheses=problem.hypotheses,
+        # Healthy is a third of the arms: always saying so is the best blind guess.
+        chance=max(1 / 3, 1 / kinds),
+        story=story,
+        story_of=best,
+        notes=f"Made by: python scripts/compare.py --page --env {options.env} --agents "
+        f"{' '.join(options.agents)} --episodes {options.episodes} --seed {options.seed}",
+    )
 
 
 def parser() -> argparse.ArgumentParser:
@@ -100,7 +144,7 @@ def parser() -> argparse.ArgumentParser:
     return options
 
 
-def compare(options: argparse.Namespace) -> list[Summary]:
+def compare(options: argparse.Namespace) -> None:
     """Play, print the table, write rows and page."""
     begin = time.perf_counter()
     arguments = json.loads(options.arguments)
@@ -114,12 +158,12 @@ def compare(options: argparse.Namespace) -> list[Summary]:
         width=options.width,
         threads=options.threads,
     )
-    summaries = [summarise(rows) for rows in results.values()]
+    rows = [asdict(row) for own in results.values() for row in own]
     title = f"{options.env}, {options.episodes} episodes for each agent, seed {options.seed}"
-    print(f"\n{title}\n\n{table(summaries)}\n")
-    diverged = sum(s.diverged for s in summaries)
+    print(f"\n{title}\n\n{table(standings(rows))}\n")
+    diverged = Counter(row["truth"].partition("@")[0] for row in rows if row["truncated"])
     if diverged:
-        print(f"{diverged} episodes ended because the simulation diverged.\n")
+        print(f"Episodes ended by a diverging simulation: {dict(diverged)}\n")
     configuration = {
         "env": options.env,
         "arguments": arguments,
@@ -129,15 +173,11 @@ def compare(options: argparse.Namespace) -> list[Summary]:
         "version": loose_env.__version__,
     }
     out = Path(options.out)
-    write_rows(out / "rows.json", results, configuration)
+    write_rows(out / "rows.json", rows, configuration)
     print(f"Rows: {out / 'rows.json'}")
     if options.page:
-        from agents.comparison_page import write_page
-
-        page = write_page(out / "index.html", title, problem, results, summaries, options.seed)
-        print(f"Page: {page}")
+        print(f"Page: {write_page(out / 'index.html', problem, rows, options)}")
     print(f"Took {time.perf_counter() - begin:.0f} s.")
-    return summaries
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -20,7 +20,7 @@ import numpy as np
 
 import loose_env  # noqa: F401  (registers the ids)
 from agents.base import Problem
-from agents.evaluation import evaluate, summarise
+from agents.evaluation import evaluate
 from agents.link_finding import LinkFindingAgent
 from loose_env.arms.mismatch import MismatchDraw
 from loose_env.diagnosis.link_finding import LinkFindingSettings, Order
@@ -150,7 +150,7 @@ def _score(
         width=WIDTH,
         rig=rig,
     )
-    return summarise(rows).reward
+    return float(np.mean([row.reward for row in rows]))
 
 
 if __name__ == "__main__":

@@ -66,16 +66,20 @@ class ActionLayout:
         InvalidAction
             If it is not one whole number in range for every entry.
         """
-        array = np.asarray(action)
+        try:
+            array = np.asarray(action)
+        except ValueError:  # rows of different length
+            array = np.array(None)
         if array.shape != self.nvec.shape:
             raise InvalidAction(
                 f"an action has {len(self.nvec)} entries (a move and a level for each of "
                 f"{self.arm.n} joints, a record length, a verdict), got shape {array.shape}"
             )
-        if not np.issubdtype(array.dtype, np.integer):
-            if not np.issubdtype(array.dtype, np.number) or np.any(array != np.round(array)):
-                raise InvalidAction(f"an action is made of whole numbers, got {action!r}")
-            array = array.astype(int)
+        whole = np.issubdtype(array.dtype, np.integer) or (
+            np.issubdtype(array.dtype, np.floating) and bool(np.all(array == np.round(array)))
+        )
+        if not whole:
+            raise InvalidAction(f"an action is made of whole numbers, got {action!r}")
         if np.any(array < 0) or np.any(array >= self.nvec):
             raise InvalidAction(
                 f"entries of an action run from 0 to {(self.nvec - 1).tolist()}, "

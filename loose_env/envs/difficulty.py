@@ -92,7 +92,7 @@ def difficulty_named(difficulty: str | Difficulty) -> Difficulty:
     """
     if isinstance(difficulty, Difficulty):
         return difficulty
-    if difficulty not in DIFFICULTIES:
+    if not isinstance(difficulty, str) or difficulty not in DIFFICULTIES:
         raise UnknownName(
             f"unknown difficulty {difficulty!r}; named ones are {list(DIFFICULTIES)}, or give a "
             "Difficulty"

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
+from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
@@ -24,6 +25,7 @@ from loose_env.diagnosis.record import statistics_of
 from loose_env.envs.actions import Action, ActionLayout
 from loose_env.envs.difficulty import FaultSampler, difficulty_named
 from loose_env.envs.observation import ObservationLayout
+from loose_env.envs.raw import RawMeasurement
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, at_levels
@@ -129,6 +131,8 @@ class EpisodeBatch:
         self.sampler = FaultSampler(self.nominal, self.difficulty)
         self.hypotheses = hypotheses(arm)
         self.actions = ActionLayout(arm, settings, len(self.hypotheses))
+        for seconds in settings.durations:  # fails here where the arm's band is too narrow
+            Excitation(torque_rms=(0.0,) * arm.n, duration=seconds, band=arm.band)
         self.observations = ObservationLayout(arm, settings)
         self.floor = SensorFloor.of(settings.sensors, arm.band)
         self.divergences: Counter[str] = Counter()
@@ -282,7 +286,9 @@ class EpisodeBatch:
             info |= {"failure": failure} | self._truth(episode, None)
             return Outcome(reward=-price, terminated=False, truncated=True, info=info)
         if self.settings.raw:
-            info["measurement"] = measurement
+            info["measurement"] = (
+                None if measurement is None else RawMeasurement(**vars(measurement))
+            )
         info["action_mask"] = self.mask(slot)
         return Outcome(reward=-price, terminated=False, truncated=False, info=info)
 
@@ -313,7 +319,7 @@ class EpisodeBatch:
     def _running(self, slot: int) -> Episode:
         episode = self._episodes[slot]
         if episode is None:
-            raise InvalidSetting("no episode is running: call reset() first")
+            raise ResetNeeded("no episode is running: call reset() first")
         return episode
 
     def _fault(self, given: Any, rng: np.random.Generator) -> Fault:
@@ -321,7 +327,7 @@ class EpisodeBatch:
             return self.sampler.draw(rng)
         if isinstance(given, (Healthy, Preload, StructuralLooseness, Backlash)):
             return given
-        if given in self.hypotheses:
+        if isinstance(given, str) and given in self.hypotheses:
             return self.sampler.draw(rng, hypothesis=given)
         raise UnknownName(
             f"unknown fault {given!r}; give a fault of loose_env.faults or one of "
@@ -336,7 +342,6 @@ class EpisodeBatch:
         if pose.shape != (self.arm.n,) or not np.isfinite(pose).all():
             raise InvalidSetting(f"a pose is {self.arm.n} finite numbers [rad], got {given!r}")
         if not self.arm.within_ranges(pose).all():
-            raise InvalidSetting(
-                f"pose {pose.tolist()} leaves the joint ranges {self.arm.joint_ranges}"
-            )
+            ranges = [r and (float(r[0]), float(r[1])) for r in self.arm.joint_ranges]
+            raise InvalidSetting(f"pose {pose.tolist()} leaves the joint ranges {ranges} [rad]")
         return self.arm.wrap(pose)

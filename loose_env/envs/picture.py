@@ -172,14 +172,15 @@ def _frame(axes: Axes, pose: PlanarPose, drawing: ArmDrawing) -> float:
     assert figure is not None
     width, height = figure.get_size_inches() * (box.width, box.height)
     wide = width / height
-    half = 0.5 * drawing.reach
+    half = 0.42 * drawing.reach
     for _ in range(20):
         room = np.vstack(
             [drawing.room(pose), *(pose.tool + s * 1.35 * _LOOP * half for s in (-1, 1))]
         )
         low, high = room.min(axis=0), room.max(axis=0)
+        low[1] -= 0.1 * half  # for the measure of length
         span = 0.5 * (high - low) + 0.06 * half
-        half = max(0.5 * drawing.reach, float(span[0]) / wide, float(span[1]))
+        half = max(0.42 * drawing.reach, float(span[0]) / wide, float(span[1]))
     middle = 0.5 * (low + high)
     axes.set(
         xlim=(middle[0] - wide * half, middle[0] + wide * half),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
@@ -11,9 +13,18 @@ from loose_env.envs.observation import ObservationLayout
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.rig.measurement import Measurement
 
-__all__ = ["raw_observation", "raw_space"]
+__all__ = ["RawMeasurement", "raw_observation", "raw_space"]
 
 _LIMIT = 1e3  # bound of every channel: signals beyond it are clipped
+
+
+class RawMeasurement(Measurement):
+    """A measurement as it stands in `info`: equal to another one of the same values."""
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Measurement) and all(
+            np.array_equal(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)
+        )
 
 
 def raw_space(arm: Arm, settings: DiagnosisSettings, layout: ObservationLayout) -> spaces.Dict:

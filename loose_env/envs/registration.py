@@ -14,6 +14,11 @@ __all__ = ["IDS", "make_planar", "make_planar_vector", "make_vera", "make_vera_v
 IDS = ("loose_env/Vera-v0", "loose_env/Planar-v0")
 """Every registered id."""
 
+_VERA = ("hold",)
+_PLANAR = ("n_links", "vertical", "hold")
+_SINGLE = ("render_mode", "rig", "threads")
+_VECTOR = ("threads",)
+
 
 def register() -> None:
     """Register all ids with Gymnasium; those already there are left alone."""
@@ -29,60 +34,63 @@ def register() -> None:
 
 def make_vera(**arguments: Any) -> gymnasium.Env[Any, Any]:
     """Make the environment of VERA."""
-    return _single(_vera(arguments), arguments)
+    return _single(_vera(arguments), arguments, _VERA)
 
 
 def make_vera_vector(num_envs: int = 1, **arguments: Any) -> Any:
     """Make the vector environment of VERA."""
-    return _vector(_vera(arguments), num_envs, arguments)
+    return _vector(_vera(arguments), num_envs, arguments, _VERA)
 
 
 def make_planar(**arguments: Any) -> gymnasium.Env[Any, Any]:
     """Make the environment of the planar arm of n links."""
-    return _single(_planar(arguments), arguments)
+    return _single(_planar(arguments), arguments, _PLANAR)
 
 
 def make_planar_vector(num_envs: int = 1, **arguments: Any) -> Any:
     """Make the vector environment of the planar arm of n links."""
-    return _vector(_planar(arguments), num_envs, arguments)
+    return _vector(_planar(arguments), num_envs, arguments, _PLANAR)
 
 
 def _vera(arguments: dict[str, Any]) -> Any:
     from loose_env.arms.vera import vera
 
-    return vera(**_take(arguments, "hold"))
+    return vera(**_take(arguments, *_VERA))
 
 
 def _planar(arguments: dict[str, Any]) -> Any:
     from loose_env.arms.planar import planar
 
-    return planar(**_take(arguments, "n_links", "vertical", "hold"))
+    return planar(**_take(arguments, *_PLANAR))
 
 
 def _take(arguments: dict[str, Any], *names: str) -> dict[str, Any]:
     return {name: arguments.pop(name) for name in names if name in arguments}
 
 
-def _single(arm: Any, arguments: dict[str, Any]) -> gymnasium.Env[Any, Any]:
+def _single(
+    arm: Any, arguments: dict[str, Any], of_arm: tuple[str, ...]
+) -> gymnasium.Env[Any, Any]:
     from loose_env.envs.diagnosis import DiagnosisEnv
 
-    own = _take(arguments, "render_mode", "rig", "threads")
-    return DiagnosisEnv(arm, _settings(arguments), **own)
+    own = _take(arguments, *_SINGLE)
+    return DiagnosisEnv(arm, _settings(arguments, (*of_arm, *_SINGLE)), **own)
 
 
-def _vector(arm: Any, num_envs: int, arguments: dict[str, Any]) -> Any:
+def _vector(arm: Any, num_envs: int, arguments: dict[str, Any], of_arm: tuple[str, ...]) -> Any:
     from loose_env.envs.vector import DiagnosisVectorEnv
 
-    own = _take(arguments, "threads")
+    own = _take(arguments, *_VECTOR)
     _take(arguments, "render_mode")
-    return DiagnosisVectorEnv(arm, _settings(arguments), num_envs=num_envs, **own)
+    settings = _settings(arguments, (*of_arm, *_VECTOR))
+    return DiagnosisVectorEnv(arm, settings, num_envs=num_envs, **own)
 
 
-def _settings(arguments: dict[str, Any]) -> Any:
+def _settings(arguments: dict[str, Any], others: tuple[str, ...]) -> Any:
     from loose_env.envs.settings import DiagnosisSettings
 
     known = [f.name for f in fields(DiagnosisSettings)]
     unknown = sorted(set(arguments) - set(known))
     if unknown:
-        raise UnknownName(f"unknown arguments {unknown}; settings of the environment are {known}")
+        raise UnknownName(f"unknown arguments {unknown}; known are {[*others, *known]}")
     return DiagnosisSettings(**arguments)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from numbers import Real
 
 import numpy as np
 
@@ -12,6 +13,10 @@ from loose_env.errors import InvalidSetting
 from loose_env.sensors import SensorSuite
 
 __all__ = ["DiagnosisSettings", "Prices"]
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and bool(np.isfinite(float(value)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,10 +39,18 @@ class Prices:
     """Price of one joint excited one level up, per record."""
 
     def __post_init__(self) -> None:
-        for name in ("record", "second", "level"):
-            if not np.isfinite(getattr(self, name)) or getattr(self, name) < 0:
+        for name in ("correct", "wrong", "false_alarm", "miss"):
+            value = getattr(self, name)
+            optional = value is None and name in ("false_alarm", "miss")
+            if not optional and not _is_number(value):
                 raise InvalidSetting(
-                    f"the price per {name} must be finite, zero or more; got {getattr(self, name)}"
+                    f"the reward for {name!r} must be a finite number, got {value!r}"
+                )
+        for name in ("record", "second", "level"):
+            value = getattr(self, name)
+            if not _is_number(value) or value < 0:
+                raise InvalidSetting(
+                    f"the price per {name} must be a finite number, zero or more; got {value!r}"
                 )
 
     def verdict(self, named: str, truth: str) -> float:
@@ -72,12 +85,19 @@ class DiagnosisSettings:
 
     def __post_init__(self) -> None:
         difficulty_named(self.difficulty)
-        if isinstance(self.max_records, bool) or self.max_records < 1:
-            raise InvalidSetting(f"max_records must be 1 or more, got {self.max_records!r}")
-        if 0.0 not in self.moves:
-            raise InvalidSetting(f"moves must contain 0, got {self.moves}")
-        if not self.durations or min(self.durations) <= 0:
-            raise InvalidSetting(f"durations must be positive seconds, got {self.durations}")
+        for name, kind in (("prices", Prices), ("sensors", SensorSuite)):
+            if not isinstance(getattr(self, name), kind):
+                raise InvalidSetting(
+                    f"{name} must be a {kind.__name__}, got {getattr(self, name)!r}"
+                )
+        records = self.max_records
+        if isinstance(records, bool) or not isinstance(records, (int, np.integer)) or records < 1:
+            raise InvalidSetting(f"max_records must be a whole number, 1 or more; got {records!r}")
+        if not all(map(_is_number, self.moves)) or 0.0 not in self.moves:
+            raise InvalidSetting(f"moves must be finite degrees, 0 among them; got {self.moves!r}")
+        durations = self.durations
+        if not durations or not all(_is_number(d) and d > 0 for d in durations):
+            raise InvalidSetting(f"durations must be positive seconds, got {durations!r}")
 
     @property
     def stay(self) -> int:

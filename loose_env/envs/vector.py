@@ -87,13 +87,9 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         """Begin an episode in every environment, or in those of `options["reset_mask"]`."""
         given = dict(options or {})
         chosen = self._reset_mask(given.pop("reset_mask", None))
-        seeds: Sequence[int | None]
-        if seed is None or isinstance(seed, (int, np.integer)):
-            seeds = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
-        else:
-            seeds = list(seed)
-        if len(seeds) != self.num_envs:
-            raise InvalidSetting(f"{self.num_envs} seeds are needed, got {len(seeds)}")
+        if any(self.batch.episode(int(i)) is None for i in np.flatnonzero(~chosen)):
+            raise ResetNeeded("the first reset() begins all episodes: give it no reset_mask")
+        seeds = self._checked_seeds(seed)
         infos: dict[str, Any] = {}
         for i in np.flatnonzero(chosen):
             if seeds[i] is not None:
@@ -105,7 +101,10 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         self, actions: Any
     ) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Step every environment; those that end begin anew."""
-        rows = np.asarray(actions)
+        try:
+            rows = np.asarray(actions)
+        except ValueError:  # rows of different length
+            rows = np.array(None)
         if rows.ndim != 2 or len(rows) != self.num_envs:
             raise InvalidAction(
                 f"actions of {self.num_envs} environments have shape "
@@ -137,6 +136,21 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
             seed = self._seeds[i] = new_seed()
         self._numbers[i] += 1
         return self.batch.start(i, seed=seed, number=self._numbers[i], options=options)
+
+    def _checked_seeds(self, given: Any) -> list[int | None]:
+        """One seed for each environment; a single one counts up."""
+        several = isinstance(given, (Sequence, np.ndarray)) and not isinstance(given, str)
+        seeds = list(given) if several else [given]
+        for seed in seeds:
+            whole = isinstance(seed, (int, np.integer)) and not isinstance(seed, bool)
+            if seed is not None and (not whole or seed < 0):
+                raise InvalidSetting(f"a seed is a whole number, zero or more; got {seed!r}")
+        if not several:
+            first = seeds[0]
+            return [None if first is None else int(first) + i for i in range(self.num_envs)]
+        if len(seeds) != self.num_envs:
+            raise InvalidSetting(f"{self.num_envs} seeds are needed, got {len(seeds)}")
+        return [None if seed is None else int(seed) for seed in seeds]
 
     def _reset_mask(self, given: Any) -> NDArray[np.bool_]:
         if given is None:

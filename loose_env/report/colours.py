@@ -6,8 +6,10 @@ from collections.abc import Sequence
 
 __all__ = ["AGENTS", "agent_colours", "is_light"]
 
-AGENTS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9", "#8a8f98")
-"""Okabe and Ito's palette without black and yellow, which vanish on one background or other."""
+AGENTS = ("#0173b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9", "#8a8f98")
+"""Okabe and Ito's palette without black and yellow, which vanish on one background or other.
+
+None of them is a colour that `loose_env.report.svg.THEMED` changes in the dark."""
 
 
 def agent_colours(agents: Sequence[str]) -> dict[str, str]:
@@ -16,7 +18,7 @@ def agent_colours(agents: Sequence[str]) -> dict[str, str]:
     Examples
     --------
     >>> agent_colours(["thesis", "random", "thesis"])
-    {'thesis': '#0072b2', 'random': '#e69f00'}
+    {'thesis': '#0173b2', 'random': '#e69f00'}
     """
     names = dict.fromkeys(agents)
     return {name: AGENTS[k % len(AGENTS)] for k, name in enumerate(names)}
@@ -27,7 +29,7 @@ def is_light(colour: str) -> bool:
 
     Examples
     --------
-    >>> is_light("#0072b2"), is_light("#e69f00")
+    >>> is_light("#0173b2"), is_light("#e69f00")
     (False, True)
     """
     channels = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]

@@ -69,7 +69,7 @@ def write_comparison(
         The file written.
     """
     own, found = by_agent(rows), standings(rows)
-    result, *rest = who_won(rows)
+    best, *rest = who_won(rows)
     colours = agent_colours(list(own))
     names = ordered_hypotheses(rows) if hypotheses is None else tuple(hypotheses)
     figures = [
@@ -100,11 +100,8 @@ def write_comparison(
     return write_comparison_page(
         path,
         title=title,
-        text=[
-            *([played] if isinstance(played, str) else played),
-            *([" ".join(rest)] if rest else []),
-        ],
-        result=result,
+        text=played,
+        result=[best, " ".join(rest)] if rest else best,
         table=table_of(found),
         colours=colours,
         figures=figures,

@@ -102,7 +102,7 @@ def success_against_records(
     own, order = by_agent(rows), [s.agent for s in standings(rows)]
     letters = max(len(name) for name in order)
     beside = min(0.072 * letters + 0.2, 2.0)
-    axes = figure.add_axes((0.62 / WIDTH, 0.155, 1 - (0.62 + beside) / WIDTH, 0.8))
+    axes = figure.add_axes((0.62 / WIDTH, 0.15, 1 - (0.62 + beside) / WIDTH, 0.755))
     counts = np.arange(most + 1)
     ends = {}
     for k, agent in enumerate(order):
@@ -139,7 +139,7 @@ def success_against_records(
     _percent(axes, "y")
     _plain(axes, grid="y", spines=("bottom",))
     axes.set_xlabel("records taken, at most", color=MUTED, fontsize=9)
-    axes.set_ylabel("decided rightly", color=MUTED, fontsize=9, rotation_mode="anchor")
+    axes.text(0.0, 1.05, "decided rightly", color=MUTED, fontsize=9, ha="left", va="bottom")
     return figure
 
 

@@ -31,7 +31,7 @@ def write_comparison_page(
     table: Sequence[Mapping[str, object]],
     figures: Sequence[Image],
     text: str | Sequence[str],
-    result: str = "",
+    result: str | Sequence[str] = (),
     colours: Mapping[str, str] | None = None,
     story: Sequence[Image] = (),
     story_text: str | Sequence[str] = (),
@@ -53,9 +53,9 @@ def write_comparison_page(
     figures : sequence of Plate or (caption, image)
         Figures in order; an image is a matplotlib figure, or an SVG or a PNG as bytes.
     text : str or sequence of str
-        Paragraphs that stand first: what was played, and who won.
-    result : str
-        One sentence that stands out among them: the outcome.
+        Paragraphs that stand first: what was played.
+    result : str or sequence of str
+        Paragraphs about the outcome; the first of them stands out.
     colours : mapping, optional
         Colour of each agent, ``#rrggbb``, shown beside its name in the table.
     story : sequence of Plate or (caption, image)
@@ -103,7 +103,7 @@ def render_page(
     table: Sequence[Mapping[str, object]],
     figures: Sequence[Image],
     text: str | Sequence[str],
-    result: str = "",
+    result: str | Sequence[str] = (),
     colours: Mapping[str, str] | None = None,
     story: Sequence[Image] = (),
     story_text: str | Sequence[str] = (),
@@ -119,7 +119,7 @@ def render_page(
     page: str = template.render(
         title=title,
         text=_paragraphs(text),
-        result=result,
+        result=_paragraphs(result),
         columns=columns,
         table=[[str(value) for value in row.values()] for row in table],
         colours=dict(colours or {}),

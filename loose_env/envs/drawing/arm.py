@@ -43,10 +43,10 @@ class ArmDrawing:
 
     def room(self, pose: PlanarPose) -> Array:
         """Points that the view must hold: the arm, its base and the arrows round it (k, 2)."""
-        r = 2.6 * float(self.radii[0])
-        foot = -3.3 * float(self.radii[0]) if self.vertical else -r
+        r = float(self.radii[0])
         corners = np.vstack([pose.joints, pose.tool])
-        return np.vstack([corners - r, corners + r, [[0.0, foot]]])
+        base = r * np.array([[-3.4, -3.4], [3.4, 0.0]] if self.vertical else [[-2.6, -2.6]])
+        return np.vstack([corners - 2.6 * r, corners + 2.6 * r, base])
 
     def links(self, axes: Axes, pose: PlanarPose, *, loose: int | None = None) -> None:
         """Draw the links, distal ones on top; the loose one in the colour of the truth."""
@@ -91,22 +91,16 @@ class ArmDrawing:
 
     def tool(self, axes: Axes, pose: PlanarPose) -> None:
         """Draw the tool and the axes of its frame."""
+        from matplotlib.patheffects import withStroke
+
         r, length = 0.7 * float(self.radii[-1]), 0.16 * half_height(axes)
         for name, axis in zip("xy", pose.frame.T, strict=True):
             end = pose.tool + length * axis
             arrow(axes, pose.tool, end, color=INK, width=1.2, zorder=9.0)
             label = pose.tool + 1.22 * length * axis
-            axes.text(
-                label[0],
-                label[1],
-                name,
-                color=INK,
-                fontsize=8.5,
-                fontstyle="italic",
-                ha="center",
-                va="center",
-                zorder=9,
-            )
+            text = axes.text(label[0], label[1], name, color=INK, fontsize=8.5, zorder=9)
+            text.set(fontstyle="italic", ha="center", va="center")
+            text.set_path_effects([withStroke(linewidth=2.0, foreground=PAPER)])
         _disc(axes, pose.tool, r, facecolor=INK, edgecolor=PAPER, linewidth=0.8, zorder=9.1)
 
     def fault(self, axes: Axes, pose: PlanarPose, fault: Fault) -> None:

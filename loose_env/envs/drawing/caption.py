@@ -53,11 +53,12 @@ def header_lines(
         if verdict is not None:
             mark = "right" if verdict == episode.fault.hypothesis else "wrong"
             yield Line(f"Verdict: {hypothesis_words(verdict)} – {mark}", "plain")
-        yield Line(f"Record {episode.records}: {shaking[0].lower()}{shaking[1:]}", "muted")
+        yield Line(shaking, "muted")
     else:
         yield Line(f"Record {episode.records}" if episode.records else "Not measured yet", "title")
         yield Line(shaking, "plain")
-    yield Line(f"Pose {pose_words(episode.pose)}", "muted")
+    spent = f"Record {episode.records}, pose" if episode.ended else "Pose"
+    yield Line(f"{spent} {pose_words(episode.pose)}", "muted")
     if loops is not None:
         measured, healthy = loops.measured.maximum, loops.healthy.maximum
         yield Line(

@@ -48,7 +48,7 @@ def fault_words(fault: Fault) -> str:
     """
     words = hypothesis_words(fault.hypothesis, past=True)
     if isinstance(fault, StructuralLooseness):
-        return f"{words} ({1e3 * fault.gap:.2g} mm of travel)"
+        return f"{words} ({1e3 * fault.gap:.2g} mm)"
     if isinstance(fault, Backlash):
         return f"{words} ({np.degrees(fault.gap):.2g}°)"
     return words
