@@ -80,7 +80,7 @@ def confusion_matrix(
     axes = figure.add_axes(
         (left / WIDTH, edge / height, cell * across / WIDTH, cell * down / height)
     )
-    size = float(np.clip(26 * cell, 6.0, 10.0))
+    size = float(np.clip(31 * cell, 7.0, 10.0))
     for i in range(down):
         for j in range(across):
             _cell(axes, i, j, int(counts[i, j]), float(share[i, j]), colour, size, right=i == j)

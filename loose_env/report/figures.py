@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +21,7 @@ __all__ = ["new_figure", "success_against_records", "success_bars"]
 
 WIDTH = 5.4
 """Width of every figure [inch]; at 358 pixels of a phone its letters are still 8 high."""
+_LETTERS = 20  # of a name beside a curve; longer ones take two lines
 _MARKERS = "osD^vP*"
 _DASHES: tuple[Any, ...] = ("-", (0, (5, 1.6)), (0, (1.2, 1.4)), (0, (6, 1.5, 1.2, 1.5)))
 
@@ -100,8 +102,9 @@ def success_against_records(
     most = max(int(row["records"]) for row in rows)
     figure = new_figure(3.5)
     own, order = by_agent(rows), [s.agent for s in standings(rows)]
-    letters = max(len(name) for name in order)
-    beside = min(0.072 * letters + 0.2, 2.0)
+    labels = {agent: wrap(agent, _LETTERS) or [""] for agent in order}
+    letters = max(len(line) for lines in labels.values() for line in lines)
+    beside = 0.072 * letters + 0.2
     axes = figure.add_axes((0.62 / WIDTH, 0.15, 1 - (0.62 + beside) / WIDTH, 0.755))
     counts = np.arange(most + 1)
     ends = {}
@@ -121,9 +124,9 @@ def success_against_records(
             zorder=3,
         )
         ends[agent] = float(share[-1])
-    for agent, y in _spread(ends, 0.065).items():
+    for agent, y in _spread(ends, 0.065 * max(len(lines) for lines in labels.values())).items():
         axes.annotate(
-            agent,
+            "\n".join(labels[agent]),
             xy=(most, ends[agent]),
             xytext=(most * 1.035, y),
             annotation_clip=False,

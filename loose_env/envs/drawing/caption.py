@@ -43,8 +43,8 @@ def header_lines(
         shaking = shaking_words(linear.at(measurement.pose), measurement.excitation)
     elif episode.records == 0:
         shaking = "The arm takes its first pose."
-    elif episode.ended:
-        shaking = "The simulation broke off: this record says nothing."
+    elif episode.last is not None and episode.last.failure is not None:
+        shaking = "The measurement failed: this record says nothing."
     else:
         shaking = "Nothing was shaken, so there is nothing to see on the tool."
     if episode.ended:
