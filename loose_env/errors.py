@@ -17,5 +17,9 @@ class InvalidAction(LooseEnvError, ValueError):
     """An action lies outside the action space."""
 
 
+class MissingExtra(LooseEnvError, ImportError):
+    """An optional package is needed and not installed."""
+
+
 class InvalidData(LooseEnvError, ValueError):
     """Measured data has a shape, a length or values that cannot be used."""

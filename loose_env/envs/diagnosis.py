@@ -184,8 +184,12 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
         if self._picture is None:
             from loose_env.envs.picture import Picture
 
-            self._picture = Picture(self.batch.nominal, show=self.render_mode == "human")
-        return self._picture.draw(episode)
+            self._picture = Picture(
+                self.batch.nominal,
+                show=self.render_mode == "human",
+                sensors=self.settings.sensors,
+            )
+        return self._picture.draw(episode, verdict=episode.verdict)
 
     def close(self) -> None:
         """Close the picture."""

@@ -75,6 +75,7 @@ class Episode:
     visited: set[bytes] = field(default_factory=set)
     last: Measurement | None = None
     ended: bool = False
+    verdict: str | None = None
 
     def stream(self, kind: int, index: int = 0) -> np.random.Generator:
         """Return the generator of one kind of draw."""
@@ -296,7 +297,7 @@ class EpisodeBatch:
         truth = episode.fault.hypothesis
         prices = self.settings.prices
         reward = prices.wrong if named is None else prices.verdict(named, truth)
-        episode.ended = True
+        episode.ended, episode.verdict = True, named
         return Outcome(
             reward=reward, terminated=True, truncated=False, info=info | self._truth(episode, named)
         )

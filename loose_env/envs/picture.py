@@ -17,7 +17,7 @@ from loose_env.envs.drawing.loop_shapes import draw_healthy, draw_measured, draw
 from loose_env.envs.drawing.scenery import draw_base, draw_measure
 from loose_env.envs.drawing.view import PlanarPose, PlanarView
 from loose_env.envs.episode import Episode
-from loose_env.errors import InvalidSetting, LooseEnvError
+from loose_env.errors import InvalidSetting, MissingExtra
 from loose_env.faults import StructuralLooseness
 from loose_env.rig.measurement import Measurement
 from loose_env.sensors import SensorSuite
@@ -53,7 +53,7 @@ class Picture:
     ------
     InvalidSetting
         If the arm does not move in a plane, or a window is wanted and there is no display.
-    LooseEnvError
+    MissingExtra
         If matplotlib is not installed.
     """
 
@@ -199,7 +199,7 @@ def _require_matplotlib() -> None:
     try:
         import matplotlib.figure  # noqa: F401
     except ImportError as error:
-        raise LooseEnvError(
+        raise MissingExtra(
             "pictures need matplotlib: install it with pip install 'loose-env[report]'"
         ) from error
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from loose_env.envs.drawing.ink import FAINT, INK, MUTED
-from loose_env.errors import LooseEnvError
+from loose_env.errors import MissingExtra
 from loose_env.report.colours import agent_colours
 from loose_env.report.standings import Row, by_agent, standings
 
@@ -31,13 +31,13 @@ def new_figure(height: float) -> Figure:
 
     Raises
     ------
-    LooseEnvError
+    MissingExtra
         If matplotlib is not installed.
     """
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise LooseEnvError(
+        raise MissingExtra(
             "figures need matplotlib: install it with pip install 'loose-env[report]'"
         ) from error
     return Figure(figsize=(WIDTH, height))

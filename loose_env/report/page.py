@@ -9,7 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from loose_env.errors import InvalidData, LooseEnvError
+from loose_env.errors import InvalidData, MissingExtra
 from loose_env.report.plate import Plate
 from loose_env.report.svg import inline, to_svg
 
@@ -72,7 +72,7 @@ def write_comparison_page(
     ------
     InvalidData
         If a figure cannot be shown, or rows of the table have different columns.
-    LooseEnvError
+    MissingExtra
         If jinja2 is not installed.
     """
     page = render_page(
@@ -135,7 +135,7 @@ def _template() -> Any:
     try:
         from jinja2 import Environment, StrictUndefined
     except ImportError as error:
-        raise LooseEnvError(
+        raise MissingExtra(
             "the page needs jinja2: install it with pip install 'loose-env[report]'"
         ) from error
     source = files("loose_env.report").joinpath("page.html").read_text(encoding="utf-8")
