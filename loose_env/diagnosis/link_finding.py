@@ -61,7 +61,7 @@ class LinkFindingSettings:
     """Further moves of one joint when neither threshold decides (step 8)."""
     index: Literal["d", "e"] = "d"
     """Comparative index that is asked about healthy: D (6.18) or E (6.17)."""
-    healthy_index: float = 0.05
+    healthy_index: float = 0.01
     """Comparative index up to which the arm looks healthy."""
     healthy_poses: int = 2
     """Poses that must look healthy before the verdict healthy."""

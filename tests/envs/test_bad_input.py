@@ -183,9 +183,7 @@ def test_an_unknown_fault_is_refused_with_the_hypotheses(make_env: MakeEnv, faul
         (Backlash(joint=3, gap=1e-4, stiffness=(1e3, 1e3)), 3),
         (Backlash(joint=0, gap=1e-4, stiffness=(1e3, 1e3)), 0),
         (
-            StructuralLooseness(
-                link=7, direction=(1.0, 0.0, 0.0), gap=1e-4, stiffness=(1e4, 1e4)
-            ),
+            StructuralLooseness(link=7, direction=(1.0, 0.0, 0.0), gap=1e-4, stiffness=(1e4, 1e4)),
             7,
         ),
     ],

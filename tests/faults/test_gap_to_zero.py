@@ -28,15 +28,17 @@ Array = NDArray[np.float64]
 Loose = StructuralLooseness | Backlash
 
 ARMS: dict[str, Callable[[], Arm]] = {"planar4": planar, "vera": vera}
-# VERA's weak drives hardly cross a wider gap, and an arm that meets its stops now and then
-# differs more from a healthy one than an arm that never does.
-FIRST_GAP = {"planar4": 0.1e-3, "vera": 0.01e-3}
-FACTORS = (1.0, 0.3, 0.1, 0.03, 0.01, 0.003)
+# The narrowest that the default difficulty draws. An arm that meets its stops only now and
+# then, in a wider gap, differs less from a healthy one than an arm that rattles.
+FIRST_GAP = 0.02e-3
+FACTORS = (1.0, 0.3, 0.1, 0.03, 0.01)
 """On the gap and on the compliance of the stops."""
 POSES = ((0.4, -0.7, 0.9, 0.5), (-1.0, 1.4, -0.6, 1.2))
 SAMPLES = 24
 INTERVAL = 1.96
 """Half the sampling interval of a statistic, in standard deviations."""
+FLOOR = 0.2
+"""Below this the readings' own steps decide, in standard deviations."""
 
 
 class Bench:
@@ -45,8 +47,8 @@ class Bench:
     def __init__(self, name: str) -> None:
         self.arm = arm = ARMS[name]()
         self.linear = LinearArm(arm)
-        gap = FIRST_GAP[name]
-        sampler = FaultSampler(self.linear, Difficulty(friction=(0.02, 0.02), gap=(gap, gap)))
+        ranges = Difficulty(friction=(0.02, 0.02), gap=(FIRST_GAP, FIRST_GAP))
+        sampler = FaultSampler(self.linear, ranges)
         self.places = hypotheses(arm)[1:]
         self.faults = [
             sampler.draw(np.random.default_rng(3), hypothesis=place) for place in self.places
@@ -63,9 +65,7 @@ class Bench:
         self, pose: Array, arms: list[tuple[Fault, int]], finer: int = 1
     ) -> list[RecordStatistics]:
         """Records of several arms, each a fault and the seed of its excitation and noise."""
-        rig = SimulatedRig(
-            self.arm, slots=len(arms), timestep=self.arm.timestep / finer, threads=2
-        )
+        rig = SimulatedRig(self.arm, slots=len(arms), timestep=self.arm.timestep / finer, threads=2)
         for slot, (fault, _) in enumerate(arms):
             rig.mount(slot, fault, self.mismatch)
         jobs = [
@@ -148,7 +148,9 @@ def closing(name: str) -> Array:
 def test_as_the_gap_shuts_every_fault_fades_step_by_step(name: str) -> None:
     distance = np.sqrt(np.mean(closing(name) ** 2, axis=(1, 3)))
     for place, fading in zip(bench(name).places, distance.T, strict=True):
-        assert (np.diff(fading) < 0).all(), f"{place}: {fading.round(3)}"
+        less, lost = np.diff(fading) < 0, fading[1:] < FLOOR
+        assert (less | lost).all(), f"{place}: {fading.round(3)}"
+        assert fading[-1] < 0.1 * fading[0]
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -160,11 +162,8 @@ def test_an_open_gap_shows_and_a_shut_one_is_lost_in_the_scatter(name: str) -> N
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_a_seat_that_sticks_shows_no_gap_however_wide(name: str) -> None:
+def test_a_seat_that_sticks_shows_nowhere(name: str) -> None:
     b = bench(name)
-    stuck: list[Fault] = [
-        replace(closed(fault, 1.0), gap=40 * closed(fault, 1.0).gap, friction=1e4)
-        for fault in b.faults
-    ]
+    stuck: list[Fault] = [replace(closed(fault, 1.0), friction=1e4) for fault in b.faults]
     pose = b.poses[0]
     assert np.abs(b.differences(pose, stuck) / b.scatter(pose)).max() < 0.1 * INTERVAL

@@ -1,0 +1,67 @@
+"""The adapter to stable-baselines3: infos and masks of each environment, ends as SB3 wants them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from loose_env.arms import planar
+from loose_env.envs.diagnosis import DiagnosisEnv
+from loose_env.envs.settings import DiagnosisSettings
+from loose_env.envs.vector import DiagnosisVectorEnv
+from loose_env.errors import UnknownName
+
+pytest.importorskip("stable_baselines3")
+
+SETTINGS = DiagnosisSettings(durations=(0.2,), max_records=2)
+
+
+def make(num: int) -> tuple[DiagnosisVectorEnv, object]:
+    from loose_env.envs.sb3 import Sb3VecEnv
+
+    env = DiagnosisVectorEnv(planar(2), SETTINGS, num_envs=num)
+    return env, Sb3VecEnv(env)
+
+
+def test_an_ended_episode_hands_over_its_last_observation_and_the_next_first_one() -> None:
+    _, vec = make(2)
+    vec.seed(5)  # type: ignore[attr-defined]
+    vec.reset()  # type: ignore[attr-defined]
+    single = DiagnosisEnv(planar(2), SETTINGS)
+    single.reset(seed=5)
+    shake = single.actions.encode(levels=np.array([0, 3]))
+    verdict = single.actions.encode(verdict=1)
+    total = 0.0
+    for action in (shake, verdict):
+        last, reward, _, _, info = single.step(action)
+        total += float(reward)
+        seen, rewards, dones, infos = vec.step(np.stack([action, shake]))  # type: ignore[attr-defined]
+    assert dones.tolist() == [True, False]
+    assert np.array_equal(infos[0]["terminal_observation"], last)
+    assert infos[0]["fault"] == info["fault"]
+    assert infos[0]["TimeLimit.truncated"] is False
+    assert infos[0]["episode"]["r"] == pytest.approx(total)
+    assert infos[0]["episode"]["l"] == 2
+    first, _ = single.reset()
+    assert np.array_equal(seen[0], first)
+    assert "fault" not in infos[1]
+    assert rewards[0] == pytest.approx(float(reward))
+
+
+def test_masks_come_through_env_method() -> None:
+    env, vec = make(3)
+    vec.reset()  # type: ignore[attr-defined]
+    masks = np.stack(vec.env_method("action_masks"))  # type: ignore[attr-defined]
+    assert np.array_equal(masks, env.action_masks())
+    assert len(vec.env_method("action_masks", indices=[0, 2])) == 2  # type: ignore[attr-defined]
+    with pytest.raises(UnknownName, match="action_masks"):
+        vec.env_method("open_the_lid")  # type: ignore[attr-defined]
+
+
+def test_maskable_ppo_learns_a_few_steps() -> None:
+    contrib = pytest.importorskip("sb3_contrib")
+    _, vec = make(4)
+    model = contrib.MaskablePPO("MlpPolicy", vec, n_steps=4, batch_size=8, n_epochs=1, seed=0)
+    before = model.policy.action_net.weight.detach().clone()
+    model.learn(16)
+    assert not np.array_equal(before.numpy(), model.policy.action_net.weight.detach().numpy())
