@@ -248,7 +248,7 @@ def set_seat(model: mujoco.MjModel, fault: Fault) -> None:
     Raises
     ------
     InvalidSetting
-        If a stop is too stiff for the simulation step.
+        If a stop or a preloaded seat is too stiff for the simulation step.
     """
     step = model.opt.timestep
     seat = model.joint(SEAT)
@@ -271,21 +271,35 @@ def set_seat(model: mujoco.MjModel, fault: Fault) -> None:
     model.tendon_range[high] = (-2 * _FAR, reach)
     for stop, (stiffness, damping) in zip((low, high), stops, strict=True):
         weight = (1 - _SOFT) * model.tendon_invweight0[stop]
-        if stiffness * weight * step**2 > FASTEST_STOP**2:
-            mode = np.sqrt(stiffness * weight) / (2 * np.pi)
-            raise InvalidSetting(
-                f"a stop stiffness of {stiffness:g} gives a contact mode of {mode:.0f} Hz, too "
-                f"fast for a step of {step:g} s; use "
-                f"{FASTEST_STOP**2 / weight / step**2:.3g} at most, "
-                f"or a step of {FASTEST_STOP / np.sqrt(stiffness * weight):.2g} s at most"
-            )
+        _require_slow("a stop", stiffness, damping, weight, step)
         # The direct format needs both numbers negative; MuJoCo takes 0 as its default.
         model.tendon_solref_lim[stop] = (
             -max(stiffness * weight, 1e-12),
             -max(damping * weight, 1e-12),
         )
-    model.jnt_stiffness[seat.id] = fault.stiffness if isinstance(fault, Preload) else 0.0
-    model.dof_damping[dof] = fault.damping if isinstance(fault, Preload) else 0.0
+    closed = (0.0, 0.0)
+    if isinstance(fault, Preload):
+        closed = (fault.stiffness, fault.damping)
+        _require_slow("a preloaded seat", *closed, model.dof_invweight0[dof], step)
+    model.jnt_stiffness[seat.id], model.dof_damping[dof] = closed
+
+
+def _require_slow(what: str, stiffness: float, damping: float, weight: float, step: float) -> None:
+    """Refuse a spring or damper too fast for the step; ``weight`` is the inverse of its mass."""
+    if stiffness * weight * step**2 > FASTEST_STOP**2:
+        mode = np.sqrt(stiffness * weight) / (2 * np.pi)
+        raise InvalidSetting(
+            f"{what} with a stiffness of {stiffness:g} has a contact mode of {mode:.0f} Hz, too "
+            f"fast for a step of {step:g} s; use {FASTEST_STOP**2 / weight / step**2:.3g} at "
+            f"most, or a step of {FASTEST_STOP / np.sqrt(stiffness * weight):.2g} s at most"
+        )
+    # Stable explicit stepping of a spring and a damper needs w h (k h + 2 c) < 4.
+    if weight * step * (stiffness * step + 2 * damping) >= 4:
+        most = (4 / (weight * step) - stiffness * step) / 2
+        raise InvalidSetting(
+            f"{what} with a damping of {damping:g} is too stiff for a step of {step:g} s; use "
+            f"less than {most:.3g}"
+        )
 
 
 def _direction(direction: tuple[float, float, float]) -> NDArray[np.float64]:

@@ -43,7 +43,7 @@ class Accelerometer:
     noise_density: float = 100e-6 * STANDARD_GRAVITY
     """White noise [m/s² per √Hz]; capacitive sensors have 22 to 300 µg/√Hz."""
     bandwidth: float = 400.0
-    """Upper end of the pass band [Hz]; the filter is linear-phase, its delay taken out."""
+    """Half-amplitude frequency of the recorder's low-pass [Hz]; linear-phase, delay taken out."""
     resolution: float = 2 * 50 * STANDARD_GRAVITY / 2**16
     """Step of the digitiser [m/s²]: 16 bits over ±50 g."""
 

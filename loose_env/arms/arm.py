@@ -77,6 +77,8 @@ class Arm:
     """Soft spring that keeps an excited joint near its pose; its modes lie below the band."""
     timestep: float
     """Simulation step [s], from the step-halving study."""
+    settling: float = 0.1
+    """Excitation before a record, in which seat, holdings and bending modes settle [s]."""
     hold: HoldKind = "brake"
     """How joints that are not excited are held."""
 

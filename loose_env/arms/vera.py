@@ -129,5 +129,6 @@ def vera(*, hold: HoldKind = "brake") -> Arm:
         servo=servo,
         centring=centring,
         timestep=1e-4,
+        settling=0.2,  # the bending mode dies away in 0.2 s
         hold=hold,
     )

@@ -124,7 +124,11 @@ class FaultSampler:
         self.difficulty = difficulty
         self.drive = SeatDrive(linear)
         self._linear = linear
-        self._inertia = linear.at(np.zeros(self.arm.n)).inertia
+        rng = np.random.default_rng(0)
+        poses = [np.zeros(self.arm.n), *(self.arm.random_pose(rng) for _ in range(64))]
+        self._inertias = np.array([linear.at(pose).inertia for pose in poses])
+        self._free = np.concatenate([linear.joint_dofs, linear.flexible_dofs])
+        self._among = self._inertias[:, self._free[:, None], self._free]
 
     def draw(self, rng: np.random.Generator, *, hypothesis: str | None = None) -> Fault:
         """Draw a fault, of one hypothesis if it is given.
@@ -148,7 +152,7 @@ class FaultSampler:
         modes = np.array([_uniform(d.contact_mode, v) for v in u[4:6]])
         ratios = np.array([_uniform(d.contact_damping, v) for v in u[6:8]])
         if kind == "backlash":
-            seat = np.zeros(len(self._inertia))
+            seat = np.zeros(self._inertias.shape[1])
             seat[self._linear.hinge_dofs[place - 1]] = 1.0
             stiffness, damping = self._stops(seat, modes, ratios)
             return Backlash(
@@ -159,7 +163,7 @@ class FaultSampler:
                 friction=ratio * self.drive.hinge(place),
             )
         direction = self._direction(u[8], u[9])
-        seat = np.zeros(len(self._inertia))
+        seat = np.zeros(self._inertias.shape[1])
         slides = self._linear.slide_dofs[place - 1]
         seat[slides] = direction[: len(slides)]
         stiffness, damping = self._stops(seat, modes, ratios)
@@ -176,11 +180,12 @@ class FaultSampler:
         self, seat: Array, modes: Array, ratios: Array
     ) -> tuple[tuple[float, float], tuple[float, float]]:
         """Stiffness and damping of both stops of a seat, a direction of the open arm (nv,)."""
-        linear, inertia = self._linear, self._inertia
-        held = float(seat @ inertia @ seat)
-        free = np.concatenate([linear.joint_dofs, linear.flexible_dofs])
-        across = inertia[free] @ seat
-        reduced = held - float(across @ np.linalg.solve(inertia[np.ix_(free, free)], across))
+        held = float(seat @ self._inertias[0] @ seat)
+        # The lightest the seat gets over many poses, with every joint free.
+        across = self._inertias[:, self._free] @ seat
+        solved = np.linalg.solve(self._among, across[..., None])[..., 0]
+        masses = np.einsum("i,pij,j->p", seat, self._inertias, seat)
+        reduced = float(np.min(masses - np.einsum("pi,pi->p", across, solved)))
         stiffness = held * (2 * np.pi * modes) ** 2
         softest = reduced * (_FASTEST / self.arm.timestep) ** 2
         stiffness = np.minimum(stiffness, softest)

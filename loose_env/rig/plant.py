@@ -41,7 +41,10 @@ class Plant:
             stiffness = arm.holding.stiffness[j] * self.mismatch.holding_stiffness[j]
             damping = arm.holding.damping[j] * self.mismatch.holding_damping[j]
             weight = model.dof_invweight0[dof]
-            ratio = weight * stiffness / corner**2
+            # The damper acts on the velocity half a step ago, which takes damping * step / 2
+            # off the inertia; the inertance gives it back.
+            inertance = stiffness / corner**2 + damping * model.opt.timestep / 2
+            ratio = weight * inertance
             impedance = float(np.clip(ratio / (1 + ratio), 1e-4, 0.9999))
             scale = (1 - impedance) * weight
             model.eq_solimp[equality] = (impedance, impedance, 0.001, 0.5, 2)
@@ -111,6 +114,7 @@ class PlantShop:
         for j, name in enumerate(arm.joints):
             joint = spec.joint(name)
             joint.stiffness = [arm.centring.stiffness[j], 0, 0]
+            joint.armature += arm.centring.damping[j] * self.timestep / 2  # as for the brakes
             joint.damping = [joint.damping[0] + arm.centring.damping[j], *joint.damping[1:]]
             spec.add_actuator(name=f"drive_{name}", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=name)
             spec.add_equality(

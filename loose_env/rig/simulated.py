@@ -26,8 +26,6 @@ from loose_env.sensors import SensorSuite, decimation_filter
 __all__ = ["Job", "SimulatedRig"]
 
 Array = NDArray[np.float64]
-RUN_IN = 0.1
-"""Excitation before the record, in which the seat and the holdings settle [s]."""
 _CHUNK = 16  # arms simulated in one call; reading one chunk overlaps with the next
 
 
@@ -184,7 +182,7 @@ class SimulatedRig:
         """Draw the torques of jobs of one length and set their arms up."""
         factor, rate = self.factor, self.sensors.rate
         half = len(decimation_filter(factor, self.sensors.accelerometer.bandwidth, rate)) // 2
-        before = round(RUN_IN * rate) * factor
+        before = round(self.arm.settling * rate) * factor
         control = self._controls(jobs, before, max(half, factor) + 1)
         batch = self._batch
         position, active = batch.bind("qpos"), batch.bind("eq_active")

@@ -30,6 +30,7 @@ from loose_env.faults import (
     seated_spec,
     set_seat,
 )
+from loose_env.rig import SimulatedRig
 from loose_env.rig.plant import Plant, PlantShop
 
 Array = NDArray[np.float64]
@@ -173,8 +174,9 @@ def test_mass_and_inertia_do_not_depend_on_the_seat(arm: Arm) -> None:
 
 def test_a_seat_can_be_set_again() -> None:
     arm = planar(3)
-    once = seated_spec(arm, 2, "slide").compile()
-    again = seated_spec(arm, 2, "slide").compile()
+    spec = seated_spec(arm, 2, "slide")
+    spec.option.timestep = arm.timestep
+    once, again = spec.compile(), spec.compile()
     final = loosened("slide", 2, direction=(1.0, 1.0, 0.0), friction=2.0)
     set_seat(once, final)
     for first in (
@@ -286,3 +288,19 @@ def test_a_stop_too_stiff_for_the_step_is_refused_with_what_would_do(
     set_seat(model, loosened(kind, 2, stiffness=(0.99 * allowed, 0.99 * allowed)))
     model.opt.timestep = 0.95 * step
     set_seat(model, loosened(kind, 2, stiffness=tuple(stiffness)))
+
+
+def test_a_preloaded_seat_too_stiff_for_the_step_is_refused() -> None:
+    rig = SimulatedRig(planar(2))
+    seat = Preload(link=1, direction=(1.0, 0.0, 0.0), stiffness=1e10)
+    with pytest.raises(InvalidSetting, match="too fast for a step"):
+        rig.mount(0, seat)
+
+
+def test_a_stop_damped_too_hard_for_the_step_is_refused() -> None:
+    rig = SimulatedRig(planar(2))
+    stop = StructuralLooseness(
+        link=2, direction=(1.0, 0.0, 0.0), gap=1e-4, stiffness=(1e6, 1e6), damping=(1e3, 1e6)
+    )
+    with pytest.raises(InvalidSetting, match="use less than"):
+        rig.mount(0, stop)

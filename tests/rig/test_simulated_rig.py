@@ -226,7 +226,7 @@ def test_a_healthy_nominal_arm_transmits_what_its_closed_form_says(case: str) ->
     arm, excited = PREDICTED[case]
     # The simulation's damping acts half a step late: a servo's takes off up to c h / 2 of the
     # inertia that it holds, a brake's nothing to speak of.
-    allowed = 0.04 if arm.hold == "servo" else 0.005
+    allowed = 0.005
     if case == "planar4 servo joint 3":
         arm = dataclasses.replace(arm, timestep=arm.timestep / 2)
     rig = SimulatedRig(arm, slots=RECORDS, sensors=SensorSuite.ideal())
@@ -278,9 +278,9 @@ def test_a_preloaded_seat_looks_healthy() -> None:
     at = LinearArm(arm).at(POSE)
     excitation, _ = at_levels(at, levels_of(arm, 0), duration=1.2)
     rig = SimulatedRig(arm, slots=3, sensors=SensorSuite.ideal())
-    # 1 kHz with all that hangs on the seat, far above the band, and its softer cousin inside it.
+    # 0.8 kHz with all that hangs on the seat, far above the band, and its softer cousin inside it.
     carried = arm.model.body_mass.sum()
-    for slot, mode in ((1, 1000.0), (2, 100.0)):
+    for slot, mode in ((1, 800.0), (2, 100.0)):
         stiffness = carried * (2 * np.pi * mode) ** 2
         rig.mount(
             slot,
