@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -280,13 +281,17 @@ def test_going_on_after_the_last_record_ends_the_episode(
     assert len(spy.jobs) == 1
 
 
-def test_a_masked_policy_takes_the_masks(make_env: Callable[..., DiagnosisEnv]) -> None:
+def test_a_masked_policy_takes_the_masks(
+    make_env: Callable[..., DiagnosisEnv], tmp_path: Path
+) -> None:
     from sb3_contrib import MaskablePPO
     from sb3_contrib.common.maskable.utils import get_action_masks, is_masking_supported
+    from stable_baselines3.common.logger import configure
 
     env = make_env(n_links=2, max_records=3)
     assert is_masking_supported(env)
     model = MaskablePPO("MlpPolicy", env, n_steps=16, batch_size=16, n_epochs=1, seed=0)
+    model.set_logger(configure(str(tmp_path), []))  # by itself it would write beside the tests
     model.learn(32)
     for seed in range(10):
         observation, info = env.reset(seed=seed)

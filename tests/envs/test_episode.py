@@ -304,6 +304,24 @@ def test_the_end_tells_fault_success_and_what_it_took(
     assert info["seconds"] == pytest.approx(0.2 * 3 + 0.4)
 
 
+@pytest.mark.parametrize("name", ["planar", "vera"])
+def test_going_there_and_back_is_the_same_pose(make_env: MakeEnv, name: str) -> None:
+    env = make_env(name)
+    n = env.arm.n
+    stay, there, back = (
+        env.actions.encode(
+            moves=np.full(n, choice), levels=np.where(np.arange(n) == 1, 1, 0), duration=0
+        )
+        for choice in (2, 3, 1)
+    )
+    for seed in range(8):
+        pose = np.random.default_rng(seed).uniform(-0.5, 0.5, n)
+        env.reset(seed=seed, options={"pose": pose})
+        for action in (stay, there, back):
+            env.step(action)
+        assert env.step(env.actions.encode(verdict=1))[-1]["poses"] == 2
+
+
 def test_on_a_healthy_arm_only_healthy_names_the_right_place(make_env: MakeEnv) -> None:
     env = make_env(n_links=2)
     for name in env.hypotheses:

@@ -18,11 +18,20 @@ from numpy.typing import NDArray
 from loose_env.arms import Arm, planar, vera
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch, MismatchDraw
+from loose_env.diagnosis.posterior import FaultPosterior
 from loose_env.diagnosis.record import RecordStatistics, statistics_of
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.excitation import Excitation, at_levels
-from loose_env.faults import Backlash, Fault, Healthy, StructuralLooseness, hypotheses
+from loose_env.faults import (
+    Backlash,
+    Fault,
+    Healthy,
+    StructuralLooseness,
+    hypotheses,
+    place_of,
+)
 from loose_env.rig.simulated import Job, SimulatedRig
+from loose_env.sensors import SensorSuite
 
 Array = NDArray[np.float64]
 Loose = StructuralLooseness | Backlash
@@ -56,13 +65,18 @@ class Bench:
         self.mismatch: MismatchDraw = Mismatch().draw(arm, np.random.default_rng(5))
         self.poses = [np.array(pose[: arm.n]) for pose in POSES]
 
-    def shake(self, pose: Array) -> Excitation:
-        """All joints at the top level."""
-        levels = np.full(self.arm.n, self.arm.levels[-1])
+    def shake(self, pose: Array, joint: int | None) -> Excitation:
+        """One joint at the top level, or all of them."""
+        on = np.ones(self.arm.n) if joint is None else np.arange(self.arm.n) == joint
+        levels = self.arm.levels[-1] * on
         return at_levels(self.linear.at(pose), levels, duration=0.2)[0]
 
     def measured(
-        self, pose: Array, arms: list[tuple[Fault, int]], finer: int = 1
+        self,
+        pose: Array,
+        arms: list[tuple[Fault, int]],
+        finer: int = 1,
+        joint: int | None = None,
     ) -> list[RecordStatistics]:
         """Records of several arms, each a fault and the seed of its excitation and noise."""
         rig = SimulatedRig(self.arm, slots=len(arms), timestep=self.arm.timestep / finer, threads=2)
@@ -72,7 +86,7 @@ class Bench:
             Job(
                 slot=slot,
                 pose=pose,
-                excitation=self.shake(pose),
+                excitation=self.shake(pose, joint),
                 rng=np.random.default_rng(seed),
             )
             for slot, (_, seed) in enumerate(arms)
@@ -90,6 +104,21 @@ class Bench:
             pose, [(fault, 0) for fault in (Healthy(), *faults)], finer
         )
         return np.array([figures(record) - figures(healthy) for record in faulty])
+
+    def diagnosed(self, factor: float) -> Array:
+        """Probabilities of the hypotheses, for the healthy arm and every place.
+
+        Two poses, the first and the last joint shaken in each.
+        """
+        faults: list[Fault] = [Healthy(), *(closed(fault, factor) for fault in self.faults)]
+        posterior = FaultPosterior(self.linear, SensorSuite())
+        beliefs = [posterior.start() for _ in faults]
+        for k, pose in enumerate(self.poses):
+            for joint in (0, self.arm.n - 1):
+                arms = [(fault, k) for fault in faults]
+                records = self.measured(pose, arms, ceil(1 / sqrt(factor)), joint)
+                beliefs = [posterior.update(b, r) for b, r in zip(beliefs, records, strict=True)]
+        return np.array([belief.probabilities for belief in beliefs])
 
 
 @cache
@@ -159,6 +188,27 @@ def test_an_open_gap_shows_and_a_shut_one_is_lost_in_the_scatter(name: str) -> N
     for place, first, last in zip(bench(name).places, largest[0], largest[-1], strict=True):
         assert first > 3 * INTERVAL, place
         assert last < INTERVAL, place
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_the_diagnosis_finds_an_open_gap_and_of_a_shut_one_knows_nothing(name: str) -> None:
+    b = bench(name)
+    names = hypotheses(b.arm)
+    prior = FaultPosterior(b.linear, SensorSuite()).start().probabilities
+    np.testing.assert_allclose(prior, [1 / 3] + [1 / 3 / b.arm.n] * 2 * b.arm.n)
+
+    open_gap = b.diagnosed(FACTORS[0])[1:]
+    for place, probabilities in zip(b.places, open_gap, strict=True):
+        assert probabilities[0] < 0.1, place
+        assert place_of(names[int(np.argmax(probabilities))]) == place_of(place)
+
+    shut = b.diagnosed(FACTORS[-1])
+    assert (shut[:, 0] > 0.5).all()
+    # Were there a fault after all, its place would be as unknown as in the healthy arm, where
+    # only those places lose against the prior that would have shown.
+    healthy, *others = shut[:, 1:] / shut[:, 1:].sum(axis=1, keepdims=True)
+    for place, other in zip(b.places, others, strict=True):
+        assert 0.5 * np.abs(other - healthy).sum() < 0.2, place
 
 
 @pytest.mark.parametrize("name", ARMS)

@@ -1,0 +1,187 @@
+"""How well one record fits each place, opening and amount of loose motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.linear import LinearArm
+from loose_env.arms.mismatch import Mismatch
+from loose_env.diagnosis.prediction import SensorFloor
+from loose_env.diagnosis.record import RecordStatistics
+from loose_env.diagnosis.seat_prediction import predict_seats
+
+__all__ = ["LOOSE", "OPENINGS", "SHUT", "Fit", "fit_record"]
+
+Array = NDArray[np.float64]
+
+OPENINGS = np.linspace(-0.4, 1.2, 21)
+"""Openings s that are tried [1]: 0 shut, 1 floating freely."""
+LOOSE = np.concatenate([[0.0], np.geomspace(1e-3, 3.0, 8)])
+"""Loose motion out of step that is tried, over that of a freely floating seat [1]."""
+SHUT = int(np.argmin(np.abs(OPENINGS)))
+"""Index of the shut seat among the openings."""
+
+_MODEL_ERROR = 0.35
+"""Relative error of predicted residual powers that sampling does not explain."""
+_INERTIA_ERROR = 0.03
+"""Relative error of the predicted apparent inertia."""
+_OPEN_ERROR = 0.05
+"""Relative error of the predicted change of transmission."""
+_SPREAD = 0.03
+"""Share of loose motion that shows across its direction."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fit:
+    """Log-likelihood of one record."""
+
+    log: Array
+    """Over places, openings and loose motion (P, S, Q)."""
+    force: Array
+    """Rms force that each shut seat transmits in the record (P,)."""
+
+
+def fit_record(
+    linear: LinearArm,
+    record: RecordStatistics,
+    directions: Array,
+    floor: SensorFloor,
+    mismatch: Mismatch,
+) -> Fit:
+    """Work out the likelihood of a record.
+
+    Three things are compared with what each seat would do. The part of the tool's motion that
+    does not follow the joint as measured, a - B x, must not follow the command either. The
+    apparent inertia must be the predicted one. The covariance of a - B x must be what the
+    arm's modes, the sensors and the loose seat leave (a Wishart density). With several joints
+    excited at once only the first is asked.
+
+    Parameters
+    ----------
+    linear : LinearArm
+        The nominal arm.
+    record : RecordStatistics
+        What was measured.
+    directions : ndarray (A, axes)
+        Sliding directions to try.
+    floor : SensorFloor
+        What the sensors add.
+    mismatch : Mismatch
+        How far the nominal model may be off.
+    """
+    pose = linear.at(record.pose)
+    on = np.flatnonzero(record.excited)
+    d, m = len(record.tool_covariance), len(on)
+    noise = np.array([floor.joint**2] * m + [floor.tool**2] * d)
+    seats = predict_seats(pose, record.torque, directions, noise)
+    samples = 2 * (linear.arm.band[1] - linear.arm.band[0]) * record.duration
+
+    b = record.transmission_by_instrument[:, on]
+    joint = np.diag(record.joint_rms[on] ** 2)
+    mixed = joint @ record.transmission[:, on].T
+    residual = record.tool_covariance - b @ mixed - mixed.T @ b.T + b @ joint @ b.T
+    residual += 1e-3 * floor.tool**2 * np.eye(d)
+    away = np.concatenate([-b, np.eye(d)], axis=1)
+
+    s = OPENINGS[None, :, None, None]
+    step = seats.in_step + s * seats.in_step_open[:, None]  # (P, S, p, m)
+    log = _in_step(linear, record, on, b, away, residual, samples, seats.in_step, step, mismatch)
+    if m > 1:
+        return Fit(log=np.repeat(log[..., None], len(LOOSE), 2), force=seats.force)
+
+    x = step[..., 0, 0]
+    inertia = float(record.inertia[on[0]])
+    expected = float(record.torque[on[0]]) / np.where(np.abs(x) < 1e-9, 1e-9, x)
+    error = np.sqrt(_INERTIA_ERROR**2 + 1 / samples)
+    log = log - 0.5 * np.log1p(((expected / inertia - 1) / error) ** 2 / 4) * 5
+
+    rest = seats.rest + s * seats.rest_mixed[:, None] + s**2 * seats.rest_open[:, None]
+    # Scaled to the joint motion that was measured: the command's own power drops out.
+    power = x**2 + rest[..., 0, 0] - noise[0]
+    scale = np.maximum(record.joint_rms[on[0]] ** 2 - noise[0], 0.1 * noise[0])
+    scale = scale / np.maximum(power, 1e-3 * float(seats.in_step[0, 0]) ** 2)
+    scale = np.clip(scale, 0.2, 5.0)[..., None, None]
+    wide = np.diag(noise)
+    across = away @ ((rest - wide) * scale + wide) @ away.T
+    loose = away @ seats.loose @ away.T
+    loose = loose + _SPREAD * np.trace(loose, axis1=1, axis2=2)[:, None, None] * np.eye(d)
+    return Fit(log=log[..., None] + _residual(residual, across, loose, samples), force=seats.force)
+
+
+def _residual(residual: Array, across: Array, loose: Array, samples: float) -> Array:
+    """Wishart log-density of the residual covariance (P, S, Q)."""
+    d = len(residual)
+    total = across[:, :, None] + LOOSE[:, None, None] * loose[:, None, None]
+    total = total + 1e-12 * np.eye(d)
+    inverse = np.linalg.inv(total)
+    trace = np.einsum("psqij,ji->psq", inverse, residual)
+    ratio = np.log(np.maximum(np.linalg.det(residual) * np.linalg.det(inverse), 1e-300))
+    degrees = 2 / (2 / samples + _MODEL_ERROR**2)
+    return np.asarray(-0.5 * degrees * (trace - d - ratio))
+
+
+def _in_step(
+    linear: LinearArm,
+    record: RecordStatistics,
+    on: NDArray[np.intp],
+    b: Array,
+    away: Array,
+    residual: Array,
+    samples: float,
+    healthy: Array,
+    step: Array,
+    mismatch: Mismatch,
+) -> Array:
+    """Log-density of "a - B x does not follow the command" (P, S)."""
+    d, m = b.shape
+    # Unit of the residual: joint motion as predicted, so that the density is one of B.
+    x = np.sqrt(np.diag(healthy[:m] @ healthy[:m].T))
+    uncertain = np.array([(e * x).ravel() for e in _transmission_errors(linear, record, on, b, mismatch)])
+    covariance = uncertain.T @ uncertain + np.kron(residual, np.eye(m)) / samples
+    nominal = healthy[m:] @ np.linalg.inv(healthy[:m])
+    covariance += _OPEN_ERROR**2 * float((((b - nominal) * x) ** 2).sum()) * np.eye(d * m)
+    missing = np.einsum("dp,Pspm->Psdm", away, step).reshape(*step.shape[:2], d * m)
+    white = np.einsum("ij,Psj->Psi", np.linalg.inv(np.linalg.cholesky(covariance)), missing)
+    # Heavier tails than normal: mismatch is cut off, not Gaussian, and shared by all records.
+    fit = -0.5 * (5 + d * m) * np.log1p((white**2).sum(-1) / 5)
+    motion = np.abs(np.linalg.det(step[..., :m, :])) / np.prod(x)
+    return np.asarray(fit + d * np.log(np.maximum(motion, 1e-9)))
+
+
+def _transmission_errors(
+    linear: LinearArm,
+    record: RecordStatistics,
+    on: NDArray[np.intp],
+    b: Array,
+    mismatch: Mismatch,
+) -> list[Array]:
+    """Changes of the transmission (d, m), one for each independent error of the model [m]."""
+    d = len(b)
+    errors = []
+    for i in range(d):
+        for j in range(d):
+            leak = np.zeros((d, d))
+            leak[i, j] = mismatch.gain if i == j else mismatch.cross_axis
+            errors.append(leak @ b)
+    turn = np.radians(mismatch.misalignment)
+    for i in range(d):
+        for j in range(i):
+            skew = np.zeros((d, d))
+            skew[i, j], skew[j, i] = turn, -turn
+            errors.append(skew @ b)
+    kinematic = linear.at(record.pose).kinematic[:, on]
+    tiny = 1e-4
+    for k in range(linear.arm.n):
+        moved = record.pose.copy()
+        moved[k] += tiny
+        slope = (linear.at(moved).kinematic[:, on] - kinematic) / tiny
+        errors.append(np.radians(mismatch.joint_zero) * slope)
+    size = mismatch.length * np.abs(b).max()
+    for i in range(d):
+        longer = np.zeros_like(b)
+        longer[i] = size
+        errors.append(longer)
+    return errors

@@ -1,0 +1,109 @@
+"""What every seat would do to a record if it opened: the linear arm with one seat freed.
+
+A shut seat transmits a force. If it floats, the two sides part with acceleration
+``-force / apparent mass``, and the whole arm answers through the seat's open columns. A seat
+that opens in part moves ``s`` times as far, in step with the force; what it does out of step
+(impacts, stick and slip) adds motion along the same direction that follows no command.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.linear import LinearPose
+
+__all__ = ["SeatPrediction", "predict_seats"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SeatPrediction:
+    """Answers of the m excited joints and the d tool axes, p = m + d channels.
+
+    Places are the sliding directions of link 1, those of link 2, ..., then the joints' plays:
+    P = n A + n of them. The command of each excited joint has its rms.
+    """
+
+    in_step: Array
+    """Healthy part of the answer in step with the command (p, m), per unit-rms command."""
+    in_step_open: Array
+    """Change of it if a seat floats (P, p, m)."""
+    rest: Array
+    """Covariance of the healthy answer's part out of step with the command (p, p)."""
+    rest_mixed: Array
+    """Term of that covariance in s if a seat opens (P, p, p)."""
+    rest_open: Array
+    """Term of it in s² (P, p, p)."""
+    loose: Array
+    """Covariance that the free motion of a seat on its own would add (P, p, p)."""
+    force: Array
+    """Rms force or torque that the shut seat transmits (P,)."""
+
+
+def predict_seats(
+    pose: LinearPose, torque: Array, directions: Array, floor: Array
+) -> SeatPrediction:
+    """Work out all seats of the arm in one pose.
+
+    Parameters
+    ----------
+    pose : LinearPose
+        The nominal arm at the pose.
+    torque : ndarray (n,)
+        Rms torque of every joint [N·m]; zero for held joints. At least one must be on.
+    directions : ndarray (A, axes)
+        Sliding directions of a link, unit vectors in its frame.
+    floor : ndarray (p,)
+        Variance that the sensors add to each channel.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.linear import LinearArm
+    >>> at = LinearArm(planar(2)).at([0.0, 1.0])
+    >>> seats = predict_seats(at, np.array([0.0, 3.0]), np.eye(2), np.zeros(3))
+    >>> seats.in_step_open.shape
+    (6, 3, 1)
+    """
+    excited = torque > 0
+    on = np.flatnonzero(excited)
+    answer = pose.response(excited)
+    t = torque[on]
+    n, count = pose.linear.arm.n, len(answer.frequency)
+    shape = (count, n * len(directions))
+
+    healthy = np.concatenate([answer.joint[:, on], answer.tool], axis=1) * t
+    slide_force = np.einsum("kism,as->kiam", answer.slide, directions).reshape(*shape, -1)
+    force = np.concatenate([slide_force, answer.hinge], axis=1) * t
+    slide_mass = np.einsum("kisr,as,ar->kia", answer.mass_slide, directions, directions)
+    mass = np.concatenate([slide_mass.reshape(shape), answer.inertia_hinge], axis=1)
+    slide = np.concatenate([answer.joint_open_slide, answer.tool_open_slide], axis=1)
+    hinge = np.concatenate([answer.joint_open_hinge, answer.tool_open_hinge], axis=1)
+    slide_column = np.einsum("kpis,as->kiap", slide, directions).reshape(*shape, -1)
+    column = np.concatenate([slide_column, hinge.transpose(0, 2, 1)], axis=1)
+    free = -force / mass[..., None]
+
+    # Averages over the band, places first so that each is one small matrix product.
+    column, free = column.transpose(1, 2, 0), free.transpose(1, 2, 0)
+    change = column[:, :, None] * free[:, None]  # (P, p, m, K)
+    in_step, in_step_open = healthy.real.mean(0), change.real.mean(-1)
+    flat = change.reshape(*change.shape[:2], -1)
+    own = healthy.transpose(1, 2, 0).reshape(len(in_step), -1)
+    mixed = (own @ flat.conj().transpose(0, 2, 1)).real / count
+    mixed -= in_step @ in_step_open.transpose(0, 2, 1)
+    power = np.mean(np.sum(np.abs(free) ** 2, axis=1), axis=-1)
+    return SeatPrediction(
+        in_step=in_step,
+        in_step_open=in_step_open,
+        rest=(own @ own.conj().T).real / count - in_step @ in_step.T + np.diag(floor),
+        rest_mixed=mixed + mixed.transpose(0, 2, 1),
+        rest_open=(flat @ flat.conj().transpose(0, 2, 1)).real / count
+        - in_step_open @ in_step_open.transpose(0, 2, 1),
+        loose=(column @ column.conj().transpose(0, 2, 1)).real / count * power[:, None, None],
+        force=np.sqrt(np.mean(np.sum(np.abs(force) ** 2, axis=-1), axis=0)),
+    )
