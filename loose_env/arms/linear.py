@@ -73,6 +73,8 @@ class LinearArm:
     points : int, optional
         Number of frequencies across the band. Default: 24 where every mode lies outside the
         band, 240 where the arm has bending modes of its own.
+    remember : int
+        Number of poses whose answers are kept.
 
     Examples
     --------
@@ -82,7 +84,7 @@ class LinearArm:
     (2, 2)
     """
 
-    def __init__(self, arm: Arm, *, points: int | None = None) -> None:
+    def __init__(self, arm: Arm, *, points: int | None = None, remember: int = 512) -> None:
         self.arm = arm
         spec = arm.spec.copy()
         sliding = np.eye(3)[: len(arm.axes)]
@@ -119,6 +121,7 @@ class LinearArm:
         if points is None:
             points = 240 if len(self.flexible_dofs) else 24
         self.frequency = np.linspace(*arm.band, points)
+        self._remember = remember
         self._cache: dict[bytes, LinearPose] = {}
 
     def at(self, pose: Sequence[float] | Array) -> LinearPose:
@@ -137,8 +140,8 @@ class LinearArm:
         key = q.tobytes()
         found = self._cache.get(key)
         if found is None:
-            if len(self._cache) >= 4096:
-                self._cache.clear()
+            while len(self._cache) >= self._remember:
+                del self._cache[next(iter(self._cache))]  # the oldest
             found = self._cache[key] = self._linearise(q)
         return found
 

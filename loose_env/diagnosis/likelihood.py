@@ -112,15 +112,17 @@ def fit_record(
 
 
 def _residual(residual: Array, across: Array, loose: Array, samples: float) -> Array:
-    """Wishart log-density of the residual covariance (P, S, Q)."""
-    d = len(residual)
-    total = across[:, :, None] + LOOSE[:, None, None] * loose[:, None, None]
-    total = total + 1e-12 * np.eye(d)
-    inverse = np.linalg.inv(total)
-    trace = np.einsum("psqij,ji->psq", inverse, residual)
-    ratio = np.log(np.maximum(np.linalg.det(residual) * np.linalg.det(inverse), 1e-300))
+    """Wishart log-density of the residual covariance in the plane (P, S, Q)."""
+
+    def entry(i: int, j: int) -> Array:
+        return np.asarray(across[..., i, j, None] + LOOSE * loose[..., None, None, i, j])
+
+    xx, xy, yy = entry(0, 0) + 1e-12, entry(0, 1), entry(1, 1) + 1e-12
+    determinant = xx * yy - xy**2
+    trace = (yy * residual[0, 0] + xx * residual[1, 1] - 2 * xy * residual[0, 1]) / determinant
+    ratio = np.log(max(np.linalg.det(residual), 1e-300)) - np.log(np.maximum(determinant, 1e-300))
     degrees = 2 / (2 / samples + _MODEL_ERROR**2)
-    return np.asarray(-0.5 * degrees * (trace - d - ratio))
+    return np.asarray(-0.5 * degrees * (trace - 2 - ratio))
 
 
 def _in_step(

@@ -214,6 +214,6 @@ def variants(linear: LinearArm, stiffness: float) -> tuple[list[LinearArm], Arra
         for joint in spec.joints:
             if joint.name not in linear.arm.joints:
                 joint.stiffness = joint.stiffness * np.exp(stiffness * offset)
-        arms.append(LinearArm(dataclasses.replace(linear.arm, spec=spec), points=120))
+        arms.append(LinearArm(dataclasses.replace(linear.arm, spec=spec), points=120, remember=16))
     log = -0.5 * offsets**2
     return arms, np.asarray(log - logsumexp(log))
