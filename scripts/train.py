@@ -21,8 +21,8 @@ import loose_env  # noqa: F401  (registers the ids)
 from agents.base import Problem
 
 HYPERPARAMETERS: dict[str, Any] = {
-    "n_steps": 16,
-    "batch_size": 256,
+    "n_steps": 8,
+    "batch_size": 128,
     "n_epochs": 8,
     "learning_rate": 1e-3,
     "gamma": 1.0,
