@@ -20,7 +20,7 @@ import numpy as np
 import loose_env
 from loose_env.arms import Arm, planar, vera
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.likelihood import LOOSE, OPENINGS, fit_record
+from loose_env.diagnosis.likelihood import LOOSE, OPENINGS, SHUT, fit_record
 from loose_env.diagnosis.opening import RATIOS
 from loose_env.diagnosis.posterior import variants
 from loose_env.diagnosis.prediction import SensorFloor
@@ -100,7 +100,12 @@ def table_of(found: Sequence[tuple[bool, float, np.ndarray]], rounds: int = 15) 
         # A little of the average keeps rare cells possible.
         counts += 0.02 * counts.sum(1, keepdims=True) / size + counts.sum(0) / counts.sum()
         table = counts / counts.sum(1, keepdims=True)
-    return table.reshape(len(RATIOS), len(OPENINGS), len(LOOSE))
+    table = table.reshape(len(RATIOS), len(OPENINGS), len(LOOSE))
+    # Friction of four times the rms force or more holds a seat: Gaussian peaks do not reach it.
+    held = RATIOS <= 0.25
+    table[held] = 0.0
+    table[held, SHUT, 0] = 1.0
+    return table
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

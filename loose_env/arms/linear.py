@@ -72,7 +72,7 @@ class LinearArm:
         The nominal arm.
     points : int, optional
         Number of frequencies across the band. Default: 24 where every mode lies outside the
-        band, 240 where the arm has bending modes of its own.
+        band, 240 where the arm has bending modes of its own or is held by servos.
     remember : int
         Number of poses whose answers are kept.
 
@@ -119,7 +119,8 @@ class LinearArm:
         self.flexible_dofs = np.array(sorted(address.values()), dtype=np.intp)
         self.tool = model.site(arm.tool).id
         if points is None:
-            points = 240 if len(self.flexible_dofs) else 24
+            # Bending and servo modes reach into the band; brakes lie far above it.
+            points = 240 if len(self.flexible_dofs) or arm.hold == "servo" else 24
         self.frequency = np.linspace(*arm.band, points)
         self._remember = remember
         self._cache: dict[bytes, LinearPose] = {}

@@ -42,8 +42,11 @@ def planar(n_links: int = 4, *, vertical: bool = False, hold: HoldKind = "brake"
     >>> planar(3).joints
     ('joint1', 'joint2', 'joint3')
     """
-    if isinstance(n_links, bool) or n_links not in range(2, 8):
+    whole = isinstance(n_links, (int, np.integer)) and not isinstance(n_links, bool)
+    if not whole or n_links not in range(2, 8):
         raise InvalidSetting(f"a planar arm has 2 to 7 links, got n_links={n_links!r}")
+    if not isinstance(vertical, (bool, np.bool_)):
+        raise InvalidSetting(f"vertical is True or False, got {vertical!r}")
     length, first_mass, taper, centre = 0.30, 4.0, 0.75, 0.55
     levels = (1.0, 4.0, 12.0)
     # The plane of motion is x-y: gravity along -y makes the arm a vertical one.

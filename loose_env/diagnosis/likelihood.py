@@ -141,7 +141,8 @@ def _in_step(
     d, m = b.shape
     # Unit of the residual: joint motion as predicted, so that the density is one of B.
     x = np.sqrt(np.diag(healthy[:m] @ healthy[:m].T))
-    uncertain = np.array([(e * x).ravel() for e in _transmission_errors(linear, record, on, b, mismatch)])
+    errors = _transmission_errors(linear, record, on, b, mismatch)
+    uncertain = np.array([(e * x).ravel() for e in errors])
     covariance = uncertain.T @ uncertain + np.kron(residual, np.eye(m)) / samples
     nominal = healthy[m:] @ np.linalg.inv(healthy[:m])
     covariance += _OPEN_ERROR**2 * float((((b - nominal) * x) ** 2).sum()) * np.eye(d * m)

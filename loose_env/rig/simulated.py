@@ -71,6 +71,8 @@ class SimulatedRig:
     ) -> None:
         if isinstance(slots, bool) or not isinstance(slots, (int, np.integer)) or slots < 1:
             raise InvalidSetting(f"a rig needs at least one slot, got {slots!r}")
+        if isinstance(threads, bool) or not isinstance(threads, int) or threads < 0:
+            raise InvalidSetting(f"threads is a whole number, 0 for all, got {threads!r}")
         self.arm = arm
         self.sensors = sensors if sensors is not None else SensorSuite()
         self.timestep = arm.timestep if timestep is None else timestep

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 
 from agents.base import Problem
 from agents.evaluation import evaluate
 from agents.link_finding import LinkFindingAgent
 from agents.registry import AGENTS, make_agent
-from loose_env.arms import planar
+from loose_env.arms import planar, vera
 from loose_env.diagnosis.link_finding import LinkFindingSettings
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import UnknownName
@@ -59,13 +57,13 @@ def test_a_row_tells_the_whole_episode(problem: Problem) -> None:
         assert row.reward == pytest.approx((1 if row.success else -1) - spent)
 
 
-def test_link_finding_names_loose_links_of_an_easy_arm() -> None:
-    easy = replace(SETTINGS, difficulty="easy", durations=(1.2,))
-    problem = Problem.of(planar(2), easy)
+def test_tuned_link_finding_beats_the_best_blind_guess_on_vera() -> None:
+    settings = DiagnosisSettings()
+    problem = Problem.of(vera(), settings)
     agent = make_agent("thesis", problem)
-    rows = evaluate(agent, "thesis", problem.arm, easy, episodes=24, seed=11)
-    # Naming one of five hypotheses blindly would be right on a fifth.
-    assert sum(r.success for r in rows) / len(rows) > 0.3
+    rows = evaluate(agent, "thesis", problem.arm, settings, episodes=96, seed=11)
+    # Always saying healthy is right on a third of the arms.
+    assert sum(r.success for r in rows) / len(rows) > 1 / 3
 
 
 def test_an_unknown_agent_is_refused_with_the_known_ones(problem: Problem) -> None:
