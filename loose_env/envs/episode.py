@@ -122,12 +122,13 @@ class EpisodeBatch:
         rig: BatchRig | None = None,
     ) -> None:
         self.arm, self.settings, self.num, self.threads = arm, settings, num, threads
-        self.nominal = LinearArm(arm)
-        self.rig: BatchRig = (
-            SimulatedRig(arm, slots=num, sensors=settings.sensors, threads=threads)
-            if rig is None
-            else rig
-        )
+        self.rig: BatchRig
+        if rig is None:
+            simulated = SimulatedRig(arm, slots=num, sensors=settings.sensors, threads=threads)
+            # One linear arm for both: it remembers the poses it has worked out.
+            self.rig, self.nominal = simulated, simulated.nominal
+        else:
+            self.rig, self.nominal = rig, LinearArm(arm)
         self.difficulty = difficulty_named(settings.difficulty)
         self.sampler = FaultSampler(self.nominal, self.difficulty)
         self.hypotheses = hypotheses(arm)
