@@ -90,7 +90,13 @@ class LearnedAgent(EpisodeAgent):
         from agents.network import load_network
 
         where = Path(folder)
-        configuration = json.loads((where / "configuration.json").read_text())
+        described = where / "configuration.json"
+        if not described.is_file():
+            raise ValueError(
+                f"no trained policy for arm {problem.arm.name!r} in {where}; train one with "
+                f"scripts/train.py --out {where}"
+            )
+        configuration = json.loads(described.read_text(encoding="utf-8"))
         form = PolicyForm(problem)
         if configuration["arm"] != problem.arm.name:
             raise ValueError(

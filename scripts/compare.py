@@ -41,13 +41,26 @@ def table(found: Sequence[Standing]) -> str:
     return "\n".join(lines)
 
 
+def arguments_of(text: str) -> dict[str, Any]:
+    """Read the environment's arguments."""
+    try:
+        found = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise ValueError(
+            f"--arguments must be JSON such as '{{\"n_links\": 3}}': {error}"
+        ) from error
+    if not isinstance(found, dict):
+        raise ValueError(f"--arguments must be a JSON object, got {text!r}")
+    return found
+
+
 def play(
     names: Sequence[str], problem: Problem, *, episodes: int, seed: int, width: int, threads: int
 ) -> dict[str, list[EpisodeRow]]:
     """Let every agent play the same episodes; progress goes to standard error."""
     results = {}
-    for name in names:
-        agent = make_agent(name, problem)
+    # All are made before the first plays: a missing weight shows at once.
+    for name, agent in [(name, make_agent(name, problem)) for name in names]:
         begin = time.perf_counter()
 
         def progress(done: int, name: str = name, begin: float = begin) -> None:
@@ -73,7 +86,6 @@ def play(
 
 def write_rows(path: Path, rows: Sequence[dict[str, Any]], configuration: object) -> None:
     """Write all rows with the configuration, beside first, then renamed."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_suffix(".part")
     beside.write_text(json.dumps({"configuration": configuration, "rows": rows}, indent=0) + "\n")
     beside.replace(path)
@@ -147,7 +159,11 @@ def parser() -> argparse.ArgumentParser:
 def compare(options: argparse.Namespace) -> None:
     """Play, print the table, write rows and page."""
     begin = time.perf_counter()
-    arguments = json.loads(options.arguments)
+    arguments = arguments_of(options.arguments)
+    if options.episodes < 1:
+        raise ValueError(f"--episodes must be 1 or more, got {options.episodes}")
+    out = Path(options.out)
+    out.mkdir(parents=True, exist_ok=True)  # fails before an hour of play, not after
     env = gymnasium.make(options.env, **arguments).unwrapped
     problem = Problem.of(env.arm, env.settings)  # type: ignore[attr-defined]
     results = play(
@@ -172,7 +188,6 @@ def compare(options: argparse.Namespace) -> None:
         "seed": options.seed,
         "version": loose_env.__version__,
     }
-    out = Path(options.out)
     write_rows(out / "rows.json", rows, configuration)
     print(f"Rows: {out / 'rows.json'}")
     if options.page:
@@ -185,7 +200,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser().parse_args(arguments)
     try:
         compare(options)
-    except (LooseEnvError, ValueError) as error:
+    except KeyboardInterrupt:
+        sys.exit("compare: interrupted; nothing was written")
+    except (LooseEnvError, gymnasium.error.Error, ValueError, OSError) as error:
         sys.exit(f"compare: {error}")
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 import loose_env  # noqa: F401  (registers the ids)
 from agents.base import Problem
+from loose_env.errors import LooseEnvError
 
 HYPERPARAMETERS: dict[str, Any] = {
     "n_steps": 8,
@@ -147,6 +148,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     try:
         train(options)
+    except (LooseEnvError, gymnasium.error.Error, ValueError, OSError) as error:
+        sys.exit(f"train: {error}")
     except KeyboardInterrupt:
         sys.exit("interrupted; run the same command again to go on from the checkpoint")
 
