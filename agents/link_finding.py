@@ -122,7 +122,8 @@ class LinkFindingAgent(EpisodeAgent):
             # A retry takes the next best move, so that it does not repeat the first.
             best = np.argsort(-reach, kind="stable")
             best = best[reach[best] > 1e-6]
-            moves[joint - 1] = best[memory.tries % len(best)]
+            if len(best):
+                moves[joint - 1] = best[memory.tries % len(best)]
         levels = np.zeros(n, dtype=np.intp)
         levels[self.settings.joint - 1] = self.settings.level
         memory.moved = joint

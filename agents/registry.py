@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -26,11 +27,14 @@ def _random(problem: Problem, seed: int) -> Agent:
 def _link_finding(order: Order) -> Callable[[Problem, int], Agent]:
     def make(problem: Problem, seed: int) -> Agent:
         tuned = WEIGHTS / f"{problem.arm.name}-{order}.json"
-        settings = (
-            LinkFindingSettings(**json.loads(tuned.read_text()))
-            if tuned.is_file()
-            else LinkFindingSettings(order=order)
-        )
+        if not tuned.is_file():
+            warnings.warn(
+                f"link finding {order} is not tuned for arm {problem.arm.name!r}: it plays with "
+                "untuned thresholds; scripts/tune_link_finding.py tunes them",
+                stacklevel=2,
+            )
+            return LinkFindingAgent(problem, LinkFindingSettings(order=order), seed=seed)
+        settings = LinkFindingSettings(**json.loads(tuned.read_text(encoding="utf-8")))
         return LinkFindingAgent(problem, settings, seed=seed)
 
     return make

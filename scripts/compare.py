@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import sys
 import time
 from collections import Counter
@@ -21,6 +22,8 @@ import loose_env
 from agents.base import Problem
 from agents.evaluation import EpisodeRow, evaluate
 from agents.registry import AGENTS, make_agent
+from loose_env.envs.diagnosis import DiagnosisEnv
+from loose_env.envs.registration import IDS
 from loose_env.errors import LooseEnvError
 from loose_env.report.standings import Standing, standings
 
@@ -52,6 +55,14 @@ def arguments_of(text: str) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise ValueError(f"--arguments must be a JSON object, got {text!r}")
     return found
+
+
+def problem_of(env_id: str, arguments: dict[str, Any]) -> Problem:
+    """Make the environment once to learn what problem it poses."""
+    env = gymnasium.make(env_id, **arguments).unwrapped
+    if not isinstance(env, DiagnosisEnv):
+        raise ValueError(f"{env_id} is no diagnosis environment; those are {', '.join(IDS)}")
+    return Problem.of(env.arm, env.settings)
 
 
 def play(
@@ -127,12 +138,12 @@ def write_page(
             *(f"{name}: {AGENTS[name][1]}." for name in options.agents),
         ],
         hypotheses=problem.hypotheses,
-        # Healthy is a third of the arms: always saying so is the best blind guess.
-        chance=max(1 / 3, 1 / kinds),
+        chance=max(Counter(row["truth"] for row in own).values()) / len(own),
         story=story,
         story_of=best,
-        notes=f"Made by: python scripts/compare.py --page --env {options.env} --agents "
-        f"{' '.join(options.agents)} --episodes {options.episodes} --seed {options.seed}",
+        notes=f"Made by: python scripts/compare.py --page --env {options.env} "
+        f"--arguments {shlex.quote(options.arguments)} --agents {' '.join(options.agents)} "
+        f"--episodes {options.episodes} --seed {options.seed}",
     )
 
 
@@ -164,8 +175,7 @@ def compare(options: argparse.Namespace) -> None:
         raise ValueError(f"--episodes must be 1 or more, got {options.episodes}")
     out = Path(options.out)
     out.mkdir(parents=True, exist_ok=True)  # fails before an hour of play, not after
-    env = gymnasium.make(options.env, **arguments).unwrapped
-    problem = Problem.of(env.arm, env.settings)  # type: ignore[attr-defined]
+    problem = problem_of(options.env, arguments)
     results = play(
         options.agents,
         problem,

@@ -104,9 +104,20 @@ def train(options: argparse.Namespace) -> None:
             beside.replace(checkpoint)
             save_network(self.model, out)
 
+    described = out / "configuration.json"
     if checkpoint.exists() and not options.restart:
+        before = json.loads(described.read_text(encoding="utf-8"))
+        differ = sorted(
+            key for key in configuration if key != "records" and configuration[key] != before[key]
+        )
+        if differ:
+            raise ValueError(
+                f"{out} holds a run with other {', '.join(differ)}; choose another --out, or "
+                "--restart to begin anew"
+            )
         model = PPO.load(checkpoint, env=vec)
         print(f"resumed from {checkpoint} at {model.num_timesteps} steps")
+        vec.seed(options.seed + 1000 * model.num_timesteps)  # faults it has not met
     else:
         model = PPO(
             "MlpPolicy",
@@ -116,15 +127,19 @@ def train(options: argparse.Namespace) -> None:
             **HYPERPARAMETERS,
         )
         _prefer_measuring(model)
+    _write(described, json.dumps(configuration, indent=1) + "\n")
     left = options.records - model.num_timesteps
     if left > 0:
         model.learn(left, callback=Progress(), reset_num_timesteps=False)
     save_network(model, out)
-    text = json.dumps(configuration, indent=1) + "\n"
-    beside = out / "configuration.part"
-    beside.write_text(text)
-    beside.replace(out / "configuration.json")
     env.close()
+
+
+def _write(path: Path, text: str) -> None:
+    """Write beside, then rename."""
+    beside = path.with_suffix(".part")
+    beside.write_text(text, encoding="utf-8")
+    beside.replace(path)
 
 
 def _prefer_measuring(model: Any) -> None:

@@ -15,6 +15,7 @@ __all__ = ["Mismatch", "MismatchDraw"]
 
 Array = NDArray[np.float64]
 _CUT = 3.0  # draws beyond three standard deviations are cut off
+_RELATIVE = ("length", "mass", "inertia", "stiffness", "damping", "gain", "cross_axis")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +49,12 @@ class Mismatch:
             if not np.isfinite(value) or value < 0:
                 raise InvalidSetting(
                     f"mismatch {field.name} is a standard deviation, zero or more; got {value!r}"
+                )
+            if field.name in _RELATIVE and value * _CUT >= 1:
+                raise InvalidSetting(
+                    f"mismatch {field.name} is relative and drawn up to {_CUT:g} standard "
+                    f"deviations: it must be below {1 / _CUT:.2f}, or a factor may turn negative; "
+                    f"got {value!r}"
                 )
 
     def scaled(self, factor: float) -> Mismatch:

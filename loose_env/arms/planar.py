@@ -74,7 +74,7 @@ def planar(n_links: int = 4, *, vertical: bool = False, hold: HoldKind = "brake"
     brake, servo, centring = holdings(spec, joints)
     limit = np.radians(150.0)
     return Arm(
-        name=f"planar{n_links}{'v' if vertical else ''}",
+        name=f"planar{n_links}{'v' if vertical else ''}{'-servo' if hold == 'servo' else ''}",
         spec=spec,
         joints=joints,
         seat_bodies=tuple(f"link{i}" for i in range(1, n_links + 1)),

@@ -115,7 +115,7 @@ def vera(*, hold: HoldKind = "brake") -> Arm:
     joints = ("joint1", "joint2")
     brake, servo, centring = holdings(spec, joints)
     return Arm(
-        name="vera",
+        name="vera-servo" if hold == "servo" else "vera",
         spec=spec,
         joints=joints,
         seat_bodies=("link1", "link2"),

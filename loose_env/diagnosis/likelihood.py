@@ -30,6 +30,8 @@ _INERTIA_ERROR = 0.03
 """Relative error of the predicted apparent inertia."""
 _OPEN_ERROR = 0.05
 """Relative error of the predicted change of transmission."""
+_LINEAR_ERROR = 0.003
+"""Share of the tool's rms motion that no linear model explains."""
 _SPREAD = 0.03
 """Share of loose motion that shows across its direction."""
 
@@ -83,7 +85,11 @@ def fit_record(
     joint = np.diag(record.joint_rms[on] ** 2)
     mixed = joint @ record.transmission[:, on].T
     residual = record.tool_covariance - b @ mixed - mixed.T @ b.T + b @ joint @ b.T
-    residual += 1e-3 * floor.tool**2 * np.eye(d)
+    # What float32 readings and the linear model itself leave, however good the sensors are.
+    rounding = (
+        1e-3 * floor.tool**2 + _LINEAR_ERROR**2 * np.trace(record.tool_covariance)
+    ) * np.eye(d)
+    residual += rounding
     away = np.concatenate([-b, np.eye(d)], axis=1)
 
     s = OPENINGS[None, :, None, None]
@@ -105,7 +111,7 @@ def fit_record(
     scale = scale / np.maximum(power, 1e-3 * float(seats.in_step[0, 0]) ** 2)
     scale = np.clip(scale, 0.2, 5.0)[..., None, None]
     wide = np.diag(noise)
-    across = away @ ((rest - wide) * scale + wide) @ away.T
+    across = away @ ((rest - wide) * scale + wide) @ away.T + rounding
     loose = away @ seats.loose @ away.T
     loose = loose + _SPREAD * np.trace(loose, axis1=1, axis2=2)[:, None, None] * np.eye(d)
     return Fit(log=log[..., None] + _residual(residual, across, loose, samples), force=seats.force)

@@ -1,8 +1,9 @@
 """How far a seat opens, given how hard it is driven against its friction.
 
 The table says how openings and loose motion are distributed for a ratio of driving force to
-friction. It was measured on simulated arms by ``scripts/measure_opening.py``: stops, gaps and
-gravity are averaged over as they occur.
+friction. It was measured on simulated horizontal arms by ``scripts/measure_opening.py``: stops
+and gaps are averaged over as they occur. Gravity along a seat, as on a vertical arm, is not in
+it.
 """
 
 from __future__ import annotations

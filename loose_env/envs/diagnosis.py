@@ -120,12 +120,14 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
     ) -> tuple[Any, dict[str, Any]]:
         """Hide a fault and take a random pose; measures nothing."""
         super().reset(seed=seed)
+        root, number = self._seed, self._number + 1
         if seed is not None:
-            self._seed, self._number = seed, -1
-        elif self._seed is None:
-            self._seed = new_seed()
-        self._number += 1
-        info = self.batch.start(0, seed=self._seed, number=self._number, options=options)
+            root, number = seed, 0
+        elif root is None:
+            root = new_seed()
+        info = self.batch.start(0, seed=root, number=number, options=options)
+        # Only now: a reset that was refused leaves the sequence of episodes as it was.
+        self._seed, self._number = root, number
         if self.render_mode == "human":
             self.render()
         return self._observe(), info

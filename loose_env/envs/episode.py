@@ -188,6 +188,8 @@ class EpisodeBatch:
         plans: list[tuple[int, Action, Array, dict[str, Any]]] = []
         for slot, action in zip(slots, decoded, strict=True):
             episode = self._running(slot)
+            if episode.ended:
+                raise ResetNeeded("the episode has ended: call reset() before step()")
             if episode.records >= self.settings.max_records and action.verdict == 0:
                 outcomes[slot] = self._end(episode, None, {"out_of_records": True})
             elif action.verdict > 0 and episode.records > 0:
@@ -269,7 +271,7 @@ class EpisodeBatch:
             episode.seconds += action.duration
             episode.levels += levels
             episode.visited.add(episode.pose.tobytes())
-            episode.last = measurement
+        episode.last = measurement
         failure = measurement.failure if measurement is not None else None
         if measurement is not None and failure is None:
             try:

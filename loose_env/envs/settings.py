@@ -81,7 +81,8 @@ class DiagnosisSettings:
     sensors: SensorSuite = field(default_factory=SensorSuite)
     """What reads the motion."""
     raw: bool = False
-    """Whether `info` carries the measurement itself, raw signals included."""
+    """Whether the observation becomes a Dict with the latest record's signals beside the
+    statistics, and `info` carries the measurement itself."""
 
     def __post_init__(self) -> None:
         difficulty_named(self.difficulty)

@@ -134,8 +134,9 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         seed = self._seeds[i]
         if seed is None:
             seed = self._seeds[i] = new_seed()
-        self._numbers[i] += 1
-        return self.batch.start(i, seed=seed, number=self._numbers[i], options=options)
+        info = self.batch.start(i, seed=seed, number=self._numbers[i] + 1, options=options)
+        self._numbers[i] += 1  # only now: a refused reset leaves the sequence as it was
+        return info
 
     def _checked_seeds(self, given: Any) -> list[int | None]:
         """One seed for each environment; a single one counts up."""

@@ -113,7 +113,10 @@ class PlantShop:
         )
         for j, name in enumerate(arm.joints):
             joint = spec.joint(name)
-            joint.stiffness = [arm.centring.stiffness[j], 0, 0]
+            joint.stiffness = [
+                joint.stiffness[0] + arm.centring.stiffness[j],
+                *joint.stiffness[1:],
+            ]
             joint.armature += arm.centring.damping[j] * self.timestep / 2  # as for the brakes
             joint.damping = [joint.damping[0] + arm.centring.damping[j], *joint.damping[1:]]
             spec.add_actuator(name=f"drive_{name}", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=name)

@@ -41,7 +41,8 @@ def read_record(
     factor : int
         Simulation steps per reading.
     mismatch : MismatchDraw
-        Gains, cross-axis and mounting of the accelerometer, and the encoders' zeros.
+        Gains, cross-axis and mounting of the accelerometers (the same for all of them), and
+        the encoders' zeros.
     gravity : ndarray (n,)
         Torque commanded against gravity, to be taken off the command [N·m].
     """
