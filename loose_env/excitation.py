@@ -234,7 +234,10 @@ def torque_signals(
         spectrum = np.zeros(count // 2 + 1, dtype=complex)
         # E|line|² = 2; the expected rms of the sum of all lines is the one asked for.
         spectrum[inside] = weight * lines[j] * (rms * count / (2 * np.sqrt(len(inside))))
-        torque[j] = fft.irfft(spectrum, n=count)[index]
+        period = fft.irfft(spectrum, n=count)
+        torque[j, before : before + count] = period
+        torque[j, :before] = period[index[:before]]
+        torque[j, before + count :] = period[index[before + count :]]
     return torque
 
 

@@ -239,11 +239,12 @@ def seated_spec(arm: Arm, link: int, kind: SeatKind) -> mujoco.MjSpec:
     return spec
 
 
-def set_seat(model: mujoco.MjModel, fault: Fault) -> None:
+def set_seat(model: mujoco.MjModel, fault: Fault, data: mujoco.MjData | None = None) -> None:
     """Write a fault's figures into a compiled model that has its seat.
 
     Call it after every change of masses, once ``mj_setConst`` has run: the stops are scaled
-    with the seat's inverse weight, that along the fault's direction.
+    with the seat's inverse weight, that along the fault's direction. ``data`` is scratch space of
+    the model's layout, made anew if it is not given.
 
     Raises
     ------
@@ -260,7 +261,8 @@ def set_seat(model: mujoco.MjModel, fault: Fault) -> None:
     model.dof_solref[dof] = (2 * step, 1.0)
     if isinstance(fault, (StructuralLooseness, Preload)):
         model.jnt_axis[seat.id] = _direction(fault.direction)
-        mujoco.mj_setConst(model, mujoco.MjData(model))  # the inverse weight follows the axis
+        # The inverse weight follows the axis.
+        mujoco.mj_setConst(model, mujoco.MjData(model) if data is None else data)
     friction, reach = 0.0, _FAR
     stops = ((1.0, 0.0), (1.0, 0.0))
     if isinstance(fault, (StructuralLooseness, Backlash)):

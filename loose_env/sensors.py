@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import upfirdn
 
 from loose_env.errors import InvalidSetting
 
@@ -159,11 +160,11 @@ def read_accelerometer(
     """
     taps = decimation_filter(factor, sensor.bandwidth, rate)
     half = len(taps) // 2
-    start = first - half
-    # Windows over the steps around every reading: (count, 3, taps).
-    windows = np.lib.stride_tricks.sliding_window_view(true[start:], len(taps), axis=0)
-    filtered = np.einsum("kct,t->ck", windows[::factor][:count], taps)
-    readings: Array = np.einsum("dc,ck->dk", matrix, filtered)
+    # Steps from half a filter before the first reading to half a filter after the last.
+    used = true[first - half : first + factor * (count - 1) + half + 1]
+    mixed = np.einsum("dc,tc->dt", matrix, used)
+    lead = 2 * half // factor  # outputs before the first whole window
+    readings: Array = upfirdn(taps, mixed, down=factor)[:, lead : lead + count]
     # White noise of the given density up to half the sampling rate.
     readings += sensor.noise_density * np.sqrt(rate / 2) * rng.standard_normal(readings.shape)
     return _rounded(readings, sensor.resolution)

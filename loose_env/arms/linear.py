@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidSetting
 
-__all__ = ["LinearArm", "LinearPose", "Response", "inertance_rate"]
+__all__ = ["LinearArm", "LinearPose", "OpenResponse", "Response", "inertance_rate"]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -49,6 +49,12 @@ class Response:
     """Force each shut slide transmits per torque [N per N·m], (K, n links, s axes, m)."""
     hinge: Complex
     """Torque each joint's link side transmits per torque [1], (K, n joints, m)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpenResponse:
+    """How the arm would answer through each of its seats, were it open, over the band."""
+
     tool_open_slide: Complex
     """Change of tool acceleration per unit seat acceleration, (K, d, n links, s axes)."""
     joint_open_slide: Complex
@@ -199,19 +205,28 @@ class LinearPose:
     def _responses(self) -> dict[tuple[bool, ...], Response]:
         return {}
 
+    @property
+    def _moving(self) -> NDArray[np.intp]:
+        """Degrees of freedom that answer: joints, then bending modes."""
+        return np.concatenate([self.linear.joint_dofs, self.linear.flexible_dofs])
+
+    @property
+    def _seats(self) -> NDArray[np.intp]:
+        """Degrees of freedom of all seats: slides, then link sides of joints."""
+        return np.concatenate([self.linear.slide_dofs.ravel(), self.linear.hinge_dofs])
+
     def response(self, excited: Sequence[bool] | NDArray[np.bool_]) -> Response:
         """Return the frequency response with the given joints excited and all others held."""
         mask = tuple(bool(e) for e in excited)
         found = self._responses.get(mask)
         if found is None:
-            found = self._responses[mask] = self._solve(np.array(mask))
+            found = self._responses[mask] = self._respond(np.array(mask))
         return found
 
-    def _solve(self, excited: NDArray[np.bool_]) -> Response:
+    def _stiffness(self, excited: NDArray[np.bool_]) -> Complex:
+        """Dynamic stiffness of joints and bending modes (K, v, v)."""
         lin = self.linear
-        arm, model = lin.arm, lin.model
-        move = np.concatenate([lin.joint_dofs, lin.flexible_dofs])
-        n = arm.n
+        arm, model, move = lin.arm, lin.model, self._moving
         omega = 2 * np.pi * lin.frequency
         s = 1j * omega
         diagonal = np.zeros((len(omega), len(move)), dtype=complex)
@@ -219,7 +234,7 @@ class LinearPose:
         joint_of = model.dof_jntid[move]
         diagonal += model.jnt_stiffness[joint_of]
         centring, holding = arm.centring, arm.holding
-        for j in range(n):
+        for j in range(arm.n):
             diagonal[:, j] += centring.stiffness[j] + s * centring.damping[j]
             if not excited[j]:
                 k, c = holding.stiffness[j], holding.damping[j]
@@ -229,39 +244,53 @@ class LinearPose:
         stiffness = -(omega**2)[:, None, None] * mass.astype(complex)
         stiffness[:, np.arange(len(move)), np.arange(len(move))] += diagonal
 
-        driven = np.flatnonzero(excited)
-        slides = lin.slide_dofs.ravel()
-        hinges = lin.hinge_dofs
-        seats = np.concatenate([slides, hinges])
-        coupling = self.inertia[np.ix_(move, seats)]
-        right = np.zeros((len(omega), len(move), len(driven) + len(seats)), dtype=complex)
-        right[:, driven, np.arange(len(driven))] = 1.0
-        # Unit seat acceleration pushes back on the moving coordinates through the inertia.
-        right[:, :, len(driven) :] = -coupling
-        motion = np.linalg.solve(stiffness, right)
-        acceleration = np.asarray(-(omega**2)[:, None, None] * motion, dtype=np.complex128)
-        by_torque, by_seat = acceleration[:, :, : len(driven)], acceleration[:, :, len(driven) :]
+        return np.asarray(stiffness)
 
-        d, axes = self.jacobian.shape[0], lin.slide_dofs.shape[1]
-        count, m = len(omega), len(driven)
-        tool = np.einsum("dv,kvm->kdm", self.jacobian[:, move], by_torque)
-        tool_open = (
-            np.einsum("dv,kvs->kds", self.jacobian[:, move], by_seat) + self.jacobian[:, seats]
-        )
-        transmitted = np.einsum("vs,kvm->ksm", coupling, by_torque)
-        apparent = np.einsum("vs,kvt->kst", coupling, by_seat) + self.inertia[np.ix_(seats, seats)]
-        ns = len(slides)
-        blocks = apparent[:, :ns, :ns].reshape(count, n, axes, n, axes)
+    def _respond(self, excited: NDArray[np.bool_]) -> Response:
+        lin, move = self.linear, self._moving
+        n, axes = lin.arm.n, lin.slide_dofs.shape[1]
+        driven = np.flatnonzero(excited)
+        count, m = len(lin.frequency), len(driven)
+        torque = np.zeros((count, len(move), m), dtype=complex)
+        torque[:, driven, np.arange(m)] = 1.0
+        acceleration = self._accelerations(excited, torque)
+        coupling = self.inertia[np.ix_(move, self._seats)]
+        transmitted = np.einsum("vs,kvm->ksm", coupling, acceleration)
+        slides = n * axes
         return Response(
             frequency=lin.frequency,
-            joint=by_torque[:, :n],
-            tool=tool,
-            slide=transmitted[:, :ns].reshape(count, n, axes, m),
-            hinge=transmitted[:, ns:],
-            tool_open_slide=tool_open[:, :, :ns].reshape(count, d, n, axes),
+            joint=acceleration[:, :n],
+            tool=np.einsum("dv,kvm->kdm", self.jacobian[:, move], acceleration),
+            slide=transmitted[:, :slides].reshape(count, n, axes, m),
+            hinge=transmitted[:, slides:],
+        )
+
+    def open_response(self, excited: Sequence[bool] | NDArray[np.bool_]) -> OpenResponse:
+        """Return the answer through every seat, with the given joints excited."""
+        lin, move, seats = self.linear, self._moving, self._seats
+        mask = np.array([bool(e) for e in excited])
+        n, axes, d = lin.arm.n, lin.slide_dofs.shape[1], self.jacobian.shape[0]
+        driven = np.flatnonzero(mask)
+        count, m = len(lin.frequency), len(driven)
+        # Unit seat acceleration pushes back on the moving coordinates through the inertia.
+        coupling = self.inertia[np.ix_(move, seats)]
+        push = np.broadcast_to(-coupling.astype(complex), (count, *coupling.shape))
+        by_seat = self._accelerations(mask, push)
+        tool = np.einsum("dv,kvs->kds", self.jacobian[:, move], by_seat) + self.jacobian[:, seats]
+        apparent = np.einsum("vs,kvt->kst", coupling, by_seat) + self.inertia[np.ix_(seats, seats)]
+        ns = n * axes
+        blocks = apparent[:, :ns, :ns].reshape(count, n, axes, n, axes)
+        return OpenResponse(
+            tool_open_slide=tool[:, :, :ns].reshape(count, d, n, axes),
             joint_open_slide=by_seat[:, driven, :ns].reshape(count, m, n, axes),
             mass_slide=np.einsum("kiaib->kiab", blocks),
-            tool_open_hinge=tool_open[:, :, ns:],
+            tool_open_hinge=tool[:, :, ns:],
             joint_open_hinge=by_seat[:, driven, ns:],
             inertia_hinge=np.einsum("kii->ki", apparent[:, ns:, ns:]),
         )
+
+    def _accelerations(self, excited: NDArray[np.bool_], force: Complex) -> Complex:
+        """Accelerations of joints and bending modes under generalised forces (K, v, ...)."""
+        omega = 2 * np.pi * self.linear.frequency
+        motion = np.linalg.solve(self._stiffness(excited), force)
+        return np.asarray(-(omega**2)[:, None, None] * motion, dtype=np.complex128)

@@ -72,7 +72,7 @@ def predict_seats(
     """
     excited = torque > 0
     on = np.flatnonzero(excited)
-    answer = pose.response(excited)
+    answer, opened = pose.response(excited), pose.open_response(excited)
     t = torque[on]
     n, count = pose.linear.arm.n, len(answer.frequency)
     shape = (count, n * len(directions))
@@ -80,10 +80,10 @@ def predict_seats(
     healthy = np.concatenate([answer.joint[:, on], answer.tool], axis=1) * t
     slide_force = np.einsum("kism,as->kiam", answer.slide, directions).reshape(*shape, -1)
     force = np.concatenate([slide_force, answer.hinge], axis=1) * t
-    slide_mass = np.einsum("kisr,as,ar->kia", answer.mass_slide, directions, directions)
-    mass = np.concatenate([slide_mass.reshape(shape), answer.inertia_hinge], axis=1)
-    slide = np.concatenate([answer.joint_open_slide, answer.tool_open_slide], axis=1)
-    hinge = np.concatenate([answer.joint_open_hinge, answer.tool_open_hinge], axis=1)
+    slide_mass = np.einsum("kisr,as,ar->kia", opened.mass_slide, directions, directions)
+    mass = np.concatenate([slide_mass.reshape(shape), opened.inertia_hinge], axis=1)
+    slide = np.concatenate([opened.joint_open_slide, opened.tool_open_slide], axis=1)
+    hinge = np.concatenate([opened.joint_open_hinge, opened.tool_open_hinge], axis=1)
     slide_column = np.einsum("kpis,as->kiap", slide, directions).reshape(*shape, -1)
     column = np.concatenate([slide_column, hinge.transpose(0, 2, 1)], axis=1)
     free = -force / mass[..., None]

@@ -9,7 +9,7 @@ before change nothing.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -206,17 +206,22 @@ class EpisodeBatch:
                 plans.append((slot, action, share, info))
                 if action.levels.any():
                     jobs.append(self._job(slot, episode, excitation))
-        measured = (
-            {
-                job.slot: result
-                for job, result in zip(jobs, self.rig.measure_many(jobs), strict=True)
-            }
-            if jobs
-            else {}
-        )
-        for slot, action, share, info in plans:
-            outcomes[slot] = self._record(slot, action, share, measured.get(slot), info)
+        waiting = {slot: (action, share, info) for slot, action, share, info in plans}
+        for k, measurement in self._measured(jobs):
+            slot = jobs[k].slot
+            action, share, info = waiting.pop(slot)
+            outcomes[slot] = self._record(slot, action, share, measurement, info)
+        for slot, (action, share, info) in waiting.items():  # nothing was excited
+            outcomes[slot] = self._record(slot, action, share, None, info)
         return [outcomes[slot] for slot in slots]
+
+    def _measured(self, jobs: Sequence[Job]) -> Iterable[tuple[int, Measurement]]:
+        """Measure; a simulated rig gives each record out while it works on the next ones."""
+        if not jobs:
+            return ()
+        if isinstance(self.rig, SimulatedRig):
+            return self.rig.measure_each(jobs)
+        return enumerate(self.rig.measure_many(jobs))
 
     def simulate(
         self,

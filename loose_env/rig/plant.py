@@ -19,13 +19,19 @@ class Plant:
     """One true arm: a compiled model of its own, and where things lie in it."""
 
     def __init__(
-        self, template: mujoco.MjModel, arm: Arm, fault: Fault, mismatch: MismatchDraw
+        self,
+        template: mujoco.MjModel,
+        arm: Arm,
+        fault: Fault,
+        mismatch: MismatchDraw,
+        scratch: mujoco.MjData | None = None,
     ) -> None:
         self.fault = fault
         self.mismatch = mismatch
         self.model = model = copy.copy(template)
-        mismatch.apply(model, arm, mujoco.MjData(model))
-        set_seat(model, fault)
+        data = mujoco.MjData(model) if scratch is None else scratch
+        mismatch.apply(model, arm, data)
+        set_seat(model, fault, data)
         joints = [model.joint(name) for name in arm.joints]
         self.position = np.array([j.qposadr[0] for j in joints], dtype=np.intp)
         self.seat_position = int(model.joint(SEAT).qposadr[0])
@@ -76,6 +82,7 @@ class PlantShop:
         self.timestep = timestep
         self.link_accelerometers = link_accelerometers
         self._templates: dict[tuple[int, SeatKind], mujoco.MjModel] = {}
+        self._scratch: mujoco.MjData | None = None
 
     def template(self, link: int, kind: SeatKind) -> mujoco.MjModel:
         """Compiled model with the given seat; its layout is the same for all seats."""
@@ -97,7 +104,9 @@ class PlantShop:
             self.arm.link_number(link)
         # A shut seat shows nowhere; the last link's is as good as any.
         template = self.template(link if link is not None else self.arm.n, kind)
-        return Plant(template, self.arm, fault, mismatch)
+        if self._scratch is None:  # all templates share one layout
+            self._scratch = mujoco.MjData(template)
+        return Plant(template, self.arm, fault, mismatch, self._scratch)
 
     def _compile(self, link: int, kind: SeatKind) -> mujoco.MjModel:
         arm = self.arm

@@ -26,7 +26,7 @@ from loose_env.sensors import SensorSuite, decimation_filter
 __all__ = ["Job", "SimulatedRig"]
 
 Array = NDArray[np.float64]
-_CHUNK = 16  # arms simulated in one call; reading one chunk overlaps with the next
+_CHUNK = 8  # arms simulated in one call; reading one chunk overlaps with the next
 
 
 class SimulatedRig:
@@ -132,6 +132,20 @@ class SimulatedRig:
         InvalidSetting
             If a slot is named twice, or a pose or excitation does not fit the arm.
         """
+        results = dict(self.measure_each(jobs))
+        return [results[k] for k in range(len(jobs))]
+
+    def measure_each(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Measurement]]:
+        """Take measurements as `measure_many`, and give each out as soon as it is there.
+
+        Yields the index of a job with its measurement. While the caller works on it, the engine
+        goes on with the next ones. All must be taken out before the rig is used again.
+
+        Raises
+        ------
+        InvalidSetting
+            If a slot is named twice, or a pose or excitation does not fit the arm.
+        """
         slots = [job.slot for job in jobs]
         if len(set(slots)) != len(slots):
             raise InvalidSetting(f"each slot can be measured once at a time, got slots {slots}")
@@ -152,12 +166,10 @@ class SimulatedRig:
         for members in by_length.values():
             members.sort(key=lambda k: jobs[k].slot)  # as the batch wants them
             chunks += [members[i : i + _CHUNK] for i in range(0, len(members), _CHUNK)]
-        results: dict[int, Measurement] = {}
         for chunk, measured in zip(
             chunks, self._pipeline([[jobs[k] for k in chunk] for chunk in chunks]), strict=True
         ):
-            results.update(zip(chunk, measured, strict=True))
-        return [results[k] for k in range(len(jobs))]
+            yield from zip(chunk, measured, strict=True)
 
     def _pipeline(self, chunks: Sequence[Sequence[Job]]) -> Iterator[list[Measurement]]:
         """Prepare and read on this thread while the engine simulates the neighbouring chunk."""
@@ -210,15 +222,17 @@ class SimulatedRig:
     def _controls(self, jobs: Sequence[Job], before: int, after: int) -> Array:
         """Torques of every step (jobs, steps, n): random part plus gravity, within limits."""
         limits = np.array(self.arm.torque_limits)
-        rows = []
-        for job in jobs:
+        control = np.zeros((len(jobs), 0, self.arm.n))
+        for k, job in enumerate(jobs):
             torque = torque_signals(
                 job.excitation, timestep=self.timestep, before=before, after=after, rng=job.rng
             )
+            if k == 0:
+                control = np.zeros((len(jobs), torque.shape[1], self.arm.n))
             gravity = self.nominal.at(job.pose).gravity_torque
-            torque += gravity[:, None]
-            rows.append(np.clip(torque, -limits[:, None], limits[:, None]).T)
-        return np.ascontiguousarray(rows)
+            for j in np.flatnonzero(np.array(job.excitation.excited) | (gravity != 0)):
+                control[k, :, j] = np.clip(torque[j] + gravity[j], -limits[j], limits[j])
+        return control
 
     def _simulate(self, run: Run) -> None:
         """Run the engine; fill in what it recorded and which arms failed."""
