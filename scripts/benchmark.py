@@ -6,20 +6,22 @@ Usage: python scripts/benchmark.py [--arms 64] [--rounds 4] [--quick]
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 import os
 import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import gymnasium
 import mujoco
 import mujoco.rollout
 import numpy as np
+from gymnasium.vector import AsyncVectorEnv
 
 import loose_env  # noqa: F401  (registers the ids)
+from loose_env.envs.diagnosis import DiagnosisEnv
 from loose_env.envs.episode import EpisodeBatch
 from loose_env.rig.jobs import Run
 from loose_env.rig.simulated import SimulatedRig
@@ -80,15 +82,16 @@ class RolloutRig(SimulatedRig):
         )
 
 
-def actions_of(batch: EpisodeBatch, rng: np.random.Generator, duration: int) -> list[Any]:
-    """Draw one joint at a random level and random moves for every arm."""
+def actions_of(batch: EpisodeBatch, rng: np.random.Generator, duration: int | None) -> list[Any]:
+    """Draw one joint at a random level and random moves for every arm; None: random lengths."""
     n = batch.arm.n
     chosen = []
     for _ in range(batch.num):
         levels = np.zeros(n, dtype=np.intp)
         levels[rng.integers(n)] = rng.integers(1, 4)
         moves = rng.integers(0, len(batch.settings.moves), n)
-        chosen.append(batch.actions.encode(moves=moves, levels=levels, duration=duration))
+        length = int(rng.integers(len(batch.settings.durations))) if duration is None else duration
+        chosen.append(batch.actions.encode(moves=moves, levels=levels, duration=length))
     return chosen
 
 
@@ -103,7 +106,7 @@ def new_batch(env_id: str, arms: int, rig: type[SimulatedRig] | None = None) -> 
     return batch
 
 
-def seconds_per_record(batch: EpisodeBatch, rounds: int, duration: int) -> float:
+def seconds_per_record(batch: EpisodeBatch, rounds: int, duration: int | None) -> float:
     """Time the steps of a batch; every third round starts new episodes, as agents do."""
     rng = np.random.default_rng(0)
     batch.step(range(batch.num), actions_of(batch, rng, duration))  # warm up
@@ -116,7 +119,7 @@ def seconds_per_record(batch: EpisodeBatch, rounds: int, duration: int) -> float
     return (time.perf_counter() - begin) / (rounds * batch.num)
 
 
-def bare_seconds_per_record(env_id: str, arms: int, rounds: int, duration: int) -> float:
+def bare_seconds_per_record(env_id: str, arms: int, rounds: int, duration: int | None) -> float:
     """Time `mujoco.batch` alone on the same models, states, controls and threads."""
     batch = new_batch(env_id, arms)
     rig = batch.rig
@@ -132,37 +135,45 @@ def bare_seconds_per_record(env_id: str, arms: int, rounds: int, duration: int) 
 
     rig._simulate = keep  # type: ignore[method-assign]
     batch.step(range(arms), actions_of(batch, rng, duration))
-    ids = np.concatenate([k[0] for k in kept])
-    states, controls = (np.concatenate([k[i] for k in kept]) for i in (1, 2))
-    out = {"sensordata": np.empty((arms, controls.shape[1], rig._batch.model.nsensordata))}
+    # One call for each record length, all of its arms together.
+    runs = []
+    for steps in sorted({k[2].shape[1] for k in kept}):
+        same = [k for k in kept if k[2].shape[1] == steps]
+        ids, states, controls = (np.concatenate([k[i] for k in same]) for i in range(3))
+        out = np.empty((len(ids), steps, rig._batch.model.nsensordata))
+        runs.append((steps, ids, states, controls, {"sensordata": out}))
     spent = 0.0
     for k in range(rounds + 1):
-        rig._batch.state[ids] = states
+        for _, ids, states, _, _ in runs:
+            rig._batch.state[ids] = states
         begin = time.perf_counter()
-        rig._batch.rollout(controls.shape[1], controls, record=("sensordata",), ids=ids, out=out)
+        for steps, ids, _, controls, out in runs:
+            rig._batch.rollout(steps, controls, record=("sensordata",), ids=ids, out=out)
         if k > 0:  # the first one warms up
             spent += time.perf_counter() - begin
     return spent / (rounds * arms)
 
 
-def _play_alone(env_id: str, records: int, duration: int, seed: int) -> None:
-    batch = new_batch(env_id, 1, PythonLoopRig)
-    rng = np.random.default_rng(seed)
-    for k in range(records):
-        if k % batch.settings.max_records == 0:
-            batch.start(0, seed=seed, number=k)
-        batch.step([0], actions_of(batch, rng, duration))
+def make_rival(env_id: str) -> gymnasium.Env[Any, Any]:
+    """Make the single environment on the Python loop."""
+    env = gymnasium.make(env_id).unwrapped
+    arm, settings = env.arm, env.settings  # type: ignore[attr-defined]
+    return DiagnosisEnv(arm, settings, rig=PythonLoopRig(arm, sensors=settings.sensors))
 
 
-def subprocess_seconds_per_record(env_id: str, records: int, duration: int) -> float:
-    """Time the Python loop in two processes that share the records."""
-    context = multiprocessing.get_context("spawn")
-    with context.Pool(2) as pool:
-        jobs = [(env_id, 1, duration, s) for s in range(2)]
-        pool.starmap(_play_alone, jobs)  # warm up: imports and models
-        begin = time.perf_counter()
-        pool.starmap(_play_alone, [(env_id, records // 2, duration, s) for s in range(2)])
-        return (time.perf_counter() - begin) / (2 * (records // 2))
+def subprocess_seconds_per_record(env_id: str, records: int, duration: int | None) -> float:
+    """Time the Python loop as Gymnasium runs it in two subprocesses."""
+    batch = new_batch(env_id, 2)
+    rivals = AsyncVectorEnv([partial(make_rival, env_id)] * 2, context="spawn")
+    rivals.reset(seed=0)
+    rng = np.random.default_rng(0)
+    rivals.step(np.array(actions_of(batch, rng, duration)))  # warm up
+    begin = time.perf_counter()
+    for _ in range(records // 2):
+        rivals.step(np.array(actions_of(batch, rng, duration)))
+    spent = time.perf_counter() - begin
+    rivals.close()
+    return spent / (2 * (records // 2))
 
 
 def child(code: str) -> str:
@@ -208,7 +219,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(head + f"{'of bare batch':>15}{'vs 2 processes':>16}{'vs rollout':>12}")
     for env_id in options.ids:
         durations = new_batch(env_id, 1).settings.durations
-        for duration in (len(durations) - 1, 0):
+        for duration in (len(durations) - 1, 0, None):
             # In turn and more than once, so that a slow spell of the machine hits all of them.
             ours, bare, rollout = [], [], []
             for _ in range(2):
@@ -217,10 +228,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 rollout.append(
                     seconds_per_record(new_batch(env_id, arms, RolloutRig), rounds, duration)
                 )
+            name = "mixed" if duration is None else f"{durations[duration]} s"
             loop = subprocess_seconds_per_record(env_id, max(arms, 16), duration)
             mine = min(ours)
             print(
-                f"{env_id:22}{durations[duration]:>6} s{1e3 * mine:>7.1f} ms{1 / mine:>11.1f}"
+                f"{env_id:22}{name:>8}{1e3 * mine:>7.1f} ms{1 / mine:>11.1f}"
                 f"{min(bare) / mine:>15.2f}{loop / mine:>16.2f}{min(rollout) / mine:>12.2f}",
                 flush=True,
             )

@@ -72,7 +72,7 @@ def test_the_planar_arm_has_four_links_in_a_horizontal_plane_unless_told_otherwi
     assert (plain.arm.name, plain.arm.n, plain.arm.hold) == ("planar4", 4, "brake")
     told = gymnasium.make("loose_env/Planar-v0", n_links=7, vertical=True, hold="servo").unwrapped
     assert isinstance(told, DiagnosisEnv)
-    assert (told.arm.name, told.arm.n, told.arm.hold) == ("planar7v", 7, "servo")
+    assert (told.arm.name, told.arm.n, told.arm.hold) == ("planar7v-servo", 7, "servo")
     for env in (plain, told):
         env.close()
 

@@ -57,7 +57,7 @@ def test_arguments_reach_the_vector_form() -> None:
         threads=1,
     )
     assert isinstance(env, DiagnosisVectorEnv)
-    assert (env.arm.n, env.arm.name, env.arm.hold) == (5, "planar5v", "servo")
+    assert (env.arm.n, env.arm.name, env.arm.hold) == (5, "planar5v-servo", "servo")
     assert (env.settings.difficulty, env.settings.max_records) == ("easy", 3)
     observation, _ = env.reset(seed=0)
     assert set(observation) == {"statistics", "command", "encoder", "tool"}
