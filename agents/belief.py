@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from loose_env.diagnosis.posterior import Belief, FaultPosterior, PosteriorSettings
 from numpy.typing import NDArray
 
 from agents.base import Problem
+from loose_env.diagnosis.posterior import Belief, FaultPosterior, PosteriorSettings
 from loose_env.diagnosis.record import RecordStatistics
 from loose_env.envs.difficulty import difficulty_named
 from loose_env.envs.observation import ObservationLayout
