@@ -359,7 +359,7 @@ def test_the_nominal_prediction_is_that_of_the_rigid_arm_on_its_springs(
     stiffness = arm.centring.stiffness + hold_k
     damping = arm.centring.damping + hold_c + 0.3 * 0.75 ** np.arange(3)
     inertia = inertia + np.diag(hold_k / inertance_rate(arm.timestep) ** 2)
-    frequencies = np.arange(30.0, 151.0, 5.0)  # the lines of a record of 0.2 s
+    frequencies = np.linspace(30.0, 150.0, 241)
     joint, tool = [], []
     for omega in 2 * np.pi * frequencies:
         impedance = np.diag(stiffness + 1j * omega * damping) - omega**2 * inertia
