@@ -61,7 +61,7 @@ def by_agent(rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 
 def standings(rows: Sequence[Row]) -> list[Standing]:
-    """Sum up the rows of each agent; the best agent comes first.
+    """Sum up the rows of each agent; the one with the highest mean return comes first.
 
     Examples
     --------
@@ -89,7 +89,7 @@ def standings(rows: Sequence[Row]) -> list[Standing]:
                 **means,
             )
         )
-    return sorted(found, key=lambda s: (-s.success, -s.reward))
+    return sorted(found, key=lambda s: (-s.reward, -s.success))
 
 
 def table_of(found: Sequence[Standing]) -> list[dict[str, str]]:
@@ -108,10 +108,10 @@ def table_of(found: Sequence[Standing]) -> list[dict[str, str]]:
 
 
 def who_won(rows: Sequence[Row]) -> list[str]:
-    """Say in plain words who was right most often, who came next, and whether it was luck."""
+    """Say in plain words who earned most, who came next, and who was right more often."""
     best, *others = standings(rows)
     sentences = [
-        f"The best was {best.agent}: right on {best.right} of {best.episodes} arms"
+        f"The best by return was {best.agent}: right on {best.right} of {best.episodes} arms"
         f" ({100 * best.success:.0f} %), after {best.records:.1f} records on average."
     ]
     if others:
@@ -142,7 +142,7 @@ def _lead(rows: Sequence[Row], first: Standing, second: Standing) -> str:
         f"{second.agent} on {lost}:"
     )
     if chance > _CHANCE:
-        return f"{met} such a lead may well be luck (sign test, p = {chance:.2f})."
+        return f"{met} such a difference may well be luck (sign test, p = {chance:.2f})."
     shown = "p < 0.001" if chance < 0.001 else f"p = {chance:.3f}"
     return f"{met} luck alone would hardly do that (sign test, {shown})."
 
