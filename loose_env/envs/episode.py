@@ -185,7 +185,7 @@ class EpisodeBatch:
         decoded = [self.actions.decode(action) for action in actions]
         outcomes: dict[int, Outcome] = {}
         jobs: list[Job] = []
-        plans: list[tuple[int, Action, Array, dict[str, Any]]] = []
+        waiting: dict[int, tuple[Action, Array, dict[str, Any]]] = {}
         for slot, action in zip(slots, decoded, strict=True):
             episode = self._running(slot)
             if episode.ended:
@@ -203,10 +203,9 @@ class EpisodeBatch:
                     self.nominal.at(episode.pose), levels, duration=action.duration
                 )
                 info["level_share"] = share
-                plans.append((slot, action, share, info))
+                waiting[slot] = (action, share, info)
                 if action.levels.any():
                     jobs.append(self._job(slot, episode, excitation))
-        waiting = {slot: (action, share, info) for slot, action, share, info in plans}
         for k, measurement in self._measured(jobs):
             slot = jobs[k].slot
             action, share, info = waiting.pop(slot)
