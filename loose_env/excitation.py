@@ -48,8 +48,14 @@ class Excitation:
     """Band of the excitation [Hz]."""
     shaping: tuple[Shaping | None, ...] | None = field(default=None, compare=False)
     """Spectrum of each joint's torque, from `compensation`; None for a flat one."""
+    shaker_rms: float = 0.0
+    """Rms force of the shaker beside the arm [N]; 0 leaves it off."""
 
     def __post_init__(self) -> None:
+        if not np.isfinite(self.shaker_rms) or self.shaker_rms < 0:
+            raise InvalidSetting(
+                f"shaker_rms must be finite, zero or more N, got {self.shaker_rms!r}"
+            )
         if any(not np.isfinite(t) or t < 0 for t in self.torque_rms):
             raise InvalidSetting(
                 f"torque_rms must be finite, zero or more N·m, got {self.torque_rms}"
@@ -185,7 +191,7 @@ def torque_signals(
     after: int,
     rng: np.random.Generator,
 ) -> Array:
-    """Draw the torque of every joint.
+    """Draw the torque of every joint, and the force of the shaker where it is on.
 
     Parameters
     ----------
@@ -197,12 +203,12 @@ def torque_signals(
         Samples of run-in and run-out around the record; they continue its period.
     rng : numpy.random.Generator
         Source of the draw. Joints draw in order, whether excited or not, so that the signal
-        of a joint does not depend on which others are on.
+        of a joint does not depend on which others are on; the shaker draws last.
 
     Returns
     -------
     ndarray (n, before + duration / timestep + after)
-        Torques [N·m].
+        Torques [N·m]; with the shaker on, one more row, its force [N].
 
     Examples
     --------
@@ -220,15 +226,19 @@ def torque_signals(
         raise InvalidSetting(
             f"band {excitation.band} Hz reaches half the sampling rate, {0.5 / timestep:g} Hz"
         )
-    n = len(excitation.torque_rms)
+    levels = excitation.torque_rms
+    if excitation.shaker_rms > 0:
+        levels = (*levels, excitation.shaker_rms)
+    n = len(levels)
     draws = rng.standard_normal((n, len(inside), 2))
     lines = draws[..., 0] + 1j * draws[..., 1]
     torque = np.zeros((n, before + count + after))
     index = np.arange(-before, count + after) % count
-    for j, rms in enumerate(excitation.torque_rms):
+    shaping = (*(excitation.shaping or (None,) * len(excitation.torque_rms)), None)
+    for j, rms in enumerate(levels):
         if rms == 0:
             continue
-        shape = excitation.shaping[j] if excitation.shaping is not None else None
+        shape = shaping[j]
         weight = np.ones(len(inside)) if shape is None else shape(frequency[inside])
         weight = weight / np.sqrt(np.mean(weight**2))
         spectrum = np.zeros(count // 2 + 1, dtype=complex)

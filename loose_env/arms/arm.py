@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from loose_env.arms.shaker import Shaker
 from loose_env.errors import InvalidSetting, UnknownName
 
 __all__ = ["Arm", "HoldKind", "Holding"]
@@ -23,9 +24,9 @@ class Holding:
     """How one kind of holding keeps each joint where it is: a spring and a damper per joint."""
 
     stiffness: tuple[float, ...]
-    """Spring of each joint, base first [N·m/rad]."""
+    """Spring of each joint, base first [N·m/rad, or N/m where it slides]."""
     damping: tuple[float, ...]
-    """Damper of each joint, base first [N·m·s/rad]."""
+    """Damper of each joint, base first [N·m·s/rad, or N·s/m where it slides]."""
 
     def __post_init__(self) -> None:
         if len(self.stiffness) != len(self.damping):
@@ -62,9 +63,9 @@ class Arm:
     axes: tuple[int, ...]
     """Axes of the tool frame that the accelerometer measures (0, 1 in the plane)."""
     torque_limits: tuple[float, ...]
-    """Peak drive torque of each joint [N·m]."""
+    """Peak drive torque of each joint [N·m, or N where it slides]."""
     joint_ranges: tuple[tuple[float, float] | None, ...]
-    """Allowed positions of each joint [rad]; None for a joint that turns without end."""
+    """Allowed positions of each joint [rad or m]; None for a joint that turns without end."""
     levels: tuple[float, ...]
     """Excitation levels 1, 2, ...: rms acceleration at the nominal tool [m/s²]."""
     band: tuple[float, float]
@@ -81,6 +82,10 @@ class Arm:
     """Excitation before a record, in which seat, holdings and bending modes settle [s]."""
     hold: HoldKind = "brake"
     """How joints that are not excited are held."""
+    probes: tuple[str, ...] = ()
+    """Sites of the spec that carry further accelerometers, read along their own axes."""
+    shaker: Shaker | None = None
+    """A shaker beside the arm, if there is one."""
 
     def __post_init__(self) -> None:
         n = len(self.joints)

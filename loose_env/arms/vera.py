@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+import mujoco
 import numpy as np
 
 from loose_env.arms.arm import Arm, HoldKind
 from loose_env.arms.parts import add_link, holdings, new_spec
 
-__all__ = ["BENDING_MODE_HZ", "vera"]
+__all__ = ["BENDING_MODE_HZ", "LINK_LENGTH", "BendingLink2", "vera", "vera_spec"]
 
 LINK_LENGTH = 0.40
 """Length of either link [m] (6.1.2)."""
@@ -21,6 +24,22 @@ BENDING_MODE_HZ = 83.0
 """First bending mode of link 1 alone, clamped at joint 1 [Hz] (eq. 6.6)."""
 MODE_DAMPING = 0.01
 """Damping ratio of that mode: a bolted aluminium beam."""
+LINK2_MASS, BLOCK_MASS, BLOCK_SIDE = 0.85, 0.25, 0.05
+"""Beam of link 2 and the block of accelerometers at its end [kg, kg, m]; estimates."""
+SEAT_SIDE = 0.06
+"""Side of the looseness joint, where it is mounted [m]; an estimate."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BendingLink2:
+    """Link 2 as a bending beam with the looseness joint at its proximal end."""
+
+    mode_hz: float
+    """First bending mode, clamped at joint 2 [Hz]."""
+    damping: float
+    """Its damping ratio."""
+    seat_mass: float
+    """Mass of the looseness joint [kg]."""
 
 
 def vera(*, hold: HoldKind = "brake") -> Arm:
@@ -44,6 +63,41 @@ def vera(*, hold: HoldKind = "brake") -> Arm:
     --------
     >>> vera().torque_limits
     (5.08, 3.39)
+    """
+    spec = vera_spec()
+    joints = ("joint1", "joint2")
+    brake, servo, centring = holdings(spec, joints)
+    return Arm(
+        name="vera-servo" if hold == "servo" else "vera",
+        spec=spec,
+        joints=joints,
+        seat_bodies=("link1", "link2"),
+        tool="tool",
+        axes=(0, 1),
+        torque_limits=(5.08, 3.39),
+        joint_ranges=(None, None),
+        levels=(0.25, 0.75, 2.25),
+        band=(30.0, 150.0),
+        brake=brake,
+        servo=servo,
+        centring=centring,
+        timestep=1e-4,
+        settling=0.2,  # the bending mode dies away in 0.2 s
+        hold=hold,
+    )
+
+
+def vera_spec(
+    *, link2: BendingLink2 | None = None, mode_damping: float = MODE_DAMPING
+) -> mujoco.MjSpec:
+    """Bodies, joints and tool of VERA.
+
+    Parameters
+    ----------
+    link2 : BendingLink2, optional
+        How link 2 bends; it is stiff without it.
+    mode_damping : float
+        Damping ratio of link 1's bending mode.
     """
     spec = new_spec(gravity=(0, 0, -9.81))
     length = LINK_LENGTH
@@ -91,44 +145,64 @@ def vera(*, hold: HoldKind = "brake") -> Arm:
         name="bending1",
         axis=[0, 0, 1],
         stiffness=[float(hinge_stiffness), 0, 0],
-        damping=[float(2 * MODE_DAMPING * hinge_stiffness / (2 * np.pi * BENDING_MODE_HZ)), 0, 0],
+        damping=[float(2 * mode_damping * hinge_stiffness / (2 * np.pi * BENDING_MODE_HZ)), 0, 0],
     )
 
-    link2 = add_link(
+    flange2 = add_link(
         tip, 2, at=(arm_out, 0, 0), flange_mass=0.15, rotor_inertia=0.01, joint_damping=0.03
     )
-    beam, block = 0.85, 0.25
-    mass = beam + block
-    centre = (beam * length / 2 + block * length) / mass
+    end = _stiff_link2(flange2) if link2 is None else _bending_link2(flange2, link2)
+    end.add_site(name="tool", pos=[length if end is flange2 else length - root, 0, 0])
+    return spec
+
+
+def _stiff_link2(link2: mujoco.MjsBody) -> mujoco.MjsBody:
+    length = LINK_LENGTH
+    mass = LINK2_MASS + BLOCK_MASS
+    centre = (LINK2_MASS * length / 2 + BLOCK_MASS * length) / mass
     about_z = (
-        beam * length**2 / 12
-        + beam * (length / 2 - centre) ** 2
-        + block * (length - centre) ** 2
-        + block * 0.05**2 / 6
+        LINK2_MASS * length**2 / 12
+        + LINK2_MASS * (length / 2 - centre) ** 2
+        + BLOCK_MASS * (length - centre) ** 2
+        + BLOCK_MASS * BLOCK_SIDE**2 / 6
     )
     link2.mass = mass
     link2.ipos = [centre, 0, 0]
     link2.inertia = [0.001, about_z, about_z]
     link2.explicitinertial = True
-    link2.add_site(name="tool", pos=[length, 0, 0])
+    return link2
 
-    joints = ("joint1", "joint2")
-    brake, servo, centring = holdings(spec, joints)
-    return Arm(
-        name="vera-servo" if hold == "servo" else "vera",
-        spec=spec,
-        joints=joints,
-        seat_bodies=("link1", "link2"),
-        tool="tool",
-        axes=(0, 1),
-        torque_limits=(5.08, 3.39),
-        joint_ranges=(None, None),
-        levels=(0.25, 0.75, 2.25),
-        band=(30.0, 150.0),
-        brake=brake,
-        servo=servo,
-        centring=centring,
-        timestep=1e-4,
-        settling=0.2,  # the bending mode dies away in 0.2 s
-        hold=hold,
+
+def _bending_link2(link2: mujoco.MjsBody, figures: BendingLink2) -> mujoco.MjsBody:
+    """Split link 2 at a third of its length, as link 1; return its outer part."""
+    root = LINK_LENGTH / 3
+    out = LINK_LENGTH - root
+    density = LINK2_MASS / LINK_LENGTH
+    link2.mass = density * root + figures.seat_mass
+    centre = density * root * root / 2 / link2.mass
+    about_z = density * root**3 / 12 + density * root * (root / 2 - centre) ** 2
+    about_z += figures.seat_mass * (centre**2 + SEAT_SIDE**2 / 6)
+    link2.ipos = [centre, 0, 0]
+    link2.inertia = [0.001, about_z, about_z]
+    link2.explicitinertial = True
+    mass = density * out + BLOCK_MASS
+    centre = (density * out * out / 2 + BLOCK_MASS * out) / mass
+    about_z = density * out**3 / 12 + density * out * (out / 2 - centre) ** 2
+    about_z += BLOCK_MASS * ((out - centre) ** 2 + BLOCK_SIDE**2 / 6)
+    end = link2.add_body(
+        name="link2_end",
+        pos=[root, 0, 0],
+        mass=mass,
+        ipos=[centre, 0, 0],
+        inertia=[0.001, about_z, about_z],
+        explicitinertial=True,
     )
+    omega = 2 * np.pi * figures.mode_hz
+    stiffness = (about_z + mass * centre**2) * omega**2
+    end.add_joint(
+        name="bending2",
+        axis=[0, 0, 1],
+        stiffness=[float(stiffness), 0, 0],
+        damping=[float(2 * figures.damping * stiffness / omega), 0, 0],
+    )
+    return end

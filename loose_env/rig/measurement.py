@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -37,6 +38,10 @@ class Measurement:
     """Tool accelerometer, tool frame, proper acceleration [m/s²] (d, N)."""
     links: Array | None = None
     """Link accelerometers, link frames [m/s²] (n, d, N); None where there are none."""
+    probes: Mapping[str, Array] = field(default_factory=dict)
+    """Further accelerometers by their site, along its own axes [m/s²] (3, N) each."""
+    shaker_force: Array | None = None
+    """Commanded force of the shaker [N] (N,); None where there is no shaker."""
     failure: str | None = None
     """Why the record is worthless; None for a good one."""
 

@@ -10,6 +10,7 @@ import numpy as np
 from loose_env.arms.arm import Arm
 from loose_env.arms.linear import inertance_rate
 from loose_env.arms.mismatch import MismatchDraw
+from loose_env.arms.shaker import COIL, add_shaker, place_shaker
 from loose_env.faults import SEAT, Fault, SeatKind, seat_of, seated_spec, set_seat
 
 __all__ = ["Plant", "PlantShop"]
@@ -28,6 +29,7 @@ class Plant:
     ) -> None:
         self.fault = fault
         self.mismatch = mismatch
+        self.shaker = arm.shaker
         self.model = model = copy.copy(template)
         data = mujoco.MjData(model) if scratch is None else scratch
         mismatch.apply(model, arm, data)
@@ -57,10 +59,14 @@ class Plant:
             model.eq_solref[equality] = (-stiffness * scale, -max(damping * scale, 1e-12))
 
     def hold_at(self, pose: np.ndarray) -> np.ndarray:
-        """Set the brakes and centring springs to a commanded pose; return the true one [rad]."""
+        """Set brakes, centring springs and shaker to a commanded pose; return the true one."""
         true = pose + self.mismatch.joint_zero
         self.model.eq_data[self.brakes, 0] = true
         self.model.qpos_spring[self.position] = true
+        if self.shaker is not None:
+            data = mujoco.MjData(self.model)
+            data.qpos[self.position] = true
+            place_shaker(self.model, data, self.shaker)
         return np.asarray(true)
 
 
@@ -135,6 +141,8 @@ class PlantShop:
                 objtype=mujoco.mjtObj.mjOBJ_JOINT,
                 name1=name,
             )
+        if arm.shaker is not None:
+            add_shaker(spec, arm.shaker)
         sensor, obj = mujoco.mjtSensor, mujoco.mjtObj
         spec.add_sensor(
             name="tool", type=sensor.mjSENS_ACCELEROMETER, objtype=obj.mjOBJ_SITE, objname=arm.tool
@@ -155,4 +163,11 @@ class PlantShop:
                     objtype=obj.mjOBJ_SITE,
                     objname=f"accelerometer{i}",
                 )
+        for site in (*arm.probes, *([COIL] if arm.shaker is not None else [])):
+            spec.add_sensor(
+                name=f"probe_{site}",
+                type=sensor.mjSENS_ACCELEROMETER,
+                objtype=obj.mjOBJ_SITE,
+                objname=site,
+            )
         return spec.compile()

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.arms.mismatch import MismatchDraw
+from loose_env.arms.shaker import COIL
 from loose_env.rig.jobs import Run
 from loose_env.rig.measurement import Measurement
 from loose_env.sensors import SensorSuite, read_accelerometer, read_encoder
@@ -49,7 +50,10 @@ def read_record(
     job, count, n = run.jobs[k], run.count, arm.n
     axes, rate = list(arm.axes), sensors.rate
     steps = run.before + factor * np.arange(-1, count + 1)
-    command = (run.control[k][steps[1:-1]] - gravity).T
+    command = (run.control[k][steps[1:-1], :n] - gravity).T
+    shaken = arm.shaker is not None
+    shaker_force = run.control[k][steps[1:-1], n] if shaken else None
+    probed = (*arm.probes, *([COIL] if shaken else []))
     failure = run.failures.get(job.slot)
     if failure is not None:
         still = np.zeros((len(axes), count))
@@ -61,11 +65,13 @@ def read_record(
             encoder=np.zeros((n, count + 2)),
             tool=still,
             links=np.zeros((n, *still.shape)) if sensors.link_accelerometers else None,
+            probes={site: np.zeros((3, count)) for site in probed},
+            shaker_force=shaker_force,
             failure=failure,
         )
     recorded = run.recorded[k]
 
-    def accelerometer(first: int) -> Array:
+    def accelerometer(first: int, axes: list[int] = axes) -> Array:
         return read_accelerometer(
             recorded[:, first : first + 3],
             sensor=sensors.accelerometer,
@@ -77,13 +83,15 @@ def read_record(
             rng=job.rng,
         )
 
-    # Channels: tool accelerometer, encoders, link accelerometers.
+    # Channels: tool accelerometer, encoders, link accelerometers, probes.
     tool = accelerometer(0)
     angle = recorded[steps, 3 : 3 + n].T - mismatch.joint_zero[:, None]
     encoder = read_encoder(angle, sensor=sensors.encoder, rng=job.rng)
     links = None
     if sensors.link_accelerometers:
         links = np.array([accelerometer(3 + n + 3 * i) for i in range(n)])
+    before = 3 + n + (3 * n if links is not None else 0)
+    probes = {site: accelerometer(before + 3 * i, [0, 1, 2]) for i, site in enumerate(probed)}
     return Measurement(
         pose=job.pose,
         excitation=job.excitation,
@@ -92,4 +100,6 @@ def read_record(
         encoder=encoder,
         tool=tool,
         links=links,
+        probes=probes,
+        shaker_force=shaker_force,
     )

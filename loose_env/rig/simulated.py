@@ -156,6 +156,11 @@ class SimulatedRig:
                     f"arm {self.arm.name!r} needs {n} joint positions and {n} torques, got "
                     f"{job.pose.shape} and {len(job.excitation.torque_rms)}"
                 )
+            if job.excitation.shaker_rms > 0 and self.arm.shaker is None:
+                raise InvalidSetting(
+                    f"arm {self.arm.name!r} has no shaker; set shaker_rms to 0 or take an arm "
+                    "that stands at one"
+                )
         if self._models_changed:
             self._batch.set_models([p.model for p in self.plants])
             self._models_changed = False
@@ -208,8 +213,12 @@ class SimulatedRig:
             gap = getattr(plant.fault, "gap", 0.0)
             position[job.slot, plant.seat_position] = gap * (job.rng.random() - 0.5)
             active[job.slot] = plant.model.eq_active0
-            active[job.slot, plant.brakes] = ~np.array(job.excitation.excited)
-            delivered[k] = control[k] * plant.mismatch.drive_gain
+            released = np.array(job.excitation.excited)
+            if self.arm.shaker is not None and job.excitation.shaker_rms > 0:
+                released[self.arm.shaker.joint - 1] = True
+            active[job.slot, plant.brakes] = ~released
+            delivered[k, :, : self.arm.n] = control[k, :, : self.arm.n] * plant.mismatch.drive_gain
+            delivered[k, :, self.arm.n :] = control[k, :, self.arm.n :]
         return Run(
             jobs=jobs,
             control=control,
@@ -220,15 +229,23 @@ class SimulatedRig:
         )
 
     def _controls(self, jobs: Sequence[Job], before: int, after: int) -> Array:
-        """Torques of every step (jobs, steps, n): random part plus gravity, within limits."""
+        """Torques of every step, and the shaker's force where there is one (jobs, steps, drives).
+
+        Random part plus what holds the arm against gravity, within the drives' limits.
+        """
+        shaker = self.arm.shaker
+        drives = self.arm.n + (shaker is not None)
         limits = np.array(self.arm.torque_limits)
-        control = np.zeros((len(jobs), 0, self.arm.n))
+        control = np.zeros((len(jobs), 0, drives))
         for k, job in enumerate(jobs):
             torque = torque_signals(
                 job.excitation, timestep=self.timestep, before=before, after=after, rng=job.rng
             )
             if k == 0:
-                control = np.zeros((len(jobs), torque.shape[1], self.arm.n))
+                control = np.zeros((len(jobs), torque.shape[1], drives))
+            if shaker is not None and job.excitation.shaker_rms > 0:
+                most = shaker.force_limit
+                control[k, :, -1] = np.clip(torque[-1], -most, most)
             gravity = self.nominal.at(job.pose).gravity_torque
             for j in np.flatnonzero(np.array(job.excitation.excited) | (gravity != 0)):
                 control[k, :, j] = np.clip(torque[j] + gravity[j], -limits[j], limits[j])

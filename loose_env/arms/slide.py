@@ -1,0 +1,195 @@
+"""The slide rig of Experiments Two to Four: one slide on a bench, pushed by a shaker."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import mujoco
+import numpy as np
+
+from loose_env.arms.arm import Arm, Holding
+from loose_env.arms.parts import new_spec
+from loose_env.arms.shaker import Shaker
+from loose_env.errors import InvalidSetting, UnknownName
+
+__all__ = ["BENCH", "SLIDE", "SLIDE_BAND", "Mount", "Stinger", "slide_rig"]
+
+Stinger = Literal["threaded_rod", "stiff"]
+Mount = Literal["bolted", "loose"]
+
+SLIDE, BENCH = "slide_accelerometer", "bench_accelerometer"
+"""Probes on the slide and on the bench; their first axes lie along the sliding motion."""
+SLIDE_BAND = (20.0, 350.0)
+"""White noise played to the shaker [Hz] (6.1.6)."""
+
+SLIDE_MASS = 0.50
+"""Slide with its attachments [kg] (6.3.2)."""
+CUBE_MASS = 0.15
+"""Share of it that is the cube of accelerometers [kg]; an estimate."""
+DISTAL_MASS = 0.40
+"""Looseness joint's moving half, distal link and cube, on top of the slide [kg]; an estimate."""
+BENCH_MASS, BENCH_INERTIA = 120.0, 12.0
+"""Bench [kg, kg·m²]; an estimate."""
+BENCH_MODES_HZ = (20.0, 50.5, 101.0)
+"""Bench along the slide, across it and in yaw; the last two as heard in Experiment Two."""
+BENCH_DAMPING = 0.02
+STINGER_STIFFNESS: dict[Stinger, float] = {"threaded_rod": 1.0e7, "stiff": 6.0e7}
+"""Stinger [N/m]: the threaded rod resonates at the 710 Hz measured; then a stiffer one."""
+_MOUNT_PLAY = (1e-4, 1e-4, 3e-3)
+"""Play of the loose mounting plate along x and y [m] and about its screw [rad]."""
+
+
+def slide_rig(
+    *,
+    looseness_angle: float | None = None,
+    cube_angle: float = 0.0,
+    stinger: Stinger = "stiff",
+    mount: Mount = "bolted",
+) -> Arm:
+    """Build the slide rig.
+
+    The arm's one joint is the slide, along the bench's x axis. Its link is what rides on it:
+    the cube of accelerometers alone, or the looseness joint with a distal link and the cube.
+    The link's x axis lies along the looseness joint, so a seat there has direction (1, 0, 0).
+
+    Parameters
+    ----------
+    looseness_angle : float, optional
+        Angle of the looseness joint from the sliding motion [rad] (the thesis's β);
+        None mounts the cube on the slide itself.
+    cube_angle : float
+        Angle of the cube's x axis from the link's [rad] (the thesis's α).
+    stinger : {"threaded_rod", "stiff"}
+        Rod between shaker and slide.
+    mount : {"bolted", "loose"}
+        Whether the plate under the looseness joint is bolted down or its one screw has lost
+        its preload: it then slides and turns within its play, whatever the seat does.
+
+    Raises
+    ------
+    InvalidSetting
+        If an angle is not finite, or the mount is loose without a looseness joint.
+    UnknownName
+        If there is no such stinger or mount.
+
+    Examples
+    --------
+    >>> rig = slide_rig(looseness_angle=np.radians(309))
+    >>> rig.joints, rig.probes
+    (('slide',), ('slide_accelerometer', 'bench_accelerometer'))
+    """
+    angle = 0.0 if looseness_angle is None else looseness_angle
+    if not (np.isfinite(angle) and np.isfinite(cube_angle)):
+        raise InvalidSetting(f"angles must be finite rad, got {looseness_angle!r}, {cube_angle!r}")
+    if stinger not in STINGER_STIFFNESS:
+        raise UnknownName(f"unknown stinger {stinger!r}: 'threaded_rod' or 'stiff'")
+    if mount not in ("bolted", "loose"):
+        raise UnknownName(f"unknown mount {mount!r}: 'bolted' or 'loose'")
+    if mount == "loose" and looseness_angle is None:
+        raise InvalidSetting("only the looseness joint has a mounting plate; give its angle")
+
+    spec = new_spec(gravity=(0, 0, -9.81))
+    bench = _bench(spec)
+    slide = bench.add_body(name="flange1", pos=[0, 0, 0.1])
+    _weigh(slide, SLIDE_MASS - (CUBE_MASS if looseness_angle is None else 0.0), 0.04)
+    slide.add_joint(
+        name="slide", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0], damping=[2.0, 0, 0]
+    )
+    slide.add_site(name=SLIDE)
+    carrier = _loose_plate(slide) if mount == "loose" else slide
+    link = carrier.add_body(name="link1", quat=_about_z(angle))
+    _weigh(link, CUBE_MASS if looseness_angle is None else DISTAL_MASS, 0.05)
+    link.add_site(name="tool", quat=_about_z(cube_angle))
+    return Arm(
+        name="slide",
+        spec=spec,
+        joints=("slide",),
+        seat_bodies=("link1",),
+        tool="tool",
+        axes=(0, 1),
+        torque_limits=(100.0,),
+        joint_ranges=((-0.01, 0.01),),
+        levels=(1.0, 3.0, 9.0),
+        band=SLIDE_BAND,
+        brake=Holding(stiffness=(1e7,), damping=(1e3,)),
+        servo=Holding(stiffness=(2e4,), damping=(1e2,)),
+        centring=Holding(stiffness=(0.0,), damping=(0.0,)),  # the shaker's suspension centres it
+        timestep=5e-5,
+        settling=0.3,
+        probes=(SLIDE, BENCH),
+        shaker=Shaker(
+            joint=1,
+            body="flange1",
+            point=(0.0, 0.0, 0.0),
+            direction=(1.0, 0.0, 0.0),
+            coil_mass=0.39,
+            stinger_stiffness=STINGER_STIFFNESS[stinger],
+            stinger_damping=30.0,
+            stinger_length=0.12,
+            suspension_stiffness=1.24e5,
+            suspension_damping=142.0,
+            stand="bench",
+        ),
+    )
+
+
+def _bench(spec: mujoco.MjSpec) -> mujoco.MjsBody:
+    bench = spec.worldbody.add_body(
+        name="bench",
+        mass=BENCH_MASS,
+        # Off the line of the push, so that pushing also turns the bench.
+        ipos=[0.0, 0.05, 0.0],
+        inertia=[BENCH_INERTIA] * 3,
+        explicitinertial=True,
+    )
+    slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+    # The bench's legs are not square to the slide: 2 degrees mix the two directions.
+    c, s = float(np.cos(np.radians(2))), float(np.sin(np.radians(2)))
+    for name, kind, axis, hz, inertia in (
+        ("bench_x", slide, [c, s, 0], BENCH_MODES_HZ[0], BENCH_MASS),
+        ("bench_y", slide, [-s, c, 0], BENCH_MODES_HZ[1], BENCH_MASS),
+        ("bench_yaw", hinge, [0, 0, 1], BENCH_MODES_HZ[2], BENCH_INERTIA),
+    ):
+        omega = 2 * np.pi * hz
+        bench.add_joint(
+            name=name,
+            type=kind,
+            axis=axis,
+            stiffness=[inertia * omega**2, 0, 0],
+            damping=[2 * BENCH_DAMPING * inertia * omega, 0, 0],
+        )
+    bench.add_site(name=BENCH)
+    return bench
+
+
+def _loose_plate(slide: mujoco.MjsBody) -> mujoco.MjsBody:
+    plate = slide.add_body(name="plate")
+    _weigh(plate, 0.15, 0.04)
+    for name, kind, axis, play in zip(
+        ("plate_x", "plate_y", "plate_yaw"),
+        (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE),
+        ([1, 0, 0], [0, 1, 0], [0, 0, 1]),
+        _MOUNT_PLAY,
+        strict=True,
+    ):
+        plate.add_joint(
+            name=name,
+            type=kind,
+            axis=axis,
+            limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+            range=[-play, play],
+            frictionloss=0.5 if kind == mujoco.mjtJoint.mjJNT_SLIDE else 0.01,
+            solref_limit=[4e-4, 0.4],  # a stop with a contact mode near 400 Hz
+        )
+    return plate
+
+
+def _weigh(body: mujoco.MjsBody, mass: float, radius: float) -> None:
+    body.mass = mass
+    body.ipos = [0, 0, 0]
+    body.inertia = [0.4 * mass * radius**2] * 3
+    body.explicitinertial = True
+
+
+def _about_z(angle: float) -> list[float]:
+    return [float(np.cos(angle / 2)), 0.0, 0.0, float(np.sin(angle / 2))]
