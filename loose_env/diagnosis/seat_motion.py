@@ -1,0 +1,345 @@
+"""Assumed motion of a loose seat between its stops, and how it passes from region to region.
+
+The seat is in one of three regions: at the proximal stop, free between the stops, or at the
+distal stop (thesis 5.1). Its displacement is measured from the middle of the gap.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from loose_env.errors import InvalidData, InvalidSetting
+
+__all__ = [
+    "DISTAL",
+    "FREE",
+    "PROXIMAL",
+    "SeatMotion",
+    "displacement_chain",
+    "draw_displacement",
+    "draw_seat_acceleration",
+    "draw_seat_velocity",
+    "region_probabilities",
+    "regions",
+    "transition_table",
+    "whole_count",
+]
+
+Array = NDArray[np.float64]
+Regions = NDArray[np.int64]
+PROXIMAL, FREE, DISTAL = 0, 1, 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeatMotion:
+    """Assumed motion of a loose seat.
+
+    Raises
+    ------
+    InvalidSetting
+        If a length or time is not above zero, or the probabilities leave no free motion.
+    """
+
+    gap: float = 2e-4
+    """Travel between the stops [m]."""
+    at_proximal: float = 0.25
+    """Probability of contact with the proximal stop [1]."""
+    at_distal: float = 0.25
+    """Probability of contact with the distal stop [1]."""
+    at_rest: float = 0.5
+    """Probability that a seat in contact has no velocity, or no acceleration [1]."""
+    timestep: float = 1e-3
+    """Time in which the fastest seat crosses the gap [s]."""
+
+    def __post_init__(self) -> None:
+        for name, unit in (("gap", "m"), ("timestep", "s")):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise InvalidSetting(f"{name} is {value} {unit}; it must be finite and above zero")
+        for name in ("at_proximal", "at_distal", "at_rest"):
+            value = getattr(self, name)
+            if not 0.0 <= value < 1.0:
+                raise InvalidSetting(f"{name} is {value}; it must lie in [0, 1)")
+        if self.at_proximal + self.at_distal >= 1.0:
+            raise InvalidSetting(
+                f"at_proximal {self.at_proximal} and at_distal {self.at_distal} leave no free "
+                "motion; their sum must be below 1"
+            )
+
+    @property
+    def fastest(self) -> float:
+        """Velocity that crosses the gap in one time step [m/s]."""
+        return self.gap / self.timestep
+
+
+def draw_displacement(seat: SeatMotion, count: int, rng: np.random.Generator) -> Array:
+    """Draw displacements of the seat with point probabilities at the stops (figure 5.4).
+
+    A uniform deviate wider than the gap is drawn; what falls beyond a stop is lumped there.
+
+    Parameters
+    ----------
+    seat : SeatMotion
+        Gap [m] and probabilities of contact.
+    count : int
+        Number of draws N.
+    rng : numpy.random.Generator
+        Source of the draws.
+
+    Returns
+    -------
+    array, shape (N,)
+        Displacement from the middle of the gap, m, exactly a half gap at the stops.
+
+    Examples
+    --------
+    >>> d = draw_displacement(SeatMotion(gap=2.0), 4000, np.random.default_rng(1))
+    >>> bool(abs(np.mean(d == 1.0) - 0.25) < 0.03), float(d.max())
+    (True, 1.0)
+    """
+    half = 0.5 * seat.gap
+    width = seat.gap / (1.0 - seat.at_proximal - seat.at_distal)
+    wide = rng.uniform(
+        -half - seat.at_proximal * width, half + seat.at_distal * width, whole_count(count)
+    )
+    return np.clip(wide, -half, half)
+
+
+def regions(seat: SeatMotion, d: ArrayLike) -> Regions:
+    """Region of each displacement: 0 at the proximal stop, 1 free, 2 at the distal stop.
+
+    Parameters
+    ----------
+    seat : SeatMotion
+        The gap [m].
+    d : array, shape (N,)
+        Displacement, m.
+
+    Returns
+    -------
+    array of int, shape (N,)
+        Regions.
+
+    Raises
+    ------
+    InvalidData
+        If a displacement is not finite or lies beyond a stop.
+
+    Examples
+    --------
+    >>> regions(SeatMotion(gap=2.0), [-1.0, 0.3, 1.0]).tolist()
+    [0, 1, 2]
+    """
+    values = np.asarray(d, dtype=np.float64)
+    half = 0.5 * seat.gap
+    if values.ndim != 1 or not (np.abs(values) <= half).all():
+        raise InvalidData(f"displacements must have shape (N,) and lie within ±{half} m")
+    return np.where(values <= -half, PROXIMAL, np.where(values >= half, DISTAL, FREE))
+
+
+def draw_seat_velocity(seat: SeatMotion, d: ArrayLike, rng: np.random.Generator) -> Array:
+    """Draw a velocity for each displacement, by region (figure 5.7).
+
+    Free, it is uniform between the two velocities that cross the gap in a time step. At a stop
+    it is zero with probability `SeatMotion.at_rest`, else uniform and away from the stop.
+
+    Parameters
+    ----------
+    seat : SeatMotion
+        Gap [m], time step [s] and probability of rest.
+    d : array, shape (N,)
+        Displacement, m.
+    rng : numpy.random.Generator
+        Source of the draws.
+
+    Returns
+    -------
+    array, shape (N,)
+        Velocity, m/s, positive towards the distal stop.
+
+    Raises
+    ------
+    InvalidData
+        If a displacement lies beyond a stop.
+
+    Examples
+    --------
+    >>> seat = SeatMotion(gap=1.0, timestep=1.0, at_rest=0.0)
+    >>> v = draw_seat_velocity(seat, [-0.5, 0.5], np.random.default_rng(1))
+    >>> np.sign(v).tolist()
+    [1.0, -1.0]
+    """
+    where = regions(seat, d)
+    high = np.full(len(where), seat.fastest)
+    return _by_region(seat, where, -high, high, rng)
+
+
+def draw_seat_acceleration(
+    seat: SeatMotion, d: ArrayLike, velocity: ArrayLike, rng: np.random.Generator
+) -> Array:
+    """Draw an acceleration for each displacement and velocity, by region (5.1.5).
+
+    The bounds are the accelerations that lead, in one time step, to the fastest velocity either
+    way. With a velocity of zero the distribution has the shape of the velocity's.
+
+    Parameters
+    ----------
+    seat : SeatMotion
+        Gap [m], time step [s] and probability of rest.
+    d, velocity : array, shape (N,)
+        Displacement [m] and velocity [m/s].
+    rng : numpy.random.Generator
+        Source of the draws.
+
+    Returns
+    -------
+    array, shape (N,)
+        Acceleration, m/s^2.
+
+    Raises
+    ------
+    InvalidData
+        If a displacement lies beyond a stop, or a velocity crosses the gap in less than a step.
+
+    Examples
+    --------
+    >>> seat = SeatMotion(gap=1.0, timestep=1.0, at_rest=0.0)
+    >>> a = draw_seat_acceleration(seat, [0.0], [1.0], np.random.default_rng(1))
+    >>> bool(-2.0 <= a[0] <= 0.0)
+    True
+    """
+    where = regions(seat, d)
+    v = np.asarray(velocity, dtype=np.float64)
+    limit = seat.fastest * (1.0 + 1e-12)
+    if v.shape != where.shape or not (np.abs(v) <= limit).all():
+        raise InvalidData(
+            f"velocities must have shape {where.shape} and lie within ±{seat.fastest} m/s"
+        )
+    low = np.minimum((-seat.fastest - v) / seat.timestep, 0.0)
+    high = np.maximum((seat.fastest - v) / seat.timestep, 0.0)
+    return _by_region(seat, where, low, high, rng)
+
+
+def _by_region(
+    seat: SeatMotion, where: Regions, low: Array, high: Array, rng: np.random.Generator
+) -> Array:
+    share = rng.random(len(where))
+    moves = np.maximum(share - seat.at_rest, 0.0) / (1.0 - seat.at_rest)
+    return np.where(
+        where == FREE,
+        low + share * (high - low),
+        moves * np.where(where == PROXIMAL, high, low),
+    )
+
+
+def displacement_chain(seat: SeatMotion, count: int, rng: np.random.Generator) -> Array:
+    """Integrate drawn velocities to a sequence of displacements that stops at the stops.
+
+    The first displacement is drawn by `draw_displacement`; each next one is the last plus the
+    velocity of its region times the time step, lumped at a stop that it would cross. With
+    probability r of rest, each stop holds the seat for the share 1 / (6 - 4 r) of the time,
+    which is 1/4 for r = 1/2, and free displacements are uniform: the assumed velocities and the
+    assumed displacements agree.
+
+    Parameters
+    ----------
+    seat : SeatMotion
+        Gap [m] and probability of rest.
+    count : int
+        Number of displacements N.
+    rng : numpy.random.Generator
+        Source of the draws.
+
+    Returns
+    -------
+    array, shape (N,)
+        Displacement, m.
+
+    Examples
+    --------
+    >>> seat = SeatMotion()
+    >>> d = displacement_chain(seat, 20_000, np.random.default_rng(1))
+    >>> bool(abs(np.mean(regions(seat, d) == FREE) - 0.5) < 0.02)
+    True
+    """
+    n, half, rest = whole_count(count), 0.5 * seat.gap, seat.at_rest
+    chain = np.empty(n)
+    d = chain[0] = float(draw_displacement(seat, 1, rng)[0])
+    for k, share in enumerate(rng.random(n - 1).tolist(), start=1):
+        if -half < d < half:
+            d += (2.0 * share - 1.0) * seat.gap
+        elif share > rest:
+            d -= math.copysign(seat.gap * (share - rest) / (1.0 - rest), d)
+        d = min(max(d, -half), half)
+        chain[k] = d
+    return chain
+
+
+def transition_table(sequence: ArrayLike) -> Array:
+    """Estimate the joint probabilities of the region now and the region before (table 5.1).
+
+    Parameters
+    ----------
+    sequence : array of int, shape (N,)
+        Regions in order of time, 0, 1 or 2.
+
+    Returns
+    -------
+    array, shape (3, 3)
+        Row: region now; column: region before. The sum is 1 (5.2).
+
+    Raises
+    ------
+    InvalidData
+        If there are fewer than two regions, or others than 0, 1 and 2.
+
+    Examples
+    --------
+    >>> transition_table([0, 1, 1, 2, 1]).tolist()
+    [[0.0, 0.0, 0.0], [0.25, 0.25, 0.25], [0.0, 0.25, 0.0]]
+    """
+    where = np.asarray(sequence)
+    if where.ndim != 1 or len(where) < 2 or not np.isin(where, (PROXIMAL, FREE, DISTAL)).all():
+        raise InvalidData("a sequence has shape (N,), N of 2 or more, of regions 0, 1 and 2")
+    pairs = 3 * where[1:].astype(np.int64) + where[:-1].astype(np.int64)
+    return np.bincount(pairs, minlength=9).reshape(3, 3) / len(pairs)
+
+
+def region_probabilities(table: ArrayLike) -> Array:
+    """Probability of each region now: the row sums of the transition table (5.1, 5.2).
+
+    Parameters
+    ----------
+    table : array, shape (3, 3)
+        Joint probabilities, as `transition_table` returns them.
+
+    Returns
+    -------
+    array, shape (3,)
+        Probabilities at the proximal stop, free and at the distal stop.
+
+    Raises
+    ------
+    InvalidData
+        If the table is not 3 by 3, has a negative value, or does not sum to 1.
+
+    Examples
+    --------
+    >>> region_probabilities([[0.125, 0.125, 0], [0.125, 0.25, 0.125], [0, 0.125, 0.125]]).tolist()
+    [0.25, 0.5, 0.25]
+    """
+    joint = np.asarray(table, dtype=np.float64)
+    if joint.shape != (3, 3) or not (joint >= 0.0).all() or abs(joint.sum() - 1.0) > 1e-9:
+        raise InvalidData("a transition table is 3 by 3, of probabilities that sum to 1")
+    return np.asarray(joint.sum(axis=1))
+
+
+def whole_count(count: int) -> int:
+    """Return a number of draws, or raise `InvalidSetting` if it is no whole number above 0."""
+    if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
+        raise InvalidSetting(f"count is {count!r}; it must be a whole number of 1 or more")
+    return int(count)

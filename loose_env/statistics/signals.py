@@ -1,0 +1,393 @@
+"""From two accelerations to a motion: direction, velocity, and what the base adds.
+
+Rules for one interval of samples have a bounded error each; what happens when their results are
+summed, or divided by the step, is said by `summed_noise` and by each rule's `noise_gain`.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loose_env.errors import InvalidData, UnknownName
+from loose_env.statistics._checks import FloatArray, as_finite_samples, require_rate
+
+DifferenceRule = Literal["two_point", "three_point"]
+QuadratureRule = Literal["two_point", "newton_cotes"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rule:
+    """A sum of neighbouring samples that stands for an integral or a derivative."""
+
+    weights: tuple[float, ...]
+    """Weights of consecutive samples, the earliest first [1]."""
+    order: int
+    """Power of the step with which the error falls."""
+
+    @property
+    def noise_gain(self) -> float:
+        """Standard deviation of the result over that of white noise in the samples [1].
+
+        In units of the step for an integral, of its inverse for a derivative.
+        """
+        return float(np.sqrt(np.sum(np.square(self.weights))))
+
+
+QUADRATURES: dict[str, Rule] = {
+    # The integral lies over the interval that ends at the first sample used.
+    "two_point": Rule(weights=(3 / 2, -1 / 2), order=3),
+    "newton_cotes": Rule(weights=(55 / 24, -59 / 24, 37 / 24, -9 / 24), order=5),
+}
+"""Open quadratures over one interval (6.9, 6.10)."""
+DIFFERENCES: dict[str, Rule] = {
+    "two_point": Rule(weights=(-1.0, 1.0), order=1),
+    "three_point": Rule(weights=(-3 / 2, 2.0, -1 / 2), order=2),
+}
+"""Forward differences (6.13, 6.14)."""
+
+
+class PlaneMotion(NamedTuple):
+    """Size and direction of a motion measured by two perpendicular accelerometers."""
+
+    magnitude: FloatArray
+    """Same unit as the accelerations."""
+    direction: FloatArray
+    """Angle from the first accelerometer's axis, rad."""
+
+
+class LineFit(NamedTuple):
+    """Straight line y = slope x + intercept through pairs of samples."""
+
+    slope: float
+    intercept: float
+    correlation: float
+    """Correlation r of the pairs, -1 to 1."""
+    direction: float
+    """Angle of the line from the x axis, rad, from -pi/2 to pi/2."""
+
+
+class BaseRemoved(NamedTuple):
+    """A signal without the motion of the base."""
+
+    signal: FloatArray
+    """Shape (N,) or (d, N), as the signal given."""
+    gain: FloatArray
+    """Share of the base motion taken off: 1 unless fitted; shape () or (d,)."""
+
+
+def rms_motion(x: ArrayLike, y: ArrayLike) -> PlaneMotion:
+    """Find size and direction of a motion from the rms of two perpendicular accelerations.
+
+    Magnitude sqrt(x_rms^2 + y_rms^2) (6.7), direction arctan(y_rms / x_rms) (6.8), in which means
+    are removed first. An rms has no sign, so the direction lies between 0 and pi/2, and what
+    either channel adds by itself pulls it off the axes: noise of rms n on the y channel of a
+    motion A along x gives arctan(n / A).
+
+    Parameters
+    ----------
+    x, y : array, shape (..., N)
+        Accelerations along two perpendicular axes, m/s^2.
+
+    Returns
+    -------
+    PlaneMotion
+        Magnitude, m/s^2, and direction, rad; both of shape (...).
+
+    Raises
+    ------
+    InvalidData
+        If the signals cannot be used, differ in shape, or neither moves.
+
+    Examples
+    --------
+    >>> wave = np.sin(np.arange(1000))
+    >>> found = rms_motion(3 * wave, -4 * wave)
+    >>> round(float(np.degrees(found.direction)), 2)
+    53.13
+    """
+    first, second = _pair(x, y)
+    rms = first.std(axis=-1), second.std(axis=-1)
+    magnitude = np.hypot(*rms)
+    if not (magnitude > 0.0).all():
+        raise InvalidData("neither x nor y varies, so the motion has no direction")
+    return PlaneMotion(np.asarray(magnitude), np.asarray(np.arctan2(rms[1], rms[0])))
+
+
+def instantaneous_motion(x: ArrayLike, y: ArrayLike) -> PlaneMotion:
+    """Find size and direction of the motion at every sample (6.7 and 6.8 without the means).
+
+    A motion to and fro along a line has one direction, so it is given from -pi/2 to pi/2. Where
+    both accelerations pass through zero it is that of the noise: leave out samples of small
+    magnitude.
+
+    Parameters
+    ----------
+    x, y : array, shape (..., N)
+        Accelerations along two perpendicular axes, m/s^2, sampled at the same instants.
+
+    Returns
+    -------
+    PlaneMotion
+        Magnitude, m/s^2, and direction, rad; both of shape (..., N). The direction of a sample
+        that is zero on both axes is 0.
+
+    Raises
+    ------
+    InvalidData
+        If the signals cannot be used or differ in shape.
+
+    Examples
+    --------
+    >>> found = instantaneous_motion([1.0, -1.0, 2.0, 0.0], [1.0, -1.0, -2.0, 1.0])
+    >>> np.degrees(found.direction).round().tolist()
+    [45.0, 45.0, -45.0, 90.0]
+    """
+    first, second = _pair(x, y)
+    flip = np.where((first < 0.0) | ((first == 0.0) & (second < 0.0)), -1.0, 1.0)
+    return PlaneMotion(np.hypot(first, second), np.arctan2(flip * second, flip * first))
+
+
+def line_of_motion(x: ArrayLike, y: ArrayLike) -> LineFit:
+    """Fit a straight line to one acceleration against the other, by least squares.
+
+    Errors are taken to lie in y alone, so noise in x turns the line towards the x axis.
+
+    Parameters
+    ----------
+    x, y : array, shape (N,)
+        Signals sampled at the same instants, of one unit.
+
+    Raises
+    ------
+    InvalidData
+        If the signals cannot be used, differ in shape, or one of them does not vary.
+
+    Examples
+    --------
+    >>> wave = np.sin(np.arange(100))
+    >>> fit = line_of_motion(wave, 2 * wave + 1)
+    >>> round(fit.slope, 6), round(fit.intercept, 6), round(fit.correlation, 6)
+    (2.0, 1.0, 1.0)
+    """
+    first, second = _pair(x, y)
+    if first.ndim != 1:
+        raise InvalidData(f"x has shape {first.shape}; a line is fitted to signals of shape (N,)")
+    dx, dy = first - first.mean(), second - second.mean()
+    sizes = float(dx @ dx), float(dy @ dy)
+    if min(sizes) == 0.0:
+        raise InvalidData(f"{'x' if sizes[0] == 0.0 else 'y'} does not vary; both must")
+    slope = float(dx @ dy) / sizes[0]
+    correlation = float(np.clip(dx @ dy / np.sqrt(sizes[0] * sizes[1]), -1.0, 1.0))
+    intercept = float(second.mean() - slope * first.mean())
+    return LineFit(slope, intercept, correlation, float(np.arctan(slope)))
+
+
+def quadrature_steps(g: ArrayLike, dt: float, rule: QuadratureRule) -> FloatArray:
+    """Integrate over each interval by an open quadrature of the samples that follow it.
+
+    With g_1 at the end of the interval: dt/2 (3 g_1 - g_2) (6.9), or the Newton-Cotes formula
+    dt/24 (55 g_1 - 59 g_2 + 37 g_3 - 9 g_4) (6.10). Errors of one interval fall as dt^3 and
+    dt^5. (The thesis gives dt^2 for 6.9, which is the error of dt g_1.) White noise in the
+    samples comes through 1.6 and 3.7 times dt.
+
+    Parameters
+    ----------
+    g : array, shape (..., N)
+        Samples of the rate, such as an acceleration, m/s^2.
+    dt : float
+        Sampling period, s.
+    rule : {"two_point", "newton_cotes"}
+        Which formula.
+
+    Returns
+    -------
+    array, shape (..., N - 1) or (..., N - 3)
+        Change over the interval that ends at sample k, for every k with samples enough after it.
+
+    Raises
+    ------
+    InvalidData
+        If the samples or the period cannot be used.
+    UnknownName
+        If there is no such rule.
+
+    Examples
+    --------
+    >>> t = 0.1 * np.arange(20)
+    >>> steps = quadrature_steps(3 * t**2, 0.1, "newton_cotes")
+    >>> bool(np.allclose(steps, t[:17] ** 3 - (t[:17] - 0.1) ** 3))
+    True
+    """
+    return _filter(as_finite_samples(g, "g"), _rule(rule, QUADRATURES)) * _period(dt)
+
+
+def integrate(g: ArrayLike, dt: float, rule: QuadratureRule) -> FloatArray:
+    """Sum the steps of a quadrature from zero: velocity from acceleration.
+
+    In the sum all but the first and last few samples have weight one, whatever the rule: the
+    rules differ by the end terms only, and each gathers the same drift from noise and offset.
+
+    Parameters
+    ----------
+    g, dt, rule
+        As for `quadrature_steps`.
+
+    Returns
+    -------
+    array, shape (..., N - 1) or (..., N - 3)
+        Integral up to sample k, from one sample before the first.
+
+    Raises
+    ------
+    InvalidData, UnknownName
+        As for `quadrature_steps`.
+
+    Examples
+    --------
+    >>> t = 0.01 * np.arange(200)
+    >>> v = integrate(np.cos(t), 0.01, "newton_cotes")
+    >>> bool(np.allclose(v, np.sin(t[:197]) - np.sin(-0.01), atol=1e-8))
+    True
+    """
+    return np.asarray(np.cumsum(quadrature_steps(g, dt, rule), axis=-1))
+
+
+def summed_noise(count: int, dt: float, noise: float) -> float:
+    """Drift of a summed quadrature under white noise: noise dt sqrt(count).
+
+    Parameters
+    ----------
+    count : int
+        Number of samples summed.
+    dt : float
+        Sampling period, s.
+    noise : float
+        Standard deviation of a sample, such as m/s^2.
+
+    Returns
+    -------
+    float
+        Standard deviation of the sum after `count` samples, such as m/s.
+
+    Examples
+    --------
+    >>> round(summed_noise(400, 0.0001, 1.0), 6)
+    0.002
+    """
+    return float(noise * _period(dt) * np.sqrt(count))
+
+
+def differentiate(g: ArrayLike, dt: float, rule: DifferenceRule) -> FloatArray:
+    """Differentiate samples by a forward difference.
+
+    (g_1 - g_0) / dt (6.13), or (-g_2 + 4 g_1 - 3 g_0) / (2 dt) (6.14). Errors fall as dt and
+    dt^2. (The thesis gives dt^2 and dt^3, which are those before the division by dt.) White
+    noise in the samples comes through 1.4 / dt and 2.5 / dt.
+
+    Parameters
+    ----------
+    g : array, shape (..., N)
+        Samples, such as an angle, rad.
+    dt : float
+        Sampling period, s.
+    rule : {"two_point", "three_point"}
+        Which formula.
+
+    Returns
+    -------
+    array, shape (..., N - 1) or (..., N - 2)
+        Derivative at sample k.
+
+    Raises
+    ------
+    InvalidData
+        If the samples or the period cannot be used.
+    UnknownName
+        If there is no such rule.
+
+    Examples
+    --------
+    >>> t = 0.1 * np.arange(5)
+    >>> differentiate(t**2, 0.1, "three_point").round(6).tolist()
+    [0.0, 0.2, 0.4]
+    """
+    return _filter(as_finite_samples(g, "g"), _rule(rule, DIFFERENCES)) / _period(dt)
+
+
+def subtract_base(signal: ArrayLike, base: ArrayLike, *, fit: bool = False) -> BaseRemoved:
+    """Take the motion of the base off the motion of the point of interest (4.1.4).
+
+    Plain subtraction is right where both sensors have the same axis and gain and the base
+    carries the point along rigidly. A gain fitted by least squares mends an unequal gain, but it
+    is biased wherever the wanted motion is itself correlated with the base's: it then takes part
+    of the wanted motion off too.
+
+    Parameters
+    ----------
+    signal : array, shape (N,) or (d, N)
+        Acceleration of the point, m/s^2.
+    base : array, shape (N,)
+        Acceleration of the base along the same axis, m/s^2.
+    fit : bool
+        Whether the gain is fitted; else it is one.
+
+    Returns
+    -------
+    BaseRemoved
+        The signal without the base's motion, and the gain.
+
+    Raises
+    ------
+    InvalidData
+        If the signals cannot be used, differ in length, or a gain is asked for of a base that
+        does not vary.
+
+    Examples
+    --------
+    >>> base = np.array([1.0, -1.0, 1.0, -1.0])
+    >>> found = subtract_base(2 * base + [1, 1, -1, -1], base, fit=True)
+    >>> found.signal.tolist(), float(found.gain)
+    ([1.0, 1.0, -1.0, -1.0], 2.0)
+    """
+    samples, ground = as_finite_samples(signal, "signal"), as_finite_samples(base, "base")
+    if ground.ndim != 1 or samples.ndim > 2 or samples.shape[-1] != len(ground):
+        raise InvalidData(
+            f"signal has shape {samples.shape} and base {ground.shape}; they must be (N,) or "
+            "(d, N), and (N,)"
+        )
+    gain = np.ones(samples.shape[:-1])
+    if fit:
+        varying = ground - ground.mean()
+        power = float(varying @ varying)
+        if power == 0.0:
+            raise InvalidData("base does not vary, so no gain can be fitted; use fit=False")
+        gain = np.asarray(samples @ varying / power)
+    return BaseRemoved(samples - gain[..., None] * ground, gain)
+
+
+def _pair(x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    first, second = as_finite_samples(x, "x"), as_finite_samples(y, "y")
+    if first.shape != second.shape:
+        raise InvalidData(f"x has shape {first.shape} and y {second.shape}; they must agree")
+    return first, second
+
+
+def _period(dt: float) -> float:
+    if not (np.isfinite(dt) and dt > 0.0):
+        raise InvalidData(f"dt is {dt} s; it must be finite and above zero")
+    require_rate(1.0 / dt)
+    return float(dt)
+
+
+def _rule(name: str, rules: dict[str, Rule]) -> Rule:
+    if name not in rules:
+        raise UnknownName(f"unknown rule {name!r}; there are {', '.join(rules)}")
+    return rules[name]
+
+
+def _filter(samples: FloatArray, rule: Rule) -> FloatArray:
+    count = samples.shape[-1] - len(rule.weights) + 1
+    terms = (w * samples[..., k : k + count] for k, w in enumerate(rule.weights))
+    return np.asarray(sum(terms))
