@@ -5,7 +5,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-# What `make run`, `make bench` and `make study` need; the other verbs add learning and dev tools.
+# What `make run`, `make thesis`, `make bench` and `make study` need; the other verbs add learning
+# and dev tools.
 RUN_EXTRAS := report,play
 DEV_EXTRAS := all,dev
 
@@ -18,7 +19,7 @@ RUN := $(VENV)/.installed-run
 DEV := $(VENV)/.installed-dev
 
 .DELETE_ON_ERROR:
-.PHONY: help run test bench study check format build clean
+.PHONY: help run thesis test bench study check format build clean
 
 help: ## list the verbs
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | while IFS='	' read -r verb does; do \
@@ -26,6 +27,9 @@ help: ## list the verbs
 
 run: $(RUN) ## let three agents find hidden faults: a table, and a page with pictures
 	$(BIN)/python scripts/run.py $(ARGS)
+
+thesis: $(RUN) ## run the source's experiments and set them beside what it printed
+	$(BIN)/python scripts/reproduce_thesis.py $(ARGS)
 
 test: $(DEV) ## run the tests and the examples in the docstrings
 	$(BIN)/python -m pytest $(ARGS)

@@ -1,0 +1,1 @@
+"""The thesis's rigs, methods and tables, run here and set beside what it printed."""

@@ -1,0 +1,238 @@
+"""Small multiples that several experiments share: correlation loops, and figures by pose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from loose_env.envs.drawing.ink import FAINT, INK, MUTED
+from loose_env.report.figures import WIDTH, new_figure
+from loose_env.statistics import correlation_loop
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "COLOURS",
+    "Curve",
+    "LoopPanel",
+    "Points",
+    "by_category",
+    "curves_by_direction",
+    "legend_row",
+    "loop_panels",
+]
+
+COLOURS = ("#0072b2", "#d0451b", "#5b8c5a", "#8a5aa8")
+"""Colours of states in order: tight, loose, in between, and one more."""
+_STYLES: tuple[Any, ...] = ("-", (0, (5, 1.6)), (0, (1.4, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoopPanel:
+    """One pose: correlation loops of several states, and the direction sought."""
+
+    title: str
+    """What stands above the panel."""
+    loops: Sequence[tuple[ArrayLike, ArrayLike]]
+    """Reference x (N,) and acceleration a (2, N) of each state, in the order of the names."""
+    direction: float | None = None
+    """True direction of the fault, from the x axis [rad]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Points:
+    """A figure with its interval at every category."""
+
+    name: str
+    """What it is, for the legend."""
+    values: Sequence[float]
+    """One value a category."""
+    low: Sequence[float]
+    """Lower ends of the intervals."""
+    high: Sequence[float]
+    """Upper ends of the intervals."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Curve:
+    """A figure against direction."""
+
+    name: str
+    """What it is, for the legend."""
+    angles: NDArray[np.float64]
+    """Directions from the x axis [rad]."""
+    values: NDArray[np.float64]
+    """The figure along each."""
+
+
+def loop_panels(panels: Sequence[LoopPanel], names: Sequence[str], *, columns: int = 3) -> Figure:
+    """Draw polar loops of correlation against direction, a panel a pose.
+
+    The tool's y axis points up, from which the thesis counts its angles; the outer circle is a
+    correlation of one. A thin line through the middle marks the direction sought.
+
+    Parameters
+    ----------
+    panels : sequence of LoopPanel
+        What to draw.
+    names : sequence of str
+        Names of the states, the same in every panel.
+    columns : int
+        Panels side by side.
+    """
+    rows = -(-len(panels) // columns)
+    side = WIDTH / columns
+    head = 0.32
+    height = rows * (side + 0.1) + head
+    figure = new_figure(height)
+    legend_row(figure, names, height)
+    angles = np.linspace(0.0, np.pi, 181)
+    for k, panel in enumerate(panels):
+        row, column = divmod(k, columns)
+        bottom = (height - head - (row + 1) * (side + 0.1)) / height
+        axes = figure.add_axes((column / columns, bottom, 1 / columns, side / height))
+        axes.set_axis_off()
+        axes.patch.set_alpha(0.0)
+        axes.set(xlim=(-1.15, 1.15), ylim=(-1.1, 1.2), aspect="equal")
+        turn = np.linspace(0.0, 2 * np.pi, 121)
+        for radius in (0.5, 1.0):
+            axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=FAINT, linewidth=0.8)
+        if panel.direction is not None:
+            end = 1.08 * np.array([np.cos(panel.direction), np.sin(panel.direction)])
+            axes.plot([-end[0], end[0]], [-end[1], end[1]], color=INK, linewidth=1.0, zorder=1)
+        for (x, a), colour, style in zip(panel.loops, COLOURS, _STYLES, strict=False):
+            r = correlation_loop(x, a, angles)
+            axes.plot(
+                r * np.cos(angles), r * np.sin(angles), color=colour, linewidth=1.5, linestyle=style
+            )
+        axes.text(0.0, 1.04, panel.title, color=INK, fontsize=9, ha="center", va="bottom")
+    return figure
+
+
+def legend_row(figure: Figure, names: Sequence[str], height: float) -> None:
+    """Name the colours in one row at the top of a figure of the given height [inch]."""
+    widths = [0.42 + 0.075 * len(name) for name in names]
+    at = max((WIDTH - sum(widths)) / 2, 0.0)
+    y = 1 - 0.13 / height
+    from matplotlib.lines import Line2D
+
+    for name, width, colour, style in zip(names, widths, COLOURS, _STYLES, strict=False):
+        line = Line2D(
+            [at / WIDTH, (at + 0.26) / WIDTH], [y, y], color=colour, linewidth=2, linestyle=style
+        )
+        figure.add_artist(line)
+        figure.text((at + 0.32) / WIDTH, y, name, color=INK, fontsize=9, va="center")
+        at += width
+
+
+def by_category(
+    points: Sequence[Points],
+    categories: Sequence[str],
+    *,
+    ylabel: str,
+    xlabel: str,
+    symlog: float | None = None,
+) -> Figure:
+    """Draw figures with intervals, side by side at every category.
+
+    Parameters
+    ----------
+    points : sequence of Points
+        One for every state.
+    categories : sequence of str
+        Names under the axis.
+    ylabel, xlabel : str
+        Names of the axes.
+    symlog : float, optional
+        Draw logarithmically beyond this value, linearly within.
+    """
+    height = 2.7
+    figure = new_figure(height)
+    legend_row(figure, [p.name for p in points], height)
+    axes = figure.add_axes((0.75 / WIDTH, 0.5 / height, 1 - 0.8 / WIDTH, 1 - 0.85 / height))
+    _quiet(axes)
+    for k, (series, colour) in enumerate(zip(points, COLOURS, strict=False)):
+        at = np.arange(len(categories)) + 0.16 * (k - (len(points) - 1) / 2)
+        axes.vlines(at, series.low, series.high, color=colour, linewidth=2.0, alpha=0.55)
+        axes.plot(at, series.values, "o", color=colour, markersize=4.5)
+    if symlog is not None:
+        axes.set_yscale("symlog", linthresh=symlog)
+        low, high = axes.get_ylim()
+        ticks = [t for t in (-100, -10, -1, 0, 1, 10, 100) if low <= t <= high]
+        axes.set_yticks(ticks, [f"{t:g}" for t in ticks])
+        axes.minorticks_off()
+    axes.set_xticks(range(len(categories)), categories)
+    axes.set_xlim(-0.5, len(categories) - 0.5)
+    axes.axhline(0.0, color=MUTED, linewidth=0.9)
+    axes.set_xlabel(xlabel, color=MUTED, fontsize=9)
+    axes.set_ylabel(ylabel, color=MUTED, fontsize=9)
+    return figure
+
+
+def curves_by_direction(
+    panels: Sequence[tuple[str, Sequence[Curve]]], *, direction: float, label: str
+) -> Figure:
+    """Draw figures against direction, one panel below the other.
+
+    Parameters
+    ----------
+    panels : sequence of (str, sequence of Curve)
+        Name of each panel's vertical axis, and its curves.
+    direction : float
+        Direction of the fault, from the x axis [rad]; marked by a line.
+    label : str
+        What to write at that line.
+    """
+    each = 1.45
+    height = each * len(panels) + 0.95
+    figure = new_figure(height)
+    legend_row(figure, [c.name for c in panels[0][1]], height)
+    for k, (name, curves) in enumerate(panels):
+        bottom = (height - 0.5 - (k + 1) * each + 0.12) / height
+        axes = figure.add_axes((0.75 / WIDTH, bottom, 1 - 0.85 / WIDTH, (each - 0.2) / height))
+        _quiet(axes)
+        for curve, colour, style in zip(curves, COLOURS, _STYLES, strict=False):
+            shown = (np.degrees(curve.angles) - 90) % 180
+            order = np.argsort(shown)
+            axes.plot(
+                shown[order],
+                curve.values[order],
+                color=colour,
+                linewidth=1.6,
+                linestyle=style,
+            )
+        marked = (np.degrees(direction) - 90) % 180
+        axes.axvline(marked, color=INK, linewidth=1.0)
+        if k == 0:
+            axes.text(
+                marked,
+                1.03,
+                label,
+                transform=axes.get_xaxis_transform(),
+                color=INK,
+                fontsize=8.5,
+                ha="center",
+            )
+        axes.set_xlim(0, 180)
+        axes.set_xticks(range(0, 181, 30))
+        if k < len(panels) - 1:
+            axes.set_xticklabels([])
+        axes.set_ylabel(name, color=MUTED, fontsize=9)
+    axes.set_xlabel("direction from the tool's y axis [deg]", color=MUTED, fontsize=9)
+    return figure
+
+
+def _quiet(axes: Axes) -> None:
+    axes.patch.set_alpha(0.0)
+    axes.set_axisbelow(True)
+    axes.yaxis.grid(color=FAINT, linewidth=0.8)
+    axes.tick_params(length=0, pad=5, labelsize=8.5, labelcolor=MUTED)
+    for side, spine in axes.spines.items():
+        spine.set_visible(side == "bottom")
+        spine.set_color(MUTED)
