@@ -29,6 +29,7 @@ ORDER = (
     ("diagnosis", "gap"),
     ("envs",),
     ("report",),
+    ("thesis",),
     ("cli",),
 )
 RANK = {part: rank for rank, parts in enumerate(ORDER) for part in parts}
@@ -42,6 +43,7 @@ OUTSIDE = {"agents", "scripts", "tests"}
 HEAVY = {
     "jinja2",
     "matplotlib",
+    "odrpack",
     "pandas",
     "pyarrow",
     "sb3_contrib",
