@@ -127,9 +127,18 @@ def section(seed: int) -> Section:
         for k, (w, v) in enumerate(MIXES)
         for rngs in [[np.random.default_rng([seed, 10 + k, s]) for s in range(SETS)]]
     ]
+
+    def rms(result: _Result) -> float:
+        return math.degrees(float(np.sqrt(np.mean(result.errors**2))))
+
     return Section(
         key="correlation_simulations",
         title="Section 5.3.2: the direction of lowest correlation in simulated motions",
+        finding=(
+            f"Scaled by 0.1 to 10 the minimum stays where it was, with {rms(scaled[0]):.1f}° down "
+            f"to {rms(scaled[-1]):.1f}° of scatter (RMS); the thesis's shift with a wide uniform "
+            f"component is scatter too, {rms(mixed[-1]):.1f}° at {mixed[-1].name}."
+        ),
         words=_words(scaled, mixed, seed, count),
         tables=(
             _table(

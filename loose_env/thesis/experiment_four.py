@@ -108,6 +108,11 @@ def section(seed: int) -> Section:
     return Section(
         key="experiment_four",
         title="Looseness motions on the slide rig (Experiment Four, 6.3.3)",
+        finding=(
+            "When preload is lost the direction of lowest correlation turns from across the motion "
+            f"to the joint, {_along_joint(bolted[LOOSE]):.0f}° off (RMS of four angles; printed: "
+            "at it)."
+        ),
         words=_words(bolted, loose),
         tables=[_direction_table(bolted), _screw_table(loose)],
         plates=_plates(bolted),

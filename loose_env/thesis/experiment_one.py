@@ -186,6 +186,11 @@ def section(seed: int) -> Section:
     with_play, without, quiet = _same_window(sets["B"], tight, settings)
     weight_over = transfer_point()
 
+    finding = (
+        f"Within a pose strokes differ by {spread:.3f} m/s² rms at most, the nearest two poses by "
+        f"{apart[nearest]:.3f} m/s²; the guideway's shudder comes in {_list(crossing)} and is gone "
+        "without the play."
+    )
     words = [
         "A hydraulic arm of six axes strokes its boom out again and again, in five poses: A out "
         "and low, B in and low, C out and high, D in and high, E as C but swung by "
@@ -228,6 +233,7 @@ def section(seed: int) -> Section:
     return Section(
         key="experiment_one",
         title="Experiment One: repeatability of a large cylindrical arm (6.2.1)",
+        finding=finding,
         words=words,
         tables=(
             _pose_table(own, goes_over, apart),

@@ -52,6 +52,11 @@ def section(seed: int) -> Section:
     return Section(
         key="index_tables",
         title="Direction errors and the comparative index (6.5.1, tables 6.3 to 6.7)",
+        finding=(
+            f"The index is at least {min(r.mag_d for r in loose):.2f} with looseness and at most "
+            f"{max(r.mag_d for r in preload):.2f} with low preload; {len(slips)} printed figures "
+            "contradict the thesis's own data."
+        ),
         words=[*_words(loose, preload, backlash, errors), _slip_words(slips)],
         tables=[
             _error_table(errors),

@@ -106,6 +106,7 @@ def section(seed: int) -> Section:
     return Section(
         key="link_finding",
         title="Finding the loose link (4.2.2, 7.1.2, table 6.3)",
+        finding=_words(found)[1].partition(";")[0] + ".",
         words=_words(found),
         tables=[_search_table(found), _average_table(seed)],
         plates=[_plate(found)],
@@ -161,11 +162,11 @@ def search(
         if not len(open_):
             break
         jobs = []
-        for k in open_:
+        for k in map(int, open_):
             shake, _ = at_levels(linear.at(pose[k]), levels, duration=DURATION)
             for twin in (0, 1):
-                rng = np.random.default_rng([seed, 12, int(k), step, twin])
-                jobs.append(Job(slot=2 * int(k) + twin, pose=pose[k], excitation=shake, rng=rng))
+                rng = np.random.default_rng([seed, 12, k, step, twin])
+                jobs.append(Job(slot=2 * k + twin, pose=pose[k], excitation=shake, rng=rng))
         measured = rig.measure_many(jobs)
         for i, k in enumerate(map(int, open_)):
             seen = _sighting(pose[k].copy(), estimator(measured[2 * i], measured[2 * i + 1]))

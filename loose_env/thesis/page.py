@@ -143,11 +143,13 @@ def _section(outcome: Outcome) -> dict[str, Any]:
     section = outcome.section
     if section is None:
         title = outcome.key.replace("_", " ").capitalize()
-        return {"key": outcome.key, "title": title, "error": outcome.error or "it failed"}
+        error = outcome.error or "it failed"
+        return {"key": outcome.key, "title": title, "error": error, "numbers": ""}
     return {
         "key": section.key,
         "title": section.title,
         "error": "",
+        "finding": section.finding,
         "words": list(section.words),
         "tables": [_table(table) for table in section.tables],
         "plates": [shown(plate, f"{section.key}-f{k}") for k, plate in enumerate(section.plates)],

@@ -38,6 +38,8 @@ class Section:
     """Short name, also the anchor on the page."""
     title: str
     """Heading, with the thesis's section or experiment."""
+    finding: str
+    """The outcome in one sentence, printed beside found: for the table at the top of the page."""
     words: Sequence[str]
     """Paragraphs: what was done, what the thesis found, what is found here."""
     tables: Sequence[Table] = ()

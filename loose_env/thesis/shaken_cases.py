@@ -158,7 +158,9 @@ def from_y(angle: float) -> float:
 
 
 @lru_cache(maxsize=4)
-def measured_cases(seed: int, states: tuple[str, ...]) -> dict[str, list[CaseFigures]]:
+def measured_cases(
+    seed: int, states: tuple[str, ...], *, records: int = RECORDS
+) -> dict[str, list[CaseFigures]]:
     """Measure every pose in every state.
 
     Parameters
@@ -167,29 +169,31 @@ def measured_cases(seed: int, states: tuple[str, ...]) -> dict[str, list[CaseFig
         Seed; a case's records depend on it, the state and the pose alone.
     states : tuple of str
         Keys of `STATES`.
+    records : int
+        Records of every case; the first ones are the same for any number.
 
     Returns
     -------
     dict
         For every state, its cases in the order of `poses`.
     """
-    return {state: _measure(state, seed) for state in states}
+    return {state: _measure(state, seed, records) for state in states}
 
 
-def _measure(state: str, seed: int) -> list[CaseFigures]:
+def _measure(state: str, seed: int, records: int) -> list[CaseFigures]:
     fault, pin = STATES[state]
     arm: Arm = shaken_vera(pin=pin)  # type: ignore[arg-type]
     angles = poses()
     rig = SimulatedRig(
         arm,
-        slots=len(angles) * RECORDS,
+        slots=len(angles) * records,
         sensors=SensorSuite(rate=RATE, accelerometer=Accelerometer(bandwidth=0.45 * RATE)),
     )
     shake = Excitation(torque_rms=(0.0, 0.0), duration=DURATION, band=SHAKEN_BAND, shaker_rms=FORCE)
     jobs = []
     for slot in range(rig.slots):
         rig.mount(slot, fault)
-        pose, record = divmod(slot, RECORDS)
+        pose, record = divmod(slot, records)
         rng = np.random.default_rng([seed, list(STATES).index(state), pose, record])
         jobs.append(Job(slot=slot, pose=np.array([0.0, angles[pose]]), excitation=shake, rng=rng))
     measured = rig.measure_many(jobs)
@@ -198,7 +202,7 @@ def _measure(state: str, seed: int) -> list[CaseFigures]:
             theta2=theta2,
             state=state,
             measurements=tuple(
-                m for m in measured[k * RECORDS : (k + 1) * RECORDS] if m.failure is None
+                m for m in measured[k * records : (k + 1) * records] if m.failure is None
             ),
         )
         for k, theta2 in enumerate(angles)

@@ -78,6 +78,12 @@ def section(seed: int) -> Section:
     return Section(
         key="simulations",
         title="Chapter 5: simulated motion distributions and marginal distribution matching",
+        finding=(
+            f"Matching finds its parameters to {_tiny(100 * float(np.abs(exact).max()))} on a "
+            f"smooth histogram (printed: {told['parameter_error_percent']} %); on {few} samples "
+            f"{100 * found[0].success[-1]:.0f} % of far starts reach the direction, "
+            f"{100 * found[0].searched:.0f} % with several starts."
+        ),
         words=(
             *motion_words(motions, table, source),
             *_match_words(exact, far, found, spatial, told),

@@ -85,9 +85,22 @@ def section(seed: int) -> Section:
     structure_table, structure_words = structures(told)
     gap = _closed_form_error(seed)
     top = told["theta2_rate_limit_rad_per_s"]
+    peaks = [max(float(np.abs(c.reach[..., k]).max()) for c in curves) for k in (0, 1)]
     return Section(
         key="sizing",
         title="Sizing of the robot, and where its joints are loaded most (5.2, 6.1.2)",
+        finding=(
+            "Peak demand of the four cases "
+            + " and ".join(f"{peak:.1f}" for peak in peaks)
+            + " N·m, where the drives give "
+            + " and ".join(f"{limit:g}" for limit in limits)
+            + " N·m: "
+            + (
+                "the drives carry every case."
+                if all(p <= m for p, m in zip(peaks, limits, strict=True))
+                else "they do not carry every case over the whole sweep."
+            )
+        ),
         words=[
             "The equations of motion of two rigid links say what torque each drive must give and "
             "what force each joint carries. They are programmed in closed form, with the two slips "

@@ -41,13 +41,13 @@ def sections(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, ModuleType]]
         figure = new_figure(2.0)
         figure.add_subplot().plot([0, seed])
         plates = [Plate(image=figure, caption="a line")]
-        return Section(key="drawn", title="Drawn", words=[f"Seed {seed}."], plates=plates)
+        return Section(key="drawn", title="Drawn", finding="A line.", words=[f"Seed {seed}."], plates=plates)
 
     def broken(seed: int) -> Section:
         raise ZeroDivisionError("nothing\nto divide by")
 
     def plain(seed: int) -> Section:
-        return Section(key="plain", title="Plain", words=["Plain words."])
+        return Section(key="plain", title="Plain", finding="Plain.", words=["Plain words."])
 
     made = {}
     for key, function in (("drawn", drawn), ("broken", broken), ("plain", plain)):

@@ -36,6 +36,7 @@ def outcome(key: str, **changes: Any) -> Outcome:
             )
         ],
         "plates": [Plate(image=SVG, caption=f"Figure of {key}", title="A name")],
+        "finding": f"Outcome of {key}, 7 of 9.",
         "equations": {"6.15": "loose_env.a.f", "6.2": "loose_env.a.g"},
         "left_out": [f"Something of {key}, because."],
     }
@@ -62,7 +63,7 @@ def test_the_page_holds_every_section_and_links_to_it() -> None:
         for word in (f"Words of {key}.", f"Table of {key}", f"Figure of {key}", "885 Hz"):
             assert word in page
         assert f'<section id="{key}">' in page
-        # In the summary and in the contents at least.
+        # In the summary and beside its equations at least.
         assert page.count(f'href="#{key}"') >= 2
     assert page.count("<svg") == page.count("<figure") == 2
     for word in ("python x.py --seed 7", "Seed 7", "numpy 1.2.3", "Text."):

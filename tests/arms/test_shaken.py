@@ -1,0 +1,161 @@
+"""The shaker beside the arm: its place, its force, and the closed form against simulation."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from loose_env.arms import planar
+from loose_env.arms.shaken import ShakenArm
+from loose_env.arms.shaker import COIL, Shaker, add_shaker, place_shaker
+from loose_env.arms.vera_shaken import PROXIMAL, SHAKEN_BAND, ShakenVeraFigures, shaken_vera
+from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.excitation import Excitation, torque_signals
+from loose_env.faults import Healthy, Preload
+from loose_env.rig import Job, SimulatedRig
+from loose_env.sensors import Accelerometer, SensorSuite
+from loose_env.statistics import transfer_function
+
+RATE = 2000.0
+PERFECT = SensorSuite(
+    rate=RATE, accelerometer=Accelerometer(bandwidth=900.0, noise_density=0.0, resolution=0.0)
+)
+
+
+def shake(force: float = 10.0, duration: float = 3.0) -> Excitation:
+    return Excitation(torque_rms=(0.0, 0.0), duration=duration, band=SHAKEN_BAND, shaker_rms=force)
+
+
+@pytest.mark.parametrize("pose", [(0.0, 0.0), (0.7, 1.9), (-2.5, 4.0)])
+def test_the_stand_meets_the_link_wherever_it_is(pose: tuple[float, float]) -> None:
+    arm = shaken_vera()
+    assert arm.shaker is not None
+    spec = arm.spec.copy()
+    add_shaker(spec, arm.shaker)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[:2] = 0.0
+    for name, angle in zip(arm.joints, pose, strict=True):
+        data.joint(name).qpos[0] = angle
+    place_shaker(model, data, arm.shaker)
+    mujoco.mj_forward(model, data)
+    coil, end = data.site(COIL).xpos, data.site("stinger_end").xpos
+    assert np.linalg.norm(end - coil) == pytest.approx(arm.shaker.stinger_length, abs=1e-12)
+    tangential = [-np.sin(pose[0]), np.cos(pose[0]), 0.0]
+    np.testing.assert_allclose((end - coil) / arm.shaker.stinger_length, tangential, atol=1e-12)
+    # Nothing pulls: the stinger has its own length and the coil rests.
+    np.testing.assert_allclose(data.qfrc_passive, 0.0, atol=1e-6)
+
+
+def test_the_closed_form_is_what_the_simulation_does() -> None:
+    arm, pose = shaken_vera(), np.array([0.0, np.radians(56.0)])
+    rig = SimulatedRig(arm, sensors=PERFECT)
+    record = rig.measure(pose, shake(), rng=np.random.default_rng(3))
+    assert record.failure is None
+    force = record.shaker_force
+    assert force is not None
+    motion = np.concatenate([record.tool, record.probes[PROXIMAL][1:2]])
+    found = transfer_function(force, motion, RATE, segments=12)
+    closed = ShakenArm(arm, points=2000).at(pose)
+    predicted = np.concatenate([closed.tool.T, closed.probes[PROXIMAL].T[1:2]])
+    # Away from the sharp modes, where a window of half a second resolves the answer.
+    inside = (found.frequencies > 130.0) & (found.frequencies < 200.0)
+    for row in range(3):
+        at = np.interp(found.frequencies[inside], closed.frequency, np.abs(predicted[row]))
+        np.testing.assert_allclose(np.abs(found.response[row, inside]), at, rtol=0.15)
+
+
+def test_link_1_bends_at_83_hz_when_it_is_clamped() -> None:
+    arm = shaken_vera()
+    spec = arm.spec.copy()
+    # Without link 2 and the drive's own mass as the thesis counts it: see the arm's figures.
+    hinge = spec.joint("bending1")
+    out = 2 * 0.4 / 3
+    mass = 3.2 + 0.23 * 1.34
+    assert np.sqrt(hinge.stiffness[0] / out**2 / mass) / (2 * np.pi) == pytest.approx(
+        83.0, rel=1e-9
+    )
+
+
+def test_a_preloaded_seat_answers_as_a_tight_one() -> None:
+    along = (float(np.cos(0.26)), -float(np.sin(0.26)), 0.0)
+    arm, pose = shaken_vera(), np.array([0.0, 1.0])
+    rig = SimulatedRig(arm, slots=2, sensors=PERFECT)
+    rig.mount(0, Healthy())
+    rig.mount(1, Preload(link=2, direction=along, stiffness=2.5e8, damping=1e4))
+    jobs = [
+        Job(slot=k, pose=pose, excitation=shake(), rng=np.random.default_rng(0)) for k in (0, 1)
+    ]
+    tight, held = rig.measure_many(jobs)
+    assert np.abs(tight.tool - held.tool).max() < 0.02 * np.abs(tight.tool).max()
+
+
+def test_the_shaker_draws_last_and_leaves_the_joints_signals_alone() -> None:
+    without = Excitation(torque_rms=(1.0, 2.0), duration=1.2, band=(30.0, 150.0))
+    with_it = Excitation(torque_rms=(1.0, 2.0), duration=1.2, band=(30.0, 150.0), shaker_rms=5.0)
+
+    def draw(excitation: Excitation) -> np.ndarray:
+        rng = np.random.default_rng(1)
+        return torque_signals(excitation, timestep=1e-3, before=0, after=0, rng=rng)
+
+    a, b = draw(without), draw(with_it)
+    assert (a.shape, b.shape) == ((2, 1200), (3, 1200))
+    np.testing.assert_array_equal(a, b[:2])
+    assert b[2].std() == pytest.approx(5.0, rel=0.2)
+
+
+def test_the_force_stays_within_its_limit() -> None:
+    arm = shaken_vera()
+    record = SimulatedRig(arm, sensors=PERFECT).measure(np.zeros(2), shake(force=400.0))
+    assert record.shaker_force is not None and arm.shaker is not None
+    assert np.abs(record.shaker_force).max() == arm.shaker.force_limit
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    with pytest.raises(InvalidSetting, match="has no shaker"):
+        SimulatedRig(planar(2)).measure(np.zeros(2), shake())
+    with pytest.raises(InvalidSetting, match="no shaker to answer"):
+        ShakenArm(planar(2))
+    with pytest.raises(InvalidSetting, match="2 finite joint positions"):
+        ShakenArm(shaken_vera(), points=8).at([0.0, np.nan])
+    with pytest.raises(InvalidSetting, match="shaker_rms"):
+        shake(force=-1.0)
+    with pytest.raises(InvalidSetting, match="outer two thirds"):
+        ShakenVeraFigures(hitch=0.05)
+    with pytest.raises(UnknownName, match="half_released"):
+        shaken_vera(pin="loose")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"coil_mass": 0.0}, "coil_mass must be positive"),
+        ({"stinger_damping": -1.0}, "stinger_damping must be zero or more"),
+        ({"direction": (0.0, 0.0, 0.0)}, "direction must not be zero"),
+        ({"force_limit": np.nan}, "force_limit must be positive"),
+    ],
+)
+def test_figures_of_a_shaker_are_checked(change: dict[str, object], words: str) -> None:
+    figures: dict[str, object] = {
+        "joint": 1,
+        "body": "link1",
+        "point": (0.1, 0.0, 0.0),
+        "direction": (0.0, 1.0, 0.0),
+        "coil_mass": 1.0,
+        "stinger_stiffness": 1e6,
+        "stinger_damping": 1.0,
+        "stinger_length": 0.1,
+        "suspension_stiffness": 1e3,
+        "suspension_damping": 1.0,
+    }
+    with pytest.raises(InvalidSetting, match=words):
+        Shaker(**(figures | change))  # type: ignore[arg-type]
+
+
+def test_a_shaker_needs_bodies_that_exist() -> None:
+    arm = shaken_vera()
+    spec = planar(2).spec.copy()
+    assert arm.shaker is not None
+    with pytest.raises(InvalidSetting, match="needs a body 'link1_end'"):
+        add_shaker(spec, arm.shaker)
