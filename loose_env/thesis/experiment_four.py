@@ -127,7 +127,7 @@ def section(seed: int) -> Section:
 
 
 @lru_cache(maxsize=8)
-def trials(seed: int, state: str, mount: Mount) -> tuple[Trial, ...]:
+def trials(seed: int, state: str, mount: Mount, *, records: int = RECORDS) -> tuple[Trial, ...]:
     """Measure one state of the joint at the four angles.
 
     Parameters
@@ -138,6 +138,8 @@ def trials(seed: int, state: str, mount: Mount) -> tuple[Trial, ...]:
         Key of `STATES`.
     mount : {"bolted", "loose"}
         How the joint is mounted on the slide.
+    records : int
+        Records of each trial; the first ones are the same for any number.
     """
     found = []
     shake = Excitation(torque_rms=(0.0,), duration=1.2, band=SLIDE_BAND, shaker_rms=FORCE)
@@ -145,9 +147,9 @@ def trials(seed: int, state: str, mount: Mount) -> tuple[Trial, ...]:
     for k, degrees in enumerate(printed("experiment_four")["looseness_angle_deg"]):
         angle = float(np.radians(degrees))
         arm = slide_rig(looseness_angle=angle, mount=mount)
-        rig = SimulatedRig(arm, slots=RECORDS, sensors=sensors)
+        rig = SimulatedRig(arm, slots=records, sensors=sensors)
         jobs = []
-        for slot in range(RECORDS):
+        for slot in range(records):
             rig.mount(slot, STATES[state])
             key = [seed, 4, list(STATES).index(state), mount == "loose", k, slot]
             rng = np.random.default_rng(key)
