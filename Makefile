@@ -10,6 +10,9 @@ BIN := $(VENV)/bin
 RUN_EXTRAS := report,play
 DEV_EXTRAS := all,dev
 
+# The matrices are small: threads of BLAS and OpenMP only get in the engine's way.
+ONE_THREAD := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
+
 # Options for the script or for pytest, as in: make test ARGS="-k statistics -x"
 ARGS ?=
 
@@ -32,7 +35,7 @@ thesis: $(RUN) ## run the source's experiments and set them beside what it print
 	$(BIN)/python scripts/reproduce_thesis.py $(ARGS)
 
 test: $(DEV) ## run the tests and the examples in the docstrings
-	$(BIN)/python -m pytest $(ARGS)
+	$(ONE_THREAD) $(BIN)/python -m pytest $(ARGS)
 
 bench: $(RUN) ## time the simulation and the diagnosis on this machine
 	$(BIN)/python scripts/benchmark.py $(ARGS)
