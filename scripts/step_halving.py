@@ -351,7 +351,7 @@ def draw_figure(found: Sequence[Comparison], settings: Settings, path: Path) -> 
                 panel.text(
                     place,
                     height,
-                    f"{100 * share:.2g} %",
+                    f"{100 * share:.0f} %",
                     transform=panel.get_xaxis_transform(),
                     ha="center",
                     fontsize=7.5,
