@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.diagnosis.jacobian import Chain, geometric_jacobian
+from loose_env.diagnosis.chain import Chain
+from loose_env.diagnosis.jacobian import geometric_jacobian
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 
 __all__ = [

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loose_env.diagnosis.jacobian import JointKind
+from loose_env.diagnosis.chain import JointKind
 from loose_env.errors import InvalidData
 
 __all__ = [

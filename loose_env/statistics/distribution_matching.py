@@ -16,25 +16,26 @@ from loose_env.errors import InvalidData, InvalidSetting, MissingExtra
 from loose_env.statistics._checks import FloatArray, as_floats
 from loose_env.statistics.angles import wrap_axial
 from loose_env.statistics.gaussian_ridge import (
-    exponent_from_sd,
     planar_ridge,
     rotation,
     sd_from_exponent,
     spatial_ridge,
 )
-from loose_env.statistics.histogram import Histogram
+from loose_env.statistics.histogram import Histogram, require_dimension
+from loose_env.statistics.ridge_trial import (
+    hemisphere,
+    planar_trial,
+    spatial_trial,
+    variance_trial,
+)
 
 __all__ = [
     "Match",
     "MatchSettings",
-    "hemisphere",
     "match_planar",
     "match_spatial",
-    "planar_trial",
     "search_planar",
     "search_spatial",
-    "spatial_trial",
-    "variance_trial",
 ]
 
 Model = Callable[[ArrayLike, ArrayLike], FloatArray]
@@ -87,106 +88,6 @@ class Match:
     """Trial directions from which it was started."""
 
 
-def variance_trial(found: Histogram) -> float:
-    """Trial variance: half the mean squared distance from the origin (4.7).
-
-    It is the mean over the counts: the sum as printed needs the division by their sum.
-
-    Parameters
-    ----------
-    found : Histogram
-        Counts in d directions; the motion has a mean of zero.
-
-    Returns
-    -------
-    float
-        Variance of one direction if all were alike (divided by d), squared unit of the data.
-
-    Raises
-    ------
-    InvalidData
-        If the histogram is empty.
-
-    Examples
-    --------
-    >>> corners = Histogram(counts=np.ones((2, 2)), low=np.array([-2.0, -2.0]), width=2.0)
-    >>> variance_trial(corners)
-    1.0
-    """
-    counts = found.counts.ravel()
-    total = float(counts.sum())
-    if not (math.isfinite(total) and total > 0.0 and (counts >= 0.0).all()):
-        raise InvalidData("counts must be finite, not negative, and not all zero")
-    squared = np.sum(found.points() ** 2, axis=0)
-    return float(np.sum(squared * counts)) / total / found.counts.ndim
-
-
-def planar_trial(found: Histogram, angle: float) -> FloatArray:
-    """Trial parameters with a given direction: a0 the highest count, a1 from (4.7) and (4.9).
-
-    Parameters
-    ----------
-    found : Histogram
-        Counts in the plane.
-    angle : float
-        Trial direction a2 of the Gaussian component, rad.
-
-    Returns
-    -------
-    array, shape (3,)
-        a0, a1, a2.
-
-    Raises
-    ------
-    InvalidData
-        If the histogram is not planar, or empty.
-
-    Examples
-    --------
-    >>> corners = Histogram(counts=np.ones((2, 2)), low=np.array([-2.0, -2.0]), width=2.0)
-    >>> planar_trial(corners, 0.5).tolist()
-    [1.0, -0.5, 0.5]
-    """
-    _require_dimension(found, 2)
-    a1 = exponent_from_sd(math.sqrt(variance_trial(found)))
-    return np.array([float(found.counts.max()), a1, angle])
-
-
-def spatial_trial(found: Histogram, direction: ArrayLike) -> FloatArray:
-    """Trial parameters of `spatial_ridge`: round, with the trial variance of (4.7).
-
-    Parameters
-    ----------
-    found : Histogram
-        Counts in space.
-    direction : array, shape (3,)
-        Trial direction of the looseness, of any length above zero.
-
-    Returns
-    -------
-    array, shape (6,)
-        Parameters b.
-
-    Raises
-    ------
-    InvalidData
-        If the histogram is not spatial, or empty, or the direction has no length.
-
-    Examples
-    --------
-    >>> corners = Histogram(counts=np.ones((2, 2, 2)), low=np.full(3, -2.0), width=2.0)
-    >>> spatial_trial(corners, [1.0, 0.0, 0.0]).tolist()
-    [1.0, 1.0, 0.0, 1.0, 0.0, 0.0]
-    """
-    _require_dimension(found, 3)
-    x, y, z = as_floats(direction, "direction")
-    flat = math.hypot(x, y)
-    if not (math.isfinite(flat + z) and flat + abs(z) > 0.0):
-        raise InvalidData(f"direction is {direction!r}; it needs a length above zero")
-    root = 1.0 / math.sqrt(variance_trial(found))
-    return np.array([found.counts.max(), root, 0.0, root, math.atan2(y, x), math.atan2(z, flat)])
-
-
 def match_planar(
     found: Histogram, trial: ArrayLike, settings: MatchSettings | None = None
 ) -> Match:
@@ -221,7 +122,7 @@ def match_planar(
     >>> match.parameters.round(3).tolist()
     [100.0, -0.2, 1.0]
     """
-    _require_dimension(found, 2)
+    require_dimension(found, 2)
     size, top = math.sqrt(variance_trial(found)), float(found.counts.max())
     scale = np.array([top, size**-2, 1.0])
     fitted, residual, converged = _fit(planar_ridge, found, trial, scale, settings)
@@ -270,7 +171,7 @@ def match_spatial(
     >>> match.direction.round(3).tolist() == rotation(0.4, 0.3)[2].round(3).tolist()
     True
     """
-    _require_dimension(found, 3)
+    require_dimension(found, 3)
     size, top = math.sqrt(variance_trial(found)), float(found.counts.max())
     scale = np.array([top, 1 / size, 1 / size, 1 / size, 1.0, 1.0])
     fitted, residual, converged = _fit(spatial_ridge, found, trial, scale, settings)
@@ -347,21 +248,6 @@ def search_spatial(
     return _lowest([match_spatial(found, trial, settings) for trial in trials])
 
 
-def hemisphere(count: int) -> FloatArray:
-    """Unit vectors spread evenly over the upper hemisphere (3, count), on a golden spiral.
-
-    Examples
-    --------
-    >>> hemisphere(2).round(3).T.tolist()
-    [[0.661, 0.0, 0.75], [-0.714, 0.654, 0.25]]
-    """
-    k = np.arange(count)
-    z = 1.0 - (k + 0.5) / count
-    turn = k * math.pi * (3.0 - math.sqrt(5.0))
-    flat = np.sqrt(1.0 - z**2)
-    return np.stack([flat * np.cos(turn), flat * np.sin(turn), z])
-
-
 def _fit(
     model: Model,
     found: Histogram,
@@ -409,11 +295,6 @@ def _fit(
 def _lowest(matches: list[Match]) -> Match:
     best = min(matches, key=lambda match: (not match.converged, match.residual))
     return replace(best, starts=len(matches))
-
-
-def _require_dimension(found: Histogram, dimension: int) -> None:
-    if found.counts.ndim != dimension:
-        raise InvalidData(f"the histogram has {found.counts.ndim} directions, not {dimension}")
 
 
 def _require_starts(starts: int) -> None:

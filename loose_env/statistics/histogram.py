@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.statistics._checks import FloatArray, as_record, require_finite
 
-__all__ = ["Histogram", "contour_levels", "histogram", "marginal"]
+__all__ = ["Histogram", "contour_levels", "histogram", "marginal", "require_dimension"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,6 +36,18 @@ class Histogram:
     def density(self) -> FloatArray:
         """Probability density in each bin, of the shape of the counts."""
         return np.asarray(self.counts / (self.counts.sum() * self.width**self.counts.ndim))
+
+
+def require_dimension(found: Histogram, dimension: int) -> None:
+    """Refuse a histogram of another number of directions.
+
+    Raises
+    ------
+    InvalidData
+        If the histogram has not that many directions.
+    """
+    if found.counts.ndim != dimension:
+        raise InvalidData(f"the histogram has {found.counts.ndim} directions, not {dimension}")
 
 
 def histogram(samples: ArrayLike, bins: int = 120) -> Histogram:

@@ -27,7 +27,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["scaled_normal", "section", "uniform_across"]
+__all__ = ["EQUATIONS", "scaled_normal", "section", "uniform_across"]
+
+EQUATIONS: dict[str, str] = {
+    "4.10": "loose_env.statistics.correlation.correlation_along",
+    "4.11": "loose_env.statistics.correlation.correlation_along",
+    "4.12": "loose_env.statistics.correlation.correlation_along",
+    "4.13": "loose_env.statistics.correlation.correlation_along",
+    "4.14": "loose_env.statistics.correlation.correlation_loop",
+    "4.15": "loose_env.statistics.correlation.lowest_correlation_search",
+}
+"""Function of each equation."""
 
 Array = NDArray[np.float64]
 
@@ -173,14 +183,7 @@ def section(seed: int) -> Section:
                 ),
             ),
         ),
-        equations={
-            "4.10": "loose_env.statistics.correlation.correlation_along",
-            "4.11": "loose_env.statistics.correlation.correlation_along",
-            "4.12": "loose_env.statistics.correlation.correlation_along",
-            "4.13": "loose_env.statistics.correlation.correlation_along",
-            "4.14": "loose_env.statistics.correlation.correlation_loop",
-            "4.15": "loose_env.statistics.correlation.lowest_correlation_search",
-        },
+        equations=EQUATIONS,
         left_out=("The ratios between 0.1 and 10 that the thesis drew are not all printed.",),
     )
 

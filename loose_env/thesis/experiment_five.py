@@ -47,7 +47,7 @@ from loose_env.thesis.shaken_tables import (
 
 __all__ = ["EQUATIONS", "section"]
 
-EQUATIONS = {
+EQUATIONS: dict[str, str] = {
     "4.16": "loose_env.statistics.moments.moments_by_direction",
     "4.17": "loose_env.statistics.moments.moments_by_direction",
     "4.18": "loose_env.statistics.moments.moments_by_direction",

@@ -30,7 +30,7 @@ from loose_env.thesis.shaken_tables import axis_words, spread_words
 
 __all__ = ["EQUATIONS", "Trial", "section", "trials"]
 
-EQUATIONS = {
+EQUATIONS: dict[str, str] = {
     "4.10": "loose_env.statistics.correlation.correlation_along",
     "4.19": "loose_env.statistics.moments.skewness",
     "4.20": "loose_env.statistics.moments.kurtosis",

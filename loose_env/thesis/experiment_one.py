@@ -16,19 +16,24 @@ from loose_env.thesis.experiment_one_figures import (
     spectrum_plate,
     time_plate,
 )
-from loose_env.thesis.guideway import (
-    POSES,
-    Guideway,
-    StrokePose,
-    Strokes,
-    shift_end,
-    stroke_many,
-    transfer_point,
-)
+from loose_env.thesis.guideway import POSES, Guideway, StrokePose, shift_end, transfer_point
 from loose_env.thesis.printed import printed
 from loose_env.thesis.section import Section, Table
+from loose_env.thesis.signal_size import rms
+from loose_env.thesis.strokes import Strokes, stroke_many
 
-__all__ = ["Repeatability", "Shudder", "repeatability", "right_sets", "section", "shudder"]
+__all__ = [
+    "EQUATIONS",
+    "Repeatability",
+    "Shudder",
+    "repeatability",
+    "right_sets",
+    "section",
+    "shudder",
+]
+
+EQUATIONS: dict[str, str] = {}
+"""Function of each equation."""
 
 Array = NDArray[np.float64]
 
@@ -165,7 +170,7 @@ def section(seed: int) -> Section:
 
     own = {name: repeatability(s.acceleration) for name, s in sets.items()}
     apart = {
-        (p, q): _rms(sets[p].acceleration.mean(axis=0) - sets[q].acceleration.mean(axis=0))
+        (p, q): rms(sets[p].acceleration.mean(axis=0) - sets[q].acceleration.mean(axis=0))
         for p in sets
         for q in sets
         if p < q
@@ -177,7 +182,7 @@ def section(seed: int) -> Section:
     by_end = {str(by): s.acceleration for by, s in shifted.items()}
     ends_apart = right_sets(by_end)
     smallest = min(
-        _rms(s.acceleration.mean(axis=0) - shifted[0].acceleration.mean(axis=0))
+        rms(s.acceleration.mean(axis=0) - shifted[0].acceleration.mean(axis=0))
         for by, s in shifted.items()
         if by
     )
@@ -246,6 +251,7 @@ def section(seed: int) -> Section:
             end_plate(shifted, SHIFTED_POSE),
             shudder_plate(sets["B"], tight, weight_over),
         ),
+        equations=EQUATIONS,
         left_out=(
             "An independent check of sizes: play, servo, ramp and filter were chosen so that the "
             "shudder stands clear of the noise, the trigger's jitter is assumed, and the column's "
@@ -257,10 +263,6 @@ def section(seed: int) -> Section:
             "thesis names them as troubles of its controller and gives no figures.",
         ),
     )
-
-
-def _rms(signal: Array) -> float:
-    return float(np.sqrt(np.mean(signal**2)))
 
 
 def _list(names: list[str]) -> str:
@@ -297,7 +299,7 @@ def _same_window(loose: Strokes, tight: Strokes, settings: Guideway) -> tuple[fl
     landed = int(np.argmax(loose.pitch.mean(axis=0) >= settings.gap / 2))
     width = round(0.2 * settings.rate)
     window, before = slice(landed, landed + width), slice(landed - width - 150, landed - 150)
-    return _rms(mean[0][window]), _rms(mean[1][window]), _rms(mean[0][before])
+    return rms(mean[0][window]), rms(mean[1][window]), rms(mean[0][before])
 
 
 def _pose_table(
@@ -339,7 +341,7 @@ def _end_table(shifted: Mapping[int, Strokes]) -> Table:
     volts = repeatability(base.potentiometer).spread
     rows = []
     for by in sorted(shifted):
-        acceleration = _rms(shifted[by].acceleration.mean(axis=0) - base.acceleration.mean(axis=0))
+        acceleration = rms(shifted[by].acceleration.mean(axis=0) - base.acceleration.mean(axis=0))
         rest = [s.potentiometer[:, -100:].mean() for s in (shifted[by], base)]
         moved = 1000 * (rest[0] - rest[1]) / Guideway().potentiometer_scale
         pair = right_sets({"here": shifted[by].acceleration, "base": base.acceleration})

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from loose_env.envs.drawing.ink import INK, MEASURED, MUTED, SHAKEN, TRUTH
 from loose_env.report.plate import Plate
-from loose_env.thesis.guideway import Guideway, Strokes
+from loose_env.thesis.guideway import Guideway
 from loose_env.thesis.signal_panels import panels
+from loose_env.thesis.strokes import Strokes
 
 __all__ = ["end_plate", "shudder_plate", "spectrum_plate", "time_plate"]
 

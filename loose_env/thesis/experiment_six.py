@@ -26,7 +26,7 @@ from loose_env.thesis.shaken_tables import (
 
 __all__ = ["EQUATIONS", "section"]
 
-EQUATIONS = {
+EQUATIONS: dict[str, str] = {
     "4.10": "loose_env.statistics.correlation.correlation_along",
     "6.18": "loose_env.statistics.index.comparative_index",
 }

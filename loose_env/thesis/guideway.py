@@ -1,4 +1,4 @@
-"""The boom of the cylindrical arm in bearing blocks with play, stroked again and again.
+"""The boom of the cylindrical arm in bearing blocks with play.
 
 The boom runs through four roller bearing blocks. With its weight behind their middle one
 diagonal pair of blocks carries it, ahead of it the other pair. As it strokes through the point
@@ -8,32 +8,33 @@ gap, its stops are the pairs of blocks, and gravity turns it over.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from loose_env.arms.cylindrical import GUIDE, cylindrical
-from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.errors import InvalidSetting
 
 __all__ = [
+    "AXES",
     "POSES",
+    "SEAT_HINGE",
     "Guideway",
     "StrokePose",
-    "Strokes",
+    "guideway_model",
     "shift_end",
-    "stroke_many",
     "transfer_point",
 ]
 
 Array = NDArray[np.float64]
 
 SEAT_HINGE = "boom_pitch"
+"""Joint about which the boom pitches in its blocks."""
+AXES = ("joint1", "joint2", "joint3")
+"""Joints of swing, lift and reach."""
 _SOFT = 1e-4  # MuJoCo's smallest constraint impedance
-_AXES = ("joint1", "joint2", "joint3")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,22 +131,6 @@ POSES: dict[str, StrokePose] = {
 """Out and low, in and low, out and high, in and high, and C swung by 90°; figures estimated."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Strokes:
-    """Records of repeated strokes in one pose."""
-
-    time: Array
-    """Time since the nominal trigger [s] (N,)."""
-    acceleration: Array
-    """At the base of the wrist, along the boom, as measured [m/s²] (strokes, N)."""
-    potentiometer: Array
-    """Reach by the potentiometer, as measured [V] (strokes, N)."""
-    reach: Array = field(repr=False)
-    """True reach [m] (strokes, N)."""
-    pitch: Array = field(repr=False)
-    """True pitch of the boom on its blocks [rad] (strokes, N)."""
-
-
 def shift_end(pose: StrokePose, by: float) -> StrokePose:
     """Return the pose with the end of its stroke moved [m].
 
@@ -174,135 +159,7 @@ def transfer_point() -> float:
     return float(data.body(GUIDE).xpos[0] - data.subtree_com[boom][0])
 
 
-def stroke_many(
-    pose: StrokePose, count: int, settings: Guideway, rng: np.random.Generator
-) -> Strokes:
-    """Stroke the horizontal axis again and again, under point-to-point control.
-
-    Every stroke is simulated. From stroke to stroke the potentiometer's noise, which also
-    goes through the servo, the accelerometer's noise and the trigger's jitter differ.
-
-    Parameters
-    ----------
-    pose : StrokePose
-        Where the stroke runs.
-    count : int
-        Number of strokes.
-    settings : Guideway
-        Guide, servos and sensors.
-    rng : numpy.random.Generator
-        Source of noise and jitter.
-
-    Raises
-    ------
-    InvalidSetting
-        If no stroke is asked for or the pose lies outside the arm's ranges.
-    InvalidData
-        If the simulation diverges.
-
-    Examples
-    --------
-    >>> found = stroke_many(POSES["B"], 2, Guideway(record=0.2), np.random.default_rng(0))
-    >>> found.acceleration.shape
-    (2, 200)
-    """
-    if count < 1:
-        raise InvalidSetting(f"at least one stroke is needed, got count={count!r}")
-    ranges = cylindrical().joint_ranges[:3]
-    ends = ((pose.swing,) * 2, (pose.lift,) * 2, (pose.start, pose.end))
-    for joint, allowed, values in zip(_AXES, ranges, ends, strict=True):
-        if allowed is not None and not all(allowed[0] <= v <= allowed[1] for v in values):
-            raise InvalidSetting(f"{joint} must stay within {allowed}, got {values}")
-    model = _model(pose, settings)
-    start = _at_rest(model, pose, settings)
-
-    margin = 6 * settings.trigger_jitter  # so that a jittered record has samples at its ends
-    begin = settings.lead + settings.trigger - margin
-    steps = round((begin + settings.record + 2 * margin) / settings.timestep)
-    t = settings.timestep * np.arange(steps, dtype=float)
-    control = np.tile(start[1], (count, steps, 1))
-    noise = settings.potentiometer_noise / 6 / settings.potentiometer_scale
-    control[:, :, 2] += _travel(t - settings.lead, pose, settings) - _seen_by_servo(
-        noise, (count, steps), model, settings, rng
-    )
-    batch = Batch(model, count, 1)
-    batch.state[:] = start[0]
-    recorded = batch.rollout(steps, control, record=("sensordata",))["sensordata"]
-    if not np.isfinite(recorded).all() or batch.warning[:, :, 1].any():
-        raise InvalidData("a stroke diverged; use a shorter timestep or softer blocks")
-
-    wanted = np.arange(round(settings.record * settings.rate)) / settings.rate
-    first = round(begin / settings.timestep)
-    jitter = np.clip(settings.trigger_jitter * rng.standard_normal(count), -margin, margin)
-    sampled = np.empty((3, count, len(wanted)))
-    for k in range(count):
-        # Sensors of a step are those of its start; a sample is the mean over one period.
-        at = begin + margin + jitter[k] + wanted
-        # The accelerometer has three axes, the first along the boom.
-        for channel, column in enumerate((0, 3, 4)):
-            smooth = recorded[k, :, column]
-            if channel == 0 and settings.every > 1:
-                smooth = np.convolve(smooth, np.ones(settings.every) / settings.every, "same")
-            sampled[channel, k] = np.interp(at, t[first:], smooth[first:])
-    acceleration, reach, pitch = sampled
-    shape = reach.shape
-    return Strokes(
-        time=wanted,
-        acceleration=acceleration + settings.accelerometer_noise * rng.standard_normal(shape),
-        potentiometer=settings.potentiometer_scale * reach
-        + settings.potentiometer_noise / 6 * rng.standard_normal(shape),
-        reach=reach,
-        pitch=pitch,
-    )
-
-
-def _travel(t: Array, pose: StrokePose, settings: Guideway) -> Array:
-    """Commanded reach [m] over time since the start of the stroke: smooth start and stop."""
-    distance = pose.end - pose.start
-    # A raised-cosine run up, steady speed, and the same down.
-    ramp, speed = settings.ramp, settings.speed * np.sign(distance)
-    steady = abs(distance) / settings.speed - ramp
-    if steady < 0:
-        raise InvalidSetting(
-            f"a stroke of {distance:g} m is too short for ramps of {ramp:g} s to "
-            f"{settings.speed:g} m/s"
-        )
-
-    def run_up(x: Array) -> Array:
-        x = np.clip(x, 0.0, ramp)
-        return np.asarray(speed / 2 * (x - ramp / np.pi * np.sin(np.pi * x / ramp)))
-
-    up = run_up(t) + speed * np.clip(t - ramp, 0.0, None)
-    stopped = t - ramp - steady
-    down = run_up(stopped) + speed * np.clip(stopped - ramp, 0.0, None)
-    return np.asarray(up - down)
-
-
-def _seen_by_servo(
-    noise: float,
-    shape: tuple[int, int],
-    model: mujoco.MjModel,
-    settings: Guideway,
-    rng: np.random.Generator,
-) -> Array:
-    """Noise of the reach potentiometer as an error of the set point [m].
-
-    The drive acts on the position and on its rate, both through the feedback's low-pass.
-    """
-    dt = settings.timestep
-    # White over the recording band; a step's sample carries more, so that the density is kept.
-    white = noise * np.sqrt(1 / (settings.rate * dt)) * rng.standard_normal(shape)
-    keep = np.exp(-2 * np.pi * settings.feedback_bandwidth * dt)
-    # Two poles, so that the rate is low-passed too.
-    poles = [1.0, -2 * keep, keep**2]
-    low = np.asarray(lfilter([(1 - keep) ** 2], poles, white, axis=1))
-    drive = model.actuator("servo_joint3").id
-    gain, rate_gain = model.actuator_gainprm[drive, 0], -model.actuator_biasprm[drive, 2]
-    rate = np.diff(low, axis=1, prepend=low[:, :1]) / dt
-    return np.asarray(low + rate_gain / gain * rate)
-
-
-def _model(pose: StrokePose, settings: Guideway) -> mujoco.MjModel:
+def guideway_model(pose: StrokePose, settings: Guideway) -> mujoco.MjModel:
     """Compile the arm with a locked wrist, servos on the major axes and the boom's seat."""
     spec = cylindrical().spec.copy()
     for number in (4, 5, 6):
@@ -318,7 +175,7 @@ def _model(pose: StrokePose, settings: Guideway) -> mujoco.MjModel:
             solimp_limit=[_SOFT, _SOFT, 0.001, 0.5, 2],
         )
         stop.wrap_joint(SEAT_HINGE, 1.0)
-    for joint in _AXES:
+    for joint in AXES:
         spec.add_actuator(name=f"servo_{joint}", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=joint)
     sensor = mujoco.mjtSensor
     spec.add_sensor(
@@ -349,7 +206,7 @@ def _inertia(model: mujoco.MjModel, pose: StrokePose) -> Array:
     """Inertia matrix in the middle of the stroke (nv, nv)."""
     data = mujoco.MjData(model)
     middle = (pose.swing, pose.lift, (pose.start + pose.end) / 2)
-    for joint, value in zip(_AXES, middle, strict=True):
+    for joint, value in zip(AXES, middle, strict=True):
         data.joint(joint).qpos[0] = value
     mujoco.mj_forward(model, data)
     full = np.zeros((model.nv, model.nv))
@@ -380,28 +237,9 @@ def _seat(model: mujoco.MjModel, settings: Guideway) -> None:
 def _servos(model: mujoco.MjModel, pose: StrokePose, settings: Guideway) -> None:
     """Give the major axes position servos for the inertia in the middle of the stroke."""
     inertia = _inertia(model, pose)
-    for joint, mode in zip(_AXES, settings.servo_mode_hz, strict=True):
+    for joint, mode in zip(AXES, settings.servo_mode_hz, strict=True):
         drive, dof = model.actuator(f"servo_{joint}").id, model.joint(joint).dofadr[0]
         mass, omega = inertia[dof, dof], 2 * np.pi * mode
         model.actuator_gainprm[drive, 0] = mass * omega**2
         model.actuator_biastype[drive] = mujoco.mjtBias.mjBIAS_AFFINE
         model.actuator_biasprm[drive, :3] = (0.0, -mass * omega**2, -2 * mass * omega)
-
-
-def _at_rest(model: mujoco.MjModel, pose: StrokePose, settings: Guideway) -> tuple[Array, Array]:
-    """State at rest at the start of the stroke, and the set points that hold it there."""
-    data = mujoco.MjData(model)
-    target = np.array([pose.swing, pose.lift, pose.start])
-    data.qpos[[model.joint(j).qposadr[0] for j in _AXES]] = target
-    mujoco.mj_forward(model, data)
-    weight = data.qfrc_bias[[model.joint(j).dofadr[0] for j in _AXES]]
-    data.ctrl[:] = target + weight / model.actuator_gainprm[:, 0]
-    # Start on the pair of blocks that carries the boom, and let what sags come to rest.
-    load = data.qfrc_bias[model.joint(SEAT_HINGE).dofadr[0]]
-    data.joint(SEAT_HINGE).qpos[0] = -np.sign(load) * settings.gap / 2
-    for _ in range(round(4.0 / settings.timestep)):
-        mujoco.mj_step(model, data)
-    kind = mujoco.mjtState.mjSTATE_INTEGRATION
-    state = np.empty(mujoco.mj_stateSize(model, kind))
-    mujoco.mj_getState(model, data, state, kind)
-    return state, data.ctrl.copy()

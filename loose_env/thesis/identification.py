@@ -2,97 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
 import numpy as np
-from numpy.typing import NDArray
 
-from loose_env.arms import Arm, planar
-from loose_env.diagnosis.docked import Jig, simulate_docked
-from loose_env.diagnosis.inertia import seated_inertia
-from loose_env.diagnosis.jacobian import Chain, geometric_jacobian, insert_looseness
+from loose_env.arms import planar
+from loose_env.diagnosis.chain import Chain
+from loose_env.diagnosis.jacobian import geometric_jacobian
+from loose_env.diagnosis.looseness_joint import insert_looseness
 from loose_env.diagnosis.recursion import (
     distended_angles,
     identify_planar,
     parameter_deviations,
     velocity_components,
 )
-from loose_env.diagnosis.static_force import (
-    compatible_links,
-    docked_acceleration,
-    link_frames,
-    moving_directions,
-    remaining_motions,
-    seat_twist,
-)
-from loose_env.envs.drawing.ink import FAINT, INK, MEASURED, MUTED, TRUTH
+from loose_env.diagnosis.static_force import link_frames
 from loose_env.errors import InvalidData
-from loose_env.excitation import Excitation, torque_signals
-from loose_env.faults import Backlash, Fault, Healthy, StructuralLooseness
-from loose_env.report.figures import WIDTH, new_figure
-from loose_env.report.plate import Plate
-from loose_env.sensors import Encoder, read_encoder
+from loose_env.thesis.docked_tool import GAP, SLOPE, loose_links, motion_counts
 from loose_env.thesis.printed import printed
 from loose_env.thesis.section import Section, Table
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+__all__ = ["EQUATIONS", "section"]
 
-__all__ = ["section"]
-
-Array = NDArray[np.float64]
-GAP = 2e-4
-"""Travel of the loose seat [m]."""
-SLOPE = (0.6, 0.8, 0.0)
-"""Direction of the slide in its link's frame."""
-RATE = 0.5
-"""Velocity at which each joint is turned for the recursion [rad/s]."""
-NOISE = 1e-3
-"""Rms noise of each velocity component in the recursion [m/s]."""
-DRAWS = 2000
-"""Noisy repetitions of the recursion."""
-POSES = 5
-"""Poses in which the arm is docked."""
-DRIVE = 0.03
-"""Rms torque in the dock, as a share of the peak torque."""
-BAND = (1.0, 12.0)
-"""Band of the torque in the dock [Hz]."""
-_PLANE = [0, 1, 5]  # rows of the Jacobian that a planar arm can move
-
-
-def section(seed: int) -> Section:
-    """Reproduce section 3.3's recursion and carry out the docked test of 8.1.2.
-
-    Examples
-    --------
-    >>> from loose_env.thesis.printed import printed
-    >>> printed("identification")["recursion_steps"]
-    6
-    """
-    told = printed("identification")
-    recursion_table, recursion_words = _recursion(seed, told)
-    count_table, count_words = _counts(seed, told)
-    link_table, link_words, plate = _links(seed)
-    return Section(
-        key="identification",
-        title="Identification joint by joint, and the docked tool (3.3.1, 8.1.2)",
-        words=[*recursion_words, _free_vector(), *count_words, link_words],
-        tables=[recursion_table, count_table, link_table],
-        plates=[plate],
-        equations=_EQUATION_MAP,
-        left_out=[
-            "The order of moves that finds the link without a dock (3.3.1, after 3.69): it is "
-            "the link-finding method, told in a section of its own.",
-            "The place and the angle of joint 1 in the world: a method from velocities cannot "
-            f"find these {told['parameters_never_found']} figures, as the thesis says.",
-            "Compliance of the jig, and mechanical friction of the joints and the seat: the "
-            "docked test is simulated with a stiff jig and free guides.",
-        ],
-    )
-
-
-_EQUATION_MAP = {
+EQUATIONS: dict[str, str] = {
     **dict.fromkeys(
         ("3.49", "3.50", "3.61", "3.62", "3.63", "3.64", "3.66", "3.67"),
         "loose_env.diagnosis.recursion.identify_planar",
@@ -106,6 +36,54 @@ _EQUATION_MAP = {
     ),
     "3.65": "loose_env.diagnosis.recursion.distended_angles",
 }
+"""Function of each equation."""
+
+RATE = 0.5
+"""Velocity at which each joint is turned for the recursion [rad/s]."""
+NOISE = 1e-3
+"""Rms noise of each velocity component in the recursion [m/s]."""
+DRAWS = 2000
+"""Noisy repetitions of the recursion."""
+
+
+def section(seed: int) -> Section:
+    """Reproduce section 3.3's recursion and carry out the docked test of 8.1.2.
+
+    Examples
+    --------
+    >>> from loose_env.thesis.printed import printed
+    >>> printed("identification")["recursion_steps"]
+    6
+    """
+    told = printed("identification")
+    recursion_table, recursion_words = _recursion(seed, told)
+    count_table, count_words = motion_counts(seed, told)
+    link_table, link_words, plate = loose_links(seed)
+    agree = sum(row[2] == row[3] for row in count_table.rows)
+    named = sum(row[0] == f"link {row[-2]}" for row in link_table.rows)
+    return Section(
+        key="identification",
+        title="Identification joint by joint, and the docked tool (3.3.1, 8.1.2)",
+        finding=(
+            f"The docked arm keeps the motions of its null space in {agree} of "
+            f"{len(count_table.rows)} cases, and its loose link is named in {named} of "
+            f"{len(link_table.rows)}; the printed joint angle (3.65) "
+            + ("does not hold" if "although an offset" in recursion_words[1] else "holds")
+            + " for inner joints."
+        ),
+        words=[*recursion_words, _free_vector(), *count_words, link_words],
+        tables=[recursion_table, count_table, link_table],
+        plates=[plate],
+        equations=EQUATIONS,
+        left_out=[
+            "The order of moves that finds the link without a dock (3.3.1, after 3.69): it is "
+            "the link-finding method, told in a section of its own.",
+            "The place and the angle of joint 1 in the world: a method from velocities cannot "
+            f"find these {told['parameters_never_found']} figures, as the thesis says.",
+            "Compliance of the jig, and mechanical friction of the joints and the seat: the "
+            "docked test is simulated with a stiff jig and free guides.",
+        ],
+    )
 
 
 def _recursion(seed: int, told: dict[str, object]) -> tuple[Table, list[str]]:
@@ -222,197 +200,3 @@ def _free_vector() -> str:
             else "The recursion runs on, against what the thesis found."
         )
     )
-
-
-def _wiggle(arm: Arm, pose: Array, fault: Fault, jig: Jig, rng: np.random.Generator) -> Array:
-    """Dock the arm, drive its joints, and read the encoders (n, N)."""
-    shake = Excitation(
-        torque_rms=tuple(DRIVE * t for t in arm.torque_limits), duration=1.0, band=BAND
-    )
-    torque = torque_signals(shake, timestep=arm.timestep, before=0, after=0, rng=rng)
-    record = simulate_docked(arm, pose, fault, torque, jig=jig, every=10)
-    return read_encoder(record.angles, sensor=Encoder(), rng=rng)
-
-
-def _slide(link: int) -> StructuralLooseness:
-    return StructuralLooseness(
-        link=link, direction=SLOPE, gap=GAP, stiffness=(1e6, 1e6), damping=(100.0, 100.0)
-    )
-
-
-def _counts(seed: int, told: dict[str, object]) -> tuple[Table, list[str]]:
-    """Count the motions that remain while the tool is held, expected and seen."""
-    encoder = Encoder()
-    noise = float(np.hypot(encoder.noise, encoder.resolution / np.sqrt(12)))
-    faults: tuple[tuple[str, Fault], ...] = (
-        ("healthy", Healthy()),
-        ("slide at link 2", _slide(2)),
-        ("play in joint 2", Backlash(joint=2, gap=5e-4, stiffness=(1e5, 1e5), damping=(50, 50))),
-    )
-    rows, agree, total = [], 0, 0
-    spare: dict[str, float] = {}
-    for n in (3, 4):
-        arm = planar(n)
-        pose = np.array([0.4, 0.9, -0.7, 0.8])[:n]
-        chain = Chain.of(arm, pose)
-        for jig, held in (("pin", _PLANE[:2]), ("clamp", _PLANE)):
-            for f, (name, fault) in enumerate(faults):
-                loose = chain
-                if isinstance(fault, StructuralLooseness):
-                    axis = link_frames(arm, pose)[fault.link - 1] @ SLOPE
-                    loose = insert_looseness(chain, fault.link, axis)
-                elif isinstance(fault, Backlash):
-                    loose = insert_looseness(chain, fault.joint, [0, 0, 1], kind="revolute")
-                expected = remaining_motions(geometric_jacobian(loose)[held]).shape[1]
-                rng = np.random.default_rng([seed, 1, n, len(held), f])
-                angles = _wiggle(arm, pose, fault, "pin" if jig == "pin" else "clamp", rng)
-                # Motions of the joints alone; each seat motion drags joints along.
-                seen = len(moving_directions(angles, noise))
-                agree += seen == expected
-                total += 1
-                sizes = angles.std(axis=1)
-                moving = ", ".join(str(j + 1) for j in range(n) if sizes[j] > 3 * noise)
-                if n == 3 and jig == "clamp":
-                    spare[name] = float(sizes.max())
-                rows.append((f"{n}, {jig}", name, str(expected), str(seen), moving or "none"))
-    arm, pose = planar(3), np.array([0.4, 0.9, -0.7])
-    still = _docked_dynamics(arm, pose)
-    words = [
-        "Section 8.1.2 proposes to dock the tool and wiggle the joints. With the tool held, "
-        "joints can move only along the null space of the Jacobian's held rows (3.25). A pin "
-        "holds two motions of a planar arm, so three joints keep one: the arm turns about the "
-        "pin. A clamp holds three, so three joints stand still and four keep one. A loose seat "
-        f"adds one to each. In the simulation {agree} of {total} counts are those of the null "
-        f"space; the clamped three-joint arm moves by {1e6 * spare['healthy']:.1f} µrad rms "
-        f"healthy, which is the encoders' noise, and by {1e3 * spare['slide at link 2']:.2f} mrad "
-        "with a slide. "
-        + (
-            "So a nonredundant arm that is fully held moves only if it is loose, as the thesis "
-            "says; a redundant one, or one held by a pin, must be compared with its own count."
-            if told["docked_nonredundant_moves_only_if_loose"]
-            and spare["healthy"] < 3 * noise < spare["slide at link 2"]
-            else "This differs from what the thesis says of a nonredundant arm."
-        ),
-        f"Equation (3.25) agrees: torques on the clamped arm accelerate its joints by "
-        f"{still[0]:.0e} rad/s² healthy and by {still[1]:.1f} rad/s² with the slide. Play shows "
-        "in one pose, as the clamped three-joint rows say: the joint with play moves alone.",
-    ]
-    return (
-        Table(
-            caption=f"Motions left to a planar arm whose tool is held, and joints that moved; "
-            f"torques of {100 * DRIVE:g} % of the peak at {BAND[0]:g} to {BAND[1]:g} Hz.",
-            columns=("joints, jig", "arm", "expected", "seen", "joints that moved"),
-            rows=tuple(rows),
-        ),
-        words,
-    )
-
-
-def _docked_dynamics(arm: Arm, pose: Array) -> tuple[float, float]:
-    """Largest joint acceleration of the clamped arm, healthy and with a slide (3.25)."""
-    chain = Chain.of(arm, pose)
-    torque = 0.1 * np.array(arm.torque_limits)
-    healthy = docked_acceleration(
-        geometric_jacobian(chain)[_PLANE], seated_inertia(arm, pose, Healthy()), torque
-    )
-    axis = link_frames(arm, pose)[1] @ SLOPE
-    j = geometric_jacobian(insert_looseness(chain, 2, axis))[_PLANE]
-    # The inertia matrix has the seat last, the Jacobian has it after joint 2.
-    order = [0, 1, 3, 2]
-    m = seated_inertia(arm, pose, _slide(2))[np.ix_(order, order)]
-    loose = docked_acceleration(j, m, np.insert(torque, 2, 0.0))
-    return float(np.abs(healthy).max()), float(np.abs(np.delete(loose, 2)).max())
-
-
-def _links(seed: int) -> tuple[Table, str, Plate]:
-    """Find the loose link from the directions of several docked poses."""
-    arm = planar(4)
-    rows, right, worst = [], 0, 0.0
-    shown: list[Array] = []
-    for link in range(1, arm.n + 1):
-        directions, frames = [], []
-        for p in range(POSES):
-            rng = np.random.default_rng([seed, 2, p])
-            pose = arm.random_pose(rng)
-            angles = _wiggle(arm, pose, _slide(link), "clamp", rng)
-            twist = seat_twist(geometric_jacobian(Chain.of(arm, pose))[_PLANE], angles)
-            directions.append(twist.direction[:2])
-            frames.append(link_frames(arm, pose)[:, :2, :2])
-        found = compatible_links(directions, frames)
-        own = np.einsum("pkdc,pd->kpc", np.array(frames), np.array(directions))
-        along = np.abs(own[link - 1] @ SLOPE[:2]) / np.linalg.norm(own[link - 1], axis=1)
-        error = float(np.degrees(np.arccos(np.clip(along, 0.0, 1.0))).max())
-        right += found.best == link
-        worst = max(worst, error)
-        if link == 2:
-            shown = list(own)
-        rows.append(
-            (
-                f"link {link}",
-                *(f"{np.degrees(m):.2g}" for m in found.misfit),
-                str(found.best),
-                f"{error:.2f}",
-            )
-        )
-    words = (
-        "What the joints do at the tool, with the sign changed, is the seat's own motion there. "
-        f"Over {POSES} docked poses of a four-joint arm its direction is right to {worst:.2f}°, "
-        "and it stays fixed in the frame of one link only: the link is named rightly in "
-        f"{right} of {arm.n} cases. No excitation statistics are needed, but a stiff jig in every "
-        "pose is, which is why the thesis leaves the method to later work."
-    )
-    return (
-        Table(
-            caption=f"Docked arm of four joints, {POSES} poses: rms angle by which the "
-            "directions disagree in each link's frame, degrees; link named; largest error of a "
-            "direction, degrees.",
-            columns=(
-                "loose",
-                *(f"in link {k}" for k in range(1, arm.n + 1)),
-                "named",
-                "error, °",
-            ),
-            rows=tuple(rows),
-        ),
-        words,
-        Plate(
-            image=_frames_figure(shown, 2),
-            title="One frame in which all poses agree",
-            caption="Directions of the seat's motion from the docked poses of an arm loose at "
-            "link 2, drawn in the frame of each link. In the loose link's frame they fall on one "
-            "line.",
-        ),
-    )
-
-
-def _frames_figure(own: Sequence[Array], link: int) -> Figure:
-    count = len(own)
-    side = WIDTH / count
-    figure = new_figure(side + 0.2)
-    height = side + 0.2
-    for k, lines in enumerate(own):
-        axes = figure.add_axes(((k + 0.06) / count, 0.03, 0.88 / count, 0.88 * side / height))
-        turn = np.linspace(0, 2 * np.pi, 120)
-        axes.plot(np.cos(turn), np.sin(turn), color=FAINT, linewidth=1.0)
-        loose = k + 1 == link
-        for x, y in lines:
-            size = float(np.hypot(x, y))
-            axes.plot(
-                [-x / size, x / size],
-                [-y / size, y / size],
-                color=TRUTH if loose else MEASURED,
-                linewidth=2.0,
-            )
-        axes.text(
-            0.5,
-            1.04,
-            f"link {k + 1}" + (" (loose)" if loose else ""),
-            color=INK if loose else MUTED,
-            fontsize=9.5,
-            ha="center",
-            va="bottom",
-            transform=axes.transAxes,
-        )
-        axes.set(xlim=(-1.05, 1.05), ylim=(-1.05, 1.05), aspect="equal")
-        axes.axis("off")
-    return figure

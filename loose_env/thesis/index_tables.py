@@ -23,7 +23,7 @@ from loose_env.thesis.section import Section, Table
 
 __all__ = ["EQUATIONS", "section"]
 
-EQUATIONS = dict.fromkeys(
+EQUATIONS: dict[str, str] = dict.fromkeys(
     ("6.15", "6.16", "6.17", "6.18"), "loose_env.statistics.index.comparative_index"
 )
 """Function of each equation."""

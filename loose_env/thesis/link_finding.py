@@ -32,14 +32,15 @@ from loose_env.thesis.shaken_cases import LOOSE_DIRECTION, PLAY_DIRECTION, measu
 
 __all__ = ["EQUATIONS", "Search", "search", "section"]
 
-EQUATIONS = {
+# In the plane every joint's axis is the same.
+EQUATIONS: dict[str, str] = {
     "4.27": "loose_env.diagnosis.link_finding.judge_turn",
     "4.28": "loose_env.diagnosis.link_finding.judge_turn",
     "4.29": "loose_env.diagnosis.link_finding.judge_turn",
     "4.30": "loose_env.diagnosis.link_finding.judge_turn",
     "4.31": "loose_env.diagnosis.link_finding.judge_turn",
 }
-"""Function of each equation; in the plane every joint's axis is the same."""
+"""Function of each equation."""
 
 Array = NDArray[np.float64]
 Estimator = Callable[[Measurement, Measurement], float]

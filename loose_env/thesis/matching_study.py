@@ -19,13 +19,12 @@ from loose_env.statistics.distribution_matching import (
     MatchSettings,
     match_planar,
     match_spatial,
-    planar_trial,
     search_planar,
     search_spatial,
-    spatial_trial,
 )
 from loose_env.statistics.gaussian_ridge import planar_ridge, rotation
 from loose_env.statistics.histogram import Histogram, histogram
+from loose_env.statistics.ridge_trial import planar_trial, spatial_trial
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

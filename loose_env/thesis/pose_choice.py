@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm, planar, vera
-from loose_env.diagnosis.jacobian import Chain, geometric_jacobian
+from loose_env.diagnosis.chain import Chain
+from loose_env.diagnosis.jacobian import geometric_jacobian
 from loose_env.diagnosis.manipulability import (
     axis_difference_deg,
     direction_deg,
@@ -34,7 +35,13 @@ from loose_env.thesis.pose_trials import (
 from loose_env.thesis.printed import printed
 from loose_env.thesis.section import Section, Table
 
-__all__ = ["section"]
+__all__ = ["EQUATIONS", "section"]
+
+EQUATIONS: dict[str, str] = {
+    "4.2.3": "loose_env.diagnosis.reactions.reactions",
+    "8.2.3": "loose_env.diagnosis.manipulability.submanipulator",
+}
+"""Function of each equation."""
 
 Array = NDArray[np.float64]
 AGREES_DEG = 2.0
@@ -88,10 +95,7 @@ def section(seed: int) -> Section:
                 "arm. Red: set chosen per energy; blue: set chosen per torque.",
             ),
         ],
-        equations={
-            "4.2.3": "loose_env.diagnosis.reactions.reactions",
-            "8.2.3": "loose_env.diagnosis.manipulability.submanipulator",
-        },
+        equations=EQUATIONS,
         left_out=[
             "The gravity wrench of 4.2.3: VERA and the planar arm move across gravity, which so "
             "never loads a seat along the plane. arm_loads in loose_env.diagnosis.joint_loads has "

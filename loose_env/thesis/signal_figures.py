@@ -19,7 +19,7 @@ from loose_env.thesis.signal_panels import panels
 from loose_env.thesis.slide_records import RESOLVER_UNIT, ResolverRecords, SlideRecords
 
 if TYPE_CHECKING:
-    from loose_env.thesis.signals import Angles
+    from loose_env.thesis.slide_directions import Angles
 
 __all__ = ["angle_plate", "moment_plate", "resolver_plate", "velocity_plate"]
 

@@ -41,7 +41,32 @@ from loose_env.thesis.motion_study import (
 from loose_env.thesis.printed import printed
 from loose_env.thesis.section import Section, Table
 
-__all__ = ["section"]
+__all__ = ["EQUATIONS", "section"]
+
+_PLANAR = "loose_env.diagnosis.loose_planar"
+_SEAT = "loose_env.diagnosis.seat_motion"
+_RIDGE = "loose_env.statistics.gaussian_ridge"
+_TRIAL = "loose_env.statistics.ridge_trial"
+EQUATIONS: dict[str, str] = {
+    "3.70": "loose_env.statistics.histogram.marginal",
+    "3.71": f"{_PLANAR}.nominal_jacobian",
+    "4.1": f"{_RIDGE}.to_plane",
+    "4.2": f"{_RIDGE}.rotation",
+    "4.3": f"{_RIDGE}.planar_ridge",
+    "4.4": f"{_RIDGE}.along",
+    "4.5": f"{_RIDGE}.planar_ridge",
+    "4.6": f"{_RIDGE}.planar_ridge",
+    "4.7": f"{_TRIAL}.variance_trial",
+    "4.8": f"{_RIDGE}.exponent_from_sd",
+    "4.9": f"{_TRIAL}.planar_trial",
+    "5.1": f"{_SEAT}.region_probabilities",
+    "5.2": f"{_SEAT}.region_probabilities",
+    "5.3": f"{_PLANAR}.tool_position",
+    "5.4": f"{_PLANAR}.tool_velocity",
+    "5.5": f"{_PLANAR}.link_rate",
+    "5.6": f"{_PLANAR}.tool_acceleration",
+}
+"""Function of each equation."""
 
 Array = NDArray[np.float64]
 
@@ -107,7 +132,7 @@ def section(seed: int) -> Section:
                 ),
             ),
         ),
-        equations=_EQUATIONS,
+        equations=EQUATIONS,
         left_out=(
             "Equations 5.7 and 5.8, rigid-body dynamics: the thesis gave them up for Monte Carlo "
             "too; here the dynamics are simulated by MuJoCo.",
@@ -229,28 +254,3 @@ def _spatial_table(spatial: list[SpatialFound]) -> Table:
         columns=("data", *offsets, f"{STARTS} starts"),
         rows=tuple(rows),
     )
-
-
-_PLANAR = "loose_env.diagnosis.loose_planar"
-_SEAT = "loose_env.diagnosis.seat_motion"
-_RIDGE = "loose_env.statistics.gaussian_ridge"
-_MATCH = "loose_env.statistics.distribution_matching"
-_EQUATIONS = {
-    "3.70": "loose_env.statistics.histogram.marginal",
-    "3.71": f"{_PLANAR}.nominal_jacobian",
-    "4.1": f"{_RIDGE}.to_plane",
-    "4.2": f"{_RIDGE}.rotation",
-    "4.3": f"{_RIDGE}.planar_ridge",
-    "4.4": f"{_RIDGE}.along",
-    "4.5": f"{_RIDGE}.planar_ridge",
-    "4.6": f"{_RIDGE}.planar_ridge",
-    "4.7": f"{_MATCH}.variance_trial",
-    "4.8": f"{_RIDGE}.exponent_from_sd",
-    "4.9": f"{_MATCH}.planar_trial",
-    "5.1": f"{_SEAT}.region_probabilities",
-    "5.2": f"{_SEAT}.region_probabilities",
-    "5.3": f"{_PLANAR}.tool_position",
-    "5.4": f"{_PLANAR}.tool_velocity",
-    "5.5": f"{_PLANAR}.link_rate",
-    "5.6": f"{_PLANAR}.tool_acceleration",
-}

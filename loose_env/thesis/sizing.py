@@ -24,7 +24,20 @@ from loose_env.thesis.section import Section, Table
 from loose_env.thesis.sizing_figures import CaseCurves, force_figure, torque_figure
 from loose_env.thesis.sizing_structures import structures
 
-__all__ = ["demand", "section"]
+__all__ = ["EQUATIONS", "demand", "section"]
+
+EQUATIONS: dict[str, str] = {
+    "3.41": "loose_env.diagnosis.joint_loads.two_link_loads",
+    "6.1": "loose_env.diagnosis.chain.Chain.of",
+    "6.2": "loose_env.diagnosis.joint_loads.two_link_loads",
+    "6.3": "loose_env.diagnosis.joint_loads.two_link_loads",
+    "6.4": "loose_env.diagnosis.joint_loads.two_link_loads",
+    "6.5": "loose_env.diagnosis.joint_loads.two_link_loads",
+    "6.6": "loose_env.arms.beams.beam_frequency",
+    "6.11": "loose_env.arms.beams.stinger_frequency",
+    "6.12": "loose_env.arms.beams.rod_stiffness",
+}
+"""Function of each equation."""
 
 Array = NDArray[np.float64]
 MOTIONS = 200
@@ -130,17 +143,7 @@ def section(seed: int) -> Section:
                 "link that the joint moves and its part across it, in the plane.",
             ),
         ],
-        equations={
-            "3.41": "loose_env.diagnosis.joint_loads.two_link_loads",
-            "6.1": "loose_env.diagnosis.jacobian.Chain.of",
-            "6.2": "loose_env.diagnosis.joint_loads.two_link_loads",
-            "6.3": "loose_env.diagnosis.joint_loads.two_link_loads",
-            "6.4": "loose_env.diagnosis.joint_loads.two_link_loads",
-            "6.5": "loose_env.diagnosis.joint_loads.two_link_loads",
-            "6.6": "loose_env.arms.beams.beam_frequency",
-            "6.11": "loose_env.arms.beams.stinger_frequency",
-            "6.12": "loose_env.arms.beams.rod_stiffness",
-        },
+        equations=EQUATIONS,
         left_out=[
             "The values of figures 6.7 and 6.8 and of the preliminary parameters: the thesis gives "
             "the plots only, and no masses of link 2. Only their statements in words are compared.",

@@ -1,62 +1,64 @@
 """Records of a slide shaken through a stinger, and of a resolver behind a gear with play.
 
-The slide of Experiments Two and Three: a shaker's table drives it along its rails on a bench
-that moves too. An accelerometer cube on it is turned by a known angle from the rails.
+The slide of Experiments Two and Three (`loose_env.arms.slide`) and VERA on the shaker
+(`loose_env.arms.vera_shaken`), measured on the simulated rig. The rig's sensors are ideal here;
+the pair of accelerometers, the protractor and the tape are put on its readings, so that
+several pairs can be tried on one and the same motion.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfilt
 
-from loose_env.errors import InvalidData
+from loose_env.arms.arm import Arm, Holding
+from loose_env.arms.mismatch import Mismatch
+from loose_env.arms.shaker import COIL
+from loose_env.arms.slide import BENCH, SLIDE, slide_rig
+from loose_env.arms.vera_shaken import shaken_vera
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.excitation import Excitation
+from loose_env.rig import Measurement, SimulatedRig
+from loose_env.sensors import Accelerometer, Encoder, SensorSuite
 
 __all__ = [
+    "GEAR_PLAY",
+    "LINK_BAND",
     "RESOLVER_UNIT",
     "BaseRecord",
     "ResolverRecords",
     "SlideRecords",
+    "play",
     "resolver_records",
     "slide_records",
 ]
 
 Array = NDArray[np.float64]
 
-SLIDE_MASS = 0.50
-"""Slide with cube and accelerometers [kg] (6.3.2)."""
-TABLE_MASS = 8.0
-"""Moving part of the shaker [kg]; an estimate."""
-STINGER_MASS = 0.0171
-"""Steel rod of 0.0199 in² and 0.17 m [kg] (6.3.2)."""
-STINGER_MODE_HZ = 710.0
-"""Mode of the slide on its stinger, as measured (6.3.2)."""
-BENCH_MASS = 150.0
-"""Bench and what stands on it [kg]; an estimate."""
-BENCH_MODES_HZ = (24.0, 50.5, 101.0)
-"""Modes along the rails, across them and of turning [Hz]; the last two as seen (6.3.1)."""
-BENCH_JOINTS = ("bench_along", "bench_across", "bench_turn")
-BENCH_DAMPING = 0.01
-"""Damping ratio of those modes; an estimate."""
-BENCH_CANT = np.radians(15.0)
-"""Angle of the bench's principal axes to the rails [rad]; an estimate."""
-FORCE_RMS = 40.0
-"""Force of the shaker [N]; an estimate."""
-FORCE_BAND = (40.0, 2000.0)
-"""Corners of the force: weak below the first (6.3.1), the amplifier's limit above [Hz]."""
+FORCE_RMS, FORCE_BAND = 6.0, (5.0, 2000.0)
+"""Force of the shaker [N] and its band [Hz]; estimates. The suspension of its coil takes the
+part below 40 Hz away."""
+MACHINE_MASS, MACHINE_RMS, MACHINE_BAND = 5.0, 15.0, (8.0, 60.0)
+"""Another machine on the bench: its moving mass [kg], force [N] and band [Hz]; estimates."""
 FULL_SCALE = 50.0
 """Full scale of a tape channel [m/s²]; an estimate."""
 TAPE_RATIO_DB = 46.0
 """Full scale over noise of an FM tape channel [dB]; an estimate."""
 TAPE_OFFSET = 0.005
 """Deviation of a channel's offset over its full scale [1]; an estimate."""
-GAIN_ERROR, CROSS_AXIS, PROTRACTOR = 0.005, 0.01, np.radians(0.15)
-"""Deviations of gain and cross-axis sensitivity [1], and of the angle read [rad]; estimates."""
-RATE, DURATION, STEP, SETTLING = 10_000.0, 2.0, 5e-5, 0.3
+PAIR = replace(Mismatch().scaled(0.0), gain=0.005, cross_axis=0.01)
+"""Deviations of gain and cross-axis sensitivity of the accelerometers; estimates."""
+PROTRACTOR = np.radians(0.15)
+"""Deviation of the angle read [rad]; an estimate."""
+BENCH_GAIN = 0.03
+"""Deviation of the gain of the bench's sensor, which is of another kind [1]; an estimate."""
+BENCH_SCALE = 0.1
+"""Full scale of the bench's tape channel over that of the others; an estimate."""
+RATE, DURATION = 10_000.0, 2.0
 
 RESOLVER_UNIT = 2 * np.pi / 2**16
 """One unit of a resolver of 16 bits [rad]."""
@@ -64,8 +66,13 @@ RESOLVER_RATE = 1000.0
 """Readings of the resolver through the computer's digital port [Hz]; an estimate."""
 GEAR_PLAY = 3 * RESOLVER_UNIT
 """Play between link and resolver [rad]: one arc-minute; an estimate."""
-LINK_INERTIA, LINK_TORQUE_RMS, LINK_BAND = 1.0, 22.0, (40.0, 150.0)
-"""Link 1 about its joint [kg·m²], torque by the shaker [N·m], its band [Hz]; estimates."""
+LINK_BAND = (20.0, 150.0)
+"""Band of the shaker that drives link 1 [Hz]: readings at `RESOLVER_RATE` can follow it, so that
+what spoils its derivative is the resolver and its gear. An estimate."""
+LINK_FORCE_RMS = 48.0
+"""Its force [N], for a resolver that moves by the few units printed (6.3.2)."""
+VERA_POSE = (0.0, np.pi / 2)
+"""Joints of VERA [rad]; the second is pinned."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -95,7 +102,7 @@ class SlideRecords:
     shaker: Array
     """Shaker's table, as measured [m/s²] (A, N)."""
     velocity: Array
-    """True velocity of the slide along the rails [m/s] (A, N)."""
+    """True velocity of the slide along the rails, relative to the bench [m/s] (A, N)."""
     shaken_by: dict[str, BaseRecord]
     """Records about the base's motion, by what shakes the bench."""
 
@@ -114,212 +121,193 @@ class ResolverRecords:
     """Reading behind the gear [units of `RESOLVER_UNIT`] (N,)."""
 
 
-def slide_records(seed: int) -> SlideRecords:
+def slide_records(seed: int, *, pair: int = 0) -> SlideRecords:
     """Shake the slide with the cube at 0 to 90 degrees; then once with the bench shaken too.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of everything.
+    pair : int
+        Which pair of accelerometers, with its protractor and tape: the motion is the same for
+        every pair.
+
+    Raises
+    ------
+    InvalidSetting
+        If there is no pair of that number.
 
     Examples
     --------
-    >>> slide_records.__name__
-    'slide_records'
+    >>> slide_records(0, pair=-1)
+    Traceback (most recent call last):
+        ...
+    loose_env.errors.InvalidSetting: pairs are counted from 0, got -1
     """
-    alpha = np.radians(np.arange(0.0, 91.0, 5.0))
-    model = _bench()
-    runs, steps = len(alpha) + 1, round((SETTLING + DURATION) / STEP)
-    control = np.zeros((runs, steps, 2))
-    for k in range(runs):
-        rng = np.random.default_rng([seed, 100 + k])
-        control[k, :, 0] = _coloured(rng, steps, FORCE_BAND, FORCE_RMS, order=2)
-    # Another machine on the same floor shakes the bench in the last run.
-    rng = np.random.default_rng([seed, 90])
-    control[-1, :, 1] = _coloured(rng, steps, (8.0, 60.0), 150.0, order=2)
-    recorded = _simulate(model, control)
-    every = round(1 / (RATE * STEP))
-    start = round(SETTLING / STEP)
-    tail = recorded[:, start:].reshape(runs, -1, every, recorded.shape[2]).mean(axis=2)
-    along, across, shaker, base = tail[..., 0], tail[..., 1], tail[..., 3], tail[..., 6]
-    velocity = tail[..., 9]
-
-    rng = np.random.default_rng([seed, 91])
+    if isinstance(pair, bool) or not isinstance(pair, (int, np.integer)) or pair < 0:
+        raise InvalidSetting(f"pairs are counted from 0, got {pair!r}")
+    alpha, runs, with_machine = _motions(seed)
+    rng = np.random.default_rng([seed, 91, pair])
     noise = FULL_SCALE * 10 ** (-TAPE_RATIO_DB / 20)
-    sensors = np.eye(2) + np.array([[GAIN_ERROR, CROSS_AXIS], [CROSS_AXIS, GAIN_ERROR]]) * (
-        rng.standard_normal((2, 2))
-    )
-    turned = alpha + PROTRACTOR * rng.standard_normal(len(alpha))
+    sensor = PAIR.draw(slide_rig(), rng).sensor
+    # The protractor's error turns the cube, and with it both accelerometers.
+    turned = PROTRACTOR * rng.standard_normal(len(alpha))
     c, s = np.cos(turned)[:, None], np.sin(turned)[:, None]
-    cube = np.array([c * along[:-1] - s * across[:-1], s * along[:-1] + c * across[:-1]])
-    measured = np.einsum("ij,jkn->ikn", sensors, cube)
+    along, across = np.stack([run.tool for run in runs], axis=1)
+    cube = np.array([c * along - s * across, s * along + c * across])
+    measured = np.einsum("ij,jkn->ikn", sensor[:2, :2], cube)
     measured += noise * rng.standard_normal(measured.shape)
     measured += TAPE_OFFSET * FULL_SCALE * rng.standard_normal((2, len(alpha), 1))
-    base_gain = 1 + 0.03 * rng.standard_normal()  # another kind of sensor on the bench
-    shaken_by = {
-        name: BaseRecord(
-            slide=along[k] + noise * rng.standard_normal(along.shape[1]),
-            base=base_gain * base[k] + 0.1 * noise * rng.standard_normal(along.shape[1]),
-            relative=along[k] - base[k],
+    gain = 1 + BENCH_GAIN * rng.standard_normal()
+    shaken_by = {}
+    for name, run in (
+        ("the shaker's own reaction", runs[0]),
+        ("another machine too", with_machine),
+    ):
+        slide, base = run.probes[SLIDE][0], run.probes[BENCH][0]
+        shaken_by[name] = BaseRecord(
+            slide=slide + noise * rng.standard_normal(slide.shape),
+            base=gain * base + BENCH_SCALE * noise * rng.standard_normal(base.shape),
+            relative=slide - base,
         )
-        for name, k in (("the shaker's own reaction", 0), ("another machine too", runs - 1))
-    }
+    shaker = np.array([run.probes[COIL][0] for run in runs])
     return SlideRecords(
         rate=RATE,
         alpha=alpha,
         x=measured[0],
         y=measured[1],
-        shaker=shaker[:-1],
-        velocity=velocity[:-1],
+        shaker=shaker + noise * rng.standard_normal(shaker.shape),
+        velocity=np.array([_velocity(run) for run in runs]),
         shaken_by=shaken_by,
     )
 
 
 def resolver_records(seed: int) -> ResolverRecords:
-    """Drive link 1 from outside and read its resolver behind a gear with play."""
-    spec = _spec(STEP)
-    link = _point(spec.worldbody, "link", 1.0, LINK_INERTIA)
-    link.add_joint(
-        name="link",
-        type=mujoco.mjtJoint.mjJNT_HINGE,
-        axis=[0, 0, 1],
-        stiffness=[LINK_INERTIA * (2 * np.pi * 3.0) ** 2, 0, 0],
-        damping=[2 * 0.7 * LINK_INERTIA * 2 * np.pi * 3.0, 0, 0],
+    """Drive link 1 of VERA by the shaker and read its resolver behind a gear with play."""
+    shake = Excitation(
+        torque_rms=(0.0, 0.0), duration=DURATION, band=LINK_BAND, shaker_rms=LINK_FORCE_RMS
     )
-    rotor = _point(spec.worldbody, "rotor", 0.1, 2e-4)
-    rotor.add_joint(
-        name="rotor",
-        type=mujoco.mjtJoint.mjJNT_HINGE,
-        axis=[0, 0, 1],
-        frictionloss=0.05,
-        # Friction that truly sticks.
-        solref_friction=[2 * STEP, 1.0],
-        solimp_friction=[0.9999, 0.9999, 0.001, 0.5, 2],
-    )
-    mesh = spec.add_tendon(
-        name="mesh",
-        limited=mujoco.mjtLimited.mjLIMITED_TRUE,
-        range=[-GEAR_PLAY / 2, GEAR_PLAY / 2],
-        solref_limit=[4 * STEP, 1.0],
-    )
-    mesh.wrap_joint("link", 1.0)
-    mesh.wrap_joint("rotor", -1.0)
-    spec.add_actuator(name="drive", trntype=mujoco.mjtTrn.mjTRN_JOINT, target="link")
-    for name in ("link", "rotor"):
-        _joint_sensor(spec, name, mujoco.mjtSensor.mjSENS_JOINTPOS)
-    _joint_sensor(spec, "link", mujoco.mjtSensor.mjSENS_JOINTVEL)
-    rng = np.random.default_rng([seed, 95])
-    steps = round((SETTLING + DURATION) / STEP)
-    torque = _coloured(rng, steps, LINK_BAND, LINK_TORQUE_RMS, order=3)
-    recorded = _simulate(spec.compile(), torque[None, :, None])[0]
-    every = round(1 / (RESOLVER_RATE * STEP))
-    angle, rotor_angle, velocity = recorded[round(SETTLING / STEP) :: every].T
+    run = _measure(shaken_vera(), np.array(VERA_POSE), shake, [seed, 95])
+    every = round(RATE / RESOLVER_RATE)
+    angle = run.encoder[0, 1:-1]
+    rotor = play(angle, GEAR_PLAY)
     return ResolverRecords(
         rate=RESOLVER_RATE,
-        angle=angle,
-        velocity=velocity,
-        resolver=np.floor(rotor_angle / RESOLVER_UNIT),
+        angle=angle[::every],
+        velocity=_velocity(run)[::every],
+        resolver=np.floor(rotor[::every] / RESOLVER_UNIT),
     )
 
 
-def _spec(step: float) -> mujoco.MjSpec:
-    spec = mujoco.MjSpec()
-    spec.compiler.degree = False
-    spec.option.timestep = step
-    spec.option.gravity = [0, 0, 0]
-    # MuJoCo 4.0.0 has a fault in its sparse Cholesky factorisation.
-    spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
-    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    return spec
+def play(driving: Array, width: float) -> Array:
+    """Follow a motion through play: the driven side stays until it is pushed.
+
+    Parameters
+    ----------
+    driving : array (N,)
+        Position of the driving side [rad], sampled finely.
+    width : float
+        Play between its stops [rad].
+
+    Returns
+    -------
+    array (N,)
+        Position of the driven side, in the middle of the play at first.
+
+    Raises
+    ------
+    InvalidSetting
+        If the width is negative or not finite.
+
+    Examples
+    --------
+    >>> play(np.array([0.0, 3.0, 1.0, -1.0]), 2.0).tolist()
+    [0.0, 2.0, 2.0, 0.0]
+    """
+    if not (np.isfinite(width) and width >= 0):
+        raise InvalidSetting(f"play must be finite, zero or more rad, got {width!r}")
+    driven = np.array(driving, dtype=float)
+    for k in range(1, len(driven)):
+        driven[k] = min(max(driven[k - 1], driving[k] - width / 2), driving[k] + width / 2)
+    return driven
 
 
-def _bench() -> mujoco.MjModel:
-    """Bench on its mounts, and on it the shaker's table, the stinger and the slide."""
-    spec = _spec(STEP)
-    slide_joint, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
-    turning = BENCH_MASS * 0.25  # 0.5 m radius of gyration
-    bench = _point(spec.worldbody, "bench", BENCH_MASS, turning)
-    c, s = np.cos(BENCH_CANT), np.sin(BENCH_CANT)
-    mounts = zip(
-        BENCH_JOINTS,
-        (slide_joint, slide_joint, hinge),
-        ([c, s, 0], [-s, c, 0], [0, 0, 1]),
-        strict=True,
-    )
-    for name, kind, axis in mounts:
-        bench.add_joint(name=name, type=kind, axis=axis)
-    # The rails lie beside the bench's centre of mass, so the shaker turns the bench too.
-    moving = SLIDE_MASS + STINGER_MASS / 3
-    for name, x, mass in (("table", -0.25, TABLE_MASS), ("slide", 0.10, moving)):
-        body = _point(bench, name, mass, 1e-3, at=(x, 0.12, 0.0))
-        body.add_joint(name=name, type=slide_joint, axis=[1, 0, 0], damping=[5.0, 0, 0])
-        if name == "table":
-            body.first_joint().stiffness = [TABLE_MASS * (2 * np.pi * 10.0) ** 2, 0, 0]
-        body.add_site(name=name)
-    bench.add_site(name="bench")
-    reduced = TABLE_MASS * moving / (TABLE_MASS + moving)
-    omega = 2 * np.pi * STINGER_MODE_HZ
-    stinger = spec.add_tendon(
-        name="stinger",
-        stiffness=[reduced * omega**2, 0, 0],
-        damping=[2 * 0.02 * reduced * omega, 0, 0],
-    )
-    stinger.wrap_joint("slide", 1.0)
-    stinger.wrap_joint("table", -1.0)
-    for joint in ("table", "bench_along"):
-        spec.add_actuator(name=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT, target=joint)
-    for name in ("slide", "table", "bench"):
-        spec.add_sensor(
-            name=name,
-            type=mujoco.mjtSensor.mjSENS_ACCELEROMETER,
-            objtype=mujoco.mjtObj.mjOBJ_SITE,
-            objname=name,
+@lru_cache(maxsize=1)
+def _motions(seed: int) -> tuple[Array, tuple[Measurement, ...], Measurement]:
+    """Angles of the cube, the motion at each, and one with another machine on the bench."""
+    alpha = np.radians(np.arange(0.0, 91.0, 5.0))
+    shake = Excitation(torque_rms=(0.0,), duration=DURATION, band=FORCE_BAND, shaker_rms=FORCE_RMS)
+    runs = tuple(
+        # The cube's accelerometers turn against its angle: x lies at -alpha in the bench's frame.
+        _measure(
+            slide_rig(cube_angle=-angle, stinger="threaded_rod"),
+            np.zeros(1),
+            shake,
+            [seed, 100 + k],
         )
-    _joint_sensor(spec, "slide", mujoco.mjtSensor.mjSENS_JOINTVEL)
-    model = spec.compile()
-    # Mounts that give the loaded bench its modes.
-    data, inertia = mujoco.MjData(model), np.zeros((model.nv, model.nv))
-    mujoco.mj_forward(model, data)
-    mujoco.mj_fullM(model, data, inertia)
-    for name, mode in zip(BENCH_JOINTS, BENCH_MODES_HZ, strict=True):
-        joint, omega = model.joint(name), 2 * np.pi * mode
-        dof = joint.dofadr[0]
-        model.jnt_stiffness[joint.id] = inertia[dof, dof] * omega**2
-        model.dof_damping[dof] = 2 * BENCH_DAMPING * inertia[dof, dof] * omega
-    return model
+        for k, angle in enumerate(alpha)
+    )
+    arm = _beside_a_machine(slide_rig(stinger="threaded_rod"))
+    return alpha, runs, _with_machine(arm, seed)
 
 
-def _point(
-    parent: mujoco.MjsBody,
-    name: str,
-    mass: float,
-    inertia: float,
-    at: tuple[float, float, float] = (0.0, 0.0, 0.0),
-) -> mujoco.MjsBody:
-    return parent.add_body(
-        name=name,
-        pos=list(at),
-        mass=mass,
-        ipos=[0, 0, 0],
-        inertia=[inertia, inertia, inertia],
-        explicitinertial=True,
+def _with_machine(arm: Arm, seed: int) -> Measurement:
+    low, high = MACHINE_BAND
+    shake = Excitation(
+        torque_rms=(MACHINE_RMS, 0.0),
+        duration=DURATION,
+        band=FORCE_BAND,
+        shaping=(lambda f: ((f >= low) & (f <= high)).astype(float), None),
+        shaker_rms=FORCE_RMS,
+    )
+    return _measure(arm, np.zeros(2), shake, [seed, 90])
+
+
+def _beside_a_machine(rig: Arm) -> Arm:
+    """Put a machine on the bench of the slide rig: a mass that its drive shakes."""
+    spec = rig.spec.copy()
+    machine = spec.body("bench").add_body(name="machine", pos=[-0.3, 0, 0.1])
+    # In two halves, as every link of an arm: a seat, shut here, lies between them.
+    for body in (machine, machine.add_body(name="machine_top")):
+        body.mass, body.ipos = MACHINE_MASS / 2, [0, 0, 0]
+        body.inertia, body.explicitinertial = [0.1] * 3, True
+    machine.add_joint(name="machine", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
+    omega = 2 * np.pi * 5.0  # on its mounts, below its band
+
+    def beside(own: Holding, stiffness: float, damping: float) -> Holding:
+        return Holding(stiffness=(stiffness, *own.stiffness), damping=(damping, *own.damping))
+
+    if rig.shaker is None:
+        raise InvalidSetting(f"arm {rig.name!r} has no shaker to stand beside")
+    return replace(
+        rig,
+        spec=spec,
+        joints=("machine", *rig.joints),
+        seat_bodies=("machine_top", *rig.seat_bodies),
+        torque_limits=(10 * MACHINE_RMS, *rig.torque_limits),
+        joint_ranges=(None, *rig.joint_ranges),
+        brake=beside(rig.brake, 1e7, 1e3),
+        servo=beside(rig.servo, 2e4, 1e2),
+        centring=beside(rig.centring, MACHINE_MASS * omega**2, MACHINE_MASS * omega),
+        shaker=replace(rig.shaker, joint=2),
     )
 
 
-def _joint_sensor(spec: mujoco.MjSpec, joint: str, kind: mujoco.mjtSensor) -> None:
-    spec.add_sensor(
-        name=f"{joint}_{int(kind)}", type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=joint
+def _measure(arm: Arm, pose: Array, shake: Excitation, key: list[int]) -> Measurement:
+    """Measure a healthy arm by sensors that add nothing but their rate and band."""
+    sensors = SensorSuite(
+        rate=RATE,
+        accelerometer=Accelerometer(noise_density=0.0, bandwidth=0.45 * RATE, resolution=0.0),
+        encoder=Encoder(resolution=0.0, noise=0.0),
     )
+    rig = SimulatedRig(arm, sensors=sensors, threads=1)
+    run = rig.measure(pose, shake, rng=np.random.default_rng(key))
+    if run.failure is not None:
+        raise InvalidData(f"the record of {arm.name!r} is worthless: {run.failure}")
+    return run
 
 
-def _coloured(
-    rng: np.random.Generator, steps: int, band: tuple[float, float], rms: float, *, order: int
-) -> Array:
-    """Gaussian noise within a band, falling off on either side [rms's unit] (steps,)."""
-    shape = butter(order, band, "bandpass", fs=1 / STEP, output="sos")
-    signal = np.asarray(sosfilt(shape, rng.standard_normal(steps)))
-    return np.asarray(signal * (rms / signal.std()))
-
-
-def _simulate(model: mujoco.MjModel, control: Array) -> Array:
-    """Run the simulations from rest; sensors at every step (runs, steps, channels)."""
-    batch = Batch(model, len(control), 1)
-    recorded = batch.rollout(control.shape[1], control, record=("sensordata",))["sensordata"]
-    if not np.isfinite(recorded).all() or batch.warning[:, :, 1].any():
-        raise InvalidData("the simulated slide diverged; use a shorter step")
-    return np.asarray(recorded)
+def _velocity(run: Measurement) -> Array:
+    """Velocity of the shaken joint, by central differences of its exact position (N,)."""
+    position = run.encoder[0]
+    return np.asarray((position[2:] - position[:-2]) * (run.rate / 2))

@@ -5,17 +5,19 @@ import numpy as np
 import pytest
 
 from loose_env.arms import planar, vera
+from loose_env.diagnosis.chain import Chain
 from loose_env.diagnosis.jacobian import (
-    Chain,
     changed_columns,
-    displaced,
     geometric_jacobian,
-    insert_looseness,
     link_of_changed_columns,
-    looseness_transform,
-    slot_direction,
     tool_velocity,
     velocity_error,
+)
+from loose_env.diagnosis.looseness_joint import (
+    displaced,
+    insert_looseness,
+    looseness_transform,
+    slot_direction,
 )
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from loose_env.arms import planar, vera
-from loose_env.diagnosis.jacobian import Chain, geometric_jacobian
+from loose_env.diagnosis.chain import Chain
+from loose_env.diagnosis.jacobian import geometric_jacobian
 from loose_env.diagnosis.manipulability import (
     axis_difference_deg,
     direction_deg,

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from loose_env.arms import planar
-from loose_env.diagnosis.jacobian import Chain, geometric_jacobian
+from loose_env.diagnosis.chain import Chain
+from loose_env.diagnosis.jacobian import geometric_jacobian
 from loose_env.diagnosis.recursion import (
     distended_angles,
     identify_planar,

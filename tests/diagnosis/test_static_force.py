@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from loose_env.arms import planar
+from loose_env.diagnosis.chain import Chain
 from loose_env.diagnosis.docked import simulate_docked
 from loose_env.diagnosis.inertia import seated_inertia
-from loose_env.diagnosis.jacobian import Chain, geometric_jacobian, insert_looseness
+from loose_env.diagnosis.jacobian import geometric_jacobian
+from loose_env.diagnosis.looseness_joint import insert_looseness
 from loose_env.diagnosis.static_force import (
     compatible_links,
     dock_force,

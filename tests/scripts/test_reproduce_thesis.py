@@ -41,7 +41,9 @@ def sections(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, ModuleType]]
         figure = new_figure(2.0)
         figure.add_subplot().plot([0, seed])
         plates = [Plate(image=figure, caption="a line")]
-        return Section(key="drawn", title="Drawn", finding="A line.", words=[f"Seed {seed}."], plates=plates)
+        return Section(
+            key="drawn", title="Drawn", finding="A line.", words=[f"Seed {seed}."], plates=plates
+        )
 
     def broken(seed: int) -> Section:
         raise ZeroDivisionError("nothing\nto divide by")

@@ -13,14 +13,10 @@ from loose_env.errors import InvalidData, InvalidSetting, MissingExtra
 from loose_env.statistics import axial_difference
 from loose_env.statistics.distribution_matching import (
     MatchSettings,
-    hemisphere,
     match_planar,
     match_spatial,
-    planar_trial,
     search_planar,
     search_spatial,
-    spatial_trial,
-    variance_trial,
 )
 from loose_env.statistics.gaussian_ridge import (
     along,
@@ -32,6 +28,7 @@ from loose_env.statistics.gaussian_ridge import (
     to_plane,
 )
 from loose_env.statistics.histogram import Histogram, histogram
+from loose_env.statistics.ridge_trial import hemisphere, planar_trial, spatial_trial, variance_trial
 
 TRUTH = np.array([10.0, -0.5, 0.6])
 

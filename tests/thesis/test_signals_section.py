@@ -11,8 +11,10 @@ from scipy.signal import welch
 from loose_env.statistics.signals import line_of_motion
 from loose_env.thesis.printed import printed
 from loose_env.thesis.section import Section
-from loose_env.thesis.signals import angles, section, velocity_correlations
+from loose_env.thesis.signals import section
+from loose_env.thesis.slide_directions import angles
 from loose_env.thesis.slide_records import RESOLVER_UNIT, SlideRecords, slide_records
+from loose_env.thesis.slide_velocities import velocity_correlations
 
 
 @pytest.fixture(scope="module")

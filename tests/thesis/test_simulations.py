@@ -105,7 +105,7 @@ def test_correlation_section(correlations):
 
 
 def test_equations_name_functions(correlations):
-    named = {**simulations._EQUATIONS, **correlations.equations}
+    named = {**simulations.EQUATIONS, **correlations.equations}
     for path in named.values():
         module, _, name = path.rpartition(".")
         assert callable(getattr(import_module(module), name))

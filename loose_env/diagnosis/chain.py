@@ -1,0 +1,105 @@
+"""The joints of a serial arm in one pose: kinds, axes and places, base first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from loose_env.arms.arm import Arm
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+
+__all__ = ["Chain", "JointKind", "require_kind"]
+
+Array = NDArray[np.float64]
+JointKind = Literal["revolute", "prismatic"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Chain:
+    """Joints of a serial arm in one pose, in world coordinates, base first."""
+
+    kinds: tuple[JointKind, ...]
+    """Kind of each joint (n,)."""
+    axes: Array
+    """Unit vector of each joint's axis (n, 3)."""
+    anchors: Array
+    """A point of each joint's axis [m] (n, 3)."""
+    tool: Array
+    """Tool point [m] (3,)."""
+    tool_axes: Array
+    """Rotation from the tool frame to the world (3, 3)."""
+
+    def __post_init__(self) -> None:
+        n = len(self.kinds)
+        shapes = {"axes": (n, 3), "anchors": (n, 3), "tool": (3,), "tool_axes": (3, 3)}
+        for name, shape in shapes.items():
+            value = np.asarray(getattr(self, name), dtype=float)
+            if value.shape != shape or not np.isfinite(value).all():
+                raise InvalidData(
+                    f"{name} of a chain of {n} joints must be finite and of shape {shape}, "
+                    f"got shape {value.shape}"
+                )
+            object.__setattr__(self, name, value)
+        for kind in self.kinds:
+            require_kind(kind)
+        if n and np.abs(np.linalg.norm(self.axes, axis=1) - 1).max() > 1e-6:
+            raise InvalidData("axes of a chain must be unit vectors; divide each by its length")
+        if np.abs(self.tool_axes.T @ self.tool_axes - np.eye(3)).max() > 1e-6:
+            raise InvalidData("tool_axes must be a rotation matrix, its columns the tool's axes")
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.kinds)
+
+    @classmethod
+    def of(cls, arm: Arm, pose: ArrayLike) -> Chain:
+        """Take the joints of an arm at a pose [rad] (n,) from its MuJoCo model.
+
+        Bending modes of the arm stay at rest and are no joints of the chain.
+
+        Raises
+        ------
+        InvalidSetting
+            If the pose does not have one finite number for every joint.
+
+        Examples
+        --------
+        >>> from loose_env.arms import planar
+        >>> float(Chain.of(planar(2), [0.0, 0.0]).tool[0])
+        0.6
+        """
+        q = np.asarray(pose, dtype=float)
+        if q.shape != (arm.n,) or not np.isfinite(q).all():
+            raise InvalidSetting(
+                f"a pose of {arm.name!r} is {arm.n} finite numbers [rad], got {pose!r}"
+            )
+        data = mujoco.MjData(arm.model)
+        data.qpos[arm.pose_addresses] = q
+        mujoco.mj_kinematics(arm.model, data)
+        joints = [arm.model.joint(name) for name in arm.joints]
+        slide = mujoco.mjtJoint.mjJNT_SLIDE
+        site = data.site(arm.tool)
+        return cls(
+            kinds=tuple("prismatic" if j.type[0] == slide else "revolute" for j in joints),
+            axes=np.array([data.xaxis[j.id] for j in joints]),
+            anchors=np.array([data.xanchor[j.id] for j in joints]),
+            tool=site.xpos.copy(),
+            tool_axes=site.xmat.reshape(3, 3).copy(),
+        )
+
+
+def require_kind(kind: str) -> None:
+    """Refuse what is no kind of joint.
+
+    Raises
+    ------
+    UnknownName
+        If the kind is neither "revolute" nor "prismatic".
+    """
+    if kind not in ("revolute", "prismatic"):
+        raise UnknownName(f"a joint is 'revolute' or 'prismatic', got {kind!r}")
