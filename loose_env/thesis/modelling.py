@@ -44,6 +44,11 @@ EQUATIONS: dict[str, str] = {
     "3.22": "loose_env.diagnosis.static_force.docked_acceleration",
     "3.25": "loose_env.diagnosis.static_force.dock_force",
     **dict.fromkeys(("3.35", "3.36"), "loose_env.faults.set_seat"),
+    # The seated arm as MuJoCo has it; the tests integrate the equations beside it.
+    **dict.fromkeys([f"3.{k}" for k in range(37, 41)], "loose_env.faults.seated_spec"),
+    **dict.fromkeys([f"3.{k}" for k in range(42, 49)], "loose_env.faults.seated_spec"),
+    "4.21": "loose_env.diagnosis.jacobian.tool_velocity",
+    "4.24": "loose_env.diagnosis.static_force.tool_acceleration",
 }
 """Function of each equation."""
 
