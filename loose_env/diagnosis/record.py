@@ -12,10 +12,9 @@ from loose_env.statistics import (
     acceleration_from_angle,
     apparent_inertia_from,
     bandpass,
-    kurtosis,
     lowest_coherence_direction_from,
     record_covariances,
-    skewness,
+    shape_of,
     transmission_by_instrument_from,
     transmission_from,
 )
@@ -93,6 +92,8 @@ def statistics_of(measurement: Measurement) -> RecordStatistics:
         return wide
 
     instrument = transmission_by_instrument_from(cov.command_x, cov.command_a)
+    axes = len(measurement.tool)
+    third, fourth = shape_of([*measurement.tool, lowest.direction @ measurement.tool])
     return RecordStatistics(
         pose=measurement.pose,
         torque=torque,
@@ -105,8 +106,8 @@ def statistics_of(measurement: Measurement) -> RecordStatistics:
         lowest_direction=lowest.direction,
         lowest_coherence=float(lowest.coherence),
         maximum_correlation=float(np.sqrt(lowest.coherences.max())),
-        skewness=skewness(measurement.tool),
-        kurtosis=kurtosis(measurement.tool),
-        lowest_skewness=float(skewness(measurement.tool, lowest.direction)),
-        lowest_kurtosis=float(kurtosis(measurement.tool, lowest.direction)),
+        skewness=third[:axes],
+        kurtosis=fourth[:axes],
+        lowest_skewness=float(third[axes]),
+        lowest_kurtosis=float(fourth[axes]),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -246,15 +247,20 @@ class _Scaling:
 def _covariance_numbers(covariance: Array) -> Array:
     """Rms along the axes, then the correlations of the pairs of axes."""
     rms = np.sqrt(np.diag(covariance))
-    upper = np.triu_indices(len(rms), 1)
+    upper = _pairs(len(rms), 1)
     outer = np.maximum(np.outer(rms, rms), 1e-30)
     return np.concatenate([rms, (covariance / outer)[upper]])
 
 
 def _axial_numbers(direction: Array) -> Array:
     """A direction without sign as numbers without a jump: the products of its components."""
-    pairs = np.triu_indices(len(direction))
-    return np.asarray(np.outer(direction, direction)[pairs])
+    return np.asarray(np.outer(direction, direction)[_pairs(len(direction), 0)])
+
+
+@lru_cache
+def _pairs(count: int, above: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Indices of the upper triangle, asked for in every record."""
+    return np.triu_indices(count, above)
 
 
 def _spans(elements: tuple[Element, ...]) -> dict[str, slice]:

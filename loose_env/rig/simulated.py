@@ -26,7 +26,7 @@ from loose_env.sensors import SensorSuite, decimation_filter
 __all__ = ["Job", "SimulatedRig"]
 
 Array = NDArray[np.float64]
-_CHUNK = 8  # arms simulated in one call; reading one chunk overlaps with the next
+_CHUNK = 16  # arms simulated in one call; reading one chunk overlaps with the next
 
 
 class SimulatedRig:

@@ -46,6 +46,7 @@ from loose_env.statistics.moments import (
     DirectionalMoments,
     kurtosis,
     moments_by_direction,
+    shape_of,
     skewness,
 )
 from loose_env.statistics.planning import direction_sd, record_length_for
@@ -109,6 +110,7 @@ __all__ = [
     "rank_test_from",
     "record_covariances",
     "record_length_for",
+    "shape_of",
     "skewness",
     "spectral_flatness",
     "transfer_function",

@@ -97,6 +97,38 @@ def kurtosis(a: ArrayLike, direction: ArrayLike | None = None) -> FloatArray | f
     return np.asarray(moment) if direction is None else float(moment)
 
 
+def shape_of(rows: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Measure `skewness` and `kurtosis` of every row together, in one pass.
+
+    Parameters
+    ----------
+    rows : array, shape (d, N)
+        Signals of any unit.
+
+    Returns
+    -------
+    array, array, each of shape (d,)
+        Skewness and excess kurtosis.
+
+    Raises
+    ------
+    InvalidData
+        If the rows cannot be used, or one does not vary.
+
+    Examples
+    --------
+    >>> rows = [[-1.0, 1.0, -1.0, 1.0], [0.0, 0.0, 0.0, 4.0]]
+    >>> [values.round(4).tolist() for values in shape_of(rows)]
+    [[0.0, 1.1547], [-2.0, -0.6667]]
+    """
+    z = _standardised(rows, None)
+    square = z * z
+    count = z.shape[-1]
+    third = np.einsum("...n,...n->...", square, z) / count
+    fourth = np.einsum("...n,...n->...", square, square) / count - 3.0
+    return np.asarray(third), np.asarray(fourth)
+
+
 def moments_by_direction(a: ArrayLike, angles: ArrayLike) -> DirectionalMoments:
     """Measure skewness and excess kurtosis of the component at every angle of the plane.
 

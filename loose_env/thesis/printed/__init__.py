@@ -23,8 +23,8 @@ def printed(section: str) -> dict[str, Any]:
 
     Examples
     --------
-    >>> sorted(printed("beams"))[:2]
-    ['bending_mode_hz', 'peak_torque']
+    >>> printed("tables")["theta2_deg"]
+    [122, 98, 56, 28, 302]
     """
     file = files("loose_env.thesis.printed").joinpath(f"{section}.json")
     if not file.is_file():
