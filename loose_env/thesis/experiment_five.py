@@ -40,6 +40,7 @@ from loose_env.thesis.shaken_tables import (
     direction_errors,
     error_table,
     index_spread,
+    percent,
     pin_table,
     rms_over_poses,
     tool_peaks,
@@ -112,6 +113,9 @@ def section(seed: int) -> Section:
             "Experiment Five: the sound of the rig, which changed with the loss of preload.",
             "Experiment Five: the rig's figures that were not printed are identified from the "
             "healthy cases, so those cases test the model's form, not its figures.",
+            "Experiment Five: friction, stops and damping of the looseness joint (one set for both "
+            "rigs) and the shaker's force were chosen once, with the printed ranges and "
+            "directions in view; agreement of sizes is no independent evidence.",
         ],
     )
 
@@ -203,7 +207,7 @@ def _fault_words(cases: Cases, errors: Sequence[Errors]) -> list[str]:
         words.append(
             f"That is the work of {'one pose' if len(weak) == 1 else 'some poses'}: at {held} the "
             "push is nearly across the looseness joint and the transmission changes by only "
-            f"{min(sizes[w] for w in weak):.0%} of itself; at the others it misses by "
+            f"{percent(min(sizes[w] for w in weak))} of itself; at the others it misses by "
             f"{rms_over_poses(strong).mean:.1f}°. The thesis's method seems right there only "
             "because the healthy direction of lowest correlation happens to lie at the true one."
         )
@@ -258,8 +262,9 @@ def _unexplained(cases: Cases) -> str:
         )
         + f"The printed healthy correlations range from {min(magnitudes):.2f} to "
         f"{max(magnitudes):.2f}, those found only from {min(found):.2f} to {max(found):.2f}. With "
-        f"looseness the printed range of acceleration falls to {fall:.0%} of the healthy one, here "
-        f"to {here:.0%}. The printed long axes of the histograms do not agree. With the pin half "
+        f"looseness the printed range of acceleration falls to {percent(fall)} of the healthy "
+        f"one, here to {percent(here)}. The printed long axes of the histograms do not agree. With "
+        "the pin half "
         f"drawn out the directions turn by {min(turns):.0f}° to {max(turns):.0f}°, where the "
         "thesis saw no turn: its pin must have kept nearly all of its stiffness."
     )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms.slide import BENCH, SLIDE, SLIDE_BAND, Mount, slide_rig
 from loose_env.excitation import Excitation
-from loose_env.faults import Fault, Healthy, Preload, StructuralLooseness
+from loose_env.faults import Fault, Healthy
 from loose_env.report.plate import Plate
 from loose_env.rig import Job, Measurement, SimulatedRig
 from loose_env.sensors import Accelerometer, SensorSuite
@@ -22,11 +22,12 @@ from loose_env.statistics import (
     maximum_correlation,
     skewness,
 )
+from loose_env.thesis.looseness_joint import finger_tight, loosened
 from loose_env.thesis.plots import LoopPanel, Points, by_category, loop_panels
 from loose_env.thesis.printed import printed
 from loose_env.thesis.section import Section, Table
 from loose_env.thesis.shaken_cases import RATE, Spread, from_y
-from loose_env.thesis.shaken_tables import axis_words, spread_words
+from loose_env.thesis.shaken_tables import axis_words, percent, spread_words
 
 __all__ = ["EQUATIONS", "Trial", "section", "trials"]
 
@@ -46,15 +47,8 @@ _ALONG = (1.0, 0.0, 0.0)
 TIGHT, FINGER, LOOSE = "high preload", "low preload", "looseness"
 STATES: dict[str, Fault] = {
     TIGHT: Healthy(),
-    FINGER: Preload(link=1, direction=_ALONG, stiffness=5e7, damping=2e3),
-    LOOSE: StructuralLooseness(
-        link=1,
-        direction=_ALONG,
-        gap=2e-4,
-        stiffness=(5e6, 2.5e6),
-        damping=(340.0, 220.0),
-        friction=0.3,
-    ),
+    FINGER: finger_tight(link=1, direction=_ALONG),
+    LOOSE: loosened(link=1, direction=_ALONG),
 }
 """States of the joint, the same figures at every angle."""
 
@@ -217,8 +211,8 @@ def _words(bolted: Trials, loose: Trials) -> list[str]:
             if screw > 2 * _along_joint(slack)
             else "."
         ),
-        f"The bench moves with {bench / slide:.1%} of the slide's acceleration, too little to "
-        "have to be taken off.",
+        f"The bench moves with {percent(bench / slide, 1)} of the slide's acceleration, too little "
+        "to have to be taken off.",
     ]
 
 

@@ -29,6 +29,7 @@ from loose_env.thesis.plots import Points, by_category
 from loose_env.thesis.printed import printed
 from loose_env.thesis.section import Section, Table
 from loose_env.thesis.shaken_cases import LOOSE_DIRECTION, PLAY_DIRECTION, measured_cases
+from loose_env.thesis.shaken_tables import percent
 
 __all__ = ["EQUATIONS", "Search", "search", "section"]
 
@@ -225,8 +226,9 @@ def _words(found: Found) -> list[str]:
         "mismatch, fault and first pose, are searched: from the base outward (the steps of 4.2.2), "
         "from the tool inward (7.1.2), and halving. Gap, friction and stops are drawn as in the "
         "environment. A healthy twin gives the reference in every pose.",
-        f"With the direction of lowest correlation {by[first]:.0%} of the searches name the right "
-        f"link, with the change of transmission {by[second]:.0%}; a blind guess names {1 / n:.0%}. "
+        f"With the direction of lowest correlation {percent(by[first])} of the searches name the "
+        f"right link, with the change of transmission {percent(by[second])}; a blind guess names "
+        f"{percent(1 / n)}. "
         "The order of the joints hardly matters for that; it decides on the moves: "
         f"{moves['outward']:.1f} outward, {moves['inward']:.1f} inward and "
         f"{moves['bisection']:.1f} halving, where {expected:.2f} are expected one by one and "
@@ -241,8 +243,8 @@ def _search_table(found: Found) -> Table:
         rows.append(
             (
                 f"{name}, {order}",
-                f"{_share(runs):.0%}",
-                f"{low:.0%} to {high:.0%}",
+                f"{percent(_share(runs))}",
+                f"{percent(low)} to {percent(high)}",
                 f"{np.mean([s.moves for s in runs]):.2f}",
             )
         )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from loose_env.arms.arm import Arm
 from loose_env.arms.vera_shaken import PROXIMAL, SHAKEN_BAND, shaken_vera
 from loose_env.excitation import Excitation
-from loose_env.faults import Backlash, Fault, Healthy, Preload, StructuralLooseness
+from loose_env.faults import Backlash, Fault, Healthy
 from loose_env.rig import Job, Measurement, SimulatedRig
 from loose_env.sensors import Accelerometer, SensorSuite
 from loose_env.statistics import (
@@ -21,6 +21,7 @@ from loose_env.statistics import (
     lowest_correlation_direction,
     maximum_correlation,
 )
+from loose_env.thesis.looseness_joint import finger_tight, loosened
 from loose_env.thesis.printed import printed
 
 __all__ = [
@@ -44,7 +45,7 @@ RECORDS = 24
 """Records of every case; the thesis had one."""
 DURATION = 1.2
 """Length of a record [s], as in tables 6.1 and 6.2."""
-FORCE = 26.0
+FORCE = 20.0
 """Rms force of the shaker [N]: the healthy tool then peaks at 2 to 3 g (table 6.1)."""
 
 LOOSE_DIRECTION = np.radians(-15.0)
@@ -55,27 +56,16 @@ _ALONG = (float(np.cos(LOOSE_DIRECTION)), float(np.sin(LOOSE_DIRECTION)), 0.0)
 
 STATES: Mapping[str, tuple[Fault, str]] = {
     "high preload": (Healthy(), "engaged"),
-    "low preload": (Preload(link=2, direction=_ALONG, stiffness=5e7, damping=2e3), "engaged"),
-    "looseness": (
-        StructuralLooseness(
-            link=2,
-            direction=_ALONG,
-            gap=2e-4,
-            stiffness=(4e6, 2.4e6),
-            damping=(1600.0, 960.0),
-            friction=0.5,
-        ),
-        "engaged",
-    ),
+    "low preload": (finger_tight(link=2, direction=_ALONG), "engaged"),
+    "looseness": (loosened(link=2, direction=_ALONG), "engaged"),
     "pin half released": (Healthy(), "half_released"),
     "backlash": (
         Backlash(joint=2, gap=2e-3, stiffness=(2e4, 1e4), damping=(3.0, 2.0), friction=0.02),
         "engaged",
     ),
 }
-"""States of the rig: what is seated, and how the pin is. One set of figures for all poses: the
-gap of 0.2 mm is the thesis's, a turn of 2 mrad is the same gap at the pin; stops are steel on
-steel with different stiffness at either end; linear bushings have little friction."""
+"""States of the rig: what is seated, and how the pin is; the same figures in all poses. A turn of
+2 mrad at the pin is the same gap as the looseness joint's."""
 
 
 @dataclass(frozen=True, kw_only=True)

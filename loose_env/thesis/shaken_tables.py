@@ -34,6 +34,7 @@ __all__ = [
     "error_table",
     "index_spread",
     "moment_points",
+    "percent",
     "pin_table",
     "rms_over_poses",
     "spread_words",
@@ -164,6 +165,11 @@ def axis_words(spread: Spread) -> str:
     return f"{from_y(spread.mean):.0f}° ± {half:.0f}°"
 
 
+def percent(share: float, digits: int = 0) -> str:
+    """Write a share in per cent."""
+    return f"{100 * share:.{digits}f} %"
+
+
 def turn_words(found: float, other_deg: float) -> str:
     """Write the angle from a printed axis [deg from y] to one found [rad from x]."""
     return f"{axial_turn(found, other_deg):+.0f}°"
@@ -185,7 +191,7 @@ def error_table(
             words(e.general),
             words(e.coherence),
             words(e.change),
-            f"{e.change_size:.0%}",
+            f"{percent(e.change_size)}",
         )
         for theta2, theirs, e in zip(poses(), printed_errors, errors, strict=True)
     ]
