@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Literal
 
 import mujoco
@@ -109,6 +110,32 @@ class Arm:
             raise InvalidSetting(f"band must be 0 < low < high in Hz, got {self.band}")
         if any(b <= a for a, b in zip(self.levels, self.levels[1:], strict=False)):
             raise InvalidSetting(f"levels must increase, got {self.levels}")
+
+    @classmethod
+    def from_file(
+        cls,
+        path: str | Path,
+        *,
+        tool: str | None = None,
+        joints: Sequence[str] | None = None,
+        hold: HoldKind = "brake",
+    ) -> Arm:
+        """Read an arm from an MJCF or URDF file; see `loose_env.arms.from_file.arm_from_file`.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+        tool : str, optional
+            Site or body that carries the tool accelerometer.
+        joints : sequence of str, optional
+            Driven joints; all between base and tool by default.
+        hold : {"brake", "servo"}
+            How joints that are not excited are held.
+        """
+        from loose_env.arms.from_file import arm_from_file  # which needs this class
+
+        return arm_from_file(path, tool=tool, joints=joints, hold=hold)
 
     @property
     def n(self) -> int:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from loose_env.arms.arm import Holding
 
@@ -61,18 +62,40 @@ def add_link(
 
 
 def holdings(
-    spec: mujoco.MjSpec, joints: Sequence[str], *, damping_ratio: float = 0.1
+    spec: mujoco.MjSpec,
+    joints: Sequence[str],
+    *,
+    damping_ratio: float = 0.1,
+    poses: NDArray[np.float64] | None = None,
 ) -> tuple[Holding, Holding, Holding]:
     """Brake, servo and centring spring for every joint, from the modes they should have.
 
-    The inertia a joint holds is that of everything distal to it with the arm straight.
+    The inertia a joint holds is that of everything distal to it with all joints at zero or,
+    with ``poses`` given, the largest over these. Where a joint slides, it is a mass, and spring
+    and damper are per metre.
+
+    Parameters
+    ----------
+    spec : mujoco.MjSpec
+        The arm.
+    joints : sequence of str
+        Its joints, base first.
+    damping_ratio : float
+        Of the brakes.
+    poses : ndarray (m, n), optional
+        Joint positions at which the inertia is looked at [rad or m].
     """
     model = spec.copy().compile()
     data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
     full = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, full)
-    inertia = np.array([full[model.joint(j).dofadr[0], model.joint(j).dofadr[0]] for j in joints])
+    inertia = np.zeros(len(joints))
+    dofs = [int(model.joint(j).dofadr[0]) for j in joints]
+    for pose in [None] if poses is None else poses:
+        if pose is not None:
+            data.qpos[[int(model.joint(j).qposadr[0]) for j in joints]] = pose
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, full)
+        inertia = np.maximum(inertia, full[dofs, dofs])
 
     def holding(mode_hz: float, ratio: float) -> Holding:
         omega = 2 * np.pi * mode_hz

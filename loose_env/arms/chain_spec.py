@@ -1,0 +1,143 @@
+"""A spec of its own for the chain of a file: flanges, links with all they carry, the tool."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.model_file import ModelFile
+from loose_env.arms.parts import new_spec
+from loose_env.arms.serial_chain import Chain
+
+__all__ = ["BARE_MOTOR_SIDE", "MOTOR_SIDE", "TOOL_SITE", "chain_spec"]
+
+Array = NDArray[np.float64]
+
+MOTOR_SIDE = 0.05
+"""Share of each link's mass and inertia that is the flange on the motor side [1]; an estimate."""
+BARE_MOTOR_SIDE = 0.25
+"""The same where the file gives the joint no rotor inertia: the flange stands for the rotor too."""
+TOOL_SITE = "tool"
+_RESERVED = ("seat", "open_", "shaker", "coil")  # joints that a rig adds begin with these
+
+
+def chain_spec(file: ModelFile, chain: Chain) -> tuple[mujoco.MjSpec, list[str], list[str]]:
+    """Build the chain anew, in radians, with a flange and a link for every joint.
+
+    Each link is everything of the file that rides on it, other joints frozen where the file
+    has them at its reference. Flange and link share its mass and inertia, both about the same
+    centre and in the same frame, so that together they are the link of the file to rounding;
+    the flange has `MOTOR_SIDE` of it, or `BARE_MOTOR_SIDE` where the joint has no rotor. Joints
+    keep their zero, stiffness, damping and rotor inertia; their stops, dry friction and gravity
+    compensation are left out.
+
+    Returns
+    -------
+    spec : mujoco.MjSpec
+        The arm.
+    joints, links : list of str
+        Names of its joints and of its links, base first.
+    """
+    m = file.model
+    data = mujoco.MjData(m)
+    mujoco.mj_kinematics(m, data)
+    mujoco.mj_comPos(m, data)
+    off = m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
+    spec = new_spec(gravity=(0.0, 0.0, 0.0) if off else [float(g) for g in m.opt.gravity])
+    parent, base = spec.worldbody, 0
+    joints, links = [], []
+    taken = {m.body(b).name for b in range(m.nbody)}
+    for number, (j, body) in enumerate(zip(chain.joints, chain.links, strict=True), start=1):
+        name, link = m.joint(j).name, m.body(body).name
+        if name.startswith(_RESERVED):
+            name = f"file_{name}"
+        place, turn = _relative(data, base, data.xpos[body], data.xmat[body])
+        place, turn = _to_zero(m, j, place, turn)
+        flange_name = f"{link}_flange"
+        while flange_name in taken:
+            flange_name += "_"
+        flange = parent.add_body(name=flange_name, pos=list(place), quat=_quat(turn))
+        _add_joint(file, j, flange, name)
+        distal = flange.add_body(name=link)
+        figures = _lumped(m, data, [b for b in range(m.nbody) if chain.owner[b] == number], body)
+        motor_side = MOTOR_SIDE if flange.joints[0].armature > 0 else BARE_MOTOR_SIDE
+        for part, share in ((flange, motor_side), (distal, 1 - motor_side)):
+            mass, centre, axes, moments = figures
+            part.mass, part.ipos, part.iquat = share * mass, list(centre), _quat(axes)
+            part.inertia = [share * float(x) for x in moments]
+            part.explicitinertial = True
+        joints.append(name)
+        links.append(link)
+        parent, base = distal, body
+    if chain.tool_site is None:
+        place, turn = _relative(data, base, data.xpos[chain.tool_body], data.xmat[chain.tool_body])
+    else:
+        site = chain.tool_site
+        place, turn = _relative(data, base, data.site_xpos[site], data.site_xmat[site])
+    parent.add_site(name=TOOL_SITE, pos=list(place), quat=_quat(turn))
+    return spec, joints, links
+
+
+def _add_joint(file: ModelFile, j: int, flange: mujoco.MjsBody, name: str) -> None:
+    m = file.model
+    dof = int(m.jnt_dofadr[j])
+    drives = [d for d in file.drives if d.joint == m.joint(j).name]
+    flange.add_joint(
+        name=name,
+        type=mujoco.mjtJoint(int(m.jnt_type[j])),
+        axis=list(m.jnt_axis[j]),
+        pos=list(m.jnt_pos[j]),
+        armature=float(m.dof_armature[dof]) + sum(d.armature for d in drives),
+        damping=[float(m.dof_damping[dof]) + sum(d.damping for d in drives), 0, 0],
+        stiffness=[float(m.jnt_stiffness[j]), 0, 0],
+    )
+
+
+def _relative(data: mujoco.MjData, base: int, place: Array, turn: Array) -> tuple[Array, Array]:
+    """A world frame as seen from a body: position (3,) and rotation (3, 3)."""
+    back = data.xmat[base].reshape(3, 3).T
+    return back @ (place - data.xpos[base]), back @ turn.reshape(3, 3)
+
+
+def _to_zero(m: mujoco.MjModel, j: int, place: Array, turn: Array) -> tuple[Array, Array]:
+    """Move a body's frame from its joint's reference to the joint's zero."""
+    reference = float(m.qpos0[int(m.jnt_qposadr[j])])
+    axis, anchor = m.jnt_axis[j], m.jnt_pos[j]
+    if m.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE:
+        return place - turn @ axis * reference, turn
+    quat, back = np.zeros(4), np.zeros(9)
+    mujoco.mju_axisAngle2Quat(quat, axis, -reference)
+    mujoco.mju_quat2Mat(back, quat)
+    rotation = back.reshape(3, 3)
+    return place + turn @ (anchor - rotation @ anchor), turn @ rotation
+
+
+def _lumped(
+    m: mujoco.MjModel, data: mujoco.MjData, bodies: list[int], link: int
+) -> tuple[float, Array, Array, Array]:
+    """Mass, centre, principal axes (3, 3) and moments of bodies as one, in the link's frame."""
+    masses = np.array([float(m.body_mass[b]) for b in bodies])
+    frames = [_relative(data, link, data.xipos[b], data.ximat[b]) for b in bodies]
+    mass = float(masses.sum())
+    centre = masses @ np.array([place for place, _ in frames]) / mass
+    heavy = [k for k, b in enumerate(bodies) if m.body_mass[b] > 0 or m.body_inertia[b].any()]
+    if len(heavy) == 1:  # nothing to add up: the file's own figures
+        return mass, frames[heavy[0]][0], frames[heavy[0]][1], m.body_inertia[bodies[heavy[0]]]
+    tensor = np.zeros((3, 3))
+    for b, (place, axes) in zip(bodies, frames, strict=True):
+        lever = place - centre
+        tensor += axes @ np.diag(m.body_inertia[b]) @ axes.T
+        tensor += m.body_mass[b] * (lever @ lever * np.eye(3) - np.outer(lever, lever))
+    moments, axes = np.linalg.eigh(tensor)
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] *= -1
+    # Of a flat body the largest moment is the sum of the others; rounding must not exceed it.
+    moments[2] = min(moments[2], (moments[0] + moments[1]) * (1 - 1e-15))
+    return mass, centre, axes, moments
+
+
+def _quat(rotation: Array) -> list[float]:
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(rotation).ravel())
+    return [float(x) for x in quat]

@@ -1,0 +1,129 @@
+"""Figures of the drives and levels of excitation, where a file leaves them open."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.arm import Arm
+from loose_env.arms.linear import LinearArm
+from loose_env.arms.planar import CREST_FACTOR
+from loose_env.errors import InvalidData
+
+__all__ = ["AT_LEAST", "TIMESTEP", "propose_levels", "propose_limits", "stable_timestep"]
+
+Array = NDArray[np.float64]
+
+AT_LEAST = 1.0
+"""Peak tool acceleration beyond gravity for which a proposed torque limit is made [g]."""
+TIMESTEP = 2e-4
+"""Simulation step, unless a joint's damper or spring needs a shorter one [s]."""
+_SHORTEST = TIMESTEP / 16
+_GRAVITY_SPARE = 2.0  # a drive holds twice the gravity load
+
+
+def propose_limits(model: mujoco.MjModel, joints: list[str], poses: Array) -> Array:
+    """Propose torque limits: twice the gravity load, and 1 g at the tool besides.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The bare arm.
+    joints : list of str
+        Its joints, base first.
+    poses : ndarray (m, n)
+        Poses to look at [rad or m].
+
+    Returns
+    -------
+    ndarray (n,)
+        Limits [N·m, or N where it slides], two digits.
+    """
+    data = mujoco.MjData(model)
+    site = model.site("tool").id
+    dofs = [int(model.joint(j).dofadr[0]) for j in joints]
+    at = [int(model.joint(j).qposadr[0]) for j in joints]
+    full, jacobian = np.zeros((model.nv, model.nv)), np.zeros((3, model.nv))
+    load, shake = np.zeros(len(joints)), []
+    for pose in poses:
+        data.qpos[at] = pose
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, full)
+        mujoco.mj_jacSite(model, data, jacobian, None, site)
+        load = np.maximum(load, np.abs(data.qfrc_bias[dofs]))
+        lever = np.linalg.norm(jacobian[:, dofs], axis=0)
+        # A joint whose axis meets the tool is shaken as one that lies 0.1 m beside it.
+        shake.append(full[dofs, dofs] * 9.81 * AT_LEAST / np.maximum(lever, 0.1))
+    limits = _GRAVITY_SPARE * load + np.median(shake, axis=0)
+    return np.array([float(f"{x:.2g}") for x in limits])
+
+
+def propose_levels(arm: Arm, poses: Array) -> tuple[float, float, float]:
+    """Three levels whose top half of all poses and joints can reach.
+
+    The tool's rms acceleration in the band that each joint reaches alone, with the torque that
+    is left beside gravity and peaks of three times the rms (`CREST_FACTOR`); the top level is
+    the median over poses and joints that move the tool, the others a third and a ninth of it.
+
+    Returns
+    -------
+    tuple of 3 floats
+        Levels [m/s²], two digits.
+
+    Raises
+    ------
+    InvalidData
+        If that median is zero.
+    """
+    linear = LinearArm(arm, points=12)
+    reachable = []
+    for pose in poses:
+        at = linear.at(pose)
+        spare = np.maximum(np.array(arm.torque_limits) - np.abs(at.gravity_torque), 0.0)
+        moves = np.linalg.norm(at.kinematic, axis=0) > 1e-6
+        for j in np.flatnonzero(moves):
+            tool = at.response(np.arange(arm.n) == j).tool
+            per_torque = np.sqrt(np.mean(np.sum(np.abs(tool[:, :, 0]) ** 2, axis=1)))
+            reachable.append(per_torque * spare[j] / CREST_FACTOR)
+    top = float(f"{np.median(reachable) if reachable else 0.0:.2g}")
+    if not top > 0:
+        raise InvalidData(
+            f"arm {arm.name!r}: in most poses no torque is left to shake the tool: the limits "
+            f"{arm.torque_limits} hardly hold it against gravity, or no joint moves it; raise "
+            "the limits in the file, or name a tool farther out"
+        )
+    return float(f"{top / 9:.2g}"), float(f"{top / 3:.2g}"), top
+
+
+def stable_timestep(arm: Arm, poses: Array) -> float:
+    """Find a step that resolves the file's dampers and springs, with every seat open.
+
+    The rig takes them explicitly, and behind an open seat they act on the flange alone. The step
+    is halved until no mode of theirs decays or turns by more than 1 in a step.
+
+    Raises
+    ------
+    InvalidData
+        If even a sixteenth of the usual step is too long.
+    """
+    linear = LinearArm(arm, points=2)
+    joints = linear.joint_dofs
+    damping = linear.model.dof_damping[joints]
+    stiffness = linear.model.jnt_stiffness[linear.model.dof_jntid[joints]]
+    decay = turn = 0.0
+    for pose in poses:
+        weight = np.linalg.inv(linear.at(pose).inertia)[np.ix_(joints, joints)]
+        decay = max(decay, float(np.linalg.eigvals(weight * damping).real.max()))
+        turn = max(turn, float(np.linalg.eigvals(weight * stiffness).real.max()))
+    step = TIMESTEP
+    while step * decay > 1 or step**2 * turn > 1:
+        step /= 2
+        if step < _SHORTEST:
+            raise InvalidData(
+                f"arm {arm.name!r}: damping {damping.tolist()} and stiffness "
+                f"{stiffness.tolist()} of its joints are too large for its inertias: a step of "
+                f"{min(1 / max(decay, 1e-12), max(turn, 1e-12) ** -0.5):.1g} s would be needed; "
+                "lower them in the file, or give the joints a rotor inertia (armature)"
+            )
+    return step

@@ -1,0 +1,185 @@
+"""Any serial arm, read from an MJCF or URDF file."""
+
+from __future__ import annotations
+
+import warnings as python_warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from loose_env.arms.arm import Arm, HoldKind
+from loose_env.arms.chain_spec import TOOL_SITE, chain_spec
+from loose_env.arms.drive_figures import (
+    TIMESTEP,
+    propose_levels,
+    propose_limits,
+    stable_timestep,
+)
+from loose_env.arms.file_report import FileReport, FoundJoint, Payload, report
+from loose_env.arms.model_file import read_model_file
+from loose_env.arms.parts import holdings
+from loose_env.arms.serial_chain import Chain, find_chain
+from loose_env.errors import UnknownName
+
+__all__ = ["FileReport", "FoundJoint", "Payload", "arm_from_file", "describe_file"]
+
+_POSES = 24
+"""Poses at which loads, inertias and levels are looked at."""
+_STROKE = 0.25
+"""Range of a slide without limits, to either side of where the file has it [m]."""
+
+
+def describe_file(
+    path: str | Path, *, tool: str | None = None, joints: Sequence[str] | None = None
+) -> FileReport:
+    """Report what `arm_from_file` finds in a file, without building the arm.
+
+    Raises as `arm_from_file`.
+    """
+    file = read_model_file(path)
+    return report(file, find_chain(file, tool, joints))
+
+
+def arm_from_file(
+    path: str | Path,
+    *,
+    tool: str | None = None,
+    joints: Sequence[str] | None = None,
+    hold: HoldKind = "brake",
+) -> Arm:
+    """Build an arm from an MJCF or URDF file of a serial chain on a fixed base.
+
+    Kinematics, inertias, rotor inertias, viscous friction, springs, gravity and the force
+    limits of the drives are those of the file; actuators, sensors, contacts, geoms, keyframes and
+    solver options are left out. Each link is split into a flange that carries the joint and
+    the link itself, with the seat between them; their sum is the link of the file. Joints of
+    branches, a gripper's fingers, are frozen where the file has them and ride along.
+
+    Dry friction and the stops of the joints are left out: the linear prediction has none.
+    A joint's spring is kept, and acts about the pose that is held. Torque limits that the file
+    does not give are proposed from the gravity load and the inertia, with a Python warning.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file. It may include files from its own folder.
+    tool : str, optional
+        Site or body that carries the tool accelerometer. By default a site called ``tool``;
+        else the last site of the last body of the deepest chain, else that body's frame.
+    joints : sequence of str, optional
+        Driven joints. By default all between the base and the tool.
+    hold : {"brake", "servo"}
+        How joints that are not excited are held.
+
+    Returns
+    -------
+    Arm
+        With three tool axes, a band of 30 to 150 Hz, and levels of which most poses reach the
+        top one.
+
+    Raises
+    ------
+    InvalidSetting
+        If there is no such file.
+    InvalidData
+        If it is no MJCF or URDF, refers to anything outside its folder, does not compile, or
+        is no serial chain: a floating base, ball joints, closed loops, two joints on one
+        body; or if its drives cannot shake the tool, or its dampers are too stiff to simulate.
+    UnknownName
+        If there is no such tool, joint or hold.
+
+    Warns
+    -----
+    UserWarning
+        Where torque limits or the range of a slide are proposed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> text = '''<mujoco><worldbody>
+    ... <body name="link"><joint name="turn" actuatorfrcrange="-5 5"/>
+    ...   <inertial pos=".2 0 0" mass="1" diaginertia=".01 .01 .01"/>
+    ...   <site name="tip" pos=".4 .1 0"/></body></worldbody></mujoco>'''
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder, "one.xml")
+    ...     _ = file.write_text(text)
+    ...     arm = arm_from_file(file)
+    >>> arm.joints, arm.torque_limits
+    (('turn',), (5.0,))
+    """
+    if hold not in ("brake", "servo"):
+        raise UnknownName(f"unknown hold {hold!r}: 'brake' or 'servo'")
+    file = read_model_file(path)
+    chain = find_chain(file, tool, joints)
+    found = report(file, chain)
+    spec, names, links = chain_spec(file, chain)
+    ranges = tuple(_range(file.model, j) for j in chain.joints)
+    low = np.array([-np.pi if r is None else r[0] for r in ranges])
+    high = np.array([np.pi if r is None else r[1] for r in ranges])
+    rng = np.random.default_rng(0)  # the same file always gives the same arm
+    poses = low + (high - low) * rng.random((_POSES, len(names)))
+
+    bare = spec.copy().compile()
+    given = [j.torque_limit for j in found.joints]
+    limits = given
+    if None in given:
+        proposed = propose_limits(bare, names, poses)
+        limits = [float(p) if g is None else g for g, p in zip(given, proposed, strict=True)]
+    assumed = _assumed(found, limits, file.model, chain)
+    if assumed:
+        python_warnings.warn(f"{found.file}: {'; '.join(assumed)}", UserWarning, stacklevel=2)
+    brake, servo, centring = holdings(spec, names, poses=poses)
+    arm = Arm(
+        name=f"{file.name}-servo" if hold == "servo" else file.name,
+        spec=spec,
+        joints=tuple(names),
+        seat_bodies=tuple(links),
+        tool=TOOL_SITE,
+        axes=(0, 1, 2),
+        torque_limits=tuple(float(x) for x in limits if x is not None),
+        joint_ranges=ranges,
+        levels=(1.0, 3.0, 9.0),
+        band=(30.0, 150.0),
+        brake=brake,
+        servo=servo,
+        centring=centring,
+        timestep=TIMESTEP,
+        settling=0.1,
+        hold=hold,
+    )
+    arm = replace(arm, timestep=stable_timestep(arm, poses))
+    return replace(arm, levels=propose_levels(arm, poses))
+
+
+def _assumed(
+    found: FileReport, limits: Sequence[float | None], m: mujoco.MjModel, chain: Chain
+) -> list[str]:
+    assumed = []
+    proposed = [
+        f"{joint.name} {limit:g} {'N·m' if joint.kind == 'hinge' else 'N'}"
+        for joint, limit in zip(found.joints, limits, strict=True)
+        if joint.torque_limit is None
+    ]
+    if proposed:
+        assumed.append(
+            f"the file gives no torque limits for some joints; proposed from gravity load "
+            f"and inertia: {', '.join(proposed)}"
+        )
+    assumed += [
+        f"slide {m.joint(j).name} has no limits; {_STROKE:g} m to either side is assumed"
+        for j in chain.joints
+        if not m.jnt_limited[j] and m.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE
+    ]
+    return assumed
+
+
+def _range(m: mujoco.MjModel, j: int) -> tuple[float, float] | None:
+    if m.jnt_limited[j]:
+        return float(m.jnt_range[j][0]), float(m.jnt_range[j][1])
+    if m.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE:
+        middle = float(m.qpos0[int(m.jnt_qposadr[j])])
+        return middle - _STROKE, middle + _STROKE
+    return None

@@ -1,0 +1,269 @@
+"""Reading an MJCF or URDF file down to what moves: bodies, joints, sites and drive figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import mujoco
+import numpy as np
+
+from loose_env.arms.file_scan import scan
+from loose_env.errors import InvalidData, InvalidSetting
+
+__all__ = ["Drive", "ModelFile", "Tie", "read_model_file"]
+
+_TYPES = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drive:
+    """What a file's actuator says about the joint it drives."""
+
+    joint: str
+    limit: float | None
+    """Largest torque at the joint [N·m, or N where it slides]; None where it has no limit."""
+    armature: float
+    """Rotor inertia at the joint [kg·m², or kg]."""
+    damping: float
+    """Damping at the joint [N·m·s/rad, or N·s/m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tie:
+    """An equality constraint of a file: two bodies pinned together, or two joints coupled."""
+
+    kind: Literal["bodies", "joints"]
+    names: tuple[str, str]
+    """Bodies or joints; "" is the world, or nothing."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModelFile:
+    """What a file holds that matters to an arm, every element with a name."""
+
+    path: Path
+    format: Literal["MJCF", "URDF"]
+    name: str
+    model: mujoco.MjModel
+    """Bodies, joints and sites, compiled; everything else of the file is left out."""
+    drives: tuple[Drive, ...]
+    ties: tuple[Tie, ...]
+    warnings: tuple[str, ...]
+
+
+def read_model_file(path: str | Path) -> ModelFile:
+    """Read a file and everything it includes from its own folder.
+
+    Meshes are opened only where a body's inertia is to be found from them.
+
+    Raises
+    ------
+    InvalidSetting
+        If there is no such file.
+    InvalidData
+        If it is no MJCF or URDF, refers to anything outside its folder, or cannot be built.
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise InvalidSetting(f"there is no file {str(file)!r}; give the path of an MJCF or URDF")
+    file = file.resolve()
+    root = scan(file)
+    if root.tag not in ("mujoco", "robot"):
+        raise InvalidData(
+            f"{file.name}: the outermost element is <{root.tag}>; it is <mujoco> in an MJCF and "
+            "<robot> in a URDF"
+        )
+    try:
+        spec = mujoco.MjSpec.from_file(str(file))
+    except Exception as error:  # MuJoCo raises ValueError and mujoco.FatalError alike
+        raise InvalidData(f"{file.name}: MuJoCo cannot read it: {_one_line(error)}") from error
+    spec.compiler.fusestatic = False  # a tool may be named after a link that is fixed to the last
+    _name_all(spec)
+    drives, ties, warnings = _drives(spec), *_ties(spec)
+    if any(np.ravel(t.stiffness)[0] > 0 for t in spec.tendons):
+        warnings.append("springs along tendons are left out")
+    _strip(spec, file)
+    try:
+        model = spec.compile()
+    except Exception as error:
+        message = _one_line(error)
+        hint = ""
+        if "mjMINVAL" in message:
+            hint = (
+                "; a body that moves needs mass: give it an inertia, or put its joint on the "
+                "body that has one"
+            )
+        raise InvalidData(f"{file.name}: MuJoCo cannot build it: {message}{hint}") from error
+    _require_numbers(model, drives, file)
+    return ModelFile(
+        path=file,
+        format="URDF" if root.tag == "robot" else "MJCF",
+        name=file.stem,
+        model=model,
+        drives=drives,
+        ties=ties,
+        warnings=tuple(warnings),
+    )
+
+
+def _require_numbers(model: mujoco.MjModel, drives: tuple[Drive, ...], file: Path) -> None:
+    """MuJoCo takes NaN with a warning, and dampers that drive."""
+    bodies = "body_pos body_quat body_mass body_inertia body_ipos body_iquat"
+    places = "qpos0 jnt_pos jnt_axis jnt_range site_pos site_quat"
+    positive = "dof_damping dof_armature jnt_stiffness"
+    for name in f"{bodies} {places} {positive}".split():
+        values = getattr(model, name)
+        if not np.isfinite(values).all() or (name in positive and (values < 0).any()):
+            allowed = "finite, zero or more" if name in positive else "finite"
+            raise InvalidData(
+                f"{file.name}: {name} has to be {allowed}, got {np.ravel(values).tolist()}"
+            )
+    if not np.isfinite(model.opt.gravity).all():
+        raise InvalidData(f"{file.name}: gravity has to be finite, got {model.opt.gravity}")
+    for drive in drives:
+        if not (0 <= drive.armature < np.inf and 0 <= drive.damping < np.inf):
+            raise InvalidData(
+                f"{file.name}: armature and damping of the actuator of joint {drive.joint!r} have "
+                f"to be finite, zero or more, got {drive.armature} and {drive.damping}"
+            )
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).removeprefix("Error: ").split())
+
+
+def _name_all(spec: mujoco.MjSpec) -> None:
+    for kind, elements in (
+        ("body", spec.bodies[1:]),
+        ("joint", spec.joints),
+        ("site", spec.sites),
+    ):
+        taken = {e.name for e in elements}
+        for number, element in enumerate(elements, start=1):
+            if not element.name:
+                name = f"{kind}{number}"
+                while name in taken:
+                    name += "_"
+                element.name = name
+                taken.add(name)
+
+
+def _ranged(state: int, limits: np.ndarray) -> bool:
+    if state == int(mujoco.mjtLimited.mjLIMITED_AUTO):
+        return bool(limits[0] < limits[1])
+    return state == int(mujoco.mjtLimited.mjLIMITED_TRUE)
+
+
+def _drives(spec: mujoco.MjSpec) -> tuple[Drive, ...]:
+    drives = []
+    for actuator in spec.actuators:
+        if actuator.trntype not in _TYPES:
+            continue
+        gear = abs(float(actuator.gear[0]))
+        limit = None
+        if _ranged(int(actuator.forcelimited), actuator.forcerange):
+            limit = float(np.abs(actuator.forcerange).max())
+        elif (
+            # A plain motor: its force is its control times a gain.
+            actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
+            and actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
+            and _ranged(int(actuator.ctrllimited), actuator.ctrlrange)
+        ):
+            limit = float(np.abs(actuator.ctrlrange).max() * abs(actuator.gainprm[0]))
+        drives.append(
+            Drive(
+                joint=actuator.target,
+                limit=limit * gear if limit and gear else None,
+                armature=float(np.ravel(actuator.armature)[0]) * gear**2,
+                damping=float(np.ravel(actuator.damping)[0]) * gear**2,
+            )
+        )
+    return tuple(drives)
+
+
+def _ties(spec: mujoco.MjSpec) -> tuple[tuple[Tie, ...], list[str]]:
+    pins = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
+    mocap = {b.name for b in spec.bodies if b.mocap}
+    body_of = {s.name: s.parent.name for s in spec.sites}
+    ties, warnings = [], []
+    for equality in spec.equalities:
+        names = (equality.name1 or "", equality.name2 or "")
+        place = f"equality {equality.name or ' - '.join(n or 'world' for n in names)!r}"
+        if equality.type in pins:
+            if equality.objtype == mujoco.mjtObj.mjOBJ_SITE:
+                names = (body_of.get(names[0], ""), body_of.get(names[1], ""))
+            names = ("", names[1]) if names[0] == "world" else names
+            names = (names[0], "") if names[1] == "world" else names
+            if mocap & set(names):
+                warnings.append(f"{place} pulls on a mocap body and is left out")
+            elif not equality.active:
+                warnings.append(f"{place} is not active and is left out")
+            else:
+                ties.append(Tie(kind="bodies", names=names))
+        elif equality.type == mujoco.mjtEq.mjEQ_JOINT:
+            if equality.active:
+                ties.append(Tie(kind="joints", names=names))
+        else:
+            warnings.append(f"{place} is left out: neither bodies nor joints")
+    return tuple(ties), warnings
+
+
+def _strip(spec: mujoco.MjSpec, file: Path) -> None:
+    """Leave bodies, joints and sites, and the geoms from which an inertia is found."""
+    for group in (
+        spec.keys,
+        spec.sensors,
+        spec.actuators,
+        spec.equalities,
+        spec.tendons,
+        spec.pairs,
+        spec.excludes,
+        spec.skins,
+        spec.flexes,
+        spec.cameras,
+        spec.lights,
+        spec.texts,
+        spec.numerics,
+        spec.tuples,
+    ):
+        for element in list(group):
+            spec.delete(element)
+    compiler = spec.compiler
+    always = compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    never = compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+    explicit = {b.name for b in spec.bodies if never or (b.explicitinertial and not always)}
+    still = {"world"}
+    if compiler.settotalmass <= 0:  # else what stands still shares in the total
+        for candidate in spec.bodies[1:]:  # a parent comes before its children
+            if not candidate.joints and candidate.parent.name in still:
+                still.add(candidate.name)
+    meshes = {m.name: m for m in spec.meshes}
+    missing: list[str] = []
+    for geom in list(spec.geoms):
+        body = geom.parent.name
+        weightless = geom.mass == 0 or (np.isnan(geom.mass) and geom.density == 0)
+        shapeless = geom.type == mujoco.mjtGeom.mjGEOM_HFIELD or body in still
+        if body in explicit or weightless or shapeless:
+            spec.delete(geom)
+            continue
+        geom.material = ""
+        mesh = meshes.get(geom.meshname)
+        if mesh is not None and mesh.file:
+            name = Path(mesh.file).name if spec.strippath else mesh.file
+            if not (file.parent / (spec.meshdir or "") / name).is_file():
+                missing.append(f"{Path(mesh.file).name!r} of body {body!r}")
+    if missing:
+        raise InvalidData(
+            f"{file.name}: mesh files are missing: {', '.join(sorted(set(missing)))}; the "
+            "inertia of these bodies is to be found from them. Put the meshes there, or give "
+            "the bodies an <inertial>"
+        )
+    used = {g.meshname for g in spec.geoms}
+    for group in (spec.materials, spec.textures, spec.hfields):
+        for element in list(group):
+            spec.delete(element)
+    for name, mesh in meshes.items():
+        if name not in used:
+            spec.delete(mesh)

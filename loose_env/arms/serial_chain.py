@@ -1,0 +1,236 @@
+"""The serial chain in a file: which joints drive it, where its tool is, what it carries."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+
+from loose_env.arms.model_file import ModelFile
+from loose_env.errors import InvalidData, UnknownName
+
+__all__ = ["Chain", "find_chain"]
+
+_FREE, _BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
+_FINGERS = 2
+"""Tails of equal depth and at most this many joints are fingers of one gripper [joints]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chain:
+    """A serial chain in a compiled file, by ids of its model, base first."""
+
+    joints: tuple[int, ...]
+    links: tuple[int, ...]
+    """Body that each joint moves."""
+    tool_body: int
+    tool_site: int | None
+    """Site of the tool; None where the body's own frame is the tool."""
+    tool_origin: str
+    """How the tool was found."""
+    owner: tuple[int, ...]
+    """For each body of the model: the link it rides on, from 1; 0 where it stands on the
+    ground."""
+    warnings: tuple[str, ...]
+
+
+def find_chain(file: ModelFile, tool: str | None, joints: Sequence[str] | None) -> Chain:
+    """Find the chain from the base to the tool.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such tool or joint.
+    InvalidData
+        If there is no serial chain of hinges and slides on a fixed base.
+    """
+    m, where = file.model, file.path.name
+    warnings: list[str] = []
+    site, body, origin = _given_tool(file, tool)
+    if body is None:
+        leaf, body = _deepest(file)
+        warnings += leaf
+    path = _joints_to(m, body)
+    _refuse_unlike(file, path)
+    if joints is not None:
+        path = _chosen(file, path, joints)
+    if not path:
+        which = f"no joint moves the tool {tool!r}" if tool else "there is no hinge or slide"
+        raise InvalidData(f"{where}: {which}; an arm needs at least one joint")
+    links = tuple(int(m.jnt_bodyid[j]) for j in path)
+    for first, second, link in zip(path, path[1:], links[1:], strict=False):
+        if m.jnt_bodyid[first] == link:
+            raise InvalidData(
+                f"{where}: body {m.body(link).name!r} has two joints, {m.joint(first).name!r} and "
+                f"{m.joint(second).name!r}, and no link lies between them; put a body with mass "
+                "between them, or leave one out with joints=[...]"
+            )
+    owner = _owners(m, links)
+    if tool is None and site is None:
+        site, body, origin = _default_tool(m, links[-1], owner)
+    _refuse_loops(file, path, owner, warnings)
+    dropped = [m.joint(j).name for j in range(m.njnt) if owner[m.jnt_bodyid[j]] == 0]
+    if dropped:
+        warnings.append(f"joints that do not move the arm are left out: {', '.join(dropped)}")
+    return Chain(
+        joints=tuple(path),
+        links=links,
+        tool_body=body,
+        tool_site=site,
+        tool_origin=origin,
+        owner=owner,
+        warnings=tuple(warnings),
+    )
+
+
+def _names(elements: Sequence[str]) -> str:
+    return ", ".join(repr(e) for e in elements) or "none"
+
+
+def _given_tool(file: ModelFile, tool: str | None) -> tuple[int | None, int | None, str]:
+    m = file.model
+    sites = [m.site(i).name for i in range(m.nsite)]
+    bodies = [m.body(i).name for i in range(1, m.nbody)]
+    if tool is None:
+        if "tool" not in sites:
+            return None, None, ""
+        i = sites.index("tool")
+        return i, int(m.site_bodyid[i]), "the file's site 'tool'"
+    if tool in sites:
+        i = sites.index(tool)
+        return i, int(m.site_bodyid[i]), "the site asked for"
+    if tool in bodies:
+        return None, bodies.index(tool) + 1, "the frame of the body asked for"
+    raise UnknownName(
+        f"{file.path.name}: there is no site or body {tool!r} for the tool; sites: "
+        f"{_names(sites)}; bodies: {_names(bodies)}"
+    )
+
+
+def _default_tool(
+    m: mujoco.MjModel, last: int, owner: Sequence[int]
+) -> tuple[int | None, int, str]:
+    own = [i for i in range(m.nsite) if m.site_bodyid[i] == last]
+    if own:
+        return own[-1], last, f"last site of the last body {m.body(last).name!r}"
+    # Bodies without a joint between them and the last one are part of it.
+    fixed = [i for i in range(m.nsite) if m.body_weldid[m.site_bodyid[i]] == last]
+    if fixed:
+        body = int(m.site_bodyid[fixed[-1]])
+        return fixed[-1], body, f"last site of {m.body(body).name!r}, fixed to the last body"
+    return None, last, f"frame of the last body {m.body(last).name!r}, which has no site"
+
+
+def _joints_to(m: mujoco.MjModel, body: int) -> list[int]:
+    """Joints between the world and a body, base first."""
+    path: list[int] = []
+    while body:
+        first, count = int(m.body_jntadr[body]), int(m.body_jntnum[body])
+        path = [*range(first, first + count), *path]
+        body = int(m.body_parentid[body])
+    return path
+
+
+def _deepest(file: ModelFile) -> tuple[list[str], int]:
+    """Last body of the deepest chain; where fingers end it, the body that carries them."""
+    m = file.model
+    if not m.njnt:
+        raise InvalidData(f"{file.path.name}: there is no joint at all; an arm needs one or more")
+
+    def depth(path: list[int]) -> int:
+        return sum(int(m.jnt_type[j]) not in (_FREE, _BALL) for j in path)
+
+    bodies = [int(b) for b in range(1, m.nbody) if m.body_jntnum[b]]
+    paths = {b: _joints_to(m, b) for b in bodies}
+    most = max(depth(p) for p in paths.values())
+    ends = [b for b in bodies if depth(paths[b]) == most]
+    if most == 0:
+        _refuse_unlike(file, paths[ends[0]])
+    if len(ends) == 1:
+        return [], ends[0]
+    common = [
+        j for k, j in enumerate(paths[ends[0]]) if all(paths[b][k : k + 1] == [j] for b in ends)
+    ]
+    if not common or most - depth(common) > _FINGERS:
+        raise InvalidData(
+            f"{file.path.name}: several chains of {most} joints, ending in bodies "
+            f"{_names([m.body(b).name for b in ends])}; name the tool's site or body: tool=..."
+        )
+    last = int(m.jnt_bodyid[common[-1]])
+    fingers = _names([m.body(b).name for b in ends])
+    return [f"chains of equal depth end in {fingers}: taken as fingers of a gripper"], last
+
+
+def _refuse_unlike(file: ModelFile, path: Sequence[int]) -> None:
+    m = file.model
+    for j in path:
+        joint, body = m.joint(j).name, m.body(int(m.jnt_bodyid[j])).name
+        if m.jnt_type[j] == _FREE:
+            raise InvalidData(
+                f"{file.path.name}: body {body!r} floats on the free joint {joint!r}; an arm "
+                "stands on the ground: remove the free joint"
+            )
+        if m.jnt_type[j] == _BALL:
+            raise InvalidData(
+                f"{file.path.name}: joint {joint!r} of body {body!r} is a ball joint; an arm "
+                "under test has hinges and slides, one drive each"
+            )
+
+
+def _chosen(file: ModelFile, path: list[int], joints: Sequence[str]) -> list[int]:
+    m = file.model
+    names = [m.joint(j).name for j in path]
+    asked = [joints] if isinstance(joints, str) else list(joints)
+    unknown = [j for j in asked if j not in names]
+    if unknown:
+        every = [m.joint(j).name for j in range(m.njnt)]
+        off = [j for j in unknown if j in every]
+        reason = f"joints {_names(off)} do not move the tool" if off else "there are no such joints"
+        raise UnknownName(
+            f"{file.path.name}: {reason} (asked for {_names(unknown)}); from base to tool: "
+            f"{_names(names)}"
+        )
+    if len(set(asked)) != len(asked):
+        raise UnknownName(f"{file.path.name}: joints are named twice in {_names(asked)}")
+    return [j for j, name in zip(path, names, strict=True) if name in asked]
+
+
+def _owners(m: mujoco.MjModel, links: Sequence[int]) -> tuple[int, ...]:
+    owner = [0] * m.nbody
+    for body in range(1, m.nbody):  # a parent comes before its children
+        own = links.index(body) + 1 if body in links else 0
+        owner[body] = own or owner[int(m.body_parentid[body])]
+    return tuple(owner)
+
+
+def _refuse_loops(
+    file: ModelFile, path: Sequence[int], owner: Sequence[int], warnings: list[str]
+) -> None:
+    m = file.model
+    driven = {m.joint(j).name for j in path}
+    for tie in file.ties:
+        if tie.kind == "bodies":
+            ends = [owner[m.body(n).id] if n else 0 for n in tie.names]
+            loose = [
+                n for n in tie.names if n and any(m.jnt_type[j] == _FREE for j in _above(m, n))
+            ]
+            if ends[0] != ends[1] and not loose:
+                names = " and ".join(repr(n or "world") for n in tie.names)
+                raise InvalidData(
+                    f"{file.path.name}: an equality constraint ties bodies {names} and closes a "
+                    "loop; the arm has to be one serial chain: remove the constraint"
+                )
+        elif driven >= set(tie.names) and all(tie.names):
+            raise InvalidData(
+                f"{file.path.name}: joints {tie.names[0]!r} and {tie.names[1]!r} are coupled by an "
+                "equality constraint; each joint of an arm has its own drive: remove the "
+                "coupling, or leave one joint out with joints=[...]"
+            )
+        elif driven & set(tie.names):
+            names = " and ".join(repr(n) for n in tie.names if n)
+            warnings.append(f"the equality constraint on joint {names} is left out")
+
+
+def _above(m: mujoco.MjModel, body: str) -> list[int]:
+    return _joints_to(m, int(m.body(body).id))
