@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.shaker import Shaker
+from loose_env.arms.shaker import COIL, Shaker
 from loose_env.errors import InvalidSetting, UnknownName
 
 __all__ = ["Arm", "HoldKind", "Holding"]
@@ -136,6 +136,11 @@ class Arm:
         from loose_env.arms.from_file import arm_from_file  # which needs this class
 
         return arm_from_file(path, tool=tool, joints=joints, hold=hold)
+
+    @property
+    def probe_sites(self) -> tuple[str, ...]:
+        """Sites of all further accelerometers: the probes, then the shaker's coil."""
+        return self.probes if self.shaker is None else (*self.probes, COIL)
 
     @property
     def n(self) -> int:

@@ -126,7 +126,7 @@ class ShakenArm:
         return ShakenResponse(
             frequency=self.frequency,
             tool=moves(arm.tool)[:, list(arm.axes)],
-            probes={site: moves(site) for site in (*arm.probes, COIL)},
+            probes={site: moves(site) for site in arm.probe_sites},
         )
 
     def _stiffness(self, data: mujoco.MjData, omega: Array) -> Complex:

@@ -10,7 +10,7 @@ import numpy as np
 from loose_env.arms.arm import Arm
 from loose_env.arms.linear import inertance_rate
 from loose_env.arms.mismatch import MismatchDraw
-from loose_env.arms.shaker import COIL, add_shaker, place_shaker
+from loose_env.arms.shaker import add_shaker, place_shaker
 from loose_env.faults import SEAT, Fault, SeatKind, seat_of, seated_spec, set_seat
 
 __all__ = ["Plant", "PlantShop"]
@@ -163,7 +163,7 @@ class PlantShop:
                     objtype=obj.mjOBJ_SITE,
                     objname=f"accelerometer{i}",
                 )
-        for site in (*arm.probes, *([COIL] if arm.shaker is not None else [])):
+        for site in arm.probe_sites:
             spec.add_sensor(
                 name=f"probe_{site}",
                 type=sensor.mjSENS_ACCELEROMETER,

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.arms.mismatch import MismatchDraw
-from loose_env.arms.shaker import COIL
 from loose_env.rig.jobs import Run
 from loose_env.rig.measurement import Measurement
 from loose_env.sensors import SensorSuite, read_accelerometer, read_encoder
@@ -51,9 +50,7 @@ def read_record(
     axes, rate = list(arm.axes), sensors.rate
     steps = run.before + factor * np.arange(-1, count + 1)
     command = (run.control[k][steps[1:-1], :n] - gravity).T
-    shaken = arm.shaker is not None
-    shaker_force = run.control[k][steps[1:-1], n] if shaken else None
-    probed = (*arm.probes, *([COIL] if shaken else []))
+    shaker_force = run.control[k][steps[1:-1], n] if arm.shaker is not None else None
     failure = run.failures.get(job.slot)
     if failure is not None:
         still = np.zeros((len(axes), count))
@@ -65,7 +62,7 @@ def read_record(
             encoder=np.zeros((n, count + 2)),
             tool=still,
             links=np.zeros((n, *still.shape)) if sensors.link_accelerometers else None,
-            probes={site: np.zeros((3, count)) for site in probed},
+            probes={site: np.zeros((3, count)) for site in arm.probe_sites},
             shaker_force=shaker_force,
             failure=failure,
         )
@@ -91,7 +88,9 @@ def read_record(
     if sensors.link_accelerometers:
         links = np.array([accelerometer(3 + n + 3 * i) for i in range(n)])
     before = 3 + n + (3 * n if links is not None else 0)
-    probes = {site: accelerometer(before + 3 * i, [0, 1, 2]) for i, site in enumerate(probed)}
+    probes = {
+        site: accelerometer(before + 3 * i, [0, 1, 2]) for i, site in enumerate(arm.probe_sites)
+    }
     return Measurement(
         pose=job.pose,
         excitation=job.excitation,

@@ -19,7 +19,6 @@ from loose_env.thesis.looseness_tables import (
     axis_table,
     healthy_table,
     loose_table,
-    peak_table,
     preload_table,
 )
 from loose_env.thesis.printed import printed
@@ -33,18 +32,21 @@ from loose_env.thesis.shaken_cases import (
     printed_healthy,
 )
 from loose_env.thesis.shaken_figures import direction_figure, loop_figure, moment_figure
-from loose_env.thesis.shaken_histograms import histogram_panels
+from loose_env.thesis.shaken_histograms import histogram_panels, principal_axis
 from loose_env.thesis.shaken_tables import (
     LOW_BAND,
     Errors,
+    axial_turn,
     direction_errors,
     error_table,
     index_spread,
+    peak_table,
     percent,
     pin_table,
     rms_over_poses,
     tool_peaks,
 )
+from loose_env.thesis.signal_size import rms
 
 __all__ = ["EQUATIONS", "section"]
 
@@ -88,7 +90,7 @@ def section(seed: int) -> Section:
         key="experiment_five",
         title="Looseness on VERA (Experiment Five, 6.4.1)",
         finding=(
-            f"Direction error {ours.mean:.0f}° RMS (printed {_rms(theirs):.1f}°); healthy "
+            f"Direction error {ours.mean:.0f}° RMS (printed {rms(np.array(theirs)):.1f}°); healthy "
             f"directions {_misfit(closed['pin']):.0f}° from the printed ones, where a rigid arm "
             f"is {_misfit(closed['rigid']):.0f}° off."
         ),
@@ -103,7 +105,12 @@ def section(seed: int) -> Section:
                 caption="Error of the direction of looseness (table 6.3; the printed +20° at 302° "
                 "is a slip for +35°)",
             ),
-            peak_table(cases),
+            peak_table(
+                cases,
+                printed("tables")["table_6_1_histogram_range_g"],
+                {TIGHT: "high_preload", FINGER: "low_preload", LOOSE: "looseness"},
+                number="6.1",
+            ),
             axis_table(cases),
             pin_table(cases[TIGHT], cases["pin half released"]),
         ],
@@ -169,7 +176,7 @@ def _words(closed: Mapping[str, Sequence[float]]) -> list[str]:
 
 def _fault_words(cases: Cases, errors: Sequence[Errors]) -> list[str]:
     table = printed("tables")
-    theirs = _rms(table["table_6_3"]["looseness_error_deg"])
+    theirs = rms(np.array(table["table_6_3"]["looseness_error_deg"]))
     ours = rms_over_poses([e.lowest for e in errors])
     change = rms_over_poses([e.change for e in errors])
     weak = [
@@ -219,10 +226,6 @@ def _fault_words(cases: Cases, errors: Sequence[Errors]) -> list[str]:
     return words
 
 
-def _rms(values: Sequence[float]) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
 def _unexplained(cases: Cases) -> str:
     """Say where the printed cases and those found differ beyond their scatter."""
     table = printed("tables")
@@ -248,6 +251,15 @@ def _unexplained(cases: Cases) -> str:
     here = np.mean(
         [np.ptp(tool_peaks(f)) / np.ptp(tool_peaks(h)) for f, h in zip(loose, tight, strict=True)]
     )
+    leans = [
+        abs(axial_turn(principal_axis(case)[0], told[key]))
+        for cases_of, key in (
+            (tight, "histogram_axis_preload_deg"),
+            (loose, "histogram_axis_looseness_deg"),
+        )
+        for case, told in zip(cases_of, table["looseness_cases"], strict=True)
+        if told[key] is not None
+    ]
     turns = [
         abs(np.degrees(axial_difference(p.lowest.mean, n.lowest.mean)))
         for p, n in zip(released, tight, strict=True)
@@ -263,8 +275,8 @@ def _unexplained(cases: Cases) -> str:
         + f"The printed healthy correlations range from {min(magnitudes):.2f} to "
         f"{max(magnitudes):.2f}, those found only from {min(found):.2f} to {max(found):.2f}. With "
         f"looseness the printed range of acceleration falls to {percent(fall)} of the healthy "
-        f"one, here to {percent(here)}. The printed long axes of the histograms do not agree. With "
-        "the pin half "
+        f"one, here to {percent(here)}. The printed long axes of the histograms lie "
+        f"{min(leans):.0f}° to {max(leans):.0f}° from those found. With the pin half "
         f"drawn out the directions turn by {min(turns):.0f}° to {max(turns):.0f}°, where the "
         "thesis saw no turn: its pin must have kept nearly all of its stiffness."
     )

@@ -19,10 +19,11 @@ from loose_env.thesis.shaken_tables import (
     direction_errors,
     error_table,
     index_spread,
+    peak_table,
     rms_over_poses,
     spread_words,
-    tool_peaks,
 )
+from loose_env.thesis.signal_size import rms
 
 __all__ = ["EQUATIONS", "section"]
 
@@ -56,7 +57,7 @@ def section(seed: int) -> Section:
         for play, tight in zip(cases[PLAY], cases[TIGHT], strict=True)
     ]
     ours, change = (rms_over_poses([getattr(e, n) for e in errors]) for n in ("lowest", "change"))
-    theirs = np.sqrt(np.mean(np.square(printed("tables")["table_6_3"]["backlash_error_deg"])))
+    theirs = rms(np.array(printed("tables")["table_6_3"]["backlash_error_deg"]))
     return Section(
         key="experiment_six",
         title="Backlash on VERA (Experiment Six, 6.4.2)",
@@ -73,7 +74,12 @@ def section(seed: int) -> Section:
                 caption="Error of the direction of backlash, which moves the tool along its "
                 "y axis (table 6.3)",
             ),
-            _peak_table(cases),
+            peak_table(
+                cases,
+                printed("tables")["table_6_2_histogram_range_g"],
+                {TIGHT: "high_preload", PLAY: "backlash"},
+                number="6.2",
+            ),
         ],
         plates=_plates(cases),
         equations=EQUATIONS,
@@ -135,23 +141,6 @@ def _case_table(cases: Cases) -> Table:
             "D printed",
             "here",
         ),
-        rows=tuple(rows),
-    )
-
-
-def _peak_table(cases: Cases) -> Table:
-    ranges = printed("tables")["table_6_2_histogram_range_g"]
-    rows = []
-    for k, theta2 in enumerate(poses()):
-        row = [f"{np.degrees(theta2):.0f}°"]
-        for state, key in ((TIGHT, "high_preload"), (PLAY, "backlash")):
-            low, high = tool_peaks(cases[state][k])
-            was_low, was_high = ranges[key][k]
-            row += [f"{was_low:.1f} to {was_high:.1f}", f"{low:.1f} to {high:.1f}"]
-        rows.append(tuple(row))
-    return Table(
-        caption="Range of the tool's acceleration in 1.2 s [g] (table 6.2)",
-        columns=("θ₂", "high preload, printed", "here", "backlash, printed", "here"),
         rows=tuple(rows),
     )
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binomtest
 
 from loose_env.arms import planar
 from loose_env.arms.arm import Arm
@@ -208,10 +209,9 @@ def _share(runs: Sequence[Search]) -> float:
 
 def _interval(runs: Sequence[Search]) -> tuple[float, float]:
     """Wilson's 95 % interval of the share of right searches."""
-    n, p, z = len(runs), _share(runs), 1.96
-    middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
-    half = z * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2)) / (1 + z**2 / n)
-    return float(middle - half), float(middle + half)
+    right = sum(r.named == r.link for r in runs)
+    interval = binomtest(right, len(runs)).proportion_ci(0.95, method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def _words(found: Found) -> list[str]:

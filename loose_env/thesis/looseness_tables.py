@@ -8,13 +8,12 @@ import numpy as np
 
 from loose_env.thesis.printed import printed
 from loose_env.thesis.section import Table
-from loose_env.thesis.shaken_cases import CaseFigures, from_y, poses, printed_healthy
+from loose_env.thesis.shaken_cases import CaseFigures, from_y, printed_healthy
 from loose_env.thesis.shaken_histograms import principal_axis
 from loose_env.thesis.shaken_tables import (
     axis_words,
     index_spread,
     spread_words,
-    tool_peaks,
     turn_words,
 )
 
@@ -25,7 +24,6 @@ __all__ = [
     "axis_table",
     "healthy_table",
     "loose_table",
-    "peak_table",
     "preload_table",
 ]
 
@@ -119,26 +117,6 @@ def preload_table(cases: Cases) -> Table:
         caption="Low preload, which is no fault: direction, maximum correlation and index (6.4.1, "
         "table 6.6; the thesis prints no maximum correlation)",
         columns=("θ₂", "φp printed", "here", "Cp here", "D printed", "here"),
-        rows=tuple(rows),
-    )
-
-
-def peak_table(cases: Cases) -> Table:
-    """Range of the tool's acceleration in every state."""
-    ranges = printed("tables")["table_6_1_histogram_range_g"]
-    rows = []
-    for k, theta2 in enumerate(poses()):
-        row = [f"{np.degrees(theta2):.0f}°"]
-        for state, key in ((TIGHT, "high_preload"), (FINGER, "low_preload"), (LOOSE, "looseness")):
-            low, high = tool_peaks(cases[state][k])
-            row += [
-                f"{ranges[key][k][0]:.1f} to {ranges[key][k][1]:.1f}",
-                f"{low:.1f} to {high:.1f}",
-            ]
-        rows.append(tuple(row))
-    return Table(
-        caption="Range of the tool's acceleration in 1.2 s [g] (table 6.1)",
-        columns=("θ₂", "high, printed", "here", "low, printed", "here", "loose, printed", "here"),
         rows=tuple(rows),
     )
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from loose_env.envs.drawing.ink import FAINT, INK, MUTED
 from loose_env.report.figures import WIDTH, new_figure
+from loose_env.sensors import STANDARD_GRAVITY
 from loose_env.statistics.histogram import contour_levels, histogram
 from loose_env.thesis.plots import COLOURS, legend_row
 from loose_env.thesis.shaken_cases import CaseFigures
@@ -20,7 +21,6 @@ __all__ = ["histogram_panels", "principal_axis"]
 
 _BINS = 31
 _SHARE = 0.9
-_STANDARD_GRAVITY = 9.80665
 
 
 def principal_axis(case: CaseFigures) -> tuple[float, float]:
@@ -65,8 +65,7 @@ def histogram_panels(
     figure = new_figure(height)
     legend_row(figure, states, height)
     samples = {
-        (state, k): np.concatenate([a for _, a in cases[state][k].pairs], axis=1)
-        / _STANDARD_GRAVITY
+        (state, k): np.concatenate([a for _, a in cases[state][k].pairs], axis=1) / STANDARD_GRAVITY
         for state in states
         for k in range(count)
     }

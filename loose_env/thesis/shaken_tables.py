@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loose_env.arms.shaker import COIL
 from loose_env.arms.vera_shaken import SHAKEN_BAND
+from loose_env.sensors import STANDARD_GRAVITY
 from loose_env.statistics import (
     axial_difference,
     bandpass,
@@ -34,6 +35,7 @@ __all__ = [
     "error_table",
     "index_spread",
     "moment_points",
+    "peak_table",
     "percent",
     "pin_table",
     "rms_over_poses",
@@ -151,7 +153,42 @@ def tool_peaks(case: CaseFigures) -> tuple[float, float]:
     """Median over the records of the lowest and the highest tool acceleration [g]."""
     low = np.median([a.min() for _, a in case.pairs])
     high = np.median([a.max() for _, a in case.pairs])
-    return float(low / 9.80665), float(high / 9.80665)
+    return float(low / STANDARD_GRAVITY), float(high / STANDARD_GRAVITY)
+
+
+def peak_table(
+    cases: Mapping[str, Sequence[CaseFigures]],
+    ranges: Mapping[str, Sequence[Sequence[float]]],
+    states: Mapping[str, str],
+    *,
+    number: str,
+) -> Table:
+    """Range of the tool's acceleration, printed beside found.
+
+    Parameters
+    ----------
+    cases : mapping
+        Cases of every state.
+    ranges : mapping
+        Printed ranges of every state, pose by pose [g].
+    states : mapping
+        Key of the printed ranges for each state shown.
+    number : str
+        Number of the thesis's table.
+    """
+    rows = []
+    for k, theta2 in enumerate(poses()):
+        row = [f"{np.degrees(theta2):.0f}°"]
+        for state, key in states.items():
+            low, high = tool_peaks(cases[state][k])
+            was_low, was_high = ranges[key][k]
+            row += [f"{was_low:.1f} to {was_high:.1f}", f"{low:.1f} to {high:.1f}"]
+        rows.append(tuple(row))
+    return Table(
+        caption=f"Range of the tool's acceleration in 1.2 s [g] (table {number})",
+        columns=("θ₂", *(cell for state in states for cell in (f"{state}, printed", "here"))),
+        rows=tuple(rows),
+    )
 
 
 def spread_words(spread: Spread, digits: int = 2) -> str:
