@@ -48,7 +48,7 @@ def memory_of(series: FloatArray, block: float | None = None) -> Memory:
     count = len(series)
     transform = np.fft.rfft(series - series.mean(), 2 * count)
     covariance = np.fft.irfft(transform.real**2 + transform.imag**2)[:count] / count
-    window = _window(covariance)
+    window = memory_window(covariance)
     lag = np.arange(1, window + 1)
     weight = np.minimum(1.0, 2 * (1 - lag / window))
     level = float(covariance[0] + 2 * np.sum(weight * covariance[lag]))
@@ -65,7 +65,7 @@ def memory_of(series: FloatArray, block: float | None = None) -> Memory:
     return Memory(block, variance, degrees, within / variance if variance > 0.0 else 1.0)
 
 
-def _window(covariance: FloatArray) -> int:
+def memory_window(covariance: FloatArray) -> int:
     """Return twice the lag after which a run of autocovariances is insignificant."""
     count = len(covariance)
     # The published run of 5 lags is shorter than one period of a narrow-band record.

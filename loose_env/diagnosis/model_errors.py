@@ -1,0 +1,202 @@
+"""What a true arm's transmission may differ by from the nominal one, error by error.
+
+With one joint excited and the others held, the healthy transmission is kinematics: link lengths,
+joint zeros and the accelerometer's gains, leakage and mounting decide, masses hardly matter.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.linear import LinearArm
+from loose_env.arms.mismatch import Mismatch
+from loose_env.statistics import TransmissionEstimate
+
+__all__ = ["calibrate_sensor", "kinematic_errors", "sensor_errors", "sensor_matrices"]
+
+Array = NDArray[np.float64]
+
+
+def sensor_matrices(axes: int, mismatch: Mismatch) -> Array:
+    """Errors of the tool accelerometer: what each adds to its reading, per true acceleration.
+
+    Parameters
+    ----------
+    axes : int
+        Number of measured axes d.
+    mismatch : Mismatch
+        Standard deviations of the errors.
+
+    Returns
+    -------
+    ndarray (d * d + d * (d - 1) / 2, d, d)
+        One standard deviation each: gain of every axis and leakage from every axis into every
+        other one, then rotation about each axis.
+    """
+    errors = []
+    for i in range(axes):
+        for j in range(axes):
+            leak = np.zeros((axes, axes))
+            leak[i, j] = mismatch.gain if i == j else mismatch.cross_axis
+            errors.append(leak)
+    turn = np.radians(mismatch.misalignment)
+    for i in range(axes):
+        for j in range(i):
+            skew = np.zeros((axes, axes))
+            skew[i, j], skew[j, i] = turn, -turn
+            errors.append(skew)
+    return np.array(errors)
+
+
+def sensor_errors(b: Array, mismatch: Mismatch) -> Array:
+    """Change of a measured transmission by each error of the tool accelerometer.
+
+    Parameters
+    ----------
+    b : ndarray (d, m)
+        Transmission, or change of transmission, that the accelerometer reads [m].
+    mismatch : Mismatch
+        Standard deviations of the errors.
+
+    Returns
+    -------
+    ndarray (K, d, m)
+        Changes by each of the `sensor_matrices`.
+
+    Examples
+    --------
+    >>> errors = sensor_errors(np.array([[1.0], [0.0]]), Mismatch(cross_axis=0.02))
+    >>> errors.shape, errors[2].ravel().tolist()
+    ((5, 2, 1), [0.0, 0.02])
+    """
+    return np.asarray(sensor_matrices(len(b), mismatch) @ b)
+
+
+def calibrate_sensor(
+    healthy: TransmissionEstimate, nominal: Array, kinematic: Array, mismatch: Mismatch
+) -> tuple[Array, Array]:
+    """Learn the accelerometer's errors from a sound arm whose transmission the model knows.
+
+    What differs between the healthy transmission and the nominal one is the sensor's doing or the
+    model's. Both are given the sizes that the mismatch expects, and the sensor's part is what
+    the difference leaves most probable (a linear Gaussian estimate).
+
+    Parameters
+    ----------
+    healthy : TransmissionEstimate
+        Measured on the sound arm (d, m).
+    nominal : ndarray (d, m)
+        The same by the nominal model.
+    kinematic : ndarray (K, d, m)
+        What the model may get wrong, from `kinematic_errors`.
+    mismatch : Mismatch
+        Standard deviations of the errors.
+
+    Returns
+    -------
+    ndarray (d, d)
+        Best estimate of the reading per true acceleration, about one.
+    ndarray (L, d, d)
+        What is left uncertain of it, independent errors of one standard deviation each.
+
+    Examples
+    --------
+    >>> nominal = np.random.default_rng(0).standard_normal((3, 6))
+    >>> true = np.eye(3) + 0.02 * np.array([[0, 1, 0], [0, 0, 0], [0, 0, 0.0]])
+    >>> small = 1e-8 * np.eye(18).reshape(3, 6, 3, 6)
+    >>> read = TransmissionEstimate(true @ nominal, small)
+    >>> found, left = calibrate_sensor(read, nominal, np.zeros((0, 3, 6)), Mismatch())
+    >>> bool(np.abs(found - true).max() < 0.002)
+    True
+    """
+    d = len(nominal)
+    matrices = sensor_matrices(d, mismatch)
+    size = nominal.size
+    by_sensor = (matrices @ nominal).reshape(len(matrices), size)
+    rest = kinematic.reshape(len(kinematic), size)
+    noise = healthy.covariance.reshape(size, size) + rest.T @ rest
+    noise += 1e-9 * float(np.mean(nominal**2)) * np.eye(size)  # the model is not exact
+    seen = noise + by_sensor.T @ by_sensor
+    gain = np.linalg.solve(seen, by_sensor.T).T
+    strength = gain @ (healthy.b - nominal).ravel()
+    left = np.eye(len(matrices)) - gain @ by_sensor.T
+    values, vectors = np.linalg.eigh((left + left.T) / 2)
+    roots = vectors * np.sqrt(np.maximum(values, 0.0))
+    return (
+        np.eye(d) + np.einsum("k,kij->ij", strength, matrices),
+        np.einsum("kl,kij->lij", roots, matrices),
+    )
+
+
+def kinematic_errors(linear: LinearArm, pose: Array, mismatch: Mismatch) -> Array:
+    """Change of the tool's Jacobian by each error of a joint zero and of a link's length.
+
+    Parameters
+    ----------
+    linear : LinearArm
+        The nominal arm.
+    pose : ndarray (n,)
+        Pose [rad or m].
+    mismatch : Mismatch
+        Standard deviations of the errors.
+
+    Returns
+    -------
+    ndarray (K, d, n)
+        Changes by one standard deviation each, tool frame [m]: a zero for every joint, then a
+        length for every body between tool and base, the tool's own place first.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> linear = LinearArm(planar(2))
+    >>> errors = kinematic_errors(linear, np.zeros(2), Mismatch(length=0.01, joint_zero=0.0))
+    >>> np.abs(errors).sum(0).round(4).tolist()
+    [[0.0, 0.0], [0.006, 0.003]]
+    """
+    arm = linear.arm
+    axes = list(arm.axes)
+    kinematic = linear.at(pose).kinematic
+    zero = np.radians(mismatch.joint_zero)
+    tiny = 1e-5
+    errors = []
+    for k in range(arm.n):
+        moved = np.array(pose, dtype=float)
+        moved[k] += tiny
+        slope = (linear.at(moved).kinematic - kinematic) / tiny
+        # The zero of a sliding joint is off by as many metres as that of a turning one by radians.
+        errors.append(zero * slope)
+
+    model = arm.model
+    data = mujoco.MjData(model)
+    data.qpos[arm.pose_addresses] = pose
+    mujoco.mj_kinematics(model, data)
+    joints = [model.joint(name).id for name in arm.joints]
+    turning = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_HINGE
+    frame = data.site_xmat[model.site(arm.tool).id].reshape(3, 3)
+    site = model.site(arm.tool)
+    body = int(site.bodyid[0])
+    offsets = [(body, data.site_xpos[site.id] - data.xpos[body])]
+    while body:
+        parent = int(model.body_parentid[body])
+        offsets.append((parent, data.xpos[body] - data.xpos[parent]))
+        body = parent
+    for carrier, offset in offsets:
+        longer = np.zeros((3, arm.n))
+        for j, joint in enumerate(joints):
+            # Only what lies beyond the joint's axis lengthens its lever.
+            moves = model.jnt_bodyid[joint] in _ancestors(model, carrier)
+            if turning[j] and moves:
+                longer[:, j] = np.cross(data.xaxis[joint], mismatch.length * offset)
+        errors.append((frame.T @ longer)[axes])
+    return np.array(errors)
+
+
+def _ancestors(model: mujoco.MjModel, body: int) -> set[int]:
+    found = {body}
+    while body:
+        body = int(model.body_parentid[body])
+        found.add(body)
+    return found
