@@ -1,10 +1,10 @@
 """Directions of looseness in space: errors and coverage over hidden faults, as tables.
 
 Every case is an arm with one loose link (slide), its own mismatch and a random pose. Each joint is
-excited in turn at the level that `propose_excitation` proposes, once on the loose arm and once on the
-same arm with its seat shut. From these records come the direction of the change of transmission,
-against the healthy records and against the nominal model, with its 95 % region, and the direction
-of lowest coherence.
+excited in turn at the level that `propose_excitation` proposes, once on the loose arm and once on
+the same arm with its seat shut. From these records come the direction of the change of
+transmission, against the healthy records and against the nominal model, with its 95 % region, and
+the direction of lowest coherence.
 
 Usage: python scripts/study_directions.py [--arm six_axis] [--cases 1000] [--out out/directions]
 """

@@ -11,7 +11,11 @@ from numpy.typing import NDArray
 
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch
-from loose_env.diagnosis.model_errors import kinematic_errors, sensor_errors
+from loose_env.diagnosis.model_errors import (
+    calibrate_sensor,
+    kinematic_errors,
+    sensor_errors,
+)
 from loose_env.diagnosis.prediction import SensorFloor, predict
 from loose_env.errors import InvalidData, UnknownName
 from loose_env.rig.measurement import Measurement
@@ -29,7 +33,7 @@ __all__ = ["Instrument", "MeasuredChange", "change_of_transmission", "measured_t
 Array = NDArray[np.float64]
 Instrument = Literal["command", "encoder"]
 
-_TOLERANCE = 0.02
+_TOLERANCE = 0.01
 """Share of a change that the linear picture of an open seat gets wrong: the held joints move a
 little with it, and stops that are struck excite what the arm's model leaves out."""
 

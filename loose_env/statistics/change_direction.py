@@ -7,10 +7,10 @@ covariance is known. For any axis u the best v follows in closed form, and
     q(u) = min over v of (D - u v.T) C^-1 (D - u v.T)
 
 is the squared misfit of the change D under the errors' covariance C. Its lowest point is the
-estimate, and its lowest value tests whether one direction explains the change. An axis belongs to the
-confidence region if its misfit is not much above the lowest. How much is allowed depends on how
-much of the change the axis explains: where that is little, errors alone make directions, and more
-must be allowed (a conditional likelihood ratio, whose region may be the whole sphere).
+estimate, and its lowest value tests whether one direction explains the change. An axis belongs to
+the confidence region if its misfit is not much above the lowest. How much is allowed depends on
+how much of the change the axis explains: where that is little, errors alone make directions, and
+more must be allowed (a conditional likelihood ratio, whose region may be the whole sphere).
 """
 
 import math
@@ -20,7 +20,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import chdtrc, chdtri, fdtri
+from scipy.special import chdtrc, chdtri, fdtrc, fdtri
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.statistics._checks import FloatArray, as_direction
@@ -256,7 +256,8 @@ def change_rank(change: TransmissionEstimate, significance: float = 0.01) -> Cha
     """Count the directions of a change of transmission.
 
     Ranks are tried from zero up; the first that the change's errors can explain is the answer. The
-    misfit of the best matrix of rank r is chi-square with (d - r)(m - r) degrees of freedom.
+    misfit of the best matrix of rank r is chi-square with (d - r)(m - r) degrees of freedom, or F
+    where the errors' covariance is itself an estimate.
 
     Parameters
     ----------
@@ -292,9 +293,16 @@ def change_rank(change: TransmissionEstimate, significance: float = 0.01) -> Cha
         misfits.append(max(_lowest(misfit.at, d)[1], 0.0))
     if most > 2:
         misfits.append(max(_lowest(misfit.without, d)[1], 0.0))
-    p_values = tuple(float(chdtrc((d - r) * (m - r), q)) for r, q in enumerate(misfits))
+    p_values = tuple(_chance(q, (d - r) * (m - r), change.degrees) for r, q in enumerate(misfits))
     rank = next((r for r, p in enumerate(p_values) if p >= significance), most)
     return ChangeRank(rank, p_values, tuple(misfits), significance)
+
+
+def _chance(misfit: float, constraints: int, degrees: float) -> float:
+    """Chance of a larger misfit; F instead of chi-square where the scatter is estimated."""
+    if not math.isfinite(degrees):
+        return float(chdtrc(constraints, misfit))
+    return float(fdtrc(constraints, max(degrees, 1.0), misfit / constraints))
 
 
 def _lowest(at: Callable[[FloatArray], FloatArray], dimension: int) -> tuple[FloatArray, float]:
