@@ -152,7 +152,7 @@ def _allowed(d: int, m: int, level: float) -> FloatArray:
         largest = np.linalg.eigvalsh(whole @ whole.transpose(0, 2, 1))[:, -1]
         allowed.append(float(np.quantile(largest - strength, level)))
     limit = float(chdtri(d - 1, 1.0 - level))  # where it goes for a strong change
-    return np.maximum(np.array(allowed), limit)
+    return np.asarray(np.maximum(allowed, limit), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,6 +167,9 @@ class ChangeDirection:
     """Largest angle from the direction to an axis inside the region, rad; pi/2: none is out."""
     sd: float
     """Root mean square standard deviation of the direction over the ways across it, rad."""
+    precision: FloatArray
+    """Precision across the direction near it, 1/rad^2, shape (d, d); the region is wider than it
+    says where little of the change stands out."""
     level: float
     """Confidence level of the region."""
     evidence: float
@@ -226,12 +229,14 @@ def change_direction(change: TransmissionEstimate, level: float = 0.95) -> Chang
     misfit = Misfit(change)
     direction, lowest = _lowest(misfit.at, d)
     region = Region(misfit, lowest, (d, m), level, change.degrees)
-    half_angle, sd = _extent(region, direction)
+    half_angle, border = _extent(region, direction)
+    sd = border / math.sqrt(region.widening * float(chdtri(d - 1, 1.0 - level)))
     return ChangeDirection(
         direction=direction,
         drive=misfit.drives(direction),
         half_angle=half_angle,
-        sd=sd / math.sqrt(region.widening * float(chdtri(d - 1, 1.0 - level))),
+        sd=sd,
+        precision=_curvature(misfit, direction, 0.3 * sd) / (2 * region.widening),
         level=level,
         evidence=misfit.total - lowest,
         region=region,
@@ -342,6 +347,22 @@ def _extent(region: Region, direction: FloatArray) -> tuple[float, float]:
     outer = [_crossing(radii, excess[:, w], int(k)) for w, k in enumerate(last)]
     inner = [_crossing(radii, excess[:, w], int(k)) for w, k in enumerate(first)]
     return max(outer), math.sqrt(float(np.mean(np.square(inner))))
+
+
+def _curvature(misfit: Misfit, direction: FloatArray, step: float) -> FloatArray:
+    """Second derivatives of the misfit across a direction, by differences over a step (rad)."""
+    across = tangents(direction)
+    size = len(across)
+    ways = np.concatenate([np.eye(size), np.ones((1, size))]) @ across
+    axes = np.concatenate(([direction], direction + step * ways, direction - step * ways))
+    values = misfit.at(axes / np.linalg.norm(axes, axis=1, keepdims=True))
+    second = (values[1 : size + 2] + values[size + 2 :] - 2 * values[0]) / step**2
+    hessian = np.diag(second[:size])
+    if size == 2:
+        hessian[0, 1] = hessian[1, 0] = (second[2] - second[0] - second[1]) / 2
+    values, vectors = np.linalg.eigh(hessian)
+    inside = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return np.asarray(across.T @ inside @ across)
 
 
 def _crossing(radii: FloatArray, excess: FloatArray, k: int) -> float:

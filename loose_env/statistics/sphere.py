@@ -63,10 +63,10 @@ def axes_grid(count: int, dimension: int = 3) -> FloatArray:
         raise InvalidSetting(
             f"count is {count} and dimension {dimension}; at least one axis in 2 or 3 dimensions"
         )
-    k = np.arange(count)
+    k = np.arange(count, dtype=np.float64)
     if dimension == 2:
-        turn = np.pi * k / count
-        return np.stack((np.cos(turn), np.sin(turn)), axis=1)
+        around = np.pi * k / count
+        return np.stack((np.cos(around), np.sin(around)), axis=1)
     height = (k + 0.5) / count
     turn = k * np.pi * (3.0 - math.sqrt(5.0))
     flat = np.sqrt(1.0 - height**2)

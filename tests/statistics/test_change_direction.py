@@ -83,6 +83,15 @@ def test_half_angle_and_sd_are_those_of_small_errors() -> None:
     # The sum over the columns is worth one observation of size one: sd = 0.01 rad each way.
     assert found.sd == pytest.approx(0.01, rel=0.02)
     assert found.half_angle == pytest.approx(0.01 * np.sqrt(5.991), rel=0.02)
+    np.testing.assert_allclose(found.precision, np.diag([1e4, 1e4, 0.0]), rtol=0.01, atol=1.0)
+
+
+def test_precision_knows_which_way_is_uncertain() -> None:
+    b = np.outer([0.0, 0.0, 1.0], [0.6, 0.8])
+    covariance = np.einsum("ij,mn->imjn", np.diag([1e-4, 9e-4, 1e-4]), np.eye(2))
+    found = change_direction(TransmissionEstimate(b, covariance))
+    np.testing.assert_allclose(np.diag(found.precision), [1e4, 1e4 / 9, 0.0], rtol=0.02, atol=1.0)
+    assert 0.01 < found.sd < 0.03
 
 
 def test_rank_counts_directions() -> None:
