@@ -142,6 +142,13 @@ class SeatDrive:
     seat transmits. The best joint counts; the figure is the median over ``poses`` random
     poses, the same for everybody.
 
+    Parameters
+    ----------
+    linear : LinearArm
+        The nominal arm; with rotations if `twist` is to be asked.
+    poses : int
+        Number of poses.
+
     Examples
     --------
     >>> from loose_env.arms import planar
@@ -156,6 +163,10 @@ class SeatDrive:
         axes = linear.slide_dofs.shape[1]
         self._slide = np.zeros((poses, arm.n, arm.n, axes, axes))
         self._hinge = np.zeros((poses, arm.n, arm.n))
+        motions = linear.twist_dofs.shape[1]
+        self._twist = (
+            np.zeros((poses, arm.n, arm.n, motions, motions)) if linear.rotations else None
+        )
         for p in range(poses):
             at = linear.at(arm.random_pose(rng))
             for j in range(arm.n):
@@ -168,6 +179,10 @@ class SeatDrive:
                 outer = np.einsum("kia,kib->iab", slide, slide.conj()).real
                 self._slide[p, j] = power * outer / len(slide)
                 self._hinge[p, j] = power * np.mean(np.abs(answer.hinge[..., 0]) ** 2, axis=0)
+                if self._twist is not None and answer.twist is not None:
+                    twist = answer.twist[..., 0]
+                    outer = np.einsum("kia,kib->iab", twist, twist.conj()).real
+                    self._twist[p, j] = power * outer / len(twist)
 
     def slide(self, link: int, direction: tuple[float, ...]) -> float:
         """Rms force across the slide of a link along a direction of its frame [N]."""
@@ -179,8 +194,28 @@ class SeatDrive:
         return float(np.median(np.sqrt(power.max(axis=1))))
 
     def hinge(self, joint: int) -> float:
-        """Rms torque across the play of a joint [N·m]."""
+        """Rms torque across the play of a joint [N·m, N where it slides]."""
         return float(np.median(np.sqrt(self._hinge[:, :, joint - 1].max(axis=1))))
+
+    def twist(self, link: int, twist: Array) -> float:
+        """Rms force or torque across a seat of a link that moves it by a twist [N or N·m].
+
+        Parameters
+        ----------
+        link : int
+            Link, from 1 at the base.
+        twist : ndarray (t,)
+            As `loose_env.faults.twist_of` has it.
+
+        Raises
+        ------
+        InvalidSetting
+            If the linear arm has no rotations.
+        """
+        if self._twist is None:
+            raise InvalidSetting("for twists give a LinearArm(arm, rotations=True)")
+        power = np.einsum("a,pjab,b->pj", twist, self._twist[:, :, link - 1], twist)
+        return float(np.median(np.sqrt(power.max(axis=1))))
 
 
 def torque_signals(

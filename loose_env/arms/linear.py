@@ -3,7 +3,8 @@
 The arm is linearised about a pose. Joints and bending modes move; each held joint has its
 brake or servo, each excited one its soft centring spring. On top of those, the model has
 every seat the arm could have: the sliding directions of each link and the link side of each
-joint. Their columns say what a seat has to transmit, and how the arm would move were it open.
+joint, on request the rotations of each link too. Their columns say what a seat has to transmit,
+and how the arm would move were it open.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ __all__ = ["LinearArm", "LinearPose", "OpenResponse", "Response", "inertance_rat
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+_TURNS = {2: (5,), 3: (3, 4, 5)}  # rotations among the six motions of a link: in plane, in space
 
 
 def inertance_rate(timestep: float) -> float:
@@ -48,7 +50,12 @@ class Response:
     slide: Complex
     """Force each shut slide transmits per torque [N per N·m], (K, n links, s axes, m)."""
     hinge: Complex
-    """Torque each joint's link side transmits per torque [1], (K, n joints, m)."""
+    """Torque each joint's link side transmits per torque [1], force where the joint slides
+    [N per N·m], (K, n joints, m)."""
+    twist: Complex | None = None
+    """What each shut seat transmits per torque: forces, then moments about the link frame's
+    origin [N or N·m per N·m], (K, n links, t, m); None without rotations. See
+    `LinearArm.twist_dofs`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +73,13 @@ class OpenResponse:
     joint_open_hinge: Complex
     """As `joint_open_slide`, for play in a joint, (K, m, n)."""
     inertia_hinge: Complex
-    """Apparent inertia seen by the joints' link sides [kg·m²], (K, n)."""
+    """Apparent inertia seen by the joints' link sides [kg·m², kg where it slides], (K, n)."""
+    tool_open_twist: Complex | None = None
+    """As `tool_open_slide`, for slides and rotations of links, (K, d, n, t); None without."""
+    joint_open_twist: Complex | None = None
+    """As `joint_open_slide`, for slides and rotations of links, (K, m, n, t); None without."""
+    mass_twist: Complex | None = None
+    """Apparent mass of slides and rotations of links [kg, kg·m, kg·m²], (K, n, t, t)."""
 
 
 class LinearArm:
@@ -81,6 +94,15 @@ class LinearArm:
         band, 240 where the arm has bending modes of its own or is held by servos.
     remember : int
         Number of poses whose answers are kept.
+    rotations : bool
+        Whether links may rotate on their flanges as well. Slower; all other answers are the
+        same to rounding.
+
+    Raises
+    ------
+    InvalidSetting
+        If a link has joints of its own beside the seat and ``rotations`` is asked for: a body of
+        MuJoCo moves in six ways at most.
 
     Examples
     --------
@@ -90,38 +112,61 @@ class LinearArm:
     (2, 2)
     """
 
-    def __init__(self, arm: Arm, *, points: int | None = None, remember: int = 512) -> None:
+    def __init__(
+        self,
+        arm: Arm,
+        *,
+        points: int | None = None,
+        remember: int = 512,
+        rotations: bool = False,
+    ) -> None:
         self.arm = arm
+        self.rotations = rotations
         spec = arm.spec.copy()
         sliding = np.eye(3)[: len(arm.axes)]
+        # Play that the link's slides and turns already hold is made of them.
+        made = arm.sliding | rotations
+        turning = np.eye(3)[3 - len(_TURNS[len(arm.axes)]) :] if rotations else np.zeros((0, 3))
         for i, (body_name, joint_name) in enumerate(
             zip(arm.seat_bodies, arm.joints, strict=True), start=1
         ):
             body, joint = spec.body(body_name), spec.joint(joint_name)
-            body.add_joint(
-                name=f"open_hinge{i}",
-                type=mujoco.mjtJoint.mjJNT_HINGE,
-                axis=joint.axis,
-                pos=joint.pos,
-            )
+            if not made[i - 1]:
+                body.add_joint(
+                    name=f"open_hinge{i}",
+                    type=mujoco.mjtJoint.mjJNT_HINGE,
+                    axis=joint.axis,
+                    pos=joint.pos,
+                )
+            if rotations and len(body.joints) + len(sliding) + len(turning) > 6:
+                raise InvalidSetting(
+                    f"link {i} of arm {arm.name!r} has joints of its own; its rotations cannot be "
+                    "added: put these joints on a body of their own"
+                )
             for k, axis in enumerate(sliding):
                 body.add_joint(
                     name=f"open_slide{i}_{k}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=list(axis)
+                )
+            for k, axis in enumerate(turning):
+                body.add_joint(
+                    name=f"open_turn{i}_{k}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=list(axis)
                 )
         self.model = model = spec.compile()
         self._data = mujoco.MjData(model)
         address = {model.joint(j).name: model.joint(j).dofadr[0] for j in range(model.njnt)}
         self.joint_dofs = np.array([address.pop(j) for j in arm.joints], dtype=np.intp)
-        self.hinge_dofs = np.array(
-            [address.pop(f"open_hinge{i}") for i in range(1, arm.n + 1)], dtype=np.intp
-        )
-        self.slide_dofs = np.array(
-            [
-                [address.pop(f"open_slide{i}_{k}") for k in range(len(sliding))]
-                for i in range(1, arm.n + 1)
-            ],
-            dtype=np.intp,
-        )
+        places = range(1, arm.n + 1)
+
+        def seats(kind: str, axes: int) -> NDArray[np.intp]:
+            each = [[address.pop(f"open_{kind}{i}_{k}") for k in range(axes)] for i in places]
+            return np.array(each, dtype=np.intp).reshape(arm.n, axes)
+
+        self.slide_dofs = seats("slide", len(sliding))
+        self.turn_dofs = seats("turn", len(turning))
+        self.hinge_dofs = np.asarray(model.nv - 1 + np.cumsum(made), dtype=np.intp)
+        for joint in np.flatnonzero(~made):
+            self.hinge_dofs[joint] = address.pop(f"open_hinge{joint + 1}")
+        self._play = self._play_columns(np.flatnonzero(made)) if made.any() else None
         self.flexible_dofs = np.array(sorted(address.values()), dtype=np.intp)
         self.tool = model.site(arm.tool).id
         if points is None:
@@ -130,6 +175,40 @@ class LinearArm:
         self.frequency = np.linspace(*arm.band, points)
         self._remember = remember
         self._cache: dict[bytes, LinearPose] = {}
+
+    @property
+    def twist_dofs(self) -> NDArray[np.intp]:
+        """Slides, then rotations of each link about its frame's origin (n, t).
+
+        With rotations t is 3 in the plane (x, y, the turn about z) and 6 in space, which are the
+        coordinates of `loose_env.faults.twist_of`.
+        """
+        return np.concatenate([self.slide_dofs, self.turn_dofs], axis=1)
+
+    @property
+    def springs(self) -> tuple[Array, Array]:
+        """Stiffness and damping of the arm itself at every degree of freedom (nv,) each.
+
+        In the order of `LinearPose.inertia`; nothing of what holds the joints is in it.
+        """
+        model = self.model
+        more = 0 if self._play is None else self._play.shape[1]
+        stiffness = model.jnt_stiffness[model.dof_jntid]
+        return np.pad(stiffness, (0, more)), np.pad(model.dof_damping, (0, more))
+
+    def _play_columns(self, joints: NDArray[np.intp]) -> Array:
+        """Motion of some joints' link sides in the model's coordinates (nv, joints)."""
+        model, bare = self.model, self.arm.model
+        columns = np.zeros((model.nv, len(joints)))
+        for column, i in enumerate(joints):
+            joint = bare.joint(self.arm.joints[i])
+            twist = np.concatenate([joint.axis, np.zeros(3)])
+            if not self.arm.sliding[i]:
+                twist = np.concatenate([np.cross(joint.pos, joint.axis), joint.axis])
+            kept = [*range(self.slide_dofs.shape[1]), *_TURNS[len(self.arm.axes)]]
+            # Without rotations only the slides are there; a sliding joint needs no more.
+            columns[self.twist_dofs[i], column] = twist[kept][: self.twist_dofs.shape[1]]
+        return columns
 
     def at(self, pose: Sequence[float] | Array) -> LinearPose:
         """Linearise at a pose [rad] (n,). Recent poses are remembered.
@@ -163,13 +242,12 @@ class LinearArm:
         jacobian = np.zeros((3, model.nv))
         mujoco.mj_jacSite(model, data, jacobian, None, self.tool)
         frame = data.site_xmat[self.tool].reshape(3, 3)
-        return LinearPose(
-            linear=self,
-            pose=q,
-            inertia=inertia,
-            jacobian=(frame.T @ jacobian)[list(self.arm.axes)],
-            load=data.qfrc_bias.copy(),
-        )
+        jacobian = (frame.T @ jacobian)[list(self.arm.axes)]
+        load = data.qfrc_bias.copy()
+        if self._play is not None:
+            all_of = np.hstack([np.eye(model.nv), self._play])
+            inertia, jacobian, load = all_of.T @ inertia @ all_of, jacobian @ all_of, load @ all_of
+        return LinearPose(linear=self, pose=q, inertia=inertia, jacobian=jacobian, load=load)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -212,8 +290,22 @@ class LinearPose:
 
     @property
     def _seats(self) -> NDArray[np.intp]:
-        """Degrees of freedom of all seats: slides, then link sides of joints."""
-        return np.concatenate([self.linear.slide_dofs.ravel(), self.linear.hinge_dofs])
+        """Degrees of freedom of all seats: slides, link sides of joints, then rotations."""
+        lin = self.linear
+        return np.concatenate([lin.slide_dofs.ravel(), lin.hinge_dofs, lin.turn_dofs.ravel()])
+
+    @property
+    def _twists(self) -> NDArray[np.intp]:
+        """Where each link's slides and rotations lie among the seats (n, t)."""
+        slides, turns = self.linear.slide_dofs, self.linear.turn_dofs
+        first = slides.size + len(self.linear.hinge_dofs)
+        return np.concatenate(
+            [
+                np.arange(slides.size).reshape(slides.shape),
+                first + np.arange(turns.size).reshape(turns.shape),
+            ],
+            axis=1,
+        )
 
     def response(self, excited: Sequence[bool] | NDArray[np.bool_]) -> Response:
         """Return the frequency response with the given joints excited and all others held."""
@@ -262,7 +354,8 @@ class LinearPose:
             joint=acceleration[:, :n],
             tool=np.einsum("dv,kvm->kdm", self.jacobian[:, move], acceleration),
             slide=transmitted[:, :slides].reshape(count, n, axes, m),
-            hinge=transmitted[:, slides:],
+            hinge=transmitted[:, slides : slides + n],
+            twist=transmitted[:, self._twists] if lin.rotations else None,
         )
 
     def open_response(self, excited: Sequence[bool] | NDArray[np.bool_]) -> OpenResponse:
@@ -280,13 +373,17 @@ class LinearPose:
         apparent = np.einsum("vs,kvt->kst", coupling, by_seat) + self.inertia[np.ix_(seats, seats)]
         ns = n * axes
         blocks = apparent[:, :ns, :ns].reshape(count, n, axes, n, axes)
+        hinges, at = slice(ns, ns + n), self._twists
         return OpenResponse(
             tool_open_slide=tool[:, :, :ns].reshape(count, d, n, axes),
             joint_open_slide=by_seat[:, driven, :ns].reshape(count, m, n, axes),
             mass_slide=np.einsum("kiaib->kiab", blocks),
-            tool_open_hinge=tool[:, :, ns:],
-            joint_open_hinge=by_seat[:, driven, ns:],
-            inertia_hinge=np.einsum("kii->ki", apparent[:, ns:, ns:]),
+            tool_open_hinge=tool[:, :, hinges],
+            joint_open_hinge=by_seat[:, driven, hinges],
+            inertia_hinge=np.einsum("kii->ki", apparent[:, hinges, hinges]),
+            tool_open_twist=tool[:, :, at] if lin.rotations else None,
+            joint_open_twist=by_seat[:, driven][:, :, at] if lin.rotations else None,
+            mass_twist=apparent[:, at[:, :, None], at[:, None, :]] if lin.rotations else None,
         )
 
     def _accelerations(self, excited: NDArray[np.bool_], force: Complex) -> Complex:

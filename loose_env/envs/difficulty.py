@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -12,26 +13,25 @@ from numpy.typing import NDArray
 from loose_env.arms.arm import Arm
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch
+from loose_env.envs.further_seats import FurtherSeats, direction_from, log_uniform, uniform
+from loose_env.envs.seat_stops import SeatMasses
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import SeatDrive
 from loose_env.faults import (
-    FASTEST_STOP,
+    DEFAULT_KINDS,
+    KINDS,
     Backlash,
     Fault,
-    FaultKind,
     Healthy,
     StructuralLooseness,
+    checked_kinds,
     place_of,
 )
 
 __all__ = ["DIFFICULTIES", "Difficulty", "FaultSampler", "difficulty_named"]
 
-_KINDS: tuple[FaultKind, ...] = ("healthy", "structural_looseness", "backlash")
-_EQUAL: Mapping[str, float] = MappingProxyType({kind: 1 / 3 for kind in _KINDS})
-
 Range = tuple[float, float]
 Array = NDArray[np.float64]
-_FASTEST = 0.85 * FASTEST_STOP  # leaves room for the mismatch of masses
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +41,10 @@ class Difficulty:
     friction: Range = (0.02, 1.0)
     """Guide friction over the seat drive of the top level, log-uniform [1]."""
     gap: Range = (0.02e-3, 0.4e-3)
-    """Travel, log-uniform [m]; play in a joint is this travel at the arm's full reach."""
+    """Travel, log-uniform [m].
+
+    Play in a joint that turns is this travel at the arm's full reach, in a joint that slides the
+    travel itself; the angle of a rocking link is that of this travel at the tool."""
     contact_mode: Range = (300.0, 360.0)
     """Mode of the distal part on a stop with the rest held, uniform for each side [Hz].
 
@@ -50,8 +53,10 @@ class Difficulty:
     """Damping ratio of a stop against the seat's effective mass, uniform [1]."""
     mismatch: Mismatch = field(default_factory=Mismatch)
     """How far the nominal model is off."""
-    kinds: Mapping[str, float] = field(default_factory=lambda: _EQUAL)
-    """Probability of each kind of fault; places are uniform within a kind."""
+    kinds: Mapping[str, float] | None = None
+    """Probability of each kind of fault; places are uniform within a kind.
+
+    None: equal for all kinds that are hypotheses, `DiagnosisSettings.kinds`."""
 
     def __post_init__(self) -> None:
         for name in ("friction", "gap", "contact_mode", "contact_damping"):
@@ -60,14 +65,40 @@ class Difficulty:
                 raise InvalidSetting(
                     f"difficulty {name} must be 0 < low <= high, got {(low, high)}"
                 )
-        unknown = set(self.kinds) - set(_KINDS)
+        if self.kinds is None:
+            return
+        unknown = set(self.kinds) - set(KINDS)
         if unknown:
-            raise UnknownName(f"unknown fault kind {sorted(unknown)}; kinds are {list(_KINDS)}")
+            raise UnknownName(f"unknown fault kind {sorted(unknown)}; kinds are {list(KINDS)}")
         values = list(self.kinds.values())
         if min(values, default=-1.0) < 0 or not np.isclose(sum(values), 1.0):
             raise InvalidSetting(
                 f"probabilities of the kinds must be >= 0 and sum to 1, got {dict(self.kinds)}"
             )
+
+    def probabilities(self, kinds: Sequence[str] = DEFAULT_KINDS) -> Mapping[str, float]:
+        """Probability of each kind of fault where the given kinds are hypotheses.
+
+        Raises
+        ------
+        InvalidSetting
+            If a kind that comes up is none of the hypotheses.
+
+        Examples
+        --------
+        >>> dict(Difficulty().probabilities(("healthy", "backlash")))
+        {'healthy': 0.5, 'backlash': 0.5}
+        """
+        among = checked_kinds(kinds)
+        if self.kinds is None:
+            return MappingProxyType({kind: 1 / len(among) for kind in among})
+        beyond = [k for k, share in self.kinds.items() if share > 0 and k not in among]
+        if beyond:
+            raise InvalidSetting(
+                f"the difficulty hides {beyond}, but only {list(among)} are hypotheses: add these "
+                "kinds to the settings' kinds, or give them no probability"
+            )
+        return self.kinds
 
 
 DIFFICULTIES: Mapping[str, Difficulty] = MappingProxyType(
@@ -109,6 +140,13 @@ class FaultSampler:
         The nominal arm; it says how hard each seat is driven and what mass it carries.
     difficulty : Difficulty
         Ranges to draw from.
+    kinds : sequence of str
+        Kinds of fault that are hypotheses.
+
+    Raises
+    ------
+    InvalidSetting
+        If the difficulty gives probability to a kind that is none of them.
 
     Examples
     --------
@@ -119,27 +157,34 @@ class FaultSampler:
     'structural_looseness'
     """
 
-    def __init__(self, linear: LinearArm, difficulty: Difficulty) -> None:
+    def __init__(
+        self, linear: LinearArm, difficulty: Difficulty, kinds: Sequence[str] = DEFAULT_KINDS
+    ) -> None:
         self.arm: Arm = linear.arm
         self.difficulty = difficulty
+        self.probabilities = difficulty.probabilities(kinds)
         self.drive = SeatDrive(linear)
         self._linear = linear
         rng = np.random.default_rng(0)
-        poses = [np.zeros(self.arm.n), *(self.arm.random_pose(rng) for _ in range(64))]
-        self._inertias = np.array([linear.at(pose).inertia for pose in poses])
-        self._free = np.concatenate([linear.joint_dofs, linear.flexible_dofs])
-        self._among = self._inertias[:, self._free[:, None], self._free]
+        self._poses = [np.zeros(self.arm.n), *(self.arm.random_pose(rng) for _ in range(64))]
+        self._masses = SeatMasses(linear, self._poses)
+
+    @cached_property
+    def further(self) -> FurtherSeats:
+        """Draws of rotational and compound looseness, made ready when first needed."""
+        return FurtherSeats(self._linear, self.difficulty, self._poses)
 
     def draw(self, rng: np.random.Generator, *, hypothesis: str | None = None) -> Fault:
         """Draw a fault, of one hypothesis if it is given.
 
-        Every draw takes the same number of variates from ``rng``.
+        Every draw takes ten variates from ``rng``; rotational and compound looseness takes
+        sixteen more. How these are drawn is said at `FurtherSeats`.
         """
         d = self.difficulty
         u = rng.random(10)
         if hypothesis is None:
-            kinds = [k for k in _KINDS if d.kinds.get(k, 0.0) > 0]
-            edges = np.cumsum([d.kinds[k] for k in kinds])
+            kinds = [k for k in KINDS if self.probabilities.get(k, 0.0) > 0]
+            edges = np.cumsum([self.probabilities[k] for k in kinds])
             kind = kinds[min(int(np.searchsorted(edges, u[0], side="right")), len(kinds) - 1)]
             place = 1 + min(int(u[1] * self.arm.n), self.arm.n - 1)
         else:
@@ -147,26 +192,29 @@ class FaultSampler:
             kind, place = name, place_of(hypothesis) or 1  # type: ignore[assignment]
         if kind == "healthy":
             return Healthy()
-        gap = _log_uniform(d.gap, u[2])
-        ratio = _log_uniform(d.friction, u[3])
-        modes = np.array([_uniform(d.contact_mode, v) for v in u[4:6]])
-        ratios = np.array([_uniform(d.contact_damping, v) for v in u[6:8]])
+        if kind == "rotational_looseness":
+            return self.further.rotation(place, u, rng.random(16))
+        if kind == "compound_looseness":
+            return self.further.compound(place, u, rng.random(16))
+        gap = log_uniform(d.gap, u[2])
+        ratio = log_uniform(d.friction, u[3])
+        modes = np.array([uniform(d.contact_mode, v) for v in u[4:6]])
+        ratios = np.array([uniform(d.contact_damping, v) for v in u[6:8]])
+        seat = np.zeros(self._masses.size)
         if kind == "backlash":
-            seat = np.zeros(self._inertias.shape[1])
             seat[self._linear.hinge_dofs[place - 1]] = 1.0
-            stiffness, damping = self._stops(seat, modes, ratios)
+            stiffness, damping = self._masses.stops(seat, modes, ratios)
             return Backlash(
                 joint=place,
-                gap=gap / self.arm.reach,
+                gap=gap if self.arm.sliding[place - 1] else gap / self.arm.reach,
                 stiffness=stiffness,
                 damping=damping,
                 friction=ratio * self.drive.hinge(place),
             )
-        direction = self._direction(u[8], u[9])
-        seat = np.zeros(self._inertias.shape[1])
+        direction = direction_from(u[8], u[9], planar=len(self.arm.axes) == 2)
         slides = self._linear.slide_dofs[place - 1]
         seat[slides] = direction[: len(slides)]
-        stiffness, damping = self._stops(seat, modes, ratios)
+        stiffness, damping = self._masses.stops(seat, modes, ratios)
         return StructuralLooseness(
             link=place,
             direction=direction,
@@ -175,37 +223,3 @@ class FaultSampler:
             damping=damping,
             friction=ratio * self.drive.slide(place, direction),
         )
-
-    def _stops(
-        self, seat: Array, modes: Array, ratios: Array
-    ) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Stiffness and damping of both stops of a seat, a direction of the open arm (nv,)."""
-        held = float(seat @ self._inertias[0] @ seat)
-        # The lightest the seat gets over many poses, with every joint free.
-        across = self._inertias[:, self._free] @ seat
-        solved = np.linalg.solve(self._among, across[..., None])[..., 0]
-        masses = np.einsum("i,pij,j->p", seat, self._inertias, seat)
-        reduced = float(np.min(masses - np.einsum("pi,pi->p", across, solved)))
-        stiffness = held * (2 * np.pi * modes) ** 2
-        softest = reduced * (_FASTEST / self.arm.timestep) ** 2
-        stiffness = np.minimum(stiffness, softest)
-        return _pair(stiffness), _pair(2 * ratios * np.sqrt(stiffness * reduced))
-
-    def _direction(self, turn: float, height: float) -> tuple[float, float, float]:
-        """Uniform direction of the link frame: in the plane, or in space."""
-        angle = 2 * np.pi * turn
-        z = 0.0 if len(self.arm.axes) == 2 else 2 * height - 1
-        flat = np.sqrt(1 - z**2)
-        return (float(flat * np.cos(angle)), float(flat * np.sin(angle)), float(z))
-
-
-def _uniform(limits: Range, u: float) -> float:
-    return limits[0] + (limits[1] - limits[0]) * float(u)
-
-
-def _log_uniform(limits: Range, u: float) -> float:
-    return float(np.exp(_uniform((np.log(limits[0]), np.log(limits[1])), u)))
-
-
-def _pair(values: Array) -> tuple[float, float]:
-    return (float(values[0]), float(values[1]))

@@ -10,6 +10,7 @@ import numpy as np
 from loose_env.arms.arm import Arm
 from loose_env.envs.difficulty import Difficulty, difficulty_named
 from loose_env.errors import InvalidSetting
+from loose_env.faults import DEFAULT_KINDS, FaultKind
 from loose_env.sensors import SensorSuite
 
 __all__ = ["DiagnosisSettings", "Prices"]
@@ -70,12 +71,15 @@ class DiagnosisSettings:
 
     difficulty: str | Difficulty = "default"
     """Ranges of the hidden faults: "easy", "default", "hard" or a Difficulty."""
+    kinds: tuple[FaultKind, ...] = DEFAULT_KINDS
+    """Which kinds of fault are hypotheses, "healthy" always; their order does not matter."""
     prices: Prices = field(default_factory=Prices)
     """Rewards and prices."""
     max_records: int = 12
     """Records an episode may take; after the last one only a verdict is left."""
     moves: tuple[float, ...] = (-90.0, -45.0, 0.0, 45.0, 90.0)
-    """Relative moves a joint can make before a record [deg]."""
+    """Relative moves a joint can make before a record [deg]. A joint that slides goes in
+    proportion through its range: 90 degrees are half of it."""
     durations: tuple[float, ...] = (0.2, 0.4, 1.2)
     """Record lengths to choose from [s]."""
     sensors: SensorSuite = field(default_factory=SensorSuite)
@@ -85,7 +89,7 @@ class DiagnosisSettings:
     statistics, and `info` carries the measurement itself."""
 
     def __post_init__(self) -> None:
-        difficulty_named(self.difficulty)
+        difficulty_named(self.difficulty).probabilities(self.kinds)
         for name, kind in (("prices", Prices), ("sensors", SensorSuite)):
             if not isinstance(getattr(self, name), kind):
                 raise InvalidSetting(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.excitation import Excitation
+from loose_env.rig.engines import Engine
 
 __all__ = ["Job", "Run"]
 
@@ -31,9 +32,11 @@ class Job:
 
 @dataclass(kw_only=True, eq=False)
 class Run:
-    """A chunk of jobs of one length on its way through the engine."""
+    """A chunk of jobs of one length and one model layout on its way through the engine."""
 
     jobs: Sequence[Job]
+    engine: Engine
+    """What simulates it."""
     control: Array
     """Commanded torques, gravity included (jobs, steps, n)."""
     delivered: Array

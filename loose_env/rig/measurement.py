@@ -37,7 +37,9 @@ class Measurement:
     tool: Array
     """Tool accelerometer, tool frame, proper acceleration [m/s²] (d, N)."""
     links: Array | None = None
-    """Link accelerometers, link frames [m/s²] (n, d, N); None where there are none."""
+    """Link accelerometers, link frames [m/s²] (L, d, N); None where there are none.
+
+    One for each of the L links that carry one, base first; d is 1 where they are tangential."""
     probes: Mapping[str, Array] = field(default_factory=dict)
     """Further accelerometers by their site, along its own axes [m/s²] (3, N) each."""
     shaker_force: Array | None = None

@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
 from loose_env.arms.arm import Arm
+from loose_env.arms.compliance import wind_up
 from loose_env.arms.linear import inertance_rate
+from loose_env.arms.link_sites import LinkSite, link_site
 from loose_env.arms.mismatch import MismatchDraw
 from loose_env.arms.shaker import add_shaker, place_shaker
-from loose_env.faults import SEAT, Fault, SeatKind, seat_of, seated_spec, set_seat
+from loose_env.faults import (
+    Fault,
+    SeatKind,
+    gaps_of,
+    seat_names,
+    seated_spec,
+    seats_of,
+    set_seat,
+)
+from loose_env.sensors import LinkAccelerometers, link_choice
 
 __all__ = ["Plant", "PlantShop"]
 
@@ -36,10 +48,15 @@ class Plant:
         set_seat(model, fault, data)
         joints = [model.joint(name) for name in arm.joints]
         self.position = np.array([j.qposadr[0] for j in joints], dtype=np.intp)
-        self.seat_position = int(model.joint(SEAT).qposadr[0])
+        seats = seat_names(model)
+        self.parts = len(seats)  # degrees of freedom of the seat
+        self.seat_positions = np.array([model.joint(s).qposadr[0] for s in seats], dtype=np.intp)
+        # A healthy arm has one in whatever seat it stands.
+        self.gaps = np.resize(gaps_of(fault), self.parts)
         self.brakes = np.array(
             [model.equality(f"hold_{name}").id for name in arm.joints], dtype=np.intp
         )
+        self.gears = np.array([model.joint(name).id for name in arm.gear_joints], dtype=np.intp)
         self._set_brakes(arm, [j.dofadr[0] for j in joints])
 
     def _set_brakes(self, arm: Arm, dofs: list[int]) -> None:
@@ -59,10 +76,12 @@ class Plant:
             model.eq_solref[equality] = (-stiffness * scale, -max(damping * scale, 1e-12))
 
     def hold_at(self, pose: np.ndarray) -> np.ndarray:
-        """Set brakes, centring springs and shaker to a commanded pose; return the true one."""
+        """Set brakes, springs and shaker to a commanded pose; return the true one."""
         true = pose + self.mismatch.joint_zero
         self.model.eq_data[self.brakes, 0] = true
         self.model.qpos_spring[self.position] = true
+        if len(self.gears):
+            wind_up(self.model, true, self.position, self.gears)
         if self.shaker is not None:
             data = mujoco.MjData(self.model)
             data.qpos[self.position] = true
@@ -79,23 +98,35 @@ class PlantShop:
         The nominal arm.
     timestep : float
         Simulation step [s].
-    link_accelerometers : bool
-        Whether every link carries an accelerometer.
+    link_accelerometers : bool or LinkAccelerometers
+        Accelerometers on links; True for one at the proximal end of each.
     """
 
-    def __init__(self, arm: Arm, *, timestep: float, link_accelerometers: bool) -> None:
+    def __init__(
+        self, arm: Arm, *, timestep: float, link_accelerometers: bool | LinkAccelerometers
+    ) -> None:
         self.arm = arm
         self.timestep = timestep
-        self.link_accelerometers = link_accelerometers
-        self._templates: dict[tuple[int, SeatKind], mujoco.MjModel] = {}
-        self._scratch: mujoco.MjData | None = None
+        self.link_accelerometers = choice = link_choice(link_accelerometers)
+        self.link_sites: tuple[LinkSite, ...] = (
+            () if choice is None else tuple(link_site(arm, i, choice.place) for i in choice.on(arm))
+        )
+        self._templates: dict[tuple[int, tuple[SeatKind, ...]], mujoco.MjModel] = {}
+        self._scratch: dict[int, mujoco.MjData] = {}  # by the number of parts of the seat
 
-    def template(self, link: int, kind: SeatKind) -> mujoco.MjModel:
-        """Compiled model with the given seat; its layout is the same for all seats."""
-        found = self._templates.get((link, kind))
+    def template(self, link: int, kinds: SeatKind | Sequence[SeatKind]) -> mujoco.MjModel:
+        """Compiled model with the given seat; one layout for all seats with as many parts."""
+        parts = (kinds,) if isinstance(kinds, str) else tuple(kinds)
+        found = self._templates.get((link, parts))
         if found is None:
-            found = self._templates[link, kind] = self._compile(link, kind)
+            found = self._templates[link, parts] = self._compile(link, parts)
         return found
+
+    def spare(self, parts: int) -> mujoco.MjModel:
+        """Compiled model with a seat of so many parts, whichever."""
+        kinds: list[SeatKind] = ["slide"] * min(parts, 3)
+        kinds += ["hinge"] * (parts - 3)
+        return self.template(self.arm.n, kinds)
 
     def build(self, fault: Fault, mismatch: MismatchDraw) -> Plant:
         """Build the true arm with its fault seated.
@@ -105,18 +136,24 @@ class PlantShop:
         UnknownName
             If the fault names a link or joint the arm does not have, or is no fault.
         """
-        link, kind = seat_of(fault)
+        link, kinds = seats_of(fault)
         if link is not None:
             self.arm.link_number(link)
         # A shut seat shows nowhere; the last link's is as good as any.
-        template = self.template(link if link is not None else self.arm.n, kind)
-        if self._scratch is None:  # all templates share one layout
-            self._scratch = mujoco.MjData(template)
-        return Plant(template, self.arm, fault, mismatch, self._scratch)
+        template = self.template(link if link is not None else self.arm.n, kinds)
+        scratch = self._scratch.get(len(kinds))
+        if scratch is None:  # all templates with as many parts share one layout
+            scratch = self._scratch[len(kinds)] = mujoco.MjData(template)
+        plant = Plant(template, self.arm, fault, mismatch, scratch)
+        for at in self.link_sites:  # the end of a longer link lies farther out
+            if at.scaled_by >= 0:
+                site = plant.model.site(f"accelerometer{at.link}").id
+                plant.model.site_pos[site] *= mismatch.length[at.scaled_by]
+        return plant
 
-    def _compile(self, link: int, kind: SeatKind) -> mujoco.MjModel:
+    def _compile(self, link: int, kinds: tuple[SeatKind, ...]) -> mujoco.MjModel:
         arm = self.arm
-        spec = seated_spec(arm, link, kind)
+        spec = seated_spec(arm, link, kinds)
         option = spec.option
         option.timestep = self.timestep
         option.integrator = mujoco.mjtIntegrator.mjINT_EULER
@@ -154,15 +191,18 @@ class PlantShop:
                 objtype=obj.mjOBJ_JOINT,
                 objname=name,
             )
-        if self.link_accelerometers:
-            for i, body in enumerate(arm.seat_bodies, start=1):
-                spec.body(body).add_site(name=f"accelerometer{i}")
-                spec.add_sensor(
-                    name=f"link{i}",
-                    type=sensor.mjSENS_ACCELEROMETER,
-                    objtype=obj.mjOBJ_SITE,
-                    objname=f"accelerometer{i}",
-                )
+        for at in self.link_sites:
+            place = spec.body(at.body).add_site(
+                name=f"accelerometer{at.link}", pos=list(at.position)
+            )
+            if self.link_accelerometers is not None and self.link_accelerometers.tangential:
+                place.quat = at.tangential_quat
+            spec.add_sensor(
+                name=f"link{at.link}",
+                type=sensor.mjSENS_ACCELEROMETER,
+                objtype=obj.mjOBJ_SITE,
+                objname=f"accelerometer{at.link}",
+            )
         for site in arm.probe_sites:
             spec.add_sensor(
                 name=f"probe_{site}",

@@ -41,8 +41,8 @@ def read_record(
     factor : int
         Simulation steps per reading.
     mismatch : MismatchDraw
-        Gains, cross-axis and mounting of the accelerometers (the same for all of them), and
-        the encoders' zeros.
+        Gains, cross-axis and mounting of each accelerometer (probes: as the tool's), and the
+        encoders' zeros.
     gravity : ndarray (n,)
         Torque commanded against gravity, to be taken off the command [N·m].
     """
@@ -51,6 +51,9 @@ def read_record(
     steps = run.before + factor * np.arange(-1, count + 1)
     command = (run.control[k][steps[1:-1], :n] - gravity).T
     shaker_force = run.control[k][steps[1:-1], n] if arm.shaker is not None else None
+    choice = sensors.on_links
+    carriers = () if choice is None else choice.on(arm)
+    link_axes = [0] if choice is not None and choice.tangential else axes
     failure = run.failures.get(job.slot)
     if failure is not None:
         still = np.zeros((len(axes), count))
@@ -61,18 +64,18 @@ def read_record(
             command=command,
             encoder=np.zeros((n, count + 2)),
             tool=still,
-            links=np.zeros((n, *still.shape)) if sensors.link_accelerometers else None,
+            links=None if choice is None else np.zeros((len(carriers), len(link_axes), count)),
             probes={site: np.zeros((3, count)) for site in arm.probe_sites},
             shaker_force=shaker_force,
             failure=failure,
         )
     recorded = run.recorded[k]
 
-    def accelerometer(first: int, axes: list[int] = axes) -> Array:
+    def accelerometer(first: int, axes: list[int] = axes, errors: Array = mismatch.sensor) -> Array:
         return read_accelerometer(
             recorded[:, first : first + 3],
             sensor=sensors.accelerometer,
-            matrix=mismatch.sensor[axes],
+            matrix=errors[axes],
             factor=factor,
             first=run.before,
             count=count,
@@ -83,11 +86,16 @@ def read_record(
     # Channels: tool accelerometer, encoders, link accelerometers, probes.
     tool = accelerometer(0)
     angle = recorded[steps, 3 : 3 + n].T - mismatch.joint_zero[:, None]
-    encoder = read_encoder(angle, sensor=sensors.encoder, rng=job.rng)
+    encoder = read_encoder(angle, sensor=sensors.encoder, rng=job.rng, sliding=arm.sliding)
     links = None
-    if sensors.link_accelerometers:
-        links = np.array([accelerometer(3 + n + 3 * i) for i in range(n)])
-    before = 3 + n + (3 * n if links is not None else 0)
+    if choice is not None:
+        links = np.array(
+            [
+                accelerometer(3 + n + 3 * i, link_axes, mismatch.link_sensors[link - 1])
+                for i, link in enumerate(carriers)
+            ]
+        ).reshape(len(carriers), len(link_axes), count)
+    before = 3 + n + 3 * len(carriers)
     probes = {
         site: accelerometer(before + 3 * i, [0, 1, 2]) for i, site in enumerate(arm.probe_sites)
     }

@@ -16,6 +16,7 @@ from loose_env.arms.mismatch import MismatchDraw
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import Fault, Healthy
+from loose_env.rig.engines import Engines
 from loose_env.rig.jobs import Job, Run
 from loose_env.rig.measurement import Measurement
 from loose_env.rig.plant import Plant, PlantShop
@@ -86,22 +87,25 @@ class SimulatedRig:
         self.shop = PlantShop(
             arm, timestep=self.timestep, link_accelerometers=self.sensors.link_accelerometers
         )
-        self._batch = Batch(self.shop.template(arm.n, "slide"), int(slots), threads)
+        self._engines = Engines(self.shop, int(slots), threads)
         # One each: a plant's model holds the pose at which its brakes and springs rest.
         self.plants: list[Plant] = [
             self.shop.build(Healthy(), MismatchDraw.none(arm)) for _ in range(slots)
         ]
-        self._batch.set_models([p.model for p in self.plants])
+        self._engines.load(self.plants)
         self._models_changed = False
         # Two, so that one chunk can be read while the next is simulated.
         self._rooms = [np.empty(0), np.empty(0)]
-        self._default_state = self._batch.state[0].copy()
-        self._default_state[:] = 0.0
 
     @property
     def slots(self) -> int:
         """Number of arms on the rig."""
         return len(self.plants)
+
+    @property
+    def _batch(self) -> Batch:
+        """The engine of all arms whose seat has one degree of freedom."""
+        return self._engines.of(1).batch
 
     def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
         """Put a new arm into a slot."""
@@ -162,13 +166,14 @@ class SimulatedRig:
                     "that stands at one"
                 )
         if self._models_changed:
-            self._batch.set_models([p.model for p in self.plants])
+            self._engines.load(self.plants)
             self._models_changed = False
-        by_length: dict[float, list[int]] = {}
+        alike: dict[tuple[float, int], list[int]] = {}  # of one length and one model layout
         for k, job in enumerate(jobs):
-            by_length.setdefault(job.excitation.duration, []).append(k)
+            key = (job.excitation.duration, self.plants[job.slot].parts)
+            alike.setdefault(key, []).append(k)
         chunks: list[list[int]] = []
-        for members in by_length.values():
+        for members in alike.values():
             members.sort(key=lambda k: jobs[k].slot)  # as the batch wants them
             chunks += [members[i : i + _CHUNK] for i in range(0, len(members), _CHUNK)]
         for chunk, measured in zip(
@@ -198,20 +203,21 @@ class SimulatedRig:
                 yield self._read_all(pending[0])
 
     def _prepare(self, jobs: Sequence[Job], room: int) -> Run:
-        """Draw the torques of jobs of one length and set their arms up."""
+        """Draw the torques of jobs of one length and layout and set their arms up."""
         factor, rate = self.factor, self.sensors.rate
         half = len(decimation_filter(factor, self.sensors.accelerometer.bandwidth, rate)) // 2
         before = round(self.arm.settling * rate) * factor
         control = self._controls(jobs, before, max(half, factor) + 1)
-        batch = self._batch
+        engine = self._engines.of(self.plants[jobs[0].slot].parts)
+        batch = engine.batch
         position, active = batch.bind("qpos"), batch.bind("eq_active")
         delivered = np.empty_like(control)
         for k, job in enumerate(jobs):
             plant = self.plants[job.slot]
-            batch.state[job.slot] = self._default_state
+            batch.state[job.slot] = engine.rest
             position[job.slot, plant.position] = plant.hold_at(job.pose)
-            gap = getattr(plant.fault, "gap", 0.0)
-            position[job.slot, plant.seat_position] = gap * (job.rng.random() - 0.5)
+            places = plant.gaps * (job.rng.random(plant.parts) - 0.5)
+            position[job.slot, plant.seat_positions] = places
             active[job.slot] = plant.model.eq_active0
             released = np.array(job.excitation.excited)
             if self.arm.shaker is not None and job.excitation.shaker_rms > 0:
@@ -221,9 +227,10 @@ class SimulatedRig:
             delivered[k, :, self.arm.n :] = control[k, :, self.arm.n :]
         return Run(
             jobs=jobs,
+            engine=engine,
             control=control,
             delivered=delivered,
-            recorded=self._buffer(room, len(jobs), control.shape[1]),
+            recorded=self._buffer(room, len(jobs), control.shape[1], batch.model.nsensordata),
             before=before,
             count=round(jobs[0].excitation.duration * rate),
         )
@@ -253,7 +260,7 @@ class SimulatedRig:
 
     def _simulate(self, run: Run) -> None:
         """Run the engine; fill in what it recorded and which arms failed."""
-        batch, data, failures = self._batch, run.recorded, run.failures
+        batch, data, failures = run.engine.batch, run.recorded, run.failures
         ids = np.array([job.slot for job in run.jobs])
         batch.warning[ids] = 0
         try:
@@ -278,9 +285,9 @@ class SimulatedRig:
             elif not np.isfinite(data[k]).all():
                 failures.setdefault(int(slot), "the simulation diverged: motion not finite")
 
-    def _buffer(self, room: int, jobs: int, steps: int) -> Array:
+    def _buffer(self, room: int, jobs: int, steps: int, channels: int) -> Array:
         """Give space for the recorded channels, kept from call to call."""
-        size = jobs * steps * self._batch.model.nsensordata
+        size = jobs * steps * channels
         if self._rooms[room].size < size:
             self._rooms[room] = np.empty(size)
         return self._rooms[room][:size].reshape(jobs, steps, -1)

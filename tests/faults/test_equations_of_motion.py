@@ -33,7 +33,7 @@ from tests.faults.thesis_equations import (
 
 Array = NDArray[np.float64]
 
-KINDS: dict[SeatKind, System] = {"slide": loose, "hinge": backlash}
+KINDS: dict[SeatKind, System] = {"slide": loose, "play": backlash}
 WIDE = Stops(gap=1.0, stiffness=(150.0, 300.0), damping=(3.0, 8.0))
 """A gap so wide that the play matters in the equations' velocity terms."""
 ARM = Figures(
@@ -42,7 +42,7 @@ ARM = Figures(
 
 
 def fault(kind: SeatKind, f: Figures, stops: Stops, friction: float = 0.0) -> Fault:
-    if kind == "hinge":
+    if kind == "play":
         return Backlash(
             joint=2,
             gap=stops.gap,
@@ -110,7 +110,7 @@ def test_the_equations_follow_from_the_kinetic_energy(kind: SeatKind) -> None:
         f = Figures.draw(rng)
         q, v, _ = random_state(rng, rng.uniform(-0.5, 0.5))
         mass, force = KINDS[kind](f, q, v)
-        true_mass, true_force = from_energy(f, kind == "hinge", q, v)
+        true_mass, true_force = from_energy(f, kind == "play", q, v)
         np.testing.assert_allclose(mass, true_mass, rtol=1e-10, atol=1e-12)
         np.testing.assert_allclose(force, true_force, rtol=1e-9, atol=1e-10)
 
@@ -194,11 +194,11 @@ def test_the_inertance_of_a_stop_hardly_matters(kind: SeatKind) -> None:
 
 CONTACTS: dict[SeatKind, Stops] = {
     "slide": Stops(gap=2e-3, stiffness=(6e4, 2.5e4), damping=(12.0, 30.0)),
-    "hinge": Stops(gap=4e-3, stiffness=(700.0, 1500.0), damping=(0.15, 0.5)),
+    "play": Stops(gap=4e-3, stiffness=(700.0, 1500.0), damping=(0.15, 0.5)),
 }
 STARTS = {
     "slide": np.array([0.3, 0.9, 0.0, 1.0, -2.0, 0.4]),
-    "hinge": np.array([0.3, 0.9, 0.0, 1.0, -2.0, 2.0]),
+    "play": np.array([0.3, 0.9, 0.0, 1.0, -2.0, 2.0]),
 }
 TORQUE = np.array([3.0, -1.0, 0.0])
 UNTIL, EVERY = 0.08, 1e-3

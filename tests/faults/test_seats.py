@@ -22,19 +22,21 @@ from loose_env.faults import (
     Fault,
     Healthy,
     Preload,
+    RotationalLooseness,
     SeatKind,
     StructuralLooseness,
     hypotheses,
     place_of,
     seat_of,
     seated_spec,
+    seats_of,
     set_seat,
 )
 from loose_env.rig import SimulatedRig
 from loose_env.rig.plant import Plant, PlantShop
 
 Array = NDArray[np.float64]
-KINDS: tuple[SeatKind, ...] = ("slide", "hinge")
+KINDS: tuple[SeatKind, ...] = ("slide", "hinge", "play")
 ARMS: dict[str, Callable[[], Arm]] = {
     **{f"planar{n}": (lambda n=n: planar(n)) for n in range(2, 8)},  # type: ignore[misc]
     "planar3v": lambda: planar(3, vertical=True),
@@ -60,18 +62,20 @@ def shut(arm: Arm) -> list[Plant]:
 
 def loosened(kind: SeatKind, link: int, **changes: Any) -> Fault:
     settings = {"gap": 1e-4, "stiffness": (1e4, 2e4), "damping": (1.0, 2.0), **changes}
-    if kind == "hinge":
+    if kind == "play":
         return Backlash(joint=link, **settings)
+    if kind == "hinge":
+        return RotationalLooseness(**{"link": link, "axis": (0.0, 0.0, 1.0), **settings})
     return StructuralLooseness(**{"link": link, "direction": (0.0, 1.0, 0.0), **settings})
 
 
-def test_every_link_takes_both_kinds_of_seat(arm: Arm) -> None:
+def test_every_link_takes_all_kinds_of_seat(arm: Arm) -> None:
     for link, kind in places(arm):
         model = seated_spec(arm, link, kind).compile()
         assert model.nv == arm.model.nv + 1
         seat = model.joint(SEAT)
         assert model.body(seat.bodyid[0]).name == arm.seat_bodies[link - 1]
-        wanted = mujoco.mjtJoint.mjJNT_HINGE if kind == "hinge" else mujoco.mjtJoint.mjJNT_SLIDE
+        wanted = mujoco.mjtJoint.mjJNT_SLIDE if kind == "slide" else mujoco.mjtJoint.mjJNT_HINGE
         assert seat.type[0] == wanted
 
 
@@ -81,9 +85,9 @@ def test_the_arm_s_own_spec_is_left_as_it_was(arm: Arm) -> None:
     assert arm.spec.copy().compile().nv == before
 
 
-def test_a_hinge_seat_turns_about_its_joint(arm: Arm) -> None:
+def test_play_turns_about_its_joint(arm: Arm) -> None:
     for link in range(1, arm.n + 1):
-        model = seated_spec(arm, link, "hinge").compile()
+        model = seated_spec(arm, link, "play").compile()
         data = mujoco.MjData(model)
         data.qpos[:] = np.random.default_rng(link).uniform(-1, 1, model.nq)
         mujoco.mj_forward(model, data)
@@ -200,14 +204,14 @@ def test_a_seat_can_be_set_again() -> None:
 
 
 def test_hypotheses_name_every_place_and_each_fault_its_own(arm: Arm) -> None:
-    names = hypotheses(arm)
-    assert len(names) == len(set(names)) == 2 * arm.n + 1
+    names = hypotheses(arm, ("healthy", "structural_looseness", "backlash", "rotational_looseness"))
+    assert len(names) == len(set(names)) == 3 * arm.n + 1
     assert Healthy().hypothesis in names
     for link, kind in places(arm):
         fault = loosened(kind, link)
         assert fault.hypothesis in names
         assert place_of(fault.hypothesis) == link
-        assert seat_of(fault) == (link, kind)
+        assert seats_of(fault) == (link, (kind,))
 
 
 @pytest.mark.parametrize("link", [0, 4, -1, 1.0, True, "1", None])
@@ -218,7 +222,7 @@ def test_a_link_the_arm_lacks_is_refused(link: Any) -> None:
 
 
 def test_an_unknown_kind_of_seat_is_refused() -> None:
-    with pytest.raises(UnknownName, match=r"'slide' or a 'hinge', got 'ball'"):
+    with pytest.raises(UnknownName, match=r"'slide', a 'hinge' or a 'play', got 'ball'"):
         seated_spec(planar(2), 1, "ball")  # type: ignore[arg-type]
 
 

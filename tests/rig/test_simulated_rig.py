@@ -19,7 +19,15 @@ from loose_env.diagnosis.prediction import SensorFloor, predict
 from loose_env.diagnosis.record import statistics_of
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, at_levels
-from loose_env.faults import Backlash, Fault, Healthy, Preload, StructuralLooseness
+from loose_env.faults import (
+    Backlash,
+    CompoundLooseness,
+    Fault,
+    Healthy,
+    Preload,
+    RotationalLooseness,
+    StructuralLooseness,
+)
 from loose_env.rig import Job, Measurement, SimulatedRig
 from loose_env.sensors import Accelerometer, Encoder, SensorSuite
 
@@ -36,6 +44,25 @@ LOOSE = StructuralLooseness(
     friction=0.5,
 )
 PLAY = Backlash(joint=2, gap=4e-4, stiffness=(3e3, 5e3), damping=(0.2, 0.4), friction=0.05)
+ROCK = RotationalLooseness(
+    link=2,
+    axis=(0.0, 0.0, 1.0),
+    pivot=(0.02, 0.03, 0.0),
+    gap=4e-4,
+    stiffness=(3e3, 5e3),
+    damping=(0.2, 0.4),
+    friction=0.05,
+)
+BOX = CompoundLooseness(
+    link=1, parts=(LOOSE, dataclasses.replace(ROCK, link=1, gap=2e-4, friction=0.2))
+)
+FAULTS: dict[str, Fault] = {
+    "slide": LOOSE,
+    "play": PLAY,
+    "rotation": ROCK,
+    "compound": BOX,
+    "healthy": Healthy(),
+}
 
 
 def job(slot: int = 0, *, seed: int = 0, pose: Array = POSE, excitation: Excitation = SHAKE) -> Job:
@@ -57,7 +84,7 @@ def assert_same(one: Measurement, other: Measurement) -> None:
         np.testing.assert_array_equal(one.links, other.links)
 
 
-@pytest.fixture(scope="module", params=[LOOSE, PLAY, Healthy()], ids=["slide", "hinge", "healthy"])
+@pytest.fixture(scope="module", params=FAULTS.values(), ids=FAULTS)
 def alone(request: pytest.FixtureRequest) -> tuple[Fault, Measurement]:
     """A fault, and its arm measured on a rig of its own."""
     rig = SimulatedRig(planar(2), threads=1)
@@ -73,7 +100,7 @@ def test_readings_do_not_depend_on_slot_neighbours_order_or_threads(
 ) -> None:
     fault, expected = alone
     rig = SimulatedRig(planar(2), slots=5, threads=threads)
-    neighbours = [LOOSE, PLAY, Healthy(), PLAY, LOOSE]
+    neighbours = [LOOSE, BOX, Healthy(), PLAY, BOX]
     for slot in (0, 4, 2):
         for other, neighbour in enumerate(neighbours):
             rig.mount(other, neighbour, true_arm(10 + other))

@@ -1,0 +1,170 @@
+"""Draws of the seats beyond the thesis's: loose in rotation, or in two ways at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.linear import LinearArm
+from loose_env.envs.seat_stops import SeatMasses, Stops
+from loose_env.excitation import SeatDrive
+from loose_env.faults import (
+    CompoundLooseness,
+    RotationalLooseness,
+    StructuralLooseness,
+    twist_of,
+)
+
+if TYPE_CHECKING:
+    from loose_env.envs.difficulty import Difficulty
+
+__all__ = ["PIVOT", "SHORTEST_LEVER", "FurtherSeats", "direction_from", "log_uniform", "uniform"]
+
+Array = NDArray[np.float64]
+Part = StructuralLooseness | RotationalLooseness
+Vector = tuple[float, float, float]
+
+PIVOT = (0.025, 0.075)
+"""Distance of a rocking axis from the joint, over the arm's reach: 2 to 6 cm for 0.8 m, where
+a flange has its bolts and edges. Estimates."""
+SHORTEST_LEVER = 0.1
+"""Least distance from a seat to the tool that turns a travel into an angle, over the reach."""
+
+_OPEN = ((1.0, 1.0), (0.0, 0.0))  # stops of a part while its own are not known yet
+
+
+class FurtherSeats:
+    """Draws rotational and compound looseness for one arm.
+
+    A rotation's axis is uniform on the sphere, for an arm in the plane its normal. It passes
+    the joint at a distance out of `PIVOT`, in a uniform direction: about the joint's own axis
+    the rocking of an arm in the plane would be play of the joint. The travel is drawn as for a
+    slide and is that at the tool: the angle is the travel over the largest distance that the tool
+    has from the link's frame, or over `SHORTEST_LEVER` times the reach if that is more. A
+    compound seat has two slides across each other or a slide and a rotation, as likely; its two
+    parts have gap, friction and stops of their own.
+
+    Parameters
+    ----------
+    linear : LinearArm
+        The nominal arm.
+    ranges : Difficulty
+        Ranges to draw from.
+    poses : sequence of ndarray (n,)
+        Poses over which masses and distances are looked at, the straight arm first.
+    """
+
+    def __init__(self, linear: LinearArm, ranges: Difficulty, poses: Sequence[Array]) -> None:
+        self.arm = arm = linear.arm
+        self.ranges = ranges
+        self._linear = full = LinearArm(arm, points=len(linear.frequency), rotations=True)
+        self.drive = SeatDrive(full)
+        self._masses = SeatMasses(full, poses)
+        self._levers = np.maximum(_tool_distances(linear, poses), SHORTEST_LEVER * arm.reach)
+
+    def rotation(self, link: int, u: Array, v: Array) -> RotationalLooseness:
+        """Turn uniform variates into a rocking link: ``u`` (10,) as for a slide, ``v`` (16,)."""
+        return self._finished([self._rotation(link, u, v)], [u])[0]  # type: ignore[return-value]
+
+    def compound(self, link: int, u: Array, v: Array) -> CompoundLooseness:
+        """Turn uniform variates into a link loose in two ways: as `rotation`."""
+        planar = len(self.arm.axes) == 2
+        first = self._slide(link, u, direction_from(u[8], u[9], planar=planar))
+        w = v[6:]
+        second: Part
+        if v[3] < 0.5:
+            second = self._slide(link, w, _across(first.direction, w[8], planar=planar))
+        else:
+            second = self._rotation(link, w, v)
+        return CompoundLooseness(link=link, parts=tuple(self._finished([first, second], [u, w])))
+
+    def _slide(self, link: int, u: Array, direction: Vector) -> StructuralLooseness:
+        gap = log_uniform(self.ranges.gap, u[2])
+        return StructuralLooseness(link=link, direction=direction, gap=gap, stiffness=_OPEN[0])
+
+    def _rotation(self, link: int, u: Array, v: Array) -> RotationalLooseness:
+        arm = self.arm
+        planar = len(arm.axes) == 2
+        joint = arm.model.joint(arm.joints[link - 1])
+        anchor = np.zeros(3) if arm.sliding[link - 1] else joint.pos
+        away = np.array(direction_from(v[0], v[1], planar=planar))
+        pivot = anchor + uniform(PIVOT, v[2]) * arm.reach * away
+        return RotationalLooseness(
+            link=link,
+            axis=(0.0, 0.0, 1.0) if planar else direction_from(u[8], u[9], planar=False),
+            gap=log_uniform(self.ranges.gap, u[2]) / float(self._levers[link - 1]),
+            stiffness=_OPEN[0],
+            pivot=(float(pivot[0]), float(pivot[1]), float(pivot[2])),
+        )
+
+    def _finished(self, parts: Sequence[Part], variates: Sequence[Array]) -> list[Part]:
+        """Give parts of one seat their stops and friction."""
+        arm, ranges, link = self.arm, self.ranges, parts[0].link
+        twists = [twist_of(arm, part) for part in parts]
+        seats = np.zeros((len(parts), self._masses.size))
+        seats[:, self._linear.twist_dofs[link - 1]] = twists
+        modes = np.array([[uniform(ranges.contact_mode, x) for x in u[4:6]] for u in variates])
+        ratios = np.array([[uniform(ranges.contact_damping, x) for x in u[6:8]] for u in variates])
+        stops = self._masses.stops_together(seats, modes, ratios)
+        frictions = [
+            log_uniform(ranges.friction, u[3]) * self.drive.twist(link, twist)
+            for u, twist in zip(variates, twists, strict=True)
+        ]
+        return [
+            _with(part, stop, friction)
+            for part, stop, friction in zip(parts, stops, frictions, strict=True)
+        ]
+
+
+def _with(part: Part, stops: Stops, friction: float) -> Part:
+    figures = {"stiffness": stops[0], "damping": stops[1], "friction": friction}
+    return type(part)(**{**vars(part), **figures})
+
+
+def _tool_distances(linear: LinearArm, poses: Sequence[Array]) -> Array:
+    """Largest distance of the tool from each link's frame [m] (n,)."""
+    arm, model = linear.arm, linear.arm.model
+    data = mujoco.MjData(model)
+    most = np.zeros(arm.n)
+    for pose in poses:
+        data.qpos[arm.pose_addresses] = pose
+        mujoco.mj_kinematics(model, data)
+        frames = np.array([data.body(name).xpos for name in arm.seat_bodies])
+        distances = np.linalg.norm(data.site(arm.tool).xpos - frames, axis=1)
+        most = np.maximum(most, distances)
+    return most
+
+
+def direction_from(turn: float, height: float, *, planar: bool) -> Vector:
+    """Turn two uniform variates into a uniform direction: in the x-y plane, or in space."""
+    angle = 2 * np.pi * turn
+    z = 0.0 if planar else 2 * height - 1
+    flat = np.sqrt(1 - z**2)
+    return (float(flat * np.cos(angle)), float(flat * np.sin(angle)), float(z))
+
+
+def _across(direction: Vector, turn: float, *, planar: bool) -> Vector:
+    """Direction square to another: the one in the plane, or any of those in space."""
+    first = np.array(direction)
+    if planar:
+        return (-float(first[1]), float(first[0]), 0.0)
+    second = np.cross(first, np.eye(3)[int(np.argmin(np.abs(first)))])
+    second = second / np.linalg.norm(second)
+    third = np.cross(first, second)
+    angle = 2 * np.pi * turn
+    x, y, z = np.cos(angle) * second + np.sin(angle) * third
+    return (float(x), float(y), float(z))
+
+
+def uniform(limits: tuple[float, float], u: float) -> float:
+    """Turn a uniform variate into one between two limits."""
+    return limits[0] + (limits[1] - limits[0]) * float(u)
+
+
+def log_uniform(limits: tuple[float, float], u: float) -> float:
+    """Turn a uniform variate into a log-uniform one between two limits."""
+    return float(np.exp(uniform((np.log(limits[0]), np.log(limits[1])), u)))

@@ -1,0 +1,261 @@
+"""What can be wrong with an arm, each fault with its own figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidSetting
+from loose_env.faults.kinds import FaultKind
+
+__all__ = [
+    "Backlash",
+    "CompoundLooseness",
+    "Fault",
+    "Healthy",
+    "Preload",
+    "RotationalLooseness",
+    "StructuralLooseness",
+    "is_fault",
+    "unit",
+]
+
+Vector = tuple[float, float, float]
+_INDEPENDENT = 1e-3
+"""Smallest singular value of unit vectors that still count as independent [1]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Healthy:
+    """An arm with nothing loose: its seat is shut."""
+
+    kind: ClassVar[FaultKind] = "healthy"
+
+    @property
+    def hypothesis(self) -> str:
+        """Name of the hypothesis under which this arm falls."""
+        return "healthy"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Preload:
+    """A seat held closed by a stiff spring: a bolted flange under tension. No fault."""
+
+    kind: ClassVar[FaultKind] = "healthy"
+    link: int
+    """Link that carries the seat, from 1 at the base."""
+    direction: Vector
+    """Direction of the seat in the link frame."""
+    stiffness: float
+    """Stiffness of the closed seat [N/m]."""
+    damping: float = 0.0
+    """Damping of the closed seat [N·s/m]."""
+
+    def __post_init__(self) -> None:
+        unit("a direction", self.direction)
+        _not_negative(stiffness=self.stiffness, damping=self.damping)
+
+    @property
+    def hypothesis(self) -> str:
+        """Name of the hypothesis under which this arm falls."""
+        return "healthy"
+
+
+@dataclass(frozen=True, kw_only=True)
+class StructuralLooseness:
+    """A link that slides on its flange between two stops."""
+
+    kind: ClassVar[FaultKind] = "structural_looseness"
+    link: int
+    """Loose link, from 1 at the base."""
+    direction: Vector
+    """Direction of the slide in the link frame; its length does not matter."""
+    gap: float
+    """Travel from stop to stop [m]."""
+    stiffness: tuple[float, float]
+    """Stiffness of the lower and the upper stop [N/m]."""
+    damping: tuple[float, float] = (0.0, 0.0)
+    """Damping of the lower and the upper stop [N·s/m]."""
+    friction: float = 0.0
+    """Coulomb friction of the guide [N]."""
+
+    def __post_init__(self) -> None:
+        unit("a direction", self.direction)
+        _not_negative(gap=self.gap, friction=self.friction)
+        _two_sides(stiffness=self.stiffness, damping=self.damping)
+
+    @property
+    def hypothesis(self) -> str:
+        """Name of the hypothesis under which this arm falls."""
+        return f"structural_looseness@link{self.link}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Backlash:
+    """A joint with play between its motor side and its link side.
+
+    The play is the joint's own motion: about its axis, or along it where the joint slides. There,
+    every figure is per metre and in newtons.
+    """
+
+    kind: ClassVar[FaultKind] = "backlash"
+    joint: int
+    """Joint with play, from 1 at the base."""
+    gap: float
+    """Travel from stop to stop [rad, or m where the joint slides]."""
+    stiffness: tuple[float, float]
+    """Stiffness of the lower and the upper flank [N·m/rad, or N/m]."""
+    damping: tuple[float, float] = (0.0, 0.0)
+    """Damping of the lower and the upper flank [N·m·s/rad, or N·s/m]."""
+    friction: float = 0.0
+    """Coulomb friction between the two sides [N·m, or N]."""
+
+    def __post_init__(self) -> None:
+        _not_negative(gap=self.gap, friction=self.friction)
+        _two_sides(stiffness=self.stiffness, damping=self.damping)
+
+    @property
+    def hypothesis(self) -> str:
+        """Name of the hypothesis under which this arm falls."""
+        return f"backlash@joint{self.joint}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotationalLooseness:
+    """A link that rocks on its flange about an axis, between two stops (3.2.2).
+
+    About the axis of its joint this would be `Backlash`.
+    """
+
+    kind: ClassVar[FaultKind] = "rotational_looseness"
+    link: int
+    """Loose link, from 1 at the base."""
+    axis: Vector
+    """Axis of the rocking in the link frame; its length does not matter."""
+    gap: float
+    """Angle from stop to stop [rad]."""
+    stiffness: tuple[float, float]
+    """Stiffness of the lower and the upper stop [N·m/rad]."""
+    damping: tuple[float, float] = (0.0, 0.0)
+    """Damping of the lower and the upper stop [N·m·s/rad]."""
+    friction: float = 0.0
+    """Coulomb friction of the seat [N·m]."""
+    pivot: Vector = (0.0, 0.0, 0.0)
+    """A point of the axis in the link frame [m]."""
+
+    def __post_init__(self) -> None:
+        unit("an axis", self.axis)
+        pivot = np.asarray(self.pivot, dtype=float)
+        if pivot.shape != (3,) or not np.isfinite(pivot).all():
+            raise InvalidSetting(
+                f"a pivot is three finite numbers [m] in the link frame; got {self.pivot!r}"
+            )
+        _not_negative(gap=self.gap, friction=self.friction)
+        _two_sides(stiffness=self.stiffness, damping=self.damping)
+
+    @property
+    def hypothesis(self) -> str:
+        """Name of the hypothesis under which this arm falls."""
+        return f"rotational_looseness@link{self.link}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompoundLooseness:
+    """A link loose on its flange in two or more directions (3.2.2, 8.3.2).
+
+    An undersized pin lets the link slide both ways across it: two parts. A seat loose in all
+    six directions has six. Each part has its own stops, its own friction and its own place in
+    its gap, so that the room the link has is a box: a round hole would be a cylinder, which two
+    slides take for the square around it, and friction acts on each part alone.
+
+    The parts follow each other from the flange outward. In gaps of seats their order shows
+    in the second order of the travel only.
+    """
+
+    kind: ClassVar[FaultKind] = "compound_looseness"
+    link: int
+    """Loose link, from 1 at the base."""
+    parts: tuple[StructuralLooseness | RotationalLooseness, ...]
+    """Two to six ways in which the link is loose, independent of each other."""
+
+    def __post_init__(self) -> None:
+        parts = self.parts
+        if not isinstance(parts, tuple) or not 2 <= len(parts) <= 6:
+            raise InvalidSetting(
+                "a compound looseness is a tuple of two to six parts; for one use "
+                f"StructuralLooseness or RotationalLooseness; got {parts!r}"
+            )
+        for part in parts:
+            if not isinstance(part, (StructuralLooseness, RotationalLooseness)):
+                raise InvalidSetting(
+                    "parts of a compound looseness are StructuralLooseness or "
+                    f"RotationalLooseness; got {part!r}"
+                )
+            if part.link != self.link:
+                raise InvalidSetting(
+                    f"all parts of a compound looseness lie on its link {self.link}; got one "
+                    f"on link {part.link}"
+                )
+        slides = [p.direction for p in parts if isinstance(p, StructuralLooseness)]
+        axes = [p.axis for p in parts if isinstance(p, RotationalLooseness)]
+        _independent("directions of the slides", slides)
+        _independent("axes of the rotations", axes)
+
+    @property
+    def hypothesis(self) -> str:
+        """Name of the hypothesis under which this arm falls."""
+        return f"compound_looseness@link{self.link}"
+
+
+Fault = Healthy | Preload | StructuralLooseness | Backlash | RotationalLooseness | CompoundLooseness
+
+
+def is_fault(value: object) -> bool:
+    """Whether a value is a fault, of whatever kind."""
+    return isinstance(value, get_args(Fault))
+
+
+def unit(what: str, vector: Vector) -> NDArray[np.float64]:
+    """Scale a vector of the link frame to length one (3,).
+
+    Raises
+    ------
+    InvalidSetting
+        If it is not three finite numbers, or points nowhere.
+    """
+    given = np.asarray(vector, dtype=float)
+    if given.shape != (3,) or not np.isfinite(given).all() or not np.linalg.norm(given) > 0:
+        raise InvalidSetting(
+            f"{what} is three finite numbers, not all zero, in the link frame; got {vector!r}"
+        )
+    return np.asarray(given / np.linalg.norm(given))
+
+
+def _independent(what: str, vectors: list[Vector]) -> None:
+    if not vectors:
+        return
+    units = np.array([unit("a direction", v) for v in vectors])
+    if len(vectors) > 3 or np.linalg.svd(units, compute_uv=False).min() < _INDEPENDENT:
+        raise InvalidSetting(
+            f"the {what} must be independent, three at most: leave out those that the others "
+            f"make; got {vectors}"
+        )
+
+
+def _not_negative(**values: float) -> None:
+    for name, value in values.items():
+        if not np.isfinite(value) or value < 0:
+            raise InvalidSetting(f"{name} must be a finite number, zero or more; got {value!r}")
+
+
+def _two_sides(**pairs: tuple[float, float]) -> None:
+    for name, pair in pairs.items():
+        if np.shape(pair) != (2,):
+            raise InvalidSetting(
+                f"{name} is two numbers, for the lower and the upper stop; got {pair!r}"
+            )
+        for value in pair:
+            _not_negative(**{name: value})

@@ -1,0 +1,95 @@
+"""The kinds of fault there are, and the hypotheses about an arm that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal, get_args
+
+from loose_env.arms.arm import Arm
+from loose_env.errors import InvalidSetting, UnknownName
+
+__all__ = ["DEFAULT_KINDS", "KINDS", "FaultKind", "checked_kinds", "hypotheses", "place_of"]
+
+FaultKind = Literal[
+    "healthy", "structural_looseness", "backlash", "rotational_looseness", "compound_looseness"
+]
+
+KINDS: tuple[FaultKind, ...] = get_args(FaultKind)
+"""All kinds, in the order in which their hypotheses are counted."""
+
+DEFAULT_KINDS: tuple[FaultKind, ...] = ("healthy", "structural_looseness", "backlash")
+"""The kinds of the thesis."""
+
+
+def checked_kinds(kinds: Sequence[str]) -> tuple[FaultKind, ...]:
+    """Check which kinds are hypotheses; return them in the order of `KINDS`.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such kind.
+    InvalidSetting
+        If a kind is named twice, or "healthy" is missing.
+
+    Examples
+    --------
+    >>> checked_kinds(["backlash", "healthy"])
+    ('healthy', 'backlash')
+    """
+    if isinstance(kinds, str) or not isinstance(kinds, Sequence):
+        raise InvalidSetting(f"kinds are several names out of {list(KINDS)}, got {kinds!r}")
+    unknown = [kind for kind in kinds if kind not in KINDS]
+    if unknown:
+        raise UnknownName(f"unknown fault kind {unknown}; kinds are {list(KINDS)}")
+    if len(set(kinds)) != len(kinds):
+        raise InvalidSetting(f"each fault kind is named once, got {list(kinds)}")
+    if "healthy" not in kinds:
+        raise InvalidSetting(
+            f'"healthy" is always a hypothesis: add it to the kinds, got {list(kinds)}'
+        )
+    return tuple(kind for kind in KINDS if kind in kinds)
+
+
+def hypotheses(arm: Arm, kinds: Sequence[str] = DEFAULT_KINDS) -> tuple[str, ...]:
+    """All hypotheses about an arm: healthy, then every kind at every place, base first.
+
+    Parameters
+    ----------
+    arm : Arm
+        The arm.
+    kinds : sequence of str
+        Which kinds are hypotheses; their order does not matter.
+
+    Raises
+    ------
+    UnknownName, InvalidSetting
+        As `checked_kinds`.
+
+    Examples
+    --------
+    >>> from loose_env.arms import vera
+    >>> hypotheses(vera())[:3]
+    ('healthy', 'structural_looseness@link1', 'structural_looseness@link2')
+    >>> hypotheses(vera(), ("healthy", "rotational_looseness"))[1:]
+    ('rotational_looseness@link1', 'rotational_looseness@link2')
+    """
+    names = []
+    for kind in checked_kinds(kinds):
+        if kind == "healthy":
+            names.append("healthy")
+            continue
+        part = "joint" if kind == "backlash" else "link"
+        names += [f"{kind}@{part}{i}" for i in range(1, arm.n + 1)]
+    return tuple(names)
+
+
+def place_of(hypothesis: str) -> int | None:
+    """Link or joint number that a hypothesis names; None for healthy.
+
+    Examples
+    --------
+    >>> place_of("backlash@joint2"), place_of("healthy")
+    (2, None)
+    """
+    _, _, place = hypothesis.partition("@")
+    return int(place.removeprefix("link").removeprefix("joint")) if place else None

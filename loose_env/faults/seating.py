@@ -1,0 +1,270 @@
+"""How a seat is put into a MuJoCo spec, and the figures of a fault into its model.
+
+Every arm under test has a seat, of one degree of freedom or more. Healthy arms have it too,
+shut by an equality constraint, so that all arms with as many degrees of freedom in their seats
+share one model layout.
+
+The stop law. With ``r`` the penetration and ``v`` its rate, a stop pushes back with
+
+    f = max(0, k r + c v + J dv/dt),
+
+where ``J`` is 1e-4 of the seat's effective mass: the smallest inertance MuJoCo's
+constraints allow (impedance 1e-4, direct ``solref`` scaled with the inverse weight, so that
+``k`` and ``c`` really are N/m and N·s/m, for a hinge N·m/rad and N·m·s/rad). Guide friction is
+Coulomb friction that truly sticks (impedance 0.9999). Where a seat has several degrees of
+freedom, each has stops and friction of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.arm import Arm
+from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.faults.faults import (
+    Backlash,
+    Fault,
+    Healthy,
+    Preload,
+    RotationalLooseness,
+    StructuralLooseness,
+    unit,
+)
+from loose_env.faults.seat import SeatKind, SinglePart, parts_of, seat_name, seat_names
+
+__all__ = ["FASTEST_STOP", "seated_spec", "set_seat"]
+
+FASTEST_STOP = 1.4
+"""Largest angle [rad] by which a contact mode may turn in one simulation step."""
+
+Array = NDArray[np.float64]
+
+_SOFT, _STIFF = 1e-4, 0.9999  # MuJoCo's smallest and largest constraint impedance
+_FAR = 1.0  # a stop that is never reached [m or rad]
+_HINGE, _SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
+
+
+def seated_spec(arm: Arm, link: int, kinds: SeatKind | Sequence[SeatKind]) -> mujoco.MjSpec:
+    """Copy the arm's spec and give ``link`` a seat: its joints, their stops and their locks.
+
+    The spec is the same for every fault on that seat; `set_seat` writes the fault's figures
+    into the compiled model.
+
+    Parameters
+    ----------
+    arm : Arm
+        The arm.
+    link : int
+        Link that gets the seat, from 1 at the base.
+    kinds : SeatKind or sequence of them
+        Kind of each degree of freedom, from the flange outward. "play" moves as the link's joint
+        does: a hinge about its axis, or a slide along it. The axes of the others are
+        preliminary.
+
+    Raises
+    ------
+    UnknownName
+        If the arm has no such link, or a kind is not "slide", "hinge" or "play".
+    InvalidSetting
+        If the seat has more degrees of freedom than a body can, six with the link's own.
+    """
+    number = arm.link_number(link)
+    wanted = (kinds,) if isinstance(kinds, str) else tuple(kinds)
+    for kind in wanted:
+        if kind not in ("slide", "hinge", "play"):
+            raise UnknownName(f"a seat is a 'slide', a 'hinge' or a 'play', got {kind!r}")
+    spec = arm.spec.copy()
+    body = spec.body(arm.seat_bodies[number - 1])
+    joint = spec.joint(arm.joints[number - 1])
+    if not 1 <= len(wanted) <= 6 - len(body.joints):
+        raise InvalidSetting(
+            f"the seat of link {number} of arm {arm.name!r} takes 1 to {6 - len(body.joints)} "
+            f"degrees of freedom, got {len(wanted)}"
+        )
+    slides, hinges = iter(np.eye(3)), iter(_frame_about(np.array(joint.axis)))
+    for k, kind in enumerate(wanted):
+        turns = kind == "hinge" or (kind == "play" and joint.type == _HINGE)
+        if kind == "slide":
+            axis = next(slides, None)
+        else:
+            axis = np.array(joint.axis) if kind == "play" else next(hinges, None)
+        if axis is None:
+            raise InvalidSetting(f"a seat has three slides and three hinges at most, got {wanted}")
+        _add_seat(spec, body, seat_name(k), axis, joint.pos if turns else None)
+    return spec
+
+
+def _frame_about(axis: Array) -> Array:
+    """Three axes for the hinges of a seat, the joint's own first (3, 3)."""
+    first = axis / np.linalg.norm(axis)
+    second = np.cross(first, np.eye(3)[int(np.argmin(np.abs(first)))])
+    second = second / np.linalg.norm(second)
+    return np.array([axis, second, np.cross(first, second)])
+
+
+def _add_seat(
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, axis: Array, anchor: Array | None
+) -> None:
+    """Add one degree of freedom, its two stops and its lock; a hinge has an anchor."""
+    body.add_joint(
+        name=name,
+        type=_SLIDE if anchor is None else _HINGE,
+        axis=axis,
+        pos=[0, 0, 0] if anchor is None else anchor,
+        # A tiny friction loss keeps the friction row in every layout.
+        frictionloss=1e-9,
+        solimp_friction=[_STIFF, _STIFF, 0.001, 0.5, 2],
+    )
+    for side, limits in (("low", (0.0, 2 * _FAR)), ("high", (-2 * _FAR, 0.0))):
+        stop = spec.add_tendon(
+            name=f"{name}_{side}",
+            limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+            range=list(limits),
+            solimp_limit=[_SOFT, _SOFT, 0.001, 0.5, 2],
+        )
+        stop.wrap_joint(name, 1.0)
+    spec.add_equality(
+        name=f"{name}_lock",
+        type=mujoco.mjtEq.mjEQ_JOINT,
+        objtype=mujoco.mjtObj.mjOBJ_JOINT,
+        name1=name,
+        solimp=[_STIFF, _STIFF, 0.001, 0.5, 2],
+    )
+
+
+def set_seat(model: mujoco.MjModel, fault: Fault, data: mujoco.MjData | None = None) -> None:
+    """Write a fault's figures into a compiled model that has its seat.
+
+    Call it after every change of masses, once ``mj_setConst`` has run: the stops are scaled
+    with the seat's inverse weight, that along the fault's direction. ``data`` is scratch space of
+    the model's layout, made anew if it is not given.
+
+    Raises
+    ------
+    InvalidSetting
+        If the model has no such seat, or a stop or a preloaded seat is too stiff for the
+        simulation step; several stops that are touched at once make a stiffer one.
+    """
+    names = seat_names(model)
+    parts = (fault,) * len(names) if isinstance(fault, Healthy) else parts_of(fault)
+    if len(parts) != len(names):
+        raise InvalidSetting(
+            f"{fault.hypothesis} has {len(parts)} loose degrees of freedom, the model's seat has "
+            f"{len(names)}; take the seat that seats_of names"
+        )
+    placed = False
+    for name, part in zip(names, parts, strict=True):
+        placed |= _place(model, name, part)
+    if placed:
+        # The inverse weight follows the axis.
+        mujoco.mj_setConst(model, mujoco.MjData(model) if data is None else data)
+    for name, part in zip(names, parts, strict=True):
+        _set_part(model, name, part)
+    if len(parts) > 1 and not isinstance(fault, Healthy):
+        _require_slow_together(model, names, parts, data)
+
+
+def _place(model: mujoco.MjModel, name: str, part: SinglePart) -> bool:
+    """Turn a seat into the fault's direction; return whether anything was changed."""
+    if isinstance(part, (Healthy, Backlash)):
+        return False
+    seat = model.joint(name).id
+    hinge = isinstance(part, RotationalLooseness)
+    if model.jnt_type[seat] != (_HINGE if hinge else _SLIDE):
+        raise InvalidSetting(
+            f"{part.hypothesis} needs a {'hinge' if hinge else 'slide'}, which {name!r} of the "
+            "model is not; take the seat that seats_of names"
+        )
+    if isinstance(part, RotationalLooseness):
+        model.jnt_axis[seat] = unit("an axis", part.axis)
+        model.jnt_pos[seat] = part.pivot
+    else:
+        model.jnt_axis[seat] = unit("a direction", part.direction)
+    return True
+
+
+def _set_part(model: mujoco.MjModel, name: str, part: SinglePart) -> None:
+    step = model.opt.timestep
+    seat = model.joint(name)
+    dof, lock = seat.dofadr[0], model.equality(f"{name}_lock").id
+    low, high = model.tendon(f"{name}_low").id, model.tendon(f"{name}_high").id
+    model.eq_active0[lock] = isinstance(part, Healthy)
+    model.eq_solref[lock] = (2 * step, 1.0)
+    model.dof_solref[dof] = (2 * step, 1.0)
+    friction, reach = 0.0, _FAR
+    stops = ((1.0, 0.0), (1.0, 0.0))
+    if isinstance(part, (StructuralLooseness, Backlash, RotationalLooseness)):
+        friction, reach = part.friction, part.gap / 2
+        stops = tuple(zip(part.stiffness, part.damping, strict=True))  # type: ignore[assignment]
+    model.dof_frictionloss[dof] = max(friction, 1e-9)
+    model.tendon_range[low] = (-reach, 2 * _FAR)
+    model.tendon_range[high] = (-2 * _FAR, reach)
+    for stop, (stiffness, damping) in zip((low, high), stops, strict=True):
+        weight = (1 - _SOFT) * model.tendon_invweight0[stop]
+        _require_slow("a stop", stiffness, damping, weight, step)
+        # The direct format needs both numbers negative; MuJoCo takes 0 as its default.
+        model.tendon_solref_lim[stop] = (
+            -max(stiffness * weight, 1e-12),
+            -max(damping * weight, 1e-12),
+        )
+    closed = (0.0, 0.0)
+    if isinstance(part, Preload):
+        closed = (part.stiffness, part.damping)
+        _require_slow("a preloaded seat", *closed, model.dof_invweight0[dof], step)
+    model.jnt_stiffness[seat.id], model.dof_damping[dof] = closed
+
+
+def _require_slow(what: str, stiffness: float, damping: float, weight: float, step: float) -> None:
+    """Refuse a spring or damper too fast for the step; ``weight`` is the inverse of its mass."""
+    if stiffness * weight * step**2 > FASTEST_STOP**2:
+        mode = np.sqrt(stiffness * weight) / (2 * np.pi)
+        raise InvalidSetting(
+            f"{what} with a stiffness of {stiffness:g} has a contact mode of {mode:.0f} Hz, too "
+            f"fast for a step of {step:g} s; use {FASTEST_STOP**2 / weight / step**2:.3g} at "
+            f"most, or a step of {FASTEST_STOP / np.sqrt(stiffness * weight):.2g} s at most"
+        )
+    # Stable explicit stepping of a spring and a damper needs w h (k h + 2 c) < 4.
+    if weight * step * (stiffness * step + 2 * damping) >= 4:
+        most = (4 / (weight * step) - stiffness * step) / 2
+        raise InvalidSetting(
+            f"{what} with a damping of {damping:g} is too stiff for a step of {step:g} s; use "
+            f"less than {most:.3g}"
+        )
+
+
+def _require_slow_together(
+    model: mujoco.MjModel,
+    names: Sequence[str],
+    parts: Sequence[SinglePart],
+    data: mujoco.MjData | None,
+) -> None:
+    """Refuse stops that are too fast when every part of a seat rests on one of its own."""
+    scratch = mujoco.MjData(model) if data is None else data
+    dofs = np.array([model.joint(name).dofadr[0] for name in names])
+    mujoco.mj_resetData(model, scratch)
+    mujoco.mj_fwdPosition(model, scratch)
+    inverse = np.zeros((len(names), model.nv))
+    mujoco.mj_solveM(model, scratch, inverse, np.eye(model.nv)[dofs])
+    mobility = inverse[:, dofs]
+    step = model.opt.timestep
+    loose = [p for p in parts if not isinstance(p, (Healthy, Preload))]
+    stiffness = np.array([max(p.stiffness) for p in loose])
+    damping = np.array([max(p.damping) for p in loose])
+
+    def fastest(diagonal: Array) -> float:
+        root = np.sqrt(diagonal)
+        return float(np.linalg.eigvalsh(root[:, None] * mobility * root)[-1])
+
+    spring = fastest(stiffness) * step**2
+    both = fastest(stiffness * step**2 + 2 * damping * step)
+    if spring > FASTEST_STOP**2 or both >= 4:
+        share = min(FASTEST_STOP**2 / max(spring, 1e-300), 4 / max(both, 1e-300))
+        raise InvalidSetting(
+            f"the stops of a compound looseness, stiffness {stiffness.tolist()} and damping "
+            f"{damping.tolist()}, are too stiff together for a step of {step:g} s; multiply all by "
+            f"less than {share:.3g}, or use a smaller step"
+        )
