@@ -9,13 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import upfirdn
 
+from loose_env.arms.arm import Arm
+from loose_env.arms.link_sites import Place
 from loose_env.errors import InvalidSetting
 
 __all__ = [
     "Accelerometer",
     "Encoder",
+    "LinkAccelerometers",
     "SensorSuite",
     "decimation_filter",
+    "link_choice",
     "read_accelerometer",
     "read_encoder",
 ]
@@ -60,9 +64,64 @@ class Encoder:
     """Step of the reading [rad]: 20 bits a turn."""
     noise: float = 2e-6
     """Rms noise of one reading before it is rounded [rad]."""
+    linear_resolution: float = 1e-6
+    """Step of the linear scale of a sliding joint [m]."""
+    linear_noise: float = 2e-7
+    """Rms noise of one reading of that scale before it is rounded [m]."""
 
     def __post_init__(self) -> None:
-        _check(self, "resolution", "noise")
+        _check(self, *(f.name for f in fields(self)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkAccelerometers:
+    """Which links carry an accelerometer, where, and along what it measures (8.3.3, 8.3.4).
+
+    Examples
+    --------
+    >>> LinkAccelerometers(links=(1, 3), tangential=True).place
+    'distal'
+    """
+
+    links: tuple[int, ...] | None = None
+    """Numbers of the links that carry one, increasing; None for every link."""
+    tangential: bool = False
+    """Whether each is a single axis along the tangent of its link's own joint motion.
+
+    Else it has the arm's axes, in the frame of the body that carries it."""
+    place: Place = "distal"
+    """End of the link; see `loose_env.arms.link_sites.link_site`."""
+
+    def __post_init__(self) -> None:
+        if self.place not in ("proximal", "distal"):
+            raise InvalidSetting(
+                f"a link's accelerometer sits at the 'proximal' or 'distal' end, got {self.place!r}"
+            )
+        if self.tangential and self.place == "proximal":
+            raise InvalidSetting(
+                "the proximal end lies on the axis of the link's own joint and has no tangent; "
+                "put tangential accelerometers at the distal end"
+            )
+        if self.links is not None and (
+            any(isinstance(k, bool) or not isinstance(k, int) or k < 1 for k in self.links)
+            or list(self.links) != sorted(set(self.links))
+        ):
+            raise InvalidSetting(
+                "links with an accelerometer are numbers from 1 at the base, increasing, or "
+                f"None for every link; got {self.links!r}"
+            )
+
+    def on(self, arm: Arm) -> tuple[int, ...]:
+        """Numbers of the links of an arm that carry one.
+
+        Raises
+        ------
+        UnknownName
+            If the arm has no such link.
+        """
+        if self.links is None:
+            return tuple(range(1, arm.n + 1))
+        return tuple(arm.link_number(link) for link in self.links)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,8 +134,8 @@ class SensorSuite:
     """Accelerometer at the tool, and on every link where `link_accelerometers` is set."""
     encoder: Encoder = Encoder()
     """Encoder of every joint."""
-    link_accelerometers: bool = False
-    """Whether every link carries an accelerometer too, at its proximal end (8.3.3)."""
+    link_accelerometers: bool | LinkAccelerometers = False
+    """Accelerometers on links (8.3.3): which, or True for one at the proximal end of each."""
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.rate) and self.rate > 0):
@@ -87,14 +146,26 @@ class SensorSuite:
                 f"sampling rate above twice that, got {self.rate} Hz"
             )
 
+    @property
+    def on_links(self) -> LinkAccelerometers | None:
+        """Accelerometers on links; None where there are none."""
+        return link_choice(self.link_accelerometers)
+
     @classmethod
     def ideal(cls, *, rate: float = 1000.0) -> SensorSuite:
         """Sensors that add nothing but their sampling and band."""
         return cls(
             rate=rate,
             accelerometer=Accelerometer(noise_density=0.0, resolution=0.0),
-            encoder=Encoder(resolution=0.0, noise=0.0),
+            encoder=Encoder(resolution=0.0, noise=0.0, linear_resolution=0.0, linear_noise=0.0),
         )
+
+
+def link_choice(given: bool | LinkAccelerometers) -> LinkAccelerometers | None:
+    """Spell out a choice of accelerometers on links; None where there are none."""
+    if isinstance(given, LinkAccelerometers):
+        return given
+    return LinkAccelerometers(place="proximal") if given else None
 
 
 @lru_cache(maxsize=32)
@@ -170,9 +241,23 @@ def read_accelerometer(
     return _rounded(readings, sensor.resolution)
 
 
-def read_encoder(true: Array, *, sensor: Encoder, rng: np.random.Generator) -> Array:
-    """Turn joint positions (n, count) [rad] into encoder readings of the same shape."""
-    return _rounded(true + sensor.noise * rng.standard_normal(true.shape), sensor.resolution)
+def read_encoder(
+    true: Array,
+    *,
+    sensor: Encoder,
+    rng: np.random.Generator,
+    sliding: NDArray[np.bool_] | None = None,
+) -> Array:
+    """Turn joint positions (n, count) [rad or m] into encoder readings of the same shape.
+
+    Rows where ``sliding`` (n,) is true are read by a linear scale.
+    """
+    drawn = rng.standard_normal(true.shape)
+    readings = _rounded(true + sensor.noise * drawn, sensor.resolution)
+    if sliding is not None and sliding.any():
+        linear = true[sliding] + sensor.linear_noise * drawn[sliding]
+        readings[sliding] = _rounded(linear, sensor.linear_resolution)
+    return readings
 
 
 def _rounded(values: Array, step: float) -> Array:

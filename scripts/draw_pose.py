@@ -2,9 +2,9 @@
 
 Without options this is the figure of the documentation.
 
-Usage: python scripts/draw_pose.py [--arm vera] [--links 4] [--vertical] [--seed 12]
-           [--difficulty easy] [--fault structural_looseness@link2] [--levels 0 3]
-           [--before] [--out docs/figures/render.png]
+Usage: python scripts/draw_pose.py [--arm vera] [--links 4] [--vertical] [--model arm.xml]
+           [--seed 12] [--difficulty easy] [--fault structural_looseness@link2]
+           [--levels 0 3] [--before] [--out docs/figures/render.png]
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms import planar, vera
+from loose_env.arms import DESK_ARM, Arm, planar, scara, six_axis, vera
 from loose_env.envs.diagnosis import DiagnosisEnv
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidSetting, LooseEnvError
 
+ARMS = {"vera": vera, "planar": planar, "six_axis": six_axis, "scara": scara}
 FIGURE = Path(__file__).resolve().parents[1] / "docs" / "figures" / "render.png"
 
 
@@ -42,7 +43,8 @@ def main() -> None:
 def read_options() -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(description="Draw an arm with a hidden fault.")
-    parser.add_argument("--arm", choices=("vera", "planar"), default="vera")
+    parser.add_argument("--arm", choices=(*ARMS, "file"), default="vera")
+    parser.add_argument("--model", type=Path, default=DESK_ARM, help="MJCF or URDF of --arm file")
     parser.add_argument("--links", type=int, default=4, help="links of the planar arm")
     parser.add_argument("--vertical", action="store_true", help="planar arm in a vertical plane")
     parser.add_argument("--seed", type=int, default=12, help="of the fault's figures and the pose")
@@ -58,7 +60,10 @@ def read_options() -> argparse.Namespace:
 
 def draw(options: argparse.Namespace) -> NDArray[np.uint8]:
     """Play one record and, if wanted, the end; return the pixels."""
-    arm = vera() if options.arm == "vera" else planar(options.links, vertical=options.vertical)
+    if options.arm == "planar":
+        arm = planar(options.links, vertical=options.vertical)
+    else:
+        arm = Arm.from_file(options.model) if options.arm == "file" else ARMS[options.arm]()
     levels = [0] * (arm.n - 1) + [3] if options.levels is None else options.levels
     if len(levels) != arm.n:
         raise InvalidSetting(f"--levels needs {arm.n} numbers for arm {arm.name!r}, got {levels}")

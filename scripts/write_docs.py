@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -34,10 +35,21 @@ def environments() -> str:
         "## Difficulties",
         "",
         *difficulty_table(),
+        "",
+        "## Names of elements",
+        "",
+        "One row of an observation's table stands for as many elements as its second column says: "
+        "\\<joint\\> is each joint's name, base first, \\<axis\\> each measured axis of the tool "
+        "frame, \\<axes\\> each pair of them. Where an arm has both, \\<hinge\\> is a joint that "
+        "turns and \\<slide\\> one that slides. Joints run slower than axes, and "
+        "`print(env.unwrapped.layout.table())` lists every single element in order. The place of a "
+        "sliding joint runs from -1 at the low end of its range to 1 at the high end; a move of "
+        "90 degrees takes it through half of its range.",
     ]
     for env_id in IDS:
         env = gymnasium.make(env_id).unwrapped
         assert isinstance(env, DiagnosisEnv)
+        env.close()
         parts += ["", f"## {env_id}", "", *arm_table(env.arm), "", *observation_table(env)]
     return "\n".join(parts) + "\n"
 
@@ -55,7 +67,8 @@ def difficulty_table() -> list[str]:
                 rows.append(f"| mismatch: {part.name}, standard deviation | {cells} |")
         elif field.name == "kinds":
             cells = " | ".join(
-                ", ".join(f"{k} {p:.2f}" for k, p in value.items()) for value in values
+                ", ".join(f"{k} {p:.2f}" for k, p in d.probabilities().items())
+                for d in DIFFICULTIES.values()
             )
             rows.append(f"| kinds of fault | {cells} |")
         else:
@@ -64,53 +77,96 @@ def difficulty_table() -> list[str]:
     rows += [
         "",
         "Friction is the guide's Coulomb friction over the rms force that the top level drives "
-        "across the shut seat; the gap is in metres (play in a joint is the gap at full reach); "
-        "contact modes are in Hz; tilt, misalignment and joint zeros are in degrees, the other "
-        "mismatches are relative.",
+        "across the shut seat; the gap is in metres (play in a joint that turns is the gap at full "
+        "reach, in one that slides the gap itself); contact modes are in Hz; tilt, misalignment "
+        "and joint zeros are in degrees, the other mismatches are relative.",
     ]
     return rows
 
 
 def arm_table(arm: Arm) -> list[str]:
-    """Figures of an arm."""
-    ranges = ", ".join(
-        "endless" if r is None else f"{r[0]:.2f} to {r[1]:.2f}" for r in arm.joint_ranges
-    )
+    """Figures of an arm, then those of each joint with their units."""
+    gravity = [float(g) for g in arm.model.opt.gravity]
     figures = {
+        "arm": arm.name,
         "joints": str(arm.n),
-        "reach [m]": f"{arm.reach:g}",
-        "peak torque [N·m]": ", ".join(f"{t:g}" for t in arm.torque_limits),
-        "joint ranges [rad]": ranges,
+        "reach [m]": f"{arm.reach:.4g}",
+        "gravity, world axes [m/s²]": ", ".join(f"{g:g}" for g in gravity),
+        "measured axes of the tool": ", ".join("xyz"[a] for a in arm.axes),
         "levels 1 to 3, rms tool acceleration [m/s²]": ", ".join(f"{v:g}" for v in arm.levels),
         "band [Hz]": f"{arm.band[0]:g} to {arm.band[1]:g}",
-        "brake stiffness [N·m/rad]": ", ".join(f"{k:.3g}" for k in arm.brake.stiffness),
-        "brake damping [N·m·s/rad]": ", ".join(f"{k:.3g}" for k in arm.brake.damping),
-        "servo stiffness [N·m/rad]": ", ".join(f"{k:.3g}" for k in arm.servo.stiffness),
         "simulation step [ms]": f"{1e3 * arm.timestep:g}",
     }
-    return ["| figure | value |", "|---|---|", *(f"| {k} | {v} |" for k, v in figures.items())]
+    rows = ["| figure | value |", "|---|---|", *(f"| {k} | {v} |" for k, v in figures.items())]
+    rows += [
+        "",
+        "| joint | kind | range | peak torque | brake stiffness | brake damping "
+        "| servo stiffness |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for j, name in enumerate(arm.joints):
+        slides, span = bool(arm.sliding[j]), arm.joint_ranges[j]
+        place, force, spring, damper = (
+            ("m", "N", "N/m", "N·s/m") if slides else ("rad", "N·m", "N·m/rad", "N·m·s/rad")
+        )
+        cells = (
+            name,
+            "slide" if slides else "hinge",
+            "endless" if span is None else f"{span[0]:.3g} to {span[1]:.3g} {place}",
+            f"{arm.torque_limits[j]:g} {force}",
+            f"{arm.brake.stiffness[j]:.3g} {spring}",
+            f"{arm.brake.damping[j]:.3g} {damper}",
+            f"{arm.servo.stiffness[j]:.3g} {spring}",
+        )
+        rows.append(f"| {' | '.join(cells)} |")
+    return rows
 
 
 def observation_table(env: DiagnosisEnv) -> list[str]:
-    """Every element of the observation: the globals, and one slot."""
+    """Elements of the observation, those that differ in joint and axis alone in one row."""
     layout = env.layout
     rows = [
         f"The observation has {layout.size} elements: {len(layout.global_elements)} about now, "
         f"then {layout.slots} slots of {len(layout.slot_elements)}. The action space is "
         f"`{env.action_space}`.",
         "",
-        "| element | unit | scaling | bounds |",
-        "|---|---|---|---|",
+        "| elements | number | unit | scaling | bounds |",
+        "|---|---|---|---|---|",
     ]
     groups = (("", layout.global_elements), ("record\\<k\\>.", layout.slot_elements))
     for prefix, elements in groups:
+        counts: Counter[tuple[str, ...]] = Counter()
         for e in elements:
             scaling = "value" if e.scaling == "linear" else e.scaling
-            rows.append(
-                f"| {prefix}{e.name} | {e.unit} | {scaling} / {e.scale:.3g} "
-                f"| {e.low:g} to {e.high:g} |"
-            )
+            counts[
+                prefix + pattern(env.arm, e.name),
+                e.unit,
+                f"{scaling} / {e.scale:.3g}",
+                f"{e.low:g} to {e.high:g}",
+            ] += 1
+        for (name, *cells), count in counts.items():
+            rows.append(f"| {' | '.join([name, str(count), *cells])} |")
     return rows
+
+
+def pattern(arm: Arm, name: str) -> str:
+    """Name of an element with <joint> for its joint, <axis> or <axes> for its axes.
+
+    Where an arm has hinges and slides, <hinge> and <slide> tell them apart.
+    """
+    group, dot, last = name.rpartition(".")
+    mixed = bool(arm.sliding.any() and not arm.sliding.all())
+    # The longest name first: a joint may be called like the beginning of another.
+    for joint in sorted(arm.joints, key=len, reverse=True):
+        if last == joint or last.startswith(f"{joint}_"):
+            slides = bool(arm.sliding[arm.joints.index(joint)])
+            kind = ("slide" if slides else "hinge") if mixed else "joint"
+            rest = last.removeprefix(joint)
+            axis = rest[1:] in ("x", "y", "z")
+            return f"{group}.\\<{kind}\\>" + ("_\\<axis\\>" if axis else rest)
+    if dot and set(last) <= set("xyz"):
+        return f"{group}.\\<{'axis' if len(last) == 1 else 'axes'}\\>"
+    return name
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

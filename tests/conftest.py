@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-from loose_env.arms import planar, vera
+from loose_env.arms import DESK_ARM, Arm, planar, scara, six_axis, vera
 from loose_env.arms.mismatch import MismatchDraw
 from loose_env.envs.diagnosis import DiagnosisEnv
 from loose_env.envs.episode import BatchRig
@@ -21,7 +21,18 @@ from loose_env.rig.simulated import Job
 settings.register_profile("loose_env", deadline=None, derandomize=True, database=None)
 settings.load_profile("loose_env")
 
-ARMS = {"planar": planar, "vera": vera}
+
+def _desk(**arguments: Any) -> Arm:
+    return Arm.from_file(DESK_ARM, **arguments)
+
+
+ARMS: dict[str, Callable[..., Arm]] = {
+    "planar": planar,
+    "vera": vera,
+    "six_axis": six_axis,
+    "scara": scara,
+    "desk": _desk,
+}
 
 
 class SpyRig:

@@ -10,6 +10,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
+from loose_env.envs.joint_pose import JointPose
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidAction
 
@@ -41,12 +42,22 @@ class ActionLayout:
         Settings of the environment.
     hypotheses : int
         Number of hypotheses.
+
+    Raises
+    ------
+    InvalidSetting
+        If a joint slides without limits.
     """
 
     def __init__(self, arm: Arm, settings: DiagnosisSettings, hypotheses: int) -> None:
         self.arm, self.settings, self.hypotheses = arm, settings, hypotheses
         n = arm.n
         self.moves = np.radians(settings.moves)
+        """Relative moves of a hinge [rad] (moves,)."""
+        shown = JointPose(arm)
+        share = np.where(arm.sliding, shown.width / np.pi, 1.0)
+        self.steps = share[:, None] * self.moves
+        """What each move changes at each joint [rad, m where it slides] (n, moves)."""
         self.nvec = np.array(
             [len(settings.moves)] * n
             + [1 + len(arm.levels)] * n
@@ -116,7 +127,7 @@ class ActionLayout:
         allowed = np.ones((self.arm.n, len(self.moves)), dtype=bool)
         for j, limits in enumerate(self.arm.joint_ranges):
             if limits is not None:
-                target = pose[j] + self.moves
+                target = pose[j] + self.steps[j]
                 allowed[j] = (target >= limits[0] - 1e-9) & (target <= limits[1] + 1e-9)
         allowed[:, self.settings.stay] = True
         return allowed

@@ -41,19 +41,22 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
     | 1 | 3 | record length: 0.2, 0.4, 1.2 s |
     | 1 | 1 + hypotheses | verdict: 0 go on, k name the k-th hypothesis |
 
-    With a verdict nothing is measured and the rest is ignored. Levels beyond a joint's torque
-    limit are clipped; the share that remains is in the observation and in
-    `info["level_share"]`. With all levels off the arm moves, a record is spent and its slot
-    stays empty. `action_masks()` and `info["action_mask"]` say what makes sense: no move past
-    a joint limit (such a joint stays), no verdict before the first record (it is ignored),
-    no going on after the last record (it ends the episode as a wrong verdict).
+    A joint that slides goes in proportion through its range: 90 degrees are half of it. With a
+    verdict nothing is measured and the rest is ignored. Levels beyond a joint's torque limit
+    are clipped; the share that remains is in the observation and in `info["level_share"]`. With
+    all levels off the arm moves, a record is spent and its slot stays empty. `action_masks()`
+    and `info["action_mask"]` say what makes sense: no move past a joint limit (such a joint
+    stays), no verdict before the first record (it is ignored), no going on after the last
+    record (it ends the episode as a wrong verdict).
 
     ## Observation Space
     A flat float32 `Box` with finite bounds: the pose and what has been spent, then a slot for
     each record: pose, excitation, the record's statistics, and the same statistics as the
-    nominal healthy arm would show them. `layout` lists every element with name, unit and
-    scaling; `print(env.unwrapped.layout.table())` shows them. With `raw=True` a `Dict` of
-    the same vector as `"statistics"` and the signals of the latest record.
+    nominal healthy arm would show them. A hinge's place is its sine and cosine, a slide's
+    runs from -1 at the low end of its range to 1; `layout.pose_of` reads it back. `layout`
+    lists every element with name, unit and scaling; `print(env.unwrapped.layout.table())` shows
+    them. With `raw=True` a `Dict` of the same vector as `"statistics"` and the signals of the
+    latest record.
 
     ## Rewards
     +1 for the right hypothesis, -1 for a wrong one or for running out of records; less the
@@ -69,8 +72,9 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
 
     ## Arguments
     `difficulty`, `max_records`, `prices` and all other fields of `DiagnosisSettings`; for the
-    planar arm also `n_links` and `vertical`; `hold` says whether joints that are not excited
-    are braked or servoed. `reset(options={"fault": ...})` seats a given fault or one drawn
+    planar arm also `n_links` and `vertical`; for `loose_env/Arm-v0` `model`, the path of an
+    MJCF or URDF file, `tool` and `joints`; `hold` says how joints that are not excited are
+    held. `reset(options={"fault": ...})` seats a given fault or one drawn
     under a given hypothesis; `{"pose": ...}` sets the first pose.
 
     ## Version History
@@ -174,7 +178,7 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
         return self.batch.simulate(fault, pose, excitation, rng, mismatch=mismatch)
 
     def render(self) -> Any:
-        """Draw the arm in its pose with the latest record on it."""
+        """Draw the arm in its pose with the latest record."""
         if self.render_mode is None:
             raise UnknownName(
                 "no render_mode was given; make the environment with render_mode='rgb_array' "

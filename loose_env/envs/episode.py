@@ -29,15 +29,7 @@ from loose_env.envs.raw import RawMeasurement
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, at_levels
-from loose_env.faults import (
-    Backlash,
-    Fault,
-    Healthy,
-    Preload,
-    StructuralLooseness,
-    hypotheses,
-    place_of,
-)
+from loose_env.faults import Fault, Healthy, hypotheses, is_fault, place_of
 from loose_env.rig.measurement import Measurement
 from loose_env.rig.simulated import Job, SimulatedRig
 
@@ -130,8 +122,8 @@ class EpisodeBatch:
         else:
             self.rig, self.nominal = rig, LinearArm(arm)
         self.difficulty = difficulty_named(settings.difficulty)
-        self.sampler = FaultSampler(self.nominal, self.difficulty)
-        self.hypotheses = hypotheses(arm)
+        self.sampler = FaultSampler(self.nominal, self.difficulty, settings.kinds)
+        self.hypotheses = hypotheses(arm, settings.kinds)
         self.actions = ActionLayout(arm, settings, len(self.hypotheses))
         for seconds in settings.durations:  # fails here where the arm's band is too narrow
             Excitation(torque_rms=(0.0,) * arm.n, duration=seconds, band=arm.band)
@@ -252,8 +244,8 @@ class EpisodeBatch:
         """Move the joints; a joint whose move leaves its range stays. Return which stayed."""
         allowed = self.actions.allowed_moves(episode.pose)
         fits = allowed[np.arange(self.arm.n), action.moves]
-        step = np.where(fits, self.actions.moves[action.moves], 0.0)
-        # Rounded to a nanoradian so that going there and back is the same pose.
+        step = np.where(fits, self.actions.steps[np.arange(self.arm.n), action.moves], 0.0)
+        # Rounded to a nanoradian, or nanometre, so that going there and back is the same pose.
         episode.pose = np.round(self.arm.wrap(episode.pose + step), 9)
         return ~fits
 
@@ -333,8 +325,8 @@ class EpisodeBatch:
     def _fault(self, given: Any, rng: np.random.Generator) -> Fault:
         if given is None:
             return self.sampler.draw(rng)
-        if isinstance(given, (Healthy, Preload, StructuralLooseness, Backlash)):
-            return given
+        if is_fault(given):
+            return given  # type: ignore[no-any-return]
         if isinstance(given, str) and given in self.hypotheses:
             return self.sampler.draw(rng, hypothesis=given)
         raise UnknownName(
@@ -348,8 +340,10 @@ class EpisodeBatch:
         except (TypeError, ValueError):
             pose = np.empty(0)
         if pose.shape != (self.arm.n,) or not np.isfinite(pose).all():
-            raise InvalidSetting(f"a pose is {self.arm.n} finite numbers [rad], got {given!r}")
+            raise InvalidSetting(f"a pose is {self.arm.n} finite numbers [rad or m], got {given!r}")
         if not self.arm.within_ranges(pose).all():
             ranges = [r and (float(r[0]), float(r[1])) for r in self.arm.joint_ranges]
-            raise InvalidSetting(f"pose {pose.tolist()} leaves the joint ranges {ranges} [rad]")
+            raise InvalidSetting(
+                f"pose {pose.tolist()} leaves the joint ranges {ranges} [rad or m]"
+            )
         return self.arm.wrap(pose)

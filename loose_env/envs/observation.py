@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from loose_env.arms.arm import Arm
 from loose_env.diagnosis.prediction import Prediction
 from loose_env.diagnosis.record import RecordStatistics
+from loose_env.envs.joint_pose import JointPose
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import UnknownName
 
@@ -69,6 +70,7 @@ class ObservationLayout:
         self.slot_elements = tuple(_slot_elements(arm, settings))
         self.slots = settings.max_records
         self.size = len(self.global_elements) + self.slots * len(self.slot_elements)
+        self._joint_pose = JointPose(arm)
         self._global_scaling = _Scaling(self.global_elements)
         self._slot_scaling = _Scaling(self.slot_elements)
         self._slot_index = _spans(self.slot_elements)
@@ -110,9 +112,8 @@ class ObservationLayout:
     ) -> NDArray[np.float32]:
         """Scale the global elements."""
         most = self.settings.max_records
-        values = np.concatenate(
-            [np.sin(pose), np.cos(pose), [records / most, seconds, levels, (most - records) / most]]
-        )
+        spent = [records / most, seconds, levels, (most - records) / most]
+        values = np.concatenate([*self._joint_pose.numbers(pose), spent])
         return self._global_scaling.forward(values)
 
     def slot_of(
@@ -132,8 +133,7 @@ class ObservationLayout:
 
         values = [
             np.ones(1),
-            np.sin(record.pose),
-            np.cos(record.pose),
+            *self._joint_pose.numbers(record.pose),
             levels.astype(float),
             record.torque / np.array(self.arm.torque_limits),
             share,
@@ -180,6 +180,29 @@ class ObservationLayout:
         start = len(self.global_elements)
         tail = observation[..., start:]
         return tail.reshape(*observation.shape[:-1], self.slots, len(self.slot_elements))
+
+    def pose_of(self, observation: NDArray[np.float32]) -> Array:
+        """Pose in which an arm is now [rad, m where a joint slides].
+
+        A hinge is found up to whole turns: of the angles in its range, the one nearest the
+        range's middle.
+
+        Parameters
+        ----------
+        observation : ndarray (..., size)
+            Observations.
+
+        Returns
+        -------
+        ndarray (..., n)
+        """
+        parts = (self.physical(observation, f"now.{part}_pose") for part in ("sin", "cos"))
+        return self._joint_pose.pose(*parts)
+
+    def record_poses_of(self, observation: NDArray[np.float32]) -> Array:
+        """Poses of all records, as `pose_of`; an empty slot's means nothing (..., slots, n)."""
+        parts = (self.physical(observation, f"{part}_pose") for part in ("sin", "cos"))
+        return self._joint_pose.pose(*parts)
 
     def physical(self, observation: NDArray[np.float32], name: str) -> Array:
         """Value of a group of elements in its own unit.
@@ -278,9 +301,8 @@ def _global_elements(arm: Arm, settings: DiagnosisSettings) -> Iterator[Element]
     def linear(name: str, unit: str, scale: float, low: float, high: float) -> Element:
         return Element(name=name, unit=unit, scaling="linear", scale=scale, low=low, high=high)
 
-    for part in ("sin_pose", "cos_pose"):
-        for joint in arm.joints:
-            yield linear(f"now.{part}.{joint}", "1", 1.0, -1.0, 1.0)
+    for name, unit in JointPose(arm).elements:
+        yield linear(f"now.{name}", unit, 1.0, -1.0, 1.0)
     yield linear("spent.records", "1", 1.0, 0.0, 1.0)
     longest = settings.max_records * max(settings.durations)
     yield linear("spent.seconds", "s", longest, 0.0, 1.0)
@@ -293,6 +315,7 @@ def _slot_elements(arm: Arm, settings: DiagnosisSettings) -> Iterator[Element]:
     axes = [_AXES[a] for a in arm.axes]
     pairs = [(a, b) for i, a in enumerate(axes) for b in axes[i + 1 :]]
     products = [(a, b) for i, a in enumerate(axes) for b in axes[i:]]
+    joints = list(zip(arm.joints, arm.sliding, strict=True))
     top = arm.levels[-1]
 
     def linear(name: str, unit: str, scale: float, low: float, high: float) -> Element:
@@ -306,16 +329,18 @@ def _slot_elements(arm: Arm, settings: DiagnosisSettings) -> Iterator[Element]:
 
     def second_order(prefix: str) -> Iterator[Element]:
         for kind in ("transmission", "transmission_by_instrument"):
-            for joint in arm.joints:
+            for joint, slides in joints:
+                unit, scale = ("1", 0.25) if slides else ("m", 0.25 * arm.reach)
                 for axis in axes:
-                    yield asinh(f"{prefix}{kind}.{joint}_{axis}", "m", 0.25 * arm.reach)
-        for joint in arm.joints:
-            yield log(f"{prefix}joint_rms.{joint}", "rad/s²", top / arm.reach)
+                    yield asinh(f"{prefix}{kind}.{joint}_{axis}", unit, scale)
+        for joint, slides in joints:
+            unit, scale = ("m/s²", top) if slides else ("rad/s²", top / arm.reach)
+            yield log(f"{prefix}joint_rms.{joint}", unit, scale)
 
     def inertia(prefix: str) -> Iterator[Element]:
-        for joint in arm.joints:
+        for joint, slides in joints:
             # A bending mode can make the apparent inertia negative (joint 1 of VERA).
-            yield asinh(f"{prefix}inertia.{joint}", "kg·m²", 0.1)
+            yield asinh(f"{prefix}inertia.{joint}", *(("kg", 1.0) if slides else ("kg·m²", 0.1)))
 
     def tool(prefix: str) -> Iterator[Element]:
         for axis in axes:
@@ -328,9 +353,8 @@ def _slot_elements(arm: Arm, settings: DiagnosisSettings) -> Iterator[Element]:
         yield linear(f"{prefix}correlation.maximum", "1", 1.0, 0.0, 1.0)
 
     yield linear("valid", "1", 1.0, 0.0, 1.0)
-    for part in ("sin_pose", "cos_pose"):
-        for joint in arm.joints:
-            yield linear(f"{part}.{joint}", "1", 1.0, -1.0, 1.0)
+    for name, unit in JointPose(arm).elements:
+        yield linear(name, unit, 1.0, -1.0, 1.0)
     for joint in arm.joints:
         yield linear(f"level.{joint}", "1", float(len(arm.levels)), 0.0, 1.0)
     for joint in arm.joints:

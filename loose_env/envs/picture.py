@@ -8,30 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.prediction import SensorFloor, predict
-from loose_env.envs.drawing.arm import ArmDrawing
-from loose_env.envs.drawing.caption import header_lines, write_header, write_legend
-from loose_env.envs.drawing.ink import PAPER
-from loose_env.envs.drawing.loop import LoopPair, measured_loop, predicted_loop
-from loose_env.envs.drawing.loop_shapes import draw_healthy, draw_measured, draw_scale
-from loose_env.envs.drawing.scenery import draw_base, draw_measure
-from loose_env.envs.drawing.view import PlanarPose, PlanarView
+from loose_env.diagnosis.prediction import SensorFloor
+from loose_env.envs.drawing.planar_scene import PlanarScene
+from loose_env.envs.drawing.space_scene import SpaceScene
+from loose_env.envs.drawing.view import moves_in_a_plane
 from loose_env.envs.episode import Episode
 from loose_env.errors import InvalidSetting, MissingExtra
-from loose_env.faults import StructuralLooseness
 from loose_env.rig.measurement import Measurement
 from loose_env.sensors import SensorSuite
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["Picture"]
 
-_SIZE = (4.5, 5.6)  # inches
-_DPI = 160  # 720 x 896 pixels
-_HEADER, _LEGEND = 0.185, 0.105  # shares of the height
-_LOOP = 0.34  # radius of r = 1 over half the height of the drawing
+_DPI = 160
 _SHOWN = 0.5  # seconds that a window stays before the episode goes on
 
 
@@ -43,7 +34,7 @@ class Picture:
     Parameters
     ----------
     linear : LinearArm
-        The nominal arm; it must move in a plane.
+        The nominal arm. One that moves in a plane is drawn in it, any other one in space.
     show : bool
         Whether to draw in a window; else `draw` returns the pixels.
     sensors : SensorSuite, optional
@@ -52,7 +43,7 @@ class Picture:
     Raises
     ------
     InvalidSetting
-        If the arm does not move in a plane, or a window is wanted and there is no display.
+        If a window is wanted and there is no display.
     MissingExtra
         If matplotlib is not installed.
     """
@@ -65,9 +56,9 @@ class Picture:
             _require_display()
         arm = linear.arm
         self.linear, self.show = linear, show
-        self._view = PlanarView(arm)
-        self._drawing = ArmDrawing(arm.reach, arm.n, vertical=self._view.vertical)
-        self._floor = SensorFloor.of(SensorSuite() if sensors is None else sensors, arm.band)
+        floor = SensorFloor.of(SensorSuite() if sensors is None else sensors, arm.band)
+        scene = PlanarScene if moves_in_a_plane(arm) else SpaceScene
+        self._scene: PlanarScene | SpaceScene = scene(linear, floor)
         self._window: Any = None
 
     def draw(self, episode: Episode, *, verdict: str | None = None) -> NDArray[np.uint8] | None:
@@ -82,8 +73,9 @@ class Picture:
 
         Returns
         -------
-        ndarray (896, 720, 3) of uint8, or None
-            The picture in red, green and blue; None where it is shown in a window.
+        ndarray (height, width, 3) of uint8, or None
+            The picture in red, green and blue, 720 pixels wide and 896 high for an arm in a
+            plane, 896 wide and 1200 high for one in space; None where it is shown in a window.
         """
         if self.show:
             self._update_window(episode, verdict)
@@ -100,7 +92,7 @@ class Picture:
         """Return the picture as a figure of matplotlib, for saving in any format."""
         from matplotlib.figure import Figure
 
-        figure = Figure(figsize=_SIZE, dpi=_DPI)
+        figure = Figure(figsize=self._scene.size, dpi=_DPI)
         self._compose(figure, episode, verdict)
         return figure
 
@@ -117,7 +109,7 @@ class Picture:
 
         if self._window is None or not pyplot.fignum_exists(self._window.number):
             self._window = pyplot.figure(
-                num=f"loose-env: {self.linear.arm.name}", figsize=_SIZE, clear=True
+                num=f"loose-env: {self.linear.arm.name}", figsize=self._scene.size, clear=True
             )
             self._window.show()
         self._window.clear()
@@ -126,67 +118,7 @@ class Picture:
         self._window.canvas.start_event_loop(_SHOWN)
 
     def _compose(self, figure: Figure, episode: Episode, verdict: str | None) -> None:
-        figure.set_facecolor(PAPER)
-        drawing = self._drawing
-        measurement = _shown_measurement(episode)
-        excited = None if measurement is None else measurement.excited
-        truth = episode.fault if episode.ended else None
-        pose = self._view.at(episode.pose)
-
-        axes = figure.add_axes((0.0, _LEGEND, 1.0, 1.0 - _HEADER - _LEGEND))
-        axes.set_axis_off()
-        half = _frame(axes, pose, drawing)
-        draw_measure(axes, vertical=drawing.vertical)
-        draw_base(axes, float(drawing.radii[0]), vertical=drawing.vertical)
-        loose = truth.link if isinstance(truth, StructuralLooseness) else None
-        drawing.links(axes, pose, loose=loose)
-        drawing.joints(axes, pose, excited)
-        loops = None
-        if measurement is not None:
-            loops = self._loops(measurement)
-            radius = _LOOP * half
-            draw_scale(axes, pose, radius)
-            draw_healthy(axes, pose, radius, loops.healthy)
-            draw_measured(axes, pose, radius, loops.measured)
-        drawing.tool(axes, pose)
-        if truth is not None:
-            drawing.fault(axes, pose, truth)
-        write_header(figure, header_lines(self.linear, episode, measurement, loops, verdict))
-        if measurement is not None:
-            write_legend(figure, truth, some_held=not measurement.excited.all())
-
-    def _loops(self, measurement: Measurement) -> LoopPair:
-        at = self.linear.at(measurement.pose)
-        measured = measured_loop(measurement)
-        healthy = predicted_loop(predict(at, measurement.excitation, self._floor))
-        return LoopPair(measured=measured, healthy=healthy.facing(measured))
-
-
-def _frame(axes: Axes, pose: PlanarPose, drawing: ArmDrawing) -> float:
-    """Fit the view round the arm and its loop; return half its height [m].
-
-    The loop has the same size in every picture, so that records can be compared.
-    """
-    box = axes.get_position()
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    width, height = figure.get_size_inches() * (box.width, box.height)
-    wide = width / height
-    half = 0.42 * drawing.reach
-    for _ in range(20):
-        room = np.vstack(
-            [drawing.room(pose), *(pose.tool + s * 1.35 * _LOOP * half for s in (-1, 1))]
-        )
-        low, high = room.min(axis=0), room.max(axis=0)
-        low[1] -= 0.1 * half  # for the measure of length
-        span = 0.5 * (high - low) + 0.06 * half
-        half = max(0.42 * drawing.reach, float(span[0]) / wide, float(span[1]))
-    middle = 0.5 * (low + high)
-    axes.set(
-        xlim=(middle[0] - wide * half, middle[0] + wide * half),
-        ylim=(middle[1] - half, middle[1] + half),
-    )
-    return half
+        self._scene.compose(figure, episode, _shown_measurement(episode), verdict)
 
 
 def _shown_measurement(episode: Episode) -> Measurement | None:

@@ -49,7 +49,8 @@ def raw_observation(
 ) -> dict[str, NDArray[np.float32]]:
     """Lay the signals of the latest record beside the statistics.
 
-    The command is in N·m, the encoder in mrad off the commanded pose, the tool in m/s².
+    The command is in N·m, or N where the joint slides; the encoder in mrad, or mm, off the
+    commanded pose; the tool in m/s².
     """
     n, d, count = arm.n, len(arm.axes), _longest(settings)
     signals = {

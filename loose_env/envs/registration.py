@@ -1,4 +1,7 @@
-"""Ids of the environments, and how their arguments become arms and settings."""
+"""Ids of the environments, and how their arguments become arms and settings.
+
+Every id takes ``hold``: "brake", "servo" or "compliant"; see `loose_env.arms.compliance`.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,35 @@ import gymnasium
 
 from loose_env.errors import UnknownName
 
-__all__ = ["IDS", "make_planar", "make_planar_vector", "make_vera", "make_vera_vector", "register"]
+__all__ = [
+    "IDS",
+    "make_arm",
+    "make_arm_vector",
+    "make_planar",
+    "make_planar_vector",
+    "make_scara",
+    "make_scara_vector",
+    "make_six_axis",
+    "make_six_axis_vector",
+    "make_vera",
+    "make_vera_vector",
+    "register",
+]
 
-IDS = ("loose_env/Vera-v0", "loose_env/Planar-v0")
+IDS = (
+    "loose_env/Vera-v0",
+    "loose_env/Planar-v0",
+    "loose_env/SixAxis-v0",
+    "loose_env/Scara-v0",
+    "loose_env/Arm-v0",
+)
 """Every registered id."""
 
 _VERA = ("hold",)
 _PLANAR = ("n_links", "vertical", "hold")
+_SIX_AXIS = ("hold",)
+_SCARA = ("hold",)
+_FROM_FILE = ("model", "tool", "joints", "hold")
 _SINGLE = ("render_mode", "rig", "threads")
 _VECTOR = ("threads",)
 
@@ -23,7 +48,8 @@ _VECTOR = ("threads",)
 def register() -> None:
     """Register all ids with Gymnasium; those already there are left alone."""
     here = "loose_env.envs.registration"
-    for env_id, name in zip(IDS, ("vera", "planar"), strict=True):
+    names = ("vera", "planar", "six_axis", "scara", "arm")
+    for env_id, name in zip(IDS, names, strict=True):
         if env_id not in gymnasium.registry:
             gymnasium.register(
                 id=env_id,
@@ -52,6 +78,36 @@ def make_planar_vector(num_envs: int = 1, **arguments: Any) -> Any:
     return _vector(_planar(arguments), num_envs, arguments, _PLANAR)
 
 
+def make_six_axis(**arguments: Any) -> gymnasium.Env[Any, Any]:
+    """Make the environment of the six-axis arm."""
+    return _single(_six_axis(arguments), arguments, _SIX_AXIS)
+
+
+def make_six_axis_vector(num_envs: int = 1, **arguments: Any) -> Any:
+    """Make the vector environment of the six-axis arm."""
+    return _vector(_six_axis(arguments), num_envs, arguments, _SIX_AXIS)
+
+
+def make_scara(**arguments: Any) -> gymnasium.Env[Any, Any]:
+    """Make the environment of the SCARA."""
+    return _single(_scara(arguments), arguments, _SCARA)
+
+
+def make_scara_vector(num_envs: int = 1, **arguments: Any) -> Any:
+    """Make the vector environment of the SCARA."""
+    return _vector(_scara(arguments), num_envs, arguments, _SCARA)
+
+
+def make_arm(**arguments: Any) -> gymnasium.Env[Any, Any]:
+    """Make the environment of the arm in a file."""
+    return _single(_from_file(arguments), arguments, _FROM_FILE)
+
+
+def make_arm_vector(num_envs: int = 1, **arguments: Any) -> Any:
+    """Make the vector environment of the arm in a file."""
+    return _vector(_from_file(arguments), num_envs, arguments, _FROM_FILE)
+
+
 def _vera(arguments: dict[str, Any]) -> Any:
     from loose_env.arms.vera import vera
 
@@ -62,6 +118,26 @@ def _planar(arguments: dict[str, Any]) -> Any:
     from loose_env.arms.planar import planar
 
     return planar(**_take(arguments, *_PLANAR))
+
+
+def _six_axis(arguments: dict[str, Any]) -> Any:
+    from loose_env.arms.six_axis import six_axis
+
+    return six_axis(**_take(arguments, *_SIX_AXIS))
+
+
+def _scara(arguments: dict[str, Any]) -> Any:
+    from loose_env.arms.scara import scara
+
+    return scara(**_take(arguments, *_SCARA))
+
+
+def _from_file(arguments: dict[str, Any]) -> Any:
+    from loose_env.arms.from_file import DESK_ARM, arm_from_file
+
+    own = _take(arguments, *_FROM_FILE)
+    model = own.pop("model", None)
+    return arm_from_file(DESK_ARM if model is None else model, **own)
 
 
 def _take(arguments: dict[str, Any], *names: str) -> dict[str, Any]:

@@ -298,7 +298,7 @@ def _measure(arm: Arm, pose: Array, shake: Excitation, key: list[int]) -> Measur
     sensors = SensorSuite(
         rate=RATE,
         accelerometer=Accelerometer(noise_density=0.0, bandwidth=0.45 * RATE, resolution=0.0),
-        encoder=Encoder(resolution=0.0, noise=0.0),
+        encoder=Encoder(resolution=0.0, noise=0.0, linear_resolution=0.0, linear_noise=0.0),
     )
     rig = SimulatedRig(arm, sensors=sensors, threads=1)
     run = rig.measure(pose, shake, rng=np.random.default_rng(key))

@@ -123,6 +123,52 @@ def test_a_record_is_as_long_as_its_entry_says(make_env: Callable[..., Diagnosis
         np.testing.assert_allclose(seen, seconds, rtol=1e-6)
 
 
+# ---- joints that slide
+
+
+def test_a_sliding_joint_goes_through_its_range_in_proportion(
+    make_env: Callable[..., DiagnosisEnv],
+) -> None:
+    env = make_env("scara", max_records=10)
+    env.reset(seed=0, options={"pose": [0.0, 0.0, -0.21, 0.0]})
+    place = -0.21
+    # 90 degrees are half of the 0.21 m.
+    for choice, share in ((4, 0.5), (3, 0.25), (1, -0.25), (0, -0.5), (2, 0.0)):
+        moves = np.array([2, 2, choice, 2])
+        observation, _, _, _, info = env.step(env.actions.encode(moves=moves))
+        place += share * 0.21
+        assert not info["move_ignored"].any()
+        found = env.layout.pose_of(observation)
+        np.testing.assert_allclose(found, [0.0, 0.0, place, 0.0], atol=1e-7)
+    np.testing.assert_allclose(env.actions.steps[2], [-0.105, -0.0525, 0.0, 0.0525, 0.105])
+    np.testing.assert_allclose(env.actions.steps[0], np.radians(MOVES))
+
+
+def test_a_sliding_joint_stays_where_its_range_ends(make_env: Callable[..., DiagnosisEnv]) -> None:
+    env = make_env("scara")
+    _, info = env.reset(seed=0, options={"pose": [0.0, 0.0, -0.05, 0.0]})
+    parts = mask_parts(env, info["action_mask"])
+    assert parts[2].tolist() == [True, True, True, False, False]
+    observation, _, _, _, info = env.step(env.actions.encode(moves=np.array([3, 2, 4, 2])))
+    assert info["move_ignored"].tolist() == [False, False, True, False]
+    found = env.layout.pose_of(observation)
+    np.testing.assert_allclose(found, [np.pi / 4, 0.0, -0.05, 0.0], atol=1e-6)
+
+
+def test_every_move_of_a_mask_stays_in_range(make_env: Callable[..., DiagnosisEnv]) -> None:
+    for name in ("six_axis", "scara", "desk"):
+        env = make_env(name, max_records=40)
+        rng = np.random.default_rng(0)
+        _, info = env.reset(seed=1)
+        for _ in range(40):
+            parts = mask_parts(env, info["action_mask"])[: env.arm.n]
+            moves = np.array([rng.choice(np.flatnonzero(part)) for part in parts])
+            info = env.step(env.actions.encode(moves=moves))[-1]
+            assert not info["move_ignored"].any()
+            pose = env.batch.episode(0).pose  # type: ignore[union-attr]
+            assert env.arm.within_ranges(pose).all()
+
+
 # ---- verdicts and records without excitation
 
 
@@ -317,8 +363,11 @@ NOMINAL = Difficulty(mismatch=Mismatch().scaled(0.0))
         ("planar", {"n_links": 3, "vertical": True}),
         ("planar", {"n_links": 3, "hold": "servo"}),
         ("vera", {}),
+        ("six_axis", {}),
+        ("scara", {}),
+        ("desk", {}),
     ],
-    ids=["planar", "vertical", "servo", "vera"],
+    ids=["planar", "vertical", "servo", "vera", "six_axis", "scara", "desk"],
 )
 def test_a_level_is_the_rms_acceleration_of_the_nominal_tool_and_its_share_of_it_where_clipped(
     make_env: Callable[..., DiagnosisEnv], name: str, arguments: dict[str, Any]
@@ -329,13 +378,13 @@ def test_a_level_is_the_rms_acceleration_of_the_nominal_tool_and_its_share_of_it
         difficulty=NOMINAL,
         sensors=SensorSuite.ideal(),
         raw=True,
-        max_records=100,
+        max_records=150,
     )
     env.reset(seed=0, options={"fault": Healthy()})
     rng = np.random.default_rng(1)
     n = env.arm.n
     reached: dict[bool, list[float]] = {True: [], False: []}
-    for k in range(60):
+    for k in range(150):
         if min(len(found) for found in reached.values()) >= 6:
             break
         levels, level, joint = np.zeros(n, dtype=int), 2 + k % 2, k // 2 % n

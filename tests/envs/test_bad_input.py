@@ -15,9 +15,10 @@ import loose_env
 from loose_env.arms.mismatch import Mismatch
 from loose_env.envs.diagnosis import DiagnosisEnv
 from loose_env.envs.difficulty import Difficulty
+from loose_env.envs.registration import IDS
 from loose_env.envs.settings import DiagnosisSettings, Prices
 from loose_env.envs.vector import DiagnosisVectorEnv
-from loose_env.errors import InvalidAction, InvalidSetting, LooseEnvError, UnknownName
+from loose_env.errors import InvalidAction, InvalidData, InvalidSetting, LooseEnvError, UnknownName
 from loose_env.faults import Backlash, Fault, StructuralLooseness
 
 MakeEnv = Callable[..., DiagnosisEnv]
@@ -40,9 +41,35 @@ def test_an_unknown_argument_is_refused_with_those_that_exist(make: Callable[...
         ("loose_env/Planar-v0", {"links": 3}, ("links", "n_links", "vertical", "hold")),
         ("loose_env/Vera-v0", {"n_links": 3}, ("n_links", "hold")),
         ("loose_env/Vera-v0", {"rewards": 3}, ("rewards", "threads", "difficulty", "prices")),
+        ("loose_env/SixAxis-v0", {"model": "arm.xml"}, ("model", "hold")),
+        ("loose_env/Scara-v0", {"n_links": 3}, ("n_links", "hold")),
+        ("loose_env/Arm-v0", {"path": "arm.xml"}, ("path", "model", "tool", "joints", "hold")),
     ):
         with refused(UnknownName, *known):
             make(env_id, **arguments)
+
+
+@pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])
+@pytest.mark.parametrize(
+    ("arguments", "error", "words"),
+    [
+        ({"model": "nowhere.xml"}, InvalidSetting, ("'nowhere.xml'", "MJCF or URDF")),
+        ({"model": 3}, InvalidSetting, ("path of an MJCF or URDF", "3")),
+        ({"tool": "hook"}, UnknownName, ("'hook'", "sites: 'tool'", "bodies: 'column'")),
+        ({"joints": ["left_finger"]}, UnknownName, ("do not move the tool", "'left_finger'")),
+        ({"joints": ["hip"]}, UnknownName, ("no such joints", "'hip'", "'base', 'shoulder'")),
+        ({"joints": []}, InvalidData, ("names none", "'base', 'shoulder'")),
+        ({"joints": 2}, InvalidSetting, ("list of names", "2", "'base', 'shoulder'")),
+    ],
+)
+def test_a_file_or_a_part_of_it_that_is_not_there_is_refused(
+    make: Callable[..., Any],
+    arguments: dict[str, Any],
+    error: type[LooseEnvError],
+    words: tuple[str, ...],
+) -> None:
+    with refused(error, *words):
+        make("loose_env/Arm-v0", **arguments)
 
 
 @pytest.mark.parametrize("n_links", [1, 8, 0, -3, 2.5, "4", None, True])
@@ -51,10 +78,10 @@ def test_a_planar_arm_of_other_than_2_to_7_links_is_refused(n_links: Any) -> Non
         gymnasium.make("loose_env/Planar-v0", n_links=n_links)
 
 
-@pytest.mark.parametrize("env_id", ["loose_env/Planar-v0", "loose_env/Vera-v0"])
+@pytest.mark.parametrize("env_id", IDS)
 @pytest.mark.parametrize("hold", ["glue", None, 1])
 def test_an_unknown_way_of_holding_is_refused(env_id: str, hold: Any) -> None:
-    with refused(UnknownName, repr(hold), "'brake' or 'servo'"):
+    with refused(UnknownName, repr(hold), "'compliant'"):
         gymnasium.make(env_id, hold=hold)
 
 

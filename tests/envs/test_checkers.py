@@ -26,6 +26,10 @@ FORMS = [
     ("loose_env/Planar-v0", {}),
     ("loose_env/Planar-v0", {"n_links": 2, "vertical": True, "difficulty": "easy"}),
     ("loose_env/Planar-v0", {"n_links": 7, "hold": "servo"}),
+    ("loose_env/SixAxis-v0", {}),
+    ("loose_env/Scara-v0", {"hold": "servo"}),
+    ("loose_env/Arm-v0", {}),
+    ("loose_env/Arm-v0", {"joints": ["base", "elbow"], "tool": "hand", "difficulty": "easy"}),
 ]
 SHORT = {"durations": (0.2,)}
 
@@ -37,8 +41,9 @@ def no_warning_is_let_through() -> Any:
         yield
 
 
-def test_both_ids_are_registered() -> None:
-    assert IDS == ("loose_env/Vera-v0", "loose_env/Planar-v0")
+def test_all_ids_are_registered() -> None:
+    names = ("Vera", "Planar", "SixAxis", "Scara", "Arm")
+    assert tuple(f"loose_env/{name}-v0" for name in names) == IDS
     assert set(IDS) <= set(gymnasium.registry)
     loose_env.register()  # once more does no harm
 
@@ -75,6 +80,50 @@ def test_the_planar_arm_has_four_links_in_a_horizontal_plane_unless_told_otherwi
     assert (told.arm.name, told.arm.n, told.arm.hold) == ("planar7v-servo", 7, "servo")
     for env in (plain, told):
         env.close()
+
+
+def test_spatial_ids_are_their_arms() -> None:
+    for env_id, name, joints in (("SixAxis", "six_axis", 6), ("Scara", "scara", 4)):
+        env = gymnasium.make(f"loose_env/{env_id}-v0", hold="servo").unwrapped
+        assert isinstance(env, DiagnosisEnv)
+        assert (env.arm.name, env.arm.n, env.arm.axes) == (f"{name}-servo", joints, (0, 1, 2))
+        env.close()
+
+
+def test_any_arm_is_the_one_in_the_file_named_or_a_small_one(tmp_path: Path) -> None:
+    plain = gymnasium.make("loose_env/Arm-v0").unwrapped
+    assert isinstance(plain, DiagnosisEnv)
+    assert (plain.arm.name, plain.arm.n) == ("desk_arm", 6)
+    path = tmp_path / "pendulum.xml"
+    path.write_text(
+        """<mujoco><worldbody><body name="rod"><joint name="pivot" axis="0 1 0"
+        actuatorfrcrange="-9 9"/><inertial pos="0 0 .2" mass="1" diaginertia=".01 .01 .001"/>
+        <site name="first" pos="0 0 .3"/><site name="last" pos="0 0 .5"/>
+        <body name="bob" pos="0 0 .4"><joint name="swing" axis="0 1 0" actuatorfrcrange="-4 4"/>
+        <inertial pos="0 0 .1" mass=".5" diaginertia=".005 .005 .0005"/>
+        </body></body></worldbody></mujoco>"""
+    )
+    for form in (gymnasium.make, gymnasium.make_vec):
+        named = form("loose_env/Arm-v0", model=str(path)).unwrapped
+        assert (named.arm.name, named.arm.joints) == ("pendulum", ("pivot", "swing"))
+        assert named.arm.torque_limits == (9.0, 4.0)
+        # The outermost body has no site: its frame is the tool.
+        assert named.arm.reach == pytest.approx(0.4)
+        chosen = form("loose_env/Arm-v0", model=path, tool="last", joints=["pivot"]).unwrapped
+        assert (chosen.arm.joints, chosen.arm.reach) == (("pivot",), pytest.approx(0.5))
+        named.close()
+        chosen.close()
+    plain.close()
+
+
+def test_the_small_arm_s_file_ships_with_the_package() -> None:
+    from hatchling.builders.wheel import WheelBuilder
+
+    from loose_env.arms import DESK_ARM
+
+    shipped = {file.distribution_path for file in WheelBuilder(str(ROOT)).recurse_included_files()}
+    assert DESK_ARM.relative_to(ROOT).as_posix() in shipped
+    assert DESK_ARM.is_file()
 
 
 @pytest.mark.parametrize(("env_id", "arguments"), FORMS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -13,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, planar, vera
+from loose_env.arms import Arm, planar, scara, six_axis, vera
 from loose_env.arms.linear import inertance_rate
 from loose_env.arms.mismatch import Mismatch, MismatchDraw
 from loose_env.diagnosis.record import RecordStatistics, statistics_of
@@ -22,7 +23,7 @@ from loose_env.envs.difficulty import Difficulty
 from loose_env.envs.observation import Element, ObservationLayout
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.envs.vector import DiagnosisVectorEnv
-from loose_env.errors import UnknownName
+from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import Fault, Healthy
 from loose_env.rig.measurement import Measurement
 from loose_env.rig.plant import Plant
@@ -30,7 +31,7 @@ from loose_env.rig.simulated import Job, SimulatedRig
 from loose_env.sensors import Accelerometer, Encoder, SensorSuite
 
 Array = NDArray[np.float64]
-NAMES = ["planar", "vera"]
+NAMES = ["planar", "vera", "six_axis", "scara", "desk"]
 NOMINAL = Difficulty(mismatch=Mismatch().scaled(0.0))
 """True arms equal to the nominal one."""
 
@@ -91,6 +92,9 @@ def test_the_space_is_a_flat_float32_box_with_finite_bounds(
         ("planar", {"n_links": 4, "hold": "servo"}),
         ("planar", {"n_links": 7, "difficulty": "easy"}),
         ("vera", {}),
+        ("six_axis", {"difficulty": "hard"}),
+        ("scara", {"sensors": SensorSuite.ideal()}),
+        ("desk", {"difficulty": "easy"}),
     ],
 )
 def test_whatever_is_done_the_observation_stays_in_its_space(
@@ -136,7 +140,7 @@ def test_the_table_shows_every_element_of_a_slot_once(
 
 LAYOUTS = {
     arm.name: ObservationLayout(arm, DiagnosisSettings(max_records=2))
-    for arm in (planar(3), vera())
+    for arm in (planar(3), vera(), six_axis(), scara())
 }
 
 
@@ -191,25 +195,94 @@ def test_a_group_that_does_not_exist_is_refused() -> None:
         layout.physical(np.zeros(layout.size, np.float32), "speed")
 
 
+# ---- poses
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_poses_can_be_read_back(make_env: Callable[..., DiagnosisEnv], name: str) -> None:
+    env = make_env(name, max_records=3)
+    arm, layout = env.arm, env.layout
+    whole = np.array([r is not None and r[1] - r[0] > 2 * np.pi for r in arm.joint_ranges])
+    rng = np.random.default_rng(0)
+    poses = []
+    for k, action in enumerate(shaking(env, rng, 3)):
+        if k == 0:
+            observation, _ = env.reset(seed=2)
+        else:
+            observation = env.step(action)[0]
+            poses.append(env.batch.episode(0).pose)  # type: ignore[union-attr]
+        pose = env.batch.episode(0).pose  # type: ignore[union-attr]
+        found = layout.pose_of(observation)
+        assert arm.within_ranges(found).all()
+        turns = np.where(whole, 2 * np.pi, np.inf)
+        off = np.abs(found - pose)
+        # A joint that turns more than once round is known up to whole turns.
+        np.testing.assert_allclose(np.minimum(off, np.abs(off - turns)), 0.0, atol=2e-6)
+    read = layout.record_poses_of(observation)
+    assert read.shape == (3, arm.n)
+    for slot, pose in enumerate(poses):
+        off = np.abs(read[slot] - pose)
+        np.testing.assert_allclose(np.minimum(off, np.abs(off - turns)), 0.0, atol=2e-6)
+    many = np.stack([observation, observation])
+    np.testing.assert_array_equal(layout.record_poses_of(many)[1], read)
+
+
+def test_a_hinge_is_read_within_a_range_that_lies_to_one_side() -> None:
+    layout = LAYOUTS["six_axis"]
+    assert layout.arm.joint_ranges[1] == pytest.approx(np.radians([-225, 45]))
+    for angle in (-224.0, -181.0, -90.0, 0.0, 44.0):
+        pose = np.radians([0.0, angle, 0.0, 0.0, 0.0, 0.0])
+        head = layout.globals_of(pose, 0, 0.0, 0)
+        observation = np.concatenate([head, np.zeros(layout.size - len(head), np.float32)])
+        assert np.degrees(layout.pose_of(observation)[1]) == pytest.approx(angle, abs=1e-4)
+
+
+def test_a_slide_shows_where_it_stands_in_its_range() -> None:
+    layout = LAYOUTS["scara"]
+    for place, expected in ((-0.21, -1.0), (-0.105, 0.0), (0.0, 1.0)):
+        head = layout.globals_of(np.array([0.0, 0.0, place, 0.0]), 0, 0.0, 0)
+        assert head[2] == pytest.approx(expected, abs=1e-6)
+        assert head[4 + 2] == 0.0
+    names = [e.name for e in layout.global_elements]
+    assert names[2] == "now.sin_pose.joint3_position"
+    units = {e.name: e.unit for e in layout.slot_elements}
+    assert units["transmission.joint3_z"] == "1"
+    assert units["transmission.joint1_z"] == "m"
+    assert (units["joint_rms.joint3"], units["joint_rms.joint4"]) == ("m/s²", "rad/s²")
+    assert (units["inertia.joint3"], units["inertia.joint4"]) == ("kg", "kg·m²")
+
+
+def test_a_slide_without_limits_is_refused() -> None:
+    arm = scara()
+    endless = replace(arm, joint_ranges=(*arm.joint_ranges[:2], None, arm.joint_ranges[3]))
+    with pytest.raises(InvalidSetting, match=r"joint3.*slides.*\(low, high\)"):
+        DiagnosisEnv(endless)
+
+
 # ---- what a record leaves
 
 
-def shown(record: RecordStatistics) -> dict[str, Array]:
+def shown(arm: Arm, record: RecordStatistics) -> dict[str, Array]:
     """What the slot of a record should show, by group."""
     rms = np.sqrt(np.diag(record.tool_covariance))
-    x, y = record.lowest_direction
+    upper = np.triu_indices(len(rms), 1)
+    first, second = np.sin(record.pose), np.cos(record.pose)
+    for j in np.flatnonzero(arm.sliding):
+        low, high = arm.joint_ranges[j]  # type: ignore[misc]
+        first[j], second[j] = -1 + 2 * (record.pose[j] - low) / (high - low), 0.0
+    u = record.lowest_direction
     return {
         "valid": np.ones(1),
-        "sin_pose": np.sin(record.pose),
-        "cos_pose": np.cos(record.pose),
+        "sin_pose": first,
+        "cos_pose": second,
         "duration": np.array([record.duration]),
         "transmission": record.transmission.T.ravel(),
         "transmission_by_instrument": record.transmission_by_instrument.T.ravel(),
         "joint_rms": record.joint_rms,
         "inertia": record.inertia,
         "tool_rms": rms,
-        "tool_correlation": record.tool_covariance[0, 1:] / rms.prod(),
-        "lowest_direction": np.array([x * x, x * y, y * y]),
+        "tool_correlation": (record.tool_covariance / np.outer(rms, rms))[upper],
+        "lowest_direction": np.outer(u, u)[np.triu_indices(len(rms))],
         "coherence": np.array([record.lowest_coherence]),
         "correlation": np.array([record.maximum_correlation]),
         "skewness": record.skewness,
@@ -226,7 +299,7 @@ def test_a_slot_shows_the_statistics_of_its_record(
     measurements, observations, _ = recorded(make_env, name)
     layout = make_env(name).layout
     for slot, measurement in enumerate(measurements):
-        for group, expected in shown(statistics_of(measurement)).items():
+        for group, expected in shown(layout.arm, statistics_of(measurement)).items():
             found = layout.physical(observations[-1], group)[slot]
             np.testing.assert_allclose(found, expected, rtol=2e-6, atol=1e-6, err_msg=group)
 
@@ -420,8 +493,7 @@ def test_the_nominal_arm_shows_what_is_predicted_of_it(
 def test_the_same_readings_make_the_same_observation_whatever_the_truth(
     make_env: Callable[..., DiagnosisEnv], name: str, other: str
 ) -> None:
-    pose = np.array([0.1, 0.2, 0.3, 0.4])
-    pose = pose[:2] if name == "vera" else pose
+    pose = make_env(name).arm.random_pose(np.random.default_rng(4))
     measurements, observations, actions = recorded(make_env, name, pose=pose)
     env = make_env(name, difficulty="hard", rig=Playback(measurements))
     env.reset(seed=99, options={"pose": pose, "fault": other})

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gymnasium
 import numpy as np
 import pytest
 
 from loose_env.arms import planar
 from loose_env.envs.diagnosis import DiagnosisEnv
+from loose_env.envs.registration import IDS
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.envs.vector import DiagnosisVectorEnv
 from loose_env.errors import UnknownName
@@ -56,6 +58,25 @@ def test_masks_come_through_env_method() -> None:
     assert len(vec.env_method("action_masks", indices=[0, 2])) == 2  # type: ignore[attr-defined]
     with pytest.raises(UnknownName, match="action_masks"):
         vec.env_method("open_the_lid")  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_every_id_runs_as_stable_baselines3_wants_it(env_id: str) -> None:
+    from loose_env.envs.sb3 import Sb3VecEnv
+
+    env = gymnasium.make_vec(env_id, num_envs=2, durations=(0.2,), max_records=1)
+    assert isinstance(env, DiagnosisVectorEnv)
+    vec = Sb3VecEnv(env)
+    first = vec.reset()
+    assert first.shape == (2, env.layout.size)
+    n = env.arm.n
+    shake = env.actions.encode(levels=np.eye(n, dtype=int)[0])
+    seen, _, dones, _ = vec.step(np.stack([shake] * 2))
+    assert env.layout.physical(seen, "valid")[:, 0].ravel().tolist() == [1.0, 1.0]
+    assert not dones.any()
+    _, _, dones, infos = vec.step(np.stack([env.actions.encode(verdict=1)] * 2))
+    assert dones.all() and all("terminal_observation" in info for info in infos)
+    vec.close()
 
 
 def test_maskable_ppo_learns_a_few_steps() -> None:

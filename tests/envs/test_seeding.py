@@ -17,7 +17,7 @@ from loose_env.rig.measurement import Measurement
 MakeEnv = Callable[..., DiagnosisEnv]
 MakeVector = Callable[..., DiagnosisVectorEnv]
 RECORDS = 2
-NAMES = ["planar", "vera"]
+NAMES = ["planar", "vera", "six_axis", "scara", "desk"]
 
 Episode = list[Any]
 """First observation, then observation, reward and ends of every step, then the truth."""

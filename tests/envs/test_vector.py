@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from loose_env.envs.diagnosis import DiagnosisEnv
+from loose_env.envs.registration import IDS
 from loose_env.envs.vector import DiagnosisVectorEnv
 
 MakeEnv = Callable[..., DiagnosisEnv]
@@ -31,7 +32,7 @@ def deciding(env: DiagnosisVectorEnv, which: list[int]) -> NDArray[np.int64]:
     return actions
 
 
-@pytest.mark.parametrize("env_id", ["loose_env/Vera-v0", "loose_env/Planar-v0"])
+@pytest.mark.parametrize("env_id", IDS)
 def test_make_vec_gives_the_native_form(env_id: str) -> None:
     env = gymnasium.make_vec(f"loose_env:{env_id}", num_envs=3, threads=1)
     assert isinstance(env, DiagnosisVectorEnv)

@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 from loose_env.envs.drawing.ink import BODY, EDGE, INK, ON_SHAKEN, PAPER, SHAKEN, TRUTH
 from loose_env.envs.drawing.scenery import arrow, half_height
 from loose_env.envs.drawing.view import PlanarPose
-from loose_env.faults import Backlash, Fault, StructuralLooseness
+from loose_env.faults import (
+    Backlash,
+    Fault,
+    RotationalLooseness,
+    StructuralLooseness,
+    parts_of,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -104,27 +110,34 @@ class ArmDrawing:
         _disc(axes, pose.tool, r, facecolor=INK, edgecolor=PAPER, linewidth=0.8, zorder=9.1)
 
     def fault(self, axes: Axes, pose: PlanarPose, fault: Fault) -> None:
-        """Point at the loose seat: which way a link slides, or where the play is."""
-        if isinstance(fault, StructuralLooseness):
-            where = fault.link - 1
-            direction = pose.seats[where] @ np.asarray(fault.direction, dtype=float)
-            direction = direction / max(float(np.linalg.norm(direction)), 1e-12)
-            along = pose.ends[where] - pose.joints[where]
-            middle = pose.joints[where] + 0.45 * along
-            half = 0.13 * half_height(axes) * direction
-            start, end = middle - half, middle + half
-            arrow(axes, start, end, color=INK, width=1.8, zorder=8.5, both=True)
-        elif isinstance(fault, Backlash):
-            joint = fault.joint - 1
-            _disc(
-                axes,
-                pose.joints[joint],
-                1.55 * float(self.radii[joint]),
-                facecolor="none",
-                edgecolor=TRUTH,
-                linewidth=3.2,
-                zorder=8.4,
-            )
+        """Point at the loose seat: which way a link slides or turns, or where the play is."""
+        for part in parts_of(fault):
+            if isinstance(part, StructuralLooseness):
+                where = part.link - 1
+                direction = pose.seats[where] @ np.asarray(part.direction, dtype=float)
+                direction = direction / max(float(np.linalg.norm(direction)), 1e-12)
+                along = pose.ends[where] - pose.joints[where]
+                middle = pose.joints[where] + 0.45 * along
+                half = 0.13 * half_height(axes) * direction
+                start, end = middle - half, middle + half
+                arrow(axes, start, end, color=INK, width=1.8, zorder=8.5, both=True)
+            elif isinstance(part, RotationalLooseness):
+                where = part.link - 1
+                pivot = pose.joints[where] + pose.seats[where] @ np.asarray(part.pivot, dtype=float)
+                out = _unit(pose.ends[where] - pose.joints[where])
+                radius = 0.13 * half_height(axes)
+                _arc(axes, pivot, out, radius, color=INK, zorder=8.5)
+            elif isinstance(part, Backlash):
+                joint = part.joint - 1
+                _disc(
+                    axes,
+                    pose.joints[joint],
+                    1.55 * float(self.radii[joint]),
+                    facecolor="none",
+                    edgecolor=TRUTH,
+                    linewidth=3.2,
+                    zorder=8.4,
+                )
 
     def _link(self, start: Array, end: Array, wide: float, narrow: float) -> PathPatch:
         """Shape a link: two round ends and the straight sides that touch them."""
@@ -148,9 +161,6 @@ class ArmDrawing:
 
     def _swing(self, axes: Axes, pose: PlanarPose, j: int) -> None:
         """Draw the arrow of a shaken joint, round the side where no link is."""
-        from matplotlib.patches import FancyArrowPatch
-        from matplotlib.path import Path
-
         centre = pose.joints[j]
         radius = max(2.0 * float(self.radii[j]), 0.08 * half_height(axes))
         out = _unit(pose.ends[j] - centre)
@@ -158,20 +168,30 @@ class ArmDrawing:
         free = -(out + back)
         if np.linalg.norm(free) < 0.35:
             free = np.array([-out[1], out[0]])
-        middle = np.degrees(np.arctan2(free[1], free[0]))
-        arc = Path.arc(middle - 75, middle + 75)
-        axes.add_patch(
-            FancyArrowPatch(
-                path=Path(centre + radius * np.asarray(arc.vertices), arc.codes),
-                arrowstyle="<|-|>,head_width=3.2,head_length=5.5",
-                facecolor=SHAKEN,
-                edgecolor=SHAKEN,
-                linewidth=2.0,
-                mutation_scale=1.0,
-                joinstyle="miter",
-                zorder=6.6,
-            )
+        _arc(axes, centre, free, radius, color=SHAKEN, zorder=6.6)
+
+
+def _arc(
+    axes: Axes, centre: Array, middle: Array, radius: float, *, color: str, zorder: float
+) -> None:
+    """Draw an arrow with two heads round a centre, its middle in the given direction."""
+    from matplotlib.patches import FancyArrowPatch
+    from matplotlib.path import Path
+
+    angle = np.degrees(np.arctan2(middle[1], middle[0]))
+    arc = Path.arc(angle - 75, angle + 75)
+    axes.add_patch(
+        FancyArrowPatch(
+            path=Path(centre + radius * np.asarray(arc.vertices), arc.codes),
+            arrowstyle="<|-|>,head_width=3.2,head_length=5.5",
+            facecolor=color,
+            edgecolor=color,
+            linewidth=2.0,
+            mutation_scale=1.0,
+            joinstyle="miter",
+            zorder=zorder,
         )
+    )
 
 
 def _disc(axes: Axes, centre: Array, radius: float, **look: Any) -> None:

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any, Literal
 from loose_env.arms.linear import LinearArm
 from loose_env.envs.drawing.ink import EDGE, INK, MEASURED, MUTED, SHAKEN, TRUTH
 from loose_env.envs.drawing.loop import LoopPair
+from loose_env.envs.drawing.looseness import loose_link_of
+from loose_env.envs.drawing.surface import SurfacePair
 from loose_env.envs.drawing.words import fault_words, hypothesis_words, pose_words, shaking_words
 from loose_env.envs.episode import Episode
-from loose_env.faults import Backlash, Fault, StructuralLooseness
+from loose_env.faults import Backlash, Fault
 from loose_env.rig.measurement import Measurement
 
 if TYPE_CHECKING:
@@ -35,7 +37,7 @@ def header_lines(
     linear: LinearArm,
     episode: Episode,
     measurement: Measurement | None,
-    loops: LoopPair | None,
+    loops: LoopPair | SurfacePair | None,
     verdict: str | None,
 ) -> Iterator[Line]:
     """Say what the picture shows; the truth first, once it is out."""
@@ -48,7 +50,7 @@ def header_lines(
     else:
         shaking = "Nothing was shaken, so there is nothing to see on the tool."
     if episode.ended:
-        truth = fault_words(episode.fault)
+        truth = fault_words(episode.fault, linear.arm)
         yield Line(truth[0].upper() + truth[1:], "truth")
         if verdict is not None:
             mark = "right" if verdict == episode.fault.hypothesis else "wrong"
@@ -58,7 +60,7 @@ def header_lines(
         yield Line(f"Record {episode.records}" if episode.records else "Not measured yet", "title")
         yield Line(shaking, "plain")
     spent = f"Record {episode.records}, pose" if episode.ended else "Pose"
-    yield Line(f"{spent} {pose_words(episode.pose)}", "muted")
+    yield Line(f"{spent} {pose_words(episode.pose, linear.arm.sliding)}", "muted")
     if loops is not None:
         measured, healthy = loops.measured.maximum, loops.healthy.maximum
         yield Line(
@@ -66,8 +68,8 @@ def header_lines(
         )
 
 
-def write_header(figure: Figure, lines: Iterator[Line]) -> None:
-    """Write the lines at the top of a figure."""
+def write_header(figure: Figure, lines: Iterator[Line], *, letters: int = _LETTERS) -> None:
+    """Write the lines at the top of a figure, ``letters`` beside each other."""
     height = float(figure.get_size_inches()[1])
     large: dict[str, Any] = {"fontsize": 14.0, "fontweight": "bold"}
     small: dict[str, Any] = {"fontsize": 9.5}
@@ -79,30 +81,53 @@ def write_header(figure: Figure, lines: Iterator[Line]) -> None:
     }
     y = 1.0 - 0.16 / height
     for line in lines:
-        for text in wrap(line.text, _LETTERS):
+        for text in wrap(line.text, letters):
             figure.text(0.04, y, text, ha="left", va="top", **looks[line.rank])
             y -= (0.28 if line.rank in ("title", "truth") else 0.195) / height
 
 
-def write_legend(figure: Figure, truth: Fault | None, *, some_held: bool) -> None:
-    """Write the legend at the bottom of a figure."""
+def write_legend(
+    figure: Figure,
+    truth: Fault | None,
+    *,
+    some_held: bool,
+    curve: str = "correlation r(φ)",
+    slides: bool = False,
+) -> None:
+    """Write the legend at the bottom of a figure.
+
+    Parameters
+    ----------
+    figure : Figure
+        The figure.
+    truth : Fault, optional
+        What was loose, once it may be shown.
+    some_held : bool
+        Whether some joint was held.
+    curve : str
+        Name of the curve of the correlation.
+    slides : bool
+        Whether arrows show which way a link slides.
+    """
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     loop = Patch(facecolor=(MEASURED, 0.22), edgecolor=MEASURED, linewidth=1.6)
-    loop.set_label("correlation r(φ)")
+    loop.set_label(curve)
     lowest = Line2D([], [], color=MEASURED, linewidth=2.6, label="lowest correlation")
     healthy = Line2D([], [], color=MUTED, linewidth=1.3, label="healthy arm")
     healthy.set_linestyle((0, (4, 2.5)))
     entries: list[Any] = [loop, lowest, healthy, _mark("o", SHAKEN, "shaken joint")]
     if some_held:
         entries.append(_mark("s", EDGE, "held joint"))
-    if isinstance(truth, StructuralLooseness):
+    if loose_link_of(truth) is not None:
         entries.append(Patch(facecolor=TRUTH, edgecolor=EDGE, label="loose link"))
     elif isinstance(truth, Backlash):
         ring = _mark("o", "none", "joint with play")
         ring.set(markeredgecolor=TRUTH, markeredgewidth=2.2)
         entries.append(ring)
+    if slides:
+        entries.append(_mark(r"$\leftrightarrow$", INK, "the way it slides"))
     _place(figure, entries)
 
 

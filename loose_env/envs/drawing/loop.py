@@ -19,7 +19,7 @@ from loose_env.statistics import (
     lowest_coherence_direction_from,
 )
 
-__all__ = ["Loop", "LoopPair", "loop_of", "measured_loop", "predicted_loop"]
+__all__ = ["Loop", "LoopPair", "loop_of", "measured_loop", "predicted_loop", "record_of"]
 
 Array = NDArray[np.float64]
 
@@ -93,12 +93,17 @@ def loop_of(cov: Covariances) -> Loop:
     )
 
 
-def measured_loop(measurement: Measurement) -> Loop:
-    """Trace the loop of a measurement in the plane."""
+def record_of(measurement: Measurement) -> tuple[Array, Array]:
+    """Accelerations of the shaken joints (m, N) and of the tool (d, N), in the band."""
     on = np.flatnonzero(measurement.excited)
     rate, band = measurement.rate, measurement.excitation.band
     joint = acceleration_from_angle(measurement.encoder[on], rate, band)
-    return loop_of(covariances(joint, bandpass(measurement.tool, rate, band)))
+    return joint, bandpass(measurement.tool, rate, band)
+
+
+def measured_loop(measurement: Measurement) -> Loop:
+    """Trace the loop of a measurement in the plane."""
+    return loop_of(covariances(*record_of(measurement)))
 
 
 def predicted_loop(prediction: Prediction) -> Loop:

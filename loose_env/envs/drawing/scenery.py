@@ -32,9 +32,12 @@ def arrow(
     width: float,
     zorder: float,
     both: bool = False,
+    halo: bool = False,
 ) -> None:
-    """Draw a straight arrow with a head at its end, or at both ends."""
-    axes.annotate(
+    """Draw a straight arrow with a head at its end, or at both, and with a light rim."""
+    from matplotlib.patheffects import withStroke
+
+    note = axes.annotate(
         "",
         xy=(float(end[0]), float(end[1])),
         xytext=(float(start[0]), float(start[1])),
@@ -47,6 +50,8 @@ def arrow(
         },
         zorder=zorder,
     )
+    if halo and note.arrow_patch is not None:
+        note.arrow_patch.set_path_effects([withStroke(linewidth=width + 2.2, foreground=PAPER)])
 
 
 def draw_base(axes: Axes, radius: float, *, vertical: bool) -> None:

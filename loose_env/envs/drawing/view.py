@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidSetting
 
-__all__ = ["PlanarPose", "PlanarView"]
+__all__ = ["PlanarPose", "PlanarView", "moves_in_a_plane"]
 
 Array = NDArray[np.float64]
 
@@ -33,6 +33,25 @@ class PlanarPose:
     def ends(self) -> Array:
         """Far end of each link: the next joint, or the tool [m] (n, 2)."""
         return np.vstack([self.joints[1:], self.tool])
+
+
+def moves_in_a_plane(arm: Arm) -> bool:
+    """Whether all joint axes are parallel and the accelerometer measures two axes.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar, scara
+    >>> moves_in_a_plane(planar(2)), moves_in_a_plane(scara())
+    (True, False)
+    """
+    axes = _joint_axes(arm, mujoco.MjData(arm.model))
+    return len(arm.axes) == 2 and bool(np.linalg.norm(np.cross(axes, axes[0]), axis=1).max() < 1e-6)
+
+
+def _joint_axes(arm: Arm, data: mujoco.MjData) -> Array:
+    """Joint axes in world coordinates, all joints at zero (n, 3)."""
+    mujoco.mj_forward(arm.model, data)
+    return np.array([data.joint(name).xaxis for name in arm.joints])
 
 
 class PlanarView:
@@ -62,9 +81,8 @@ class PlanarView:
     def __init__(self, arm: Arm) -> None:
         self.arm = arm
         self._data = mujoco.MjData(arm.model)
-        mujoco.mj_forward(arm.model, self._data)
-        axes = np.array([self._data.joint(name).xaxis for name in arm.joints])
-        if len(arm.axes) != 2 or np.linalg.norm(np.cross(axes, axes[0]), axis=1).max() > 1e-6:
+        axes = _joint_axes(arm, self._data)
+        if not moves_in_a_plane(arm):
             raise InvalidSetting(
                 f"a picture shows an arm that moves in a plane: parallel joint axes and two "
                 f"measured tool axes. Arm {arm.name!r} has joint axes "

@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 from loose_env.arms.arm import Arm
 from loose_env.arms.linear import LinearPose
 from loose_env.excitation import Excitation
-from loose_env.faults import Backlash, Fault, StructuralLooseness, place_of
+from loose_env.faults import (
+    Backlash,
+    Fault,
+    RotationalLooseness,
+    StructuralLooseness,
+    parts_of,
+    place_of,
+)
 
 __all__ = ["fault_words", "hypothesis_words", "pose_words", "shaking_words"]
 
@@ -34,35 +41,57 @@ def hypothesis_words(hypothesis: str | None, *, past: bool = False) -> str:
         return f"nothing {'was' if past else 'is'} loose"
     if hypothesis.startswith("backlash"):
         return f"joint {place} {'had' if past else 'has'} play"
-    return f"link {place} {'was' if past else 'is'} loose"
+    verb = "was" if past else "is"
+    if hypothesis.startswith("rotational"):
+        return f"link {place} {verb} loose and {'rocked' if past else 'rocks'}"
+    if hypothesis.startswith("compound"):
+        return f"link {place} {verb} loose in several directions"
+    return f"link {place} {verb} loose"
 
 
-def fault_words(fault: Fault) -> str:
+def fault_words(fault: Fault, arm: Arm | None = None) -> str:
     """Say what was wrong with an arm, with the travel of the loose seat.
 
     Examples
     --------
+    >>> from loose_env.arms import scara
     >>> from loose_env.faults import Healthy
     >>> fault_words(Healthy())
     'nothing was loose'
+    >>> fault_words(Backlash(joint=3, gap=1e-4, stiffness=(1e5, 1e5)), scara())
+    'joint 3 had play (0.1 mm)'
     """
     words = hypothesis_words(fault.hypothesis, past=True)
-    if isinstance(fault, StructuralLooseness):
-        return f"{words} ({1e3 * fault.gap:.2g} mm)"
-    if isinstance(fault, Backlash):
-        return f"{words} ({np.degrees(fault.gap):.2g}°)"
-    return words
+    travel = ", ".join(t for t in (_travel(part, arm) for part in parts_of(fault)) if t)
+    return f"{words} ({travel})" if travel else words
 
 
-def pose_words(pose: NDArray[np.float64]) -> str:
-    """Write a pose in whole degrees.
+def _travel(part: Fault, arm: Arm | None) -> str:
+    """Travel of one loose degree of freedom, in millimetres or degrees."""
+    if isinstance(part, Backlash):
+        slides = arm is not None and bool(arm.sliding[part.joint - 1])
+        return f"{1e3 * part.gap:.2g} mm" if slides else f"{np.degrees(part.gap):.2g}°"
+    if isinstance(part, RotationalLooseness):
+        return f"{np.degrees(part.gap):.2g}°"
+    return f"{1e3 * part.gap:.2g} mm" if isinstance(part, StructuralLooseness) else ""
+
+
+def pose_words(pose: NDArray[np.float64], sliding: NDArray[np.bool_] | None = None) -> str:
+    """Write a pose in whole degrees, and whole millimetres where a joint slides.
 
     Examples
     --------
     >>> pose_words(np.radians([30.0, -90.2]))
     '30°, −90°'
+    >>> pose_words(np.array([0.0, -0.08]), np.array([False, True]))
+    '0°, −80 mm'
     """
-    return ", ".join(f"{round(float(np.degrees(q)))}°".replace("-", "−") for q in pose)
+    slides = np.zeros(len(pose), dtype=bool) if sliding is None else sliding
+    words = (
+        f"{round(1e3 * float(q))} mm" if slide else f"{round(float(np.degrees(q)))}°"
+        for q, slide in zip(pose, slides, strict=True)
+    )
+    return ", ".join(word.replace("-", "−") for word in words)
 
 
 def shaking_words(at: LinearPose, excitation: Excitation) -> str:
