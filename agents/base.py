@@ -35,7 +35,7 @@ class Problem:
     @classmethod
     def of(cls, arm: Arm, settings: DiagnosisSettings) -> Problem:
         """Describe the problem that an arm and its settings pose."""
-        names = hypotheses(arm)
+        names = hypotheses(arm, settings.kinds)
         return cls(
             arm=arm,
             settings=settings,

@@ -41,7 +41,7 @@ def record_from(
     direction = np.linalg.eigh(products)[1][:, -1]
     lowest, highest = float(at("coherence")[0]), float(at("correlation")[0])
     return RecordStatistics(
-        pose=np.arctan2(at("sin_pose"), at("cos_pose")),
+        pose=layout.record_poses_of(observation)[slot],
         torque=at("torque") * np.array(arm.torque_limits),
         duration=float(at("duration")[0]),
         transmission=at("transmission").reshape(n, d).T,
@@ -75,6 +75,11 @@ class Tracker:
     ----------
     problem : Problem
         The nominal arm and the rules.
+
+    Raises
+    ------
+    InvalidSetting
+        If a kind of fault that may come up has no model in the posterior.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -86,9 +91,11 @@ class Tracker:
             PosteriorSettings(
                 friction=difficulty.friction,
                 mismatch=difficulty.mismatch,
-                kinds=difficulty.kinds,
+                kinds=difficulty.probabilities(problem.settings.kinds),
             ),
         )
+        known = self.posterior.hypotheses
+        self._order = [known.index(name) for name in problem.hypotheses]
 
     def begin(self, rng: np.random.Generator | None = None) -> _Memory:
         """Return the memory of a new episode."""
@@ -104,7 +111,7 @@ class Tracker:
             if record is not None:
                 memory.belief = self.posterior.update(memory.belief, record)
         memory.records = taken
-        return np.asarray(memory.belief.probabilities)
+        return np.asarray(memory.belief.probabilities[self._order])
 
 
 def tracker_features(problem: Problem, observation: Any, probabilities: Any) -> NDArray[np.float32]:

@@ -115,9 +115,8 @@ class LinkFindingAgent(EpisodeAgent):
         n = problem.arm.n
         moves = np.full(n, problem.settings.stay, dtype=np.intp)
         if joint is not None:
-            sin = problem.layout.physical(observation, "now.sin_pose")
-            cos = problem.layout.physical(observation, "now.cos_pose")
-            allowed = problem.actions.allowed_moves(np.arctan2(sin, cos))[joint - 1]
+            pose = problem.layout.pose_of(observation)
+            allowed = problem.actions.allowed_moves(pose)[joint - 1]
             reach = np.abs(np.sin(problem.actions.moves)) * allowed
             # A retry takes the next best move, so that it does not repeat the first.
             best = np.argsort(-reach, kind="stable")
@@ -136,7 +135,7 @@ class LinkFindingAgent(EpisodeAgent):
             return read(observation, name)[slot]
 
         return Sighting(
-            pose=np.arctan2(at("sin_pose"), at("cos_pose")),
+            pose=self.problem.layout.record_poses_of(observation)[slot],
             direction=_axial(at("lowest_direction")),
             correlation=float(at("correlation")[0]),
             kurtosis=float(at("lowest_kurtosis")[0]),

@@ -44,9 +44,7 @@ class RandomAgent(EpisodeAgent):
         if memory.records > 0 and (probabilities.max() >= self.sure or done):
             return problem.verdict(problem.hypotheses[int(np.argmax(probabilities))])
         rng, n = memory.rng, problem.arm.n
-        sin = problem.layout.physical(observation, "now.sin_pose")
-        cos = problem.layout.physical(observation, "now.cos_pose")
-        allowed = problem.actions.allowed_moves(np.arctan2(sin, cos))
+        allowed = problem.actions.allowed_moves(problem.layout.pose_of(observation))
         moves = np.array([rng.choice(np.flatnonzero(row)) for row in allowed])
         levels = np.zeros(n, dtype=np.intp)
         levels[rng.integers(n)] = rng.integers(1, 1 + len(problem.arm.levels))

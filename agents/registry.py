@@ -9,6 +9,7 @@ from pathlib import Path
 
 from agents.base import Agent, Problem
 from agents.link_finding import LinkFindingAgent
+from agents.space_link_finding import SpaceLinkFindingAgent, SpaceLinkFindingSettings
 from loose_env.diagnosis.link_finding import LinkFindingSettings, Order
 from loose_env.errors import UnknownName
 
@@ -26,6 +27,12 @@ def _random(problem: Problem, seed: int) -> Agent:
 
 def _link_finding(order: Order) -> Callable[[Problem, int], Agent]:
     def make(problem: Problem, seed: int) -> Agent:
+        if len(problem.arm.axes) == 3:
+            # In space; its thresholds follow from the mismatch and need no tuning.
+            rules = LinkFindingSettings(order=order)
+            return SpaceLinkFindingAgent(
+                problem, SpaceLinkFindingSettings(policy="turns", rules=rules), seed=seed
+            )
         tuned = WEIGHTS / f"{problem.arm.name}-{order}.json"
         if not tuned.is_file():
             warnings.warn(
@@ -40,6 +47,10 @@ def _link_finding(order: Order) -> Callable[[Problem, int], Agent]:
     return make
 
 
+def _images(problem: Problem, seed: int) -> Agent:
+    return SpaceLinkFindingAgent(problem, seed=seed)
+
+
 def _ppo(problem: Problem, seed: int) -> Agent:
     from agents.learned import LearnedAgent
 
@@ -51,6 +62,7 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
     "thesis": (_link_finding("outward"), "the thesis's link finding, from the base outward"),
     "inward": (_link_finding("inward"), "the same, from the tool inward"),
     "bisection": (_link_finding("bisection"), "the same, halving the arm"),
+    "images": (_images, "predicted directions of every hypothesis, all joints at once"),
     "ppo": (_ppo, "a policy trained by PPO on the posterior"),
 }
 """How each agent is made, and what it is in a few words."""

@@ -23,13 +23,37 @@ def test_the_environment_tables_are_up_to_date() -> None:
     assert written == script("write_docs").environments()
 
 
-def test_every_element_of_every_environment_is_in_the_document() -> None:
+def test_every_element_of_every_environment_is_counted_in_the_document() -> None:
     import gymnasium
 
     from loose_env.envs.registration import IDS
 
+    pattern = script("write_docs").pattern
     text = (ROOT / "docs" / "environments.md").read_text(encoding="utf-8")
+    parts = dict(zip(IDS, text.split("\n## loose_env/")[1:], strict=True))
     for env_id in IDS:
-        layout = gymnasium.make(env_id).unwrapped.layout  # type: ignore[attr-defined]
+        env = gymnasium.make(env_id).unwrapped
+        layout = env.layout  # type: ignore[attr-defined]
+        counted = 0
+        for line in parts[env_id].splitlines():
+            cells = [cell.strip() for cell in line.strip("|").split("|")]
+            if line.startswith("|") and len(cells) == 5 and cells[1].isdigit():
+                counted += int(cells[1])
+        assert counted == len(layout.global_elements) + len(layout.slot_elements)
         for element in layout.slot_elements:
-            assert f".{element.name} | {element.unit} |" in text
+            row = rf"| record\<k\>.{pattern(env.arm, element.name)} |"  # type: ignore[attr-defined]
+            rows = [line for line in parts[env_id].splitlines() if line.startswith(row)]
+            assert any(f" | {element.unit} | " in line for line in rows), element.name
+        env.close()
+
+
+def test_elements_that_differ_in_joint_and_axis_share_a_pattern() -> None:
+    from loose_env.arms import scara, six_axis
+
+    pattern = script("write_docs").pattern
+    assert pattern(six_axis(), "transmission.joint4_y") == r"transmission.\<joint\>_\<axis\>"
+    assert pattern(scara(), "inertia.joint3") == r"inertia.\<slide\>"
+    assert pattern(scara(), "sin_pose.joint3_position") == r"sin_pose.\<slide\>_position"
+    assert pattern(scara(), "tool_correlation.xz") == r"tool_correlation.\<axes\>"
+    assert pattern(scara(), "lowest_skewness") == "lowest_skewness"
+    assert pattern(scara(), "spent.records") == "spent.records"

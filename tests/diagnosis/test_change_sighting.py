@@ -1,0 +1,76 @@
+"""The direction of one record's change of transmission, on simulated arms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from loose_env.arms import planar, scara, six_axis
+from loose_env.arms.arm import Arm
+from loose_env.arms.mismatch import Mismatch
+from loose_env.diagnosis.change_sighting import ChangeModel, ChangeSighting, sight_change
+from loose_env.diagnosis.direction_images import ToolFrames
+from loose_env.diagnosis.prediction import SensorFloor, predict
+from loose_env.diagnosis.record import statistics_of
+from loose_env.envs.difficulty import Difficulty, FaultSampler
+from loose_env.errors import InvalidSetting
+from loose_env.excitation import at_levels
+from loose_env.rig import Job, SimulatedRig
+
+
+def sightings(arm: Arm, hypothesis: str | None, count: int, level: int) -> list[tuple]:
+    """Sightings of simulated arms with the error of each direction [rad]."""
+    rig, frames = SimulatedRig(arm, slots=count, threads=1), ToolFrames(arm)
+    floor, model = SensorFloor.of(rig.sensors, arm.band), ChangeModel.of(Mismatch(), joints=arm.n)
+    sampler = FaultSampler(rig.nominal, Difficulty(friction=(0.02, 0.1)))
+    jobs, faults, expected = [], [], []
+    for k in range(count):
+        rng = np.random.default_rng([31, k])
+        name = hypothesis or f"structural_looseness@link{1 + k % arm.n}"
+        faults.append(sampler.draw(rng, hypothesis=name))
+        rig.mount(k, faults[-1], Mismatch().draw(arm, rng))
+        pose = arm.random_pose(rng)
+        levels = np.full(arm.n, arm.levels[level - 1])
+        shake, _ = at_levels(rig.nominal.at(pose), levels, duration=1.2)
+        jobs.append(Job(slot=k, pose=pose, excitation=shake, rng=rng))
+        expected.append(predict(rig.nominal.at(pose), shake, floor))
+    found = []
+    for job, fault, nominal, record in zip(
+        jobs, faults, expected, rig.measure_many(jobs), strict=True
+    ):
+        seen = sight_change(statistics_of(record), nominal, band=arm.band, floor=floor, model=model)
+        error = np.nan
+        if fault.kind == "structural_looseness":
+            z = np.array(fault.direction)[: frames.dimension]
+            true = frames.images(job.pose)[0, fault.link - 1] @ z
+            error = float(np.arccos(min(1.0, abs(true @ seen.direction))))
+        found.append((seen, error))
+    return found
+
+
+@pytest.mark.parametrize("arm", [planar(4), scara(), six_axis()], ids=lambda a: a.name)
+@pytest.mark.parametrize("level", [1, 3])
+def test_a_healthy_arm_changes_by_what_errors_leave(arm: Arm, level: int) -> None:
+    seen: list[ChangeSighting] = [s for s, _ in sightings(arm, "healthy", 16, level)]
+    excess = np.array([s.excess for s in seen])
+    assert 0.4 < np.median(excess) < 1.4
+    assert excess.max() < 2.5
+    assert sum(s.rank > 0 for s in seen) <= 1
+
+
+def test_an_open_seat_shows_its_direction_within_the_stated_uncertainty() -> None:
+    found = sightings(planar(4), None, 32, 3)
+    open_ones = [(s, e) for s, e in found if s.excess > 1.8]
+    assert len(open_ones) >= 20
+    errors = np.array([e for _, e in open_ones])
+    sd = np.array([1 / np.sqrt(np.trace(s.precision)) for s, _ in open_ones])
+    assert np.degrees(np.median(errors)) < 5
+    assert 0.3 < np.median(errors / sd) < 1.2  # 0.67 for a normal error
+    assert np.mean(errors < 3 * sd) > 0.85
+
+
+def test_a_model_without_errors_is_refused() -> None:
+    with pytest.raises(InvalidSetting):
+        ChangeModel(sensor=0.0, geometry=0.0, floor=0.0)
+    with pytest.raises(InvalidSetting):
+        ChangeModel(sensor=-0.1)
