@@ -6,18 +6,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from loose_env.arms.reach import largest_reach
 from loose_env.arms.shaker import COIL, Shaker
 from loose_env.errors import InvalidSetting, UnknownName
 
+if TYPE_CHECKING:
+    from loose_env.arms.gears import Gears
+
 __all__ = ["Arm", "HoldKind", "Holding"]
 
-HoldKind = Literal["brake", "servo"]
+HoldKind = Literal["brake", "servo", "compliant"]
+"""How joints are held: by stiff brakes, by position servos, or by brakes behind elastic gears."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +79,7 @@ class Arm:
     brake: Holding
     """Brakes of the joints that are not excited."""
     servo: Holding
-    """Position servos, the softer way of holding."""
+    """Position servos, the softer way of holding: their proportional and derivative gains."""
     centring: Holding
     """Soft spring that keeps an excited joint near its pose; its modes lie below the band."""
     timestep: float
@@ -83,6 +88,12 @@ class Arm:
     """Excitation before a record, in which seat, holdings and bending modes settle [s]."""
     hold: HoldKind = "brake"
     """How joints that are not excited are held."""
+    gears: Gears | None = None
+    """Figures of the gears, for the time they are taken as elastic."""
+    gear_joints: tuple[str, ...] = ()
+    """Joints of the spec that are elastic gears, base first; none where gears are stiff."""
+    rigid: Arm | None = None
+    """The same arm with stiff gears; None where this is it."""
     probes: tuple[str, ...] = ()
     """Sites of the spec that carry further accelerometers, read along their own axes."""
     shaker: Shaker | None = None
@@ -104,8 +115,13 @@ class Arm:
                     f"arm {self.name!r}: {field} has {len(getattr(self, field).stiffness)} "
                     f"entries, one for each of {n} joints is needed"
                 )
-        if self.hold not in ("brake", "servo"):
-            raise UnknownName(f"unknown hold {self.hold!r}: 'brake' or 'servo'")
+        if self.hold not in ("brake", "servo", "compliant"):
+            raise UnknownName(f"unknown hold {self.hold!r}: 'brake', 'servo' or 'compliant'")
+        if len(self.gear_joints) != (n if self.hold == "compliant" else len(self.gear_joints)):
+            raise InvalidSetting(
+                f"arm {self.name!r} has no elastic gears to hold by: make it with "
+                "arm.with_compliance()"
+            )
         if not 0 < self.band[0] < self.band[1]:
             raise InvalidSetting(f"band must be 0 < low < high in Hz, got {self.band}")
         if any(b <= a for a, b in zip(self.levels, self.levels[1:], strict=False)):
@@ -130,7 +146,7 @@ class Arm:
             Site or body that carries the tool accelerometer.
         joints : sequence of str, optional
             Driven joints; all between base and tool by default.
-        hold : {"brake", "servo"}
+        hold : {"brake", "servo", "compliant"}
             How joints that are not excited are held.
         """
         from loose_env.arms.from_file import arm_from_file  # which needs this class
@@ -150,7 +166,54 @@ class Arm:
     @property
     def holding(self) -> Holding:
         """What holds the joints that are not excited."""
-        return self.brake if self.hold == "brake" else self.servo
+        return self.servo if self.hold == "servo" else self.brake
+
+    def with_servo(
+        self,
+        *,
+        mode_hz: float | Sequence[float] | None = None,
+        damping_ratio: float | Sequence[float] | None = None,
+    ) -> Arm:
+        """Return the arm with its joints held by position servos of a bandwidth [Hz].
+
+        See `loose_env.arms.compliance.servoed`.
+
+        Examples
+        --------
+        >>> from loose_env.arms import planar
+        >>> planar(3).with_servo(mode_hz=40.0, damping_ratio=0.7).name
+        'planar3-servo'
+        """
+        from loose_env.arms.compliance import servoed  # which needs this class
+
+        return servoed(self, mode_hz=mode_hz, damping_ratio=damping_ratio)
+
+    def with_compliance(
+        self,
+        *,
+        stiffness: float | Sequence[float] | None = None,
+        mode_hz: float | Sequence[float] | None = None,
+        damping_ratio: float | Sequence[float] | None = None,
+    ) -> Arm:
+        """Return the arm with elastic gears, of a stiffness [N·m/rad or N/m] or a mode [Hz].
+
+        With neither given they are the arm's own; see `loose_env.arms.compliance.compliant`.
+
+        Raises
+        ------
+        InvalidSetting
+            If both are given, do not fit the joints, or are too stiff to simulate.
+
+        Examples
+        --------
+        >>> from loose_env.arms import planar
+        >>> planar(3).with_compliance(mode_hz=30.0).gear_joints
+        ('gear1', 'gear2', 'gear3')
+        """
+        from loose_env.arms.compliance import compliant  # which needs this class
+        from loose_env.arms.gears import gears_of
+
+        return compliant(self, gears_of(self, stiffness, mode_hz, damping_ratio))
 
     @cached_property
     def model(self) -> mujoco.MjModel:
@@ -163,13 +226,15 @@ class Arm:
         return np.array([self.model.joint(name).qposadr[0] for name in self.joints], dtype=np.intp)
 
     @cached_property
+    def sliding(self) -> NDArray[np.bool_]:
+        """Whether each joint slides, its figures per metre and in N; else it turns (n,)."""
+        slide = mujoco.mjtJoint.mjJNT_SLIDE
+        return np.array([self.model.joint(name).type[0] == slide for name in self.joints])
+
+    @cached_property
     def reach(self) -> float:
-        """Distance from the first joint to the tool with the arm straight [m]."""
-        m = self.model
-        data = mujoco.MjData(m)
-        mujoco.mj_forward(m, data)
-        base = data.joint(self.joints[0]).xanchor
-        return float(np.linalg.norm(data.site(self.tool).xpos - base))
+        """Largest distance from the first joint's anchor to the tool over all poses [m]."""
+        return largest_reach(self.model, self.joints, self.joint_ranges, self.tool)
 
     def link_number(self, link: int) -> int:
         """Check a link or joint number and return it.

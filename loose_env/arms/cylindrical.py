@@ -8,9 +8,11 @@ import mujoco
 import numpy as np
 
 from loose_env.arms.arm import Arm, Holding, HoldKind
+from loose_env.arms.compliance import held
+from loose_env.arms.gears import Gears
 from loose_env.arms.parts import HOLDING_MODE_HZ, holdings, new_spec
 
-__all__ = ["COLUMN_MODE_HZ", "GUIDE", "cylindrical"]
+__all__ = ["COLUMN_MODE_HZ", "GUIDE", "OIL_MODE_HZ", "cylindrical"]
 
 COLUMN_MODE_HZ = 8.0
 """Mode of the column on its floor, arm raised and extended, joints locked [Hz] (6.2.1)."""
@@ -20,6 +22,9 @@ SIDE_STIFFNESS = 1.9
 """Column stiffness sideways over that fore and aft [1]: the feet are farther apart; an estimate."""
 LOCK_MODE_HZ = 240.0
 """Holding mode of the mechanical locks: four times the top of the band; an estimate."""
+OIL_MODE_HZ = 25.0
+"""Mode of each joint on the oil of its cylinder, valves shut, for ``hold="compliant"`` [Hz]: an
+estimate for large hydraulic drives, inside the band."""
 GUIDE = "guide"
 """Body of the bearing blocks on the carriage, through which the boom runs."""
 
@@ -40,8 +45,8 @@ def cylindrical(*, hold: HoldKind = "brake") -> Arm:
     [m], joint 3 runs the boom out through the carriage's bearing blocks [m]; joints 4 to 6
     are the wrist: roll about the boom, pitch, roll [rad]. Where joint 2 or 3 is meant, every
     figure of `Arm` that is given there per radian or in N·m is per metre or in N: positions and
-    ranges in m, torque limits in N, stiffness in N/m and damping in N·s/m. Play in a joint
-    (`Backlash`) is a hinge about the joint's axis and so says nothing about joints 2 and 3.
+    ranges in m, torque limits in N, stiffness in N/m and damping in N·s/m. Play in joints 2 and 3
+    (`Backlash`) is along them.
 
     The thesis gives the layout, the mode at 8 Hz with the arm raised and extended, and no
     masses or lengths. All masses, lengths, strokes and force limits here are estimates for an
@@ -53,8 +58,8 @@ def cylindrical(*, hold: HoldKind = "brake") -> Arm:
 
     Parameters
     ----------
-    hold : {"brake", "servo"}
-        How joints that are not excited are held.
+    hold : {"brake", "servo", "compliant"}
+        How joints that are not excited are held; see `loose_env.arms.compliance`.
 
     Examples
     --------
@@ -112,8 +117,8 @@ def cylindrical(*, hold: HoldKind = "brake") -> Arm:
         damping=tuple(float(f"{c * softer:.3g}") for c in brake.damping),
     )
     turn = np.radians(170.0)
-    return Arm(
-        name="cylindrical-servo" if hold == "servo" else "cylindrical",
+    arm = Arm(
+        name="cylindrical",
         spec=spec,
         joints=joints,
         seat_bodies=tuple(f"link{i}" for i in range(1, 7)),
@@ -135,9 +140,10 @@ def cylindrical(*, hold: HoldKind = "brake") -> Arm:
         centring=centring,
         timestep=2e-4,
         settling=0.5,  # the column's mode, below the band, is hardly excited
-        hold=hold,
+        gears=Gears(mode_hz=OIL_MODE_HZ),
         probes=("wrist_base",),
     )
+    return held(arm, hold)
 
 
 def _stiffen_column(spec: mujoco.MjSpec) -> None:

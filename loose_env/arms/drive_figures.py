@@ -113,7 +113,9 @@ def stable_timestep(arm: Arm, poses: Array) -> float:
     stiffness = linear.model.jnt_stiffness[linear.model.dof_jntid[joints]]
     decay = turn = 0.0
     for pose in poses:
-        weight = np.linalg.inv(linear.at(pose).inertia)[np.ix_(joints, joints)]
+        # Play along a sliding joint and the slides of its link are one motion: no plain inverse.
+        inverse = np.linalg.pinv(linear.at(pose).inertia, rcond=1e-12, hermitian=True)
+        weight = inverse[np.ix_(joints, joints)]
         decay = max(decay, float(np.linalg.eigvals(weight * damping).real.max()))
         turn = max(turn, float(np.linalg.eigvals(weight * stiffness).real.max()))
     step = TIMESTEP

@@ -6,12 +6,14 @@ import warnings as python_warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import mujoco
 import numpy as np
 
 from loose_env.arms.arm import Arm, HoldKind
 from loose_env.arms.chain_spec import TOOL_SITE, chain_spec
+from loose_env.arms.compliance import held
 from loose_env.arms.drive_figures import (
     TIMESTEP,
     propose_levels,
@@ -19,12 +21,16 @@ from loose_env.arms.drive_figures import (
     stable_timestep,
 )
 from loose_env.arms.file_report import FileReport, FoundJoint, Payload, report
+from loose_env.arms.gears import proposed_gears
 from loose_env.arms.model_file import read_model_file
 from loose_env.arms.parts import holdings
 from loose_env.arms.serial_chain import Chain, find_chain
 from loose_env.errors import UnknownName
 
-__all__ = ["FileReport", "FoundJoint", "Payload", "arm_from_file", "describe_file"]
+__all__ = ["DESK_ARM", "FileReport", "FoundJoint", "Payload", "arm_from_file", "describe_file"]
+
+DESK_ARM = Path(__file__).parent / "models" / "desk_arm.xml"
+"""A small arm of six joints with a gripper, to try things on."""
 
 _POSES = 24
 """Poses at which loads, inertias and levels are looked at."""
@@ -71,8 +77,9 @@ def arm_from_file(
         else the last site of the last body of the deepest chain, else that body's frame.
     joints : sequence of str, optional
         Driven joints. By default all between the base and the tool.
-    hold : {"brake", "servo"}
-        How joints that are not excited are held.
+    hold : {"brake", "servo", "compliant"}
+        How joints that are not excited are held; see `loose_env.arms.compliance`. Elastic gears
+        have the figures of `loose_env.arms.gears.proposed_gears`.
 
     Returns
     -------
@@ -110,8 +117,8 @@ def arm_from_file(
     >>> arm.joints, arm.torque_limits
     (('turn',), (5.0,))
     """
-    if hold not in ("brake", "servo"):
-        raise UnknownName(f"unknown hold {hold!r}: 'brake' or 'servo'")
+    if hold not in get_args(HoldKind):
+        raise UnknownName(f"unknown hold {hold!r}; known are {list(get_args(HoldKind))}")
     file = read_model_file(path)
     chain = find_chain(file, tool, joints)
     found = report(file, chain)
@@ -133,7 +140,7 @@ def arm_from_file(
         python_warnings.warn(f"{found.file}: {'; '.join(assumed)}", UserWarning, stacklevel=2)
     brake, servo, centring = holdings(spec, names, poses=poses)
     arm = Arm(
-        name=f"{file.name}-servo" if hold == "servo" else file.name,
+        name=file.name,
         spec=spec,
         joints=tuple(names),
         seat_bodies=tuple(links),
@@ -148,9 +155,9 @@ def arm_from_file(
         centring=centring,
         timestep=TIMESTEP,
         settling=0.1,
-        hold=hold,
     )
     arm = replace(arm, timestep=stable_timestep(arm, poses))
+    arm = held(replace(arm, gears=proposed_gears(arm)), hold)
     return replace(arm, levels=propose_levels(arm, poses))
 
 

@@ -39,7 +39,7 @@ class Mismatch:
     cross_axis: float = 0.02
     """Leakage of each accelerometer axis into each other one, relative."""
     misalignment: float = 0.5
-    """Rotation of the tool accelerometer about each of its axes [deg]."""
+    """Rotation of each accelerometer about each of its axes [deg]."""
     joint_zero: float = 0.2
     """Zero of each joint encoder [deg]."""
 
@@ -68,10 +68,10 @@ class Mismatch:
         def normal(*shape: int) -> Array:
             return np.clip(rng.standard_normal(shape), -_CUT, _CUT)
 
-        cross = self.cross_axis * normal(3, 3)
-        np.fill_diagonal(cross, self.gain * normal(3))
-        x, y, z = np.radians(self.misalignment) * normal(3)
-        mounting = np.array([[1.0, z, -y], [-z, 1.0, x], [y, -x, 1.0]])
+        sensor = self._accelerometer(rng)
+        # Seeded by the tool's, so that they take nothing from rng and change no later draw.
+        own = np.random.default_rng(sensor.ravel().view(np.uint64))
+        link_sensors = np.array([self._accelerometer(own) for _ in range(n)])
         return MismatchDraw(
             length=1 + self.length * normal(bodies),
             mass=1 + self.mass * normal(bodies),
@@ -83,9 +83,22 @@ class Mismatch:
             holding_damping=1 + self.damping * normal(n),
             tilt=np.radians(self.tilt) * normal(2),
             drive_gain=1 + self.gain * normal(n),
-            sensor=(np.eye(3) + cross) @ mounting,
+            sensor=sensor,
+            link_sensors=link_sensors,
             joint_zero=np.radians(self.joint_zero) * normal(n),
         )
+
+    def _accelerometer(self, rng: np.random.Generator) -> Array:
+        """Draw what one accelerometer makes of the true acceleration (3, 3)."""
+
+        def normal(*shape: int) -> Array:
+            return np.clip(rng.standard_normal(shape), -_CUT, _CUT)
+
+        cross = self.cross_axis * normal(3, 3)
+        np.fill_diagonal(cross, self.gain * normal(3))
+        x, y, z = np.radians(self.misalignment) * normal(3)
+        mounting = np.array([[1.0, z, -y], [-z, 1.0, x], [y, -x, 1.0]])
+        return np.asarray((np.eye(3) + cross) @ mounting)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -113,7 +126,9 @@ class MismatchDraw:
     drive_gain: Array
     """Torque delivered per torque commanded (n,)."""
     sensor: Array
-    """Accelerometer output per true acceleration: gains, cross-axis, mounting (3, 3)."""
+    """Tool accelerometer, output per true acceleration: gains, cross-axis, mounting (3, 3)."""
+    link_sensors: Array
+    """The same of each link's accelerometer, base first (n, 3, 3)."""
     joint_zero: Array
     """True joint position minus encoder reading [rad] (n,)."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import Literal
 
@@ -65,9 +66,14 @@ def read_model_file(path: str | Path) -> ModelFile:
     InvalidData
         If it is no MJCF or URDF, refers to anything outside its folder, or cannot be built.
     """
+    if not isinstance(path, (str, PathLike)):
+        raise InvalidSetting(f"a model is the path of an MJCF or URDF file, got {path!r}")
     file = Path(path)
     if not file.is_file():
-        raise InvalidSetting(f"there is no file {str(file)!r}; give the path of an MJCF or URDF")
+        looked = "" if file.is_absolute() else f" in {Path.cwd()}"
+        raise InvalidSetting(
+            f"there is no file {str(file)!r}{looked}; give the path of an MJCF or URDF"
+        )
     file = file.resolve()
     root = scan(file)
     if root.tag not in ("mujoco", "robot"):

@@ -10,12 +10,22 @@ from numpy.typing import NDArray
 
 from loose_env.arms.arm import Holding
 
-__all__ = ["HOLDING_MODE_HZ", "SERVO_MODE_HZ", "add_link", "holdings", "new_spec"]
+__all__ = [
+    "HOLDING_MODE_HZ",
+    "SERVO_DAMPING",
+    "SERVO_MODE_HZ",
+    "add_link",
+    "held_inertia",
+    "holdings",
+    "new_spec",
+]
 
 HOLDING_MODE_HZ = 800.0
 """Holding mode of a default brake: several times the top of the default band."""
 SERVO_MODE_HZ = 25.0
 """Holding mode of a default position servo: what industrial drives reach on a large arm."""
+SERVO_DAMPING = 0.5
+"""Damping ratio of that mode."""
 CENTRING_MODE_HZ = 4.0
 
 
@@ -61,6 +71,28 @@ def add_link(
     return flange.add_body(name=f"link{number}")
 
 
+def held_inertia(
+    spec: mujoco.MjSpec, joints: Sequence[str], poses: NDArray[np.float64] | None = None
+) -> NDArray[np.float64]:
+    """Inertia that each joint holds, rotor included [kg·m², or kg where it slides] (n,).
+
+    It is that of everything distal to the joint with all joints at zero or, with ``poses``
+    (m, n) given, the largest over these [rad or m].
+    """
+    model = spec.copy().compile()
+    data = mujoco.MjData(model)
+    full = np.zeros((model.nv, model.nv))
+    inertia = np.zeros(len(joints))
+    dofs = [int(model.joint(j).dofadr[0]) for j in joints]
+    for pose in [None] if poses is None else poses:
+        if pose is not None:
+            data.qpos[[int(model.joint(j).qposadr[0]) for j in joints]] = pose
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, full)
+        inertia = np.maximum(inertia, full[dofs, dofs])
+    return inertia
+
+
 def holdings(
     spec: mujoco.MjSpec,
     joints: Sequence[str],
@@ -85,17 +117,7 @@ def holdings(
     poses : ndarray (m, n), optional
         Joint positions at which the inertia is looked at [rad or m].
     """
-    model = spec.copy().compile()
-    data = mujoco.MjData(model)
-    full = np.zeros((model.nv, model.nv))
-    inertia = np.zeros(len(joints))
-    dofs = [int(model.joint(j).dofadr[0]) for j in joints]
-    for pose in [None] if poses is None else poses:
-        if pose is not None:
-            data.qpos[[int(model.joint(j).qposadr[0]) for j in joints]] = pose
-        mujoco.mj_forward(model, data)
-        mujoco.mj_fullM(model, data, full)
-        inertia = np.maximum(inertia, full[dofs, dofs])
+    inertia = held_inertia(spec, joints, poses)
 
     def holding(mode_hz: float, ratio: float) -> Holding:
         omega = 2 * np.pi * mode_hz
@@ -106,6 +128,6 @@ def holdings(
 
     return (
         holding(HOLDING_MODE_HZ, damping_ratio),
-        holding(SERVO_MODE_HZ, 0.5),
+        holding(SERVO_MODE_HZ, SERVO_DAMPING),
         holding(CENTRING_MODE_HZ, 0.7),
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from loose_env.arms.arm import Arm, HoldKind
+from loose_env.arms.compliance import held
 from loose_env.arms.parts import add_link, holdings, new_spec
 from loose_env.errors import InvalidSetting
 
@@ -21,7 +22,9 @@ def planar(n_links: int = 4, *, vertical: bool = False, hold: HoldKind = "brake"
     0.55 of the length because the next joint's drive sits at the far end. A drive's
     reflected rotor inertia is half the inertia it moves with the arm straight, as on
     industrial arms (PUMA 560: 1.1 and 4.7 kg·m² at the first two joints). Torque limits
-    are what the top level asks of each joint with the arm straight, peaks included.
+    are what the top level asks of each joint with the arm straight, peaks included. Elastic
+    gears have a mode of 60 Hz each (`loose_env.arms.gears.GEAR_MODE_HZ`): for three
+    links 3e5, 8.4e4 and 1.1e4 N·m/rad, within what industrial drives have.
 
     Parameters
     ----------
@@ -29,8 +32,8 @@ def planar(n_links: int = 4, *, vertical: bool = False, hold: HoldKind = "brake"
         2 to 7.
     vertical : bool
         Whether the plane of motion holds gravity; else gravity is normal to it.
-    hold : {"brake", "servo"}
-        How joints that are not excited are held.
+    hold : {"brake", "servo", "compliant"}
+        How joints that are not excited are held; see `loose_env.arms.compliance`.
 
     Raises
     ------
@@ -73,8 +76,8 @@ def planar(n_links: int = 4, *, vertical: bool = False, hold: HoldKind = "brake"
     joints = tuple(f"joint{i}" for i in range(1, n_links + 1))
     brake, servo, centring = holdings(spec, joints)
     limit = np.radians(150.0)
-    return Arm(
-        name=f"planar{n_links}{'v' if vertical else ''}{'-servo' if hold == 'servo' else ''}",
+    arm = Arm(
+        name=f"planar{n_links}{'v' if vertical else ''}",
         spec=spec,
         joints=joints,
         seat_bodies=tuple(f"link{i}" for i in range(1, n_links + 1)),
@@ -91,8 +94,8 @@ def planar(n_links: int = 4, *, vertical: bool = False, hold: HoldKind = "brake"
         servo=servo,
         centring=centring,
         timestep=2e-4,
-        hold=hold,
     )
+    return held(arm, hold)
 
 
 def _distal_inertia(masses: list[float], length: float, centre: float) -> float:

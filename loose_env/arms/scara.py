@@ -6,6 +6,8 @@ import mujoco
 import numpy as np
 
 from loose_env.arms.arm import Arm, HoldKind
+from loose_env.arms.compliance import held
+from loose_env.arms.gears import STIFFNESS_PER_TORQUE, Gears
 from loose_env.arms.parts import add_link, holdings, new_spec
 
 __all__ = ["INNER", "OUTER", "STROKE", "scara"]
@@ -20,6 +22,8 @@ _BELOW = -0.15  # wrist below the outer arm's plane, quill drawn up [m]
 _FLANGES = (0.5, 0.4, 0.1, 0.05)  # [kg]
 _ROTORS = (1.5, 0.30, 8.0, 0.02)  # seen at the joints [kg·m², kg for the quill]
 _DAMPING = (2.0, 0.6, 60.0, 0.02)  # [N·m·s/rad, N·s/m for the quill]
+_TORQUES = (150.0, 60.0, 250.0, 8.0)  # [N·m, N for the quill]
+_SCREW_STIFFNESS = 1e6  # of a ball screw turned by a belt [N/m]
 # Mass [kg], centre of mass [m] and inertia about it [kg·m²] of each link.
 _LINKS = (
     (8.0, (0.15, 0.0, 0.0), (0.030, 0.110, 0.120)),
@@ -44,13 +48,17 @@ def scara(*, hold: HoldKind = "brake") -> Arm:
     like 8 kg along the stroke. Links are rigid, so that shaking the plane does not move the
     tool along the vertical, nor the other way round, unless a seat is open. The accelerometer
     sits on a bracket 80 mm off the wrist's axis, without mass; on the axis it would not see
-    joint 4. Play in joint 3 (`Backlash`) is a hinge about the vertical: the quill then turns in
-    its spline. It says nothing about play of the screw along the stroke.
+    joint 4. Play in joint 3 (`Backlash`) is that of the screw, along the stroke; a quill that
+    turns in its spline is a `RotationalLooseness` of link 3 about the vertical.
+
+    Elastic gears (``hold="compliant"``) are estimates too: strain-wave gears with
+    `loose_env.arms.gears.STIFFNESS_PER_TORQUE` times the torque limits (4.5e4, 1.8e4 and
+    2.4e3 N·m/rad) and a screw of 1e6 N/m; the arm sways in the plane at about 17 Hz.
 
     Parameters
     ----------
-    hold : {"brake", "servo"}
-        How joints that are not excited are held.
+    hold : {"brake", "servo", "compliant"}
+        How joints that are not excited are held; see `loose_env.arms.compliance`.
 
     Examples
     --------
@@ -80,14 +88,14 @@ def scara(*, hold: HoldKind = "brake") -> Arm:
     joints = tuple(f"joint{i}" for i in range(1, 5))
     brake, servo, centring = holdings(spec, joints)
     first, second = float(np.radians(105.0)), float(np.radians(150.0))
-    return Arm(
-        name="scara-servo" if hold == "servo" else "scara",
+    arm = Arm(
+        name="scara",
         spec=spec,
         joints=joints,
         seat_bodies=tuple(f"link{i}" for i in range(1, 5)),
         tool="tool",
         axes=(0, 1, 2),
-        torque_limits=(150.0, 60.0, 250.0, 8.0),
+        torque_limits=_TORQUES,
         joint_ranges=((-first, first), (-second, second), (-STROKE, 0.0), (-2 * np.pi, 2 * np.pi)),
         levels=(0.5, 2.0, 6.0),
         band=(30.0, 150.0),
@@ -95,5 +103,11 @@ def scara(*, hold: HoldKind = "brake") -> Arm:
         servo=servo,
         centring=centring,
         timestep=2e-4,
-        hold=hold,
+        gears=Gears(
+            stiffness=tuple(
+                _SCREW_STIFFNESS if i == 2 else STIFFNESS_PER_TORQUE * t
+                for i, t in enumerate(_TORQUES)
+            )
+        ),
     )
+    return held(arm, hold)

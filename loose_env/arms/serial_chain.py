@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import mujoco
 
 from loose_env.arms.model_file import ModelFile
-from loose_env.errors import InvalidData, UnknownName
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 
 __all__ = ["Chain", "find_chain"]
 
@@ -53,7 +53,7 @@ def find_chain(file: ModelFile, tool: str | None, joints: Sequence[str] | None) 
         warnings += leaf
     path = _joints_to(m, body)
     _refuse_unlike(file, path)
-    if joints is not None:
+    if joints is not None and path:
         path = _chosen(file, path, joints)
     if not path:
         which = f"no joint moves the tool {tool!r}" if tool else "there is no hinge or slide"
@@ -181,7 +181,15 @@ def _refuse_unlike(file: ModelFile, path: Sequence[int]) -> None:
 def _chosen(file: ModelFile, path: list[int], joints: Sequence[str]) -> list[int]:
     m = file.model
     names = [m.joint(j).name for j in path]
-    asked = [joints] if isinstance(joints, str) else list(joints)
+    asked = [joints] if isinstance(joints, str) else joints
+    if not isinstance(asked, Iterable):
+        raise InvalidSetting(f"joints are a list of names, got {joints!r}; from {_names(names)}")
+    asked = list(asked)
+    if not asked:
+        raise InvalidData(
+            f"{file.path.name}: joints names none and an arm needs at least one joint; from base "
+            f"to tool: {_names(names)}"
+        )
     unknown = [j for j in asked if j not in names]
     if unknown:
         every = [m.joint(j).name for j in range(m.njnt)]

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from loose_env.arms.arm import Arm, HoldKind
+from loose_env.arms.compliance import held
 from loose_env.arms.parts import add_link, holdings, new_spec
 
 __all__ = ["BENDING_MODE_HZ", "LINK_LENGTH", "BendingLink2", "vera", "vera_spec"]
@@ -52,12 +53,13 @@ def vera(*, hold: HoldKind = "brake") -> Arm:
 
     The bending mode is a hinge in link 1 at a third of its length: there, deflection and
     slope under a force at the end are those of a clamped beam (deflection F L³ / 3EI,
-    slope F L² / 2EI), with 3EI/L³ from eq. 6.6.
+    slope F L² / 2EI), with 3EI/L³ from eq. 6.6. The thesis does not say how stiff the gears
+    are; elastic ones have a mode of 60 Hz each, an estimate (1.6e5 and 1.2e4 N·m/rad).
 
     Parameters
     ----------
-    hold : {"brake", "servo"}
-        How joints that are not excited are held.
+    hold : {"brake", "servo", "compliant"}
+        How joints that are not excited are held; see `loose_env.arms.compliance`.
 
     Examples
     --------
@@ -67,8 +69,8 @@ def vera(*, hold: HoldKind = "brake") -> Arm:
     spec = vera_spec()
     joints = ("joint1", "joint2")
     brake, servo, centring = holdings(spec, joints)
-    return Arm(
-        name="vera-servo" if hold == "servo" else "vera",
+    arm = Arm(
+        name="vera",
         spec=spec,
         joints=joints,
         seat_bodies=("link1", "link2"),
@@ -83,8 +85,8 @@ def vera(*, hold: HoldKind = "brake") -> Arm:
         centring=centring,
         timestep=1e-4,
         settling=0.2,  # the bending mode dies away in 0.2 s
-        hold=hold,
     )
+    return held(arm, hold)
 
 
 def vera_spec(

@@ -470,7 +470,7 @@ def test_names_that_do_not_exist_are_answered_with_those_that_do(write: Write) -
         describe_file(file, joints=["left"])
     with pytest.raises(UnknownName, match="twice"):
         describe_file(file, joints=["swing", "swing"])
-    with pytest.raises(UnknownName, match="'brake' or 'servo'"):
+    with pytest.raises(UnknownName, match="'compliant'"):
         arm_from_file(file, hold="glue")  # type: ignore[arg-type]
     with pytest.raises(InvalidData, match="no joint moves the tool 'stand'"):
         describe_file(file, tool="stand")
@@ -584,3 +584,48 @@ def test_each_call_gives_the_same_arm(write: Write) -> None:
     first, second = arm_from_file(file), arm_from_file(file)
     assert first.levels == second.levels
     assert first.brake == second.brake
+
+
+# ---- the arm that ships with the package
+
+
+def test_the_small_arm_needs_no_assumption_and_carries_its_gripper() -> None:
+    from loose_env.arms import DESK_ARM
+
+    found = describe_file(DESK_ARM)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        arm = arm_from_file(DESK_ARM)
+    assert found.warnings == ()
+    assert [joint.torque_limit for joint in found.joints] == list(arm.torque_limits)
+    assert [(branch.link, branch.joints) for branch in found.payload] == [
+        ("hand", ("left_finger",)),
+        ("hand", ("right_finger",)),
+    ]
+    # Every joint moves the tool in a pose drawn at random, the last one too.
+    pose = arm.random_pose(np.random.default_rng(0))
+    assert (np.linalg.norm(LinearArm(arm).at(pose).kinematic, axis=0) > 0.03).all()
+
+
+@pytest.mark.parametrize("name", ["ur5e_bare.xml", "so101_bare.xml"])
+def test_a_user_s_arm_runs_in_the_environment_unedited(name: str) -> None:
+    from loose_env.envs.diagnosis import DiagnosisEnv
+    from loose_env.envs.settings import DiagnosisSettings
+
+    if not (MODELS / name).is_file():
+        pytest.skip(f"{name} is not here")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        arm = Arm.from_file(MODELS / name)
+    env = DiagnosisEnv(arm, DiagnosisSettings(difficulty="easy", max_records=6), threads=1)
+    observation, _ = env.reset(seed=1, options={"fault": "structural_looseness@link2"})
+    rng = np.random.default_rng(0)
+    for joint in range(arm.n):
+        moves = np.where(rng.random(arm.n) < 0.5, 1, 3)
+        levels = 2 * np.eye(arm.n, dtype=int)[joint]
+        action = env.actions.encode(moves=moves, levels=levels, duration=0)
+        observation, _, _, truncated, info = env.step(action)
+        assert not truncated, info.get("failure")
+        assert observation in env.observation_space
+    assert env.layout.physical(observation, "valid")[: arm.n].all()
+    env.close()
