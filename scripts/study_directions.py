@@ -15,7 +15,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -27,10 +27,18 @@ from loose_env.arms import Arm, cylindrical, planar, scara, six_axis, vera
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch
 from loose_env.diagnosis.proposal import Proposal, propose_excitation
+from loose_env.diagnosis.stopping import Ending, StoppingRule, measure_direction
 from loose_env.diagnosis.transmission_change import change_of_transmission
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.errors import LooseEnvError
-from loose_env.faults import Healthy, StructuralLooseness
+from loose_env.faults import (
+    DEFAULT_KINDS,
+    CompoundLooseness,
+    Fault,
+    Healthy,
+    StructuralLooseness,
+    parts_of,
+)
 from loose_env.rig import Job, Measurement, SimulatedRig
 from loose_env.statistics import (
     acceleration_from_angle,
@@ -137,34 +145,34 @@ def lowest_error(records: Sequence[Measurement], truth: Any) -> float:
 
 
 def draw_case(
-    arm: Arm, sampler: FaultSampler, seed: int, case: int
-) -> tuple[StructuralLooseness, Any, Any, Proposal]:
+    arm: Arm, sampler: FaultSampler, seed: int, case: int, kind: str = "structural_looseness"
+) -> tuple[Fault, Any, Any, Proposal]:
     """Fault, mismatch, pose and proposal of one case, from its own stream."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(case, 0)))
-    link = 1 + case % arm.n
-    fault = sampler.draw(rng, hypothesis=f"structural_looseness@link{link}")
-    assert isinstance(fault, StructuralLooseness)
+    fault = sampler.draw(rng, hypothesis=f"{kind}@link{1 + case % arm.n}")
     mismatch = Mismatch().draw(arm, rng)
     pose = arm.random_pose(rng)
     return fault, mismatch, pose, propose_excitation(arm, pose)
 
 
-def study(arm: Arm, cases: int, seed: int) -> list[Row]:
-    """Measure and evaluate all cases."""
-    linear = LinearArm(arm)
-    sampler = FaultSampler(linear, Difficulty(gap=GAPS))
+Case = tuple[int, Fault, Any, list[Measurement], list[Measurement]]
+
+
+def measured_cases(arm: Arm, cases: int, seed: int, kind: str) -> Iterator[Case]:
+    """Measure each joint in turn on every loose arm and on the same arm when sound."""
+    kinds = (*DEFAULT_KINDS, kind) if kind not in DEFAULT_KINDS else DEFAULT_KINDS
+    sampler = FaultSampler(LinearArm(arm), Difficulty(gap=GAPS), kinds)
     rig = SimulatedRig(arm, slots=2 * SLOTS)
-    rows: list[Row] = []
     begin = time.perf_counter()
     for start in range(0, cases, SLOTS):
         chosen = [
-            (case, *draw_case(arm, sampler, seed, case))
+            (case, *draw_case(arm, sampler, seed, case, kind))
             for case in range(start, min(start + SLOTS, cases))
         ]
         for i, (_, fault, mismatch, _, _) in enumerate(chosen):
             rig.mount(2 * i, fault, mismatch)
             rig.mount(2 * i + 1, Healthy(), mismatch)
-        taken: dict[int, list[Measurement]] = {}
+        taken: dict[int, list[Measurement]] = {slot: [] for slot in range(2 * len(chosen))}
         for j in range(arm.n):
             jobs = []
             for i, (case, _, _, pose, proposal) in enumerate(chosen):
@@ -174,20 +182,36 @@ def study(arm: Arm, cases: int, seed: int) -> list[Row]:
                     rng = np.random.default_rng(stream)
                     jobs.append(Job(slot=2 * i + k, pose=pose, excitation=shake, rng=rng))
             for job, measured in zip(jobs, rig.measure_many(jobs), strict=True):
-                taken.setdefault(job.slot, []).append(measured)
+                taken[job.slot].append(measured)
         for i, (case, fault, _, pose, _) in enumerate(chosen):
-            row = evaluate(linear, case, fault, pose, taken[2 * i], taken[2 * i + 1], seed)
-            if row is not None:
-                rows.append(row)
+            # A simulation that diverged takes its healthy counterpart with it.
+            pairs = zip(taken[2 * i], taken[2 * i + 1], strict=True)
+            sound = [(a, b) for a, b in pairs if not (a.failure or b.failure)]
+            if sound:
+                yield case, fault, pose, [a for a, _ in sound], [b for _, b in sound]
         spent = time.perf_counter() - begin
         done = min(start + SLOTS, cases)
         print(
-            f"\r{done}/{cases} cases, {spent:.0f} s, {spent * (cases / done - 1):.0f} s to go ",
+            f"\r{kind}: {done}/{cases} cases, {spent:.0f} s, "
+            f"{spent * (cases / done - 1):.0f} s to go  ",
             end="",
             file=sys.stderr,
             flush=True,
         )
     print(file=sys.stderr)
+
+
+def study(arm: Arm, cases: int, seed: int) -> list[Row]:
+    """Measure and evaluate all cases of a link that slides."""
+    linear = LinearArm(arm)
+    rows = []
+    for case, fault, pose, loose, healthy in measured_cases(
+        arm, cases, seed, "structural_looseness"
+    ):
+        assert isinstance(fault, StructuralLooseness)
+        row = evaluate(linear, case, fault, pose, loose, healthy, seed)
+        if row is not None:
+            rows.append(row)
     return rows
 
 
@@ -200,14 +224,10 @@ def evaluate(
     healthy: list[Measurement],
     seed: int,
 ) -> Row | None:
-    """Work out one case; None if a simulation diverged or nothing moved."""
-    pairs = [(a, b) for a, b in zip(loose, healthy, strict=True) if not (a.failure or b.failure)]
-    if not pairs:
-        return None
-    loose, healthy = [p[0] for p in pairs], [p[1] for p in pairs]
+    """Work out one case; None if nothing moved."""
     truth, gravity = truth_in_tool_frame(linear.arm, pose, fault)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(case, 2)))
-    one = int(rng.integers(len(pairs)))
+    one = int(rng.integers(len(loose)))
     try:
         change = change_of_transmission(linear, loose, healthy=healthy)
         return Row(
@@ -286,19 +306,104 @@ def print_coverage(rows: Sequence[Row]) -> None:
         )
 
 
-def print_ranks(rows: Sequence[Row]) -> None:
+def print_ranks(rows: Sequence[Row], healthy: Sequence[int], several: Sequence[Any]) -> None:
     """Print how many directions the change is found to have."""
-    print("\nRank of the change: share of cases\n\n" + f"{'':26}{'none':>8}{'one':>8}{'more':>8}")
-    for name, chosen in (
-        ("|dB|/|B| under 0.03", [r for r in rows if r.ratio < 0.03]),
-        ("|dB|/|B| 0.03 to 0.3", [r for r in rows if 0.03 <= r.ratio < OPEN]),
-        ("|dB|/|B| over 0.3", [r for r in rows if r.ratio >= OPEN]),
+    print(
+        "\nDirections found in the change, share of cases\n\n"
+        f"{'arm':44}{'change of':12}{'cases':>7}{'none':>8}{'one':>8}{'more':>8}"
+    )
+
+    def line(name: str, against: str, ranks: Sequence[int]) -> None:
+        found = np.array(ranks)
+        shares = [np.mean(found == 0), np.mean(found == 1), np.mean(found > 1)]
+        text = "".join(f"{s:>8.0%}" for s in shares) if len(found) else ""
+        print(f"{name:44}{against:12}{len(found):>7}{text}")
+
+    line("healthy", "nominal", healthy)
+    chosen: Sequence[Any]
+    for name, low, high in (
+        ("one slide, |dB|/|B| under 0.03", 0.0, 0.03),
+        ("one slide, |dB|/|B| 0.03 to 0.3", 0.03, OPEN),
+        ("one slide, |dB|/|B| over 0.3", OPEN, np.inf),
     ):
-        for against in ("healthy", "nominal"):
-            ranks = np.array([getattr(r, against).rank for r in chosen])
-            shares = [np.mean(ranks == 0), np.mean(ranks == 1), np.mean(ranks > 1)]
-            if len(ranks):
-                print(f"{name:20}{against:8}" + "".join(f"{s:>8.0%}" for s in shares))
+        chosen = [r for r in rows if low <= r.ratio < high]
+        line(name, "healthy", [r.healthy.rank for r in chosen])
+        line(name, "nominal", [r.nominal.rank for r in chosen])
+    for against, rank in (("healthy", 1), ("nominal", 2)):
+        line(
+            "two slides, both change |dB|/|B| by 0.03", against, [s[rank] for s in several if s[0]]
+        )
+
+
+def several_directions(arm: Arm, cases: int, seed: int) -> list[tuple[bool, int, int]]:
+    """Ranks found where a link slides in two directions.
+
+    Whether both directions carry a change of 0.03 of the transmission, and the rank against
+    healthy records and against the nominal model.
+    """
+    linear = LinearArm(arm)
+    found = []
+    for _, fault, _, loose, healthy in measured_cases(arm, cases, seed, "compound_looseness"):
+        assert isinstance(fault, CompoundLooseness)
+        if not all(isinstance(part, StructuralLooseness) for part in parts_of(fault)):
+            continue  # a slide and a rocking seat
+        against_healthy = change_of_transmission(linear, loose, healthy=healthy)
+        second = np.linalg.svd(against_healthy.estimate.b, compute_uv=False)[1]
+        moves = bool(second > 0.03 * np.linalg.norm(against_healthy.reference))
+        ranks = [
+            change_rank(change.estimate).rank
+            for change in (against_healthy, change_of_transmission(linear, loose))
+        ]
+        found.append((moves, ranks[0], ranks[1]))
+    return found
+
+
+def false_ranks(arm: Arm, cases: int, seed: int) -> list[int]:
+    """Ranks found on sound arms against the nominal model."""
+    linear = LinearArm(arm)
+    return [
+        change_rank(change_of_transmission(linear, healthy).estimate).rank
+        for _, _, _, _, healthy in measured_cases(arm, cases, seed, "structural_looseness")
+    ]
+
+
+def print_stopping(arm: Arm, cases: int, seed: int) -> None:
+    """Print what the stopping rule spends, for several wanted angles."""
+    linear = LinearArm(arm)
+    sampler = FaultSampler(linear, Difficulty(gap=GAPS))
+    rig = SimulatedRig(arm)
+    drawn = [draw_case(arm, sampler, seed + 1, case) for case in range(cases)]
+    print(
+        "\nMeasuring as long as the angle needs (each joint, up to 4.8 s, against the nominal "
+        "model)\n\n"
+        f"{'half angle wanted':>18}{'reached':>9}{'floor':>7}{'spent':>7}"
+        f"{'s where reached':>17}{'error there':>13}{'inside':>8}"
+    )
+    for wanted in (20.0, 10.0, 5.0):
+        found = []
+        for case, (fault, mismatch, pose, proposal) in enumerate(drawn):
+            assert isinstance(fault, StructuralLooseness)
+            rig.mount(0, fault, mismatch)
+            rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(case, 3)))
+
+            def measure(shake: Any, pose: Any = pose, rng: Any = rng) -> Measurement:
+                return rig.measure(pose, shake, rng=rng)
+
+            played = [shake for shake in proposal.excitations if shake is not None]
+            rule = StoppingRule(half_angle=float(np.radians(wanted)))
+            result = measure_direction(measure, linear, played, rule=rule)
+            truth, _ = truth_in_tool_frame(arm, pose, fault)
+            error = float(np.degrees(axial_angle_between(result.direction.direction, truth)))
+            found.append((result.ending, result.seconds, error, result.direction.contains(truth)))
+        done = [f for f in found if f[0] is Ending.REACHED]
+        shares = [np.mean([f[0] is e for f in found]) for e in Ending]
+        print(
+            f"{wanted:>17.0f}°{shares[0]:>9.0%}{shares[1]:>7.0%}{shares[2]:>7.0%}"
+            f"{np.median([f[1] for f in done]) if done else np.nan:>16.1f}s"
+            f"{np.median([f[2] for f in done]) if done else np.nan:>12.1f}°"
+            f"{np.mean([f[3] for f in done]) if done else np.nan:>8.0%}",
+            flush=True,
+        )
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -306,10 +411,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--arm", default="six_axis", choices=sorted(ARMS), help="arm under test")
     parser.add_argument("--cases", type=int, default=1000, help="hidden faults")
+    parser.add_argument(
+        "--further", type=int, default=150, help="sound arms, and arms with two slides"
+    )
+    parser.add_argument("--timed", type=int, default=40, help="arms for the stopping rule")
     parser.add_argument("--seed", type=int, default=2024, help="root of all draws")
     parser.add_argument("--out", type=Path, default=Path("out/directions"), help="folder for rows")
     options = parser.parse_args(arguments)
-    rows = study(ARMS[options.arm](), options.cases, options.seed)
+    arm = ARMS[options.arm]()
+    rows = study(arm, options.cases, options.seed)
+    sound = false_ranks(arm, options.further, options.seed + 2)
+    several = several_directions(arm, options.further, options.seed + 3)
     options.out.mkdir(parents=True, exist_ok=True)
     target = options.out / f"{options.arm}.json"
     content = {
@@ -330,7 +442,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     print_errors(rows)
     print_coverage(rows)
-    print_ranks(rows)
+    print_ranks(rows, sound, several)
+    if options.timed:
+        print_stopping(arm, options.timed, options.seed)
 
 
 if __name__ == "__main__":
