@@ -12,6 +12,7 @@ from loose_env.arms.mismatch import Mismatch
 from loose_env.diagnosis.prediction import SensorFloor
 from loose_env.diagnosis.record import RecordStatistics
 from loose_env.diagnosis.seat_prediction import predict_seats
+from loose_env.diagnosis.wishart import wishart_fit
 
 __all__ = ["LOOSE", "OPENINGS", "SHUT", "Fit", "fit_record"]
 
@@ -44,6 +45,8 @@ class Fit:
     """Over places, openings and loose motion (P, S, Q)."""
     force: Array
     """Rms force that each shut seat transmits in the record (P,)."""
+    load: Array
+    """Force that gravity puts on each seat at rest (P,)."""
 
 
 def fit_record(
@@ -77,14 +80,17 @@ def fit_record(
     pose = linear.at(record.pose)
     on = np.flatnonzero(record.excited)
     d, m = len(record.tool_covariance), len(on)
-    noise = np.array([floor.joint**2] * m + [floor.tool**2] * d)
+    noise = np.concatenate([floor.joints(linear.arm)[on], np.full(d, floor.tool)]) ** 2
     seats = predict_seats(pose, record.torque, directions, noise)
     samples = 2 * (linear.arm.band[1] - linear.arm.band[0]) * record.duration
 
     b = record.transmission_by_instrument[:, on]
-    joint = np.diag(record.joint_rms[on] ** 2)
+    joint = _joint_covariance(record.joint_rms[on], seats.in_step[:m], seats.rest[:m, :m])
     mixed = joint @ record.transmission[:, on].T
     residual = record.tool_covariance - b @ mixed - mixed.T @ b.T + b @ joint @ b.T
+    if m > 1:  # with their covariance only predicted, more may be taken off than was there
+        size, along = np.linalg.eigh(residual)
+        residual = along @ np.diag(np.maximum(size, 0.0)) @ along.T
     # What float32 readings and the linear model itself leave, however good the sensors are.
     rounding = (
         1e-3 * floor.tool**2 + _LINEAR_ERROR**2 * np.trace(record.tool_covariance)
@@ -96,7 +102,8 @@ def fit_record(
     step = seats.in_step + s * seats.in_step_open[:, None]  # (P, S, p, m)
     log = _in_step(linear, record, on, b, away, residual, samples, seats.in_step, step, mismatch)
     if m > 1:
-        return Fit(log=np.repeat(log[..., None], len(LOOSE), 2), force=seats.force)
+        log = np.repeat(log[..., None], len(LOOSE), 2)
+        return Fit(log=log, force=seats.force, load=seats.load)
 
     x = step[..., 0, 0]
     inertia = float(record.inertia[on[0]])
@@ -104,31 +111,32 @@ def fit_record(
     error = np.sqrt(_INERTIA_ERROR**2 + 1 / samples)
     log = log - 0.5 * np.log1p(((expected / inertia - 1) / error) ** 2 / 4) * 5
 
-    rest = seats.rest + s * seats.rest_mixed[:, None] + s**2 * seats.rest_open[:, None]
+    s = OPENINGS[None, :]
+    rest = [seats.rest, seats.rest_mixed[:, None], seats.rest_open[:, None]]
+    alone = [part[..., 0, 0] for part in rest]
+    power = x**2 + alone[0] + s * alone[1] + s**2 * alone[2] - noise[0]
     # Scaled to the joint motion that was measured: the command's own power drops out.
-    power = x**2 + rest[..., 0, 0] - noise[0]
     scale = np.maximum(record.joint_rms[on[0]] ** 2 - noise[0], 0.1 * noise[0])
     scale = scale / np.maximum(power, 1e-3 * float(seats.in_step[0, 0]) ** 2)
-    scale = np.clip(scale, 0.2, 5.0)[..., None, None]
-    wide = np.diag(noise)
-    across = away @ ((rest - wide) * scale + wide) @ away.T + rounding
+    scale, s = np.clip(scale, 0.2, 5.0)[..., None, None], s[..., None, None]
+    # What the sensors add is no motion: it keeps its size.
+    sensed = away @ np.diag(noise) @ away.T
+    shut, mixed_in, opened = (away @ part @ away.T for part in rest)
+    across = (shut - sensed + s * mixed_in + s**2 * opened) * scale + sensed + rounding
     loose = away @ seats.loose @ away.T
     loose = loose + _SPREAD * np.trace(loose, axis1=1, axis2=2)[:, None, None] * np.eye(d)
-    return Fit(log=log[..., None] + _residual(residual, across, loose, samples), force=seats.force)
-
-
-def _residual(residual: Array, across: Array, loose: Array, samples: float) -> Array:
-    """Wishart log-density of the residual covariance in the plane (P, S, Q)."""
-
-    def entry(i: int, j: int) -> Array:
-        return np.asarray(across[..., i, j, None] + LOOSE * loose[..., None, None, i, j])
-
-    xx, xy, yy = entry(0, 0) + 1e-12, entry(0, 1), entry(1, 1) + 1e-12
-    determinant = xx * yy - xy**2
-    trace = (yy * residual[0, 0] + xx * residual[1, 1] - 2 * xy * residual[0, 1]) / determinant
-    ratio = np.log(max(np.linalg.det(residual), 1e-300)) - np.log(np.maximum(determinant, 1e-300))
     degrees = 2 / (2 / samples + _MODEL_ERROR**2)
-    return np.asarray(-0.5 * degrees * (trace - 2 - ratio))
+    log = log[..., None] + wishart_fit(
+        residual, across + 1e-12 * np.eye(d), loose[:, None], LOOSE, degrees
+    )
+    return Fit(log=log, force=seats.force, load=seats.load)
+
+
+def _joint_covariance(rms: Array, in_step: Array, rest: Array) -> Array:
+    """Covariance of the excited joints (m, m): as strong as measured, correlated as predicted."""
+    predicted = in_step @ in_step.T + rest
+    scale = rms / np.sqrt(np.diag(predicted))
+    return np.asarray(predicted * np.outer(scale, scale))
 
 
 def _in_step(
@@ -152,11 +160,12 @@ def _in_step(
     covariance = uncertain.T @ uncertain + np.kron(residual, np.eye(m)) / samples
     nominal = healthy[m:] @ np.linalg.inv(healthy[:m])
     covariance += _OPEN_ERROR**2 * float((((b - nominal) * x) ** 2).sum()) * np.eye(d * m)
-    missing = np.einsum("dp,Pspm->Psdm", away, step).reshape(*step.shape[:2], d * m)
-    white = np.einsum("ij,Psj->Psi", np.linalg.inv(np.linalg.cholesky(covariance)), missing)
+    missing = (away @ step).reshape(*step.shape[:2], d * m)
+    white = missing @ np.linalg.inv(np.linalg.cholesky(covariance)).T
     # Heavier tails than normal: mismatch is cut off, not Gaussian, and shared by all records.
     fit = -0.5 * (5 + d * m) * np.log1p((white**2).sum(-1) / 5)
-    motion = np.abs(np.linalg.det(step[..., :m, :])) / np.prod(x)
+    motion = step[..., 0, 0] if m == 1 else np.linalg.det(step[..., :m, :])
+    motion = np.abs(motion) / np.prod(x)
     return np.asarray(fit + d * np.log(np.maximum(motion, 1e-9)))
 
 

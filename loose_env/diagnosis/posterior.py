@@ -2,7 +2,7 @@
 
 Nuisances are carried on a grid: the direction of the slide, the friction of the guide, and the
 stiffness of the arm's bending modes, if it has any. The opening of the seat differs from
-record to record; it is summed out with the probabilities that its drive and friction give.
+record to record; it is summed out with the probabilities that its drive, friction and load give.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from loose_env.diagnosis.prediction import SensorFloor
 from loose_env.diagnosis.record import RecordStatistics
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import SeatDrive
-from loose_env.faults import hypotheses
+from loose_env.faults import DEFAULT_KINDS, hypotheses
 from loose_env.sensors import SensorSuite
 
 __all__ = ["Belief", "FaultPosterior", "PosteriorSettings", "slide_directions", "variants"]
@@ -40,7 +40,9 @@ class PosteriorSettings:
     frictions: int = 8
     """Nodes of friction."""
     directions: int = 18
-    """Sliding directions tried over half a turn."""
+    """Sliding directions tried over half a turn, for an arm that moves in a plane."""
+    space_directions: int = 200
+    """Sliding directions tried over the half sphere, for an arm in space."""
     mismatch: Mismatch = field(default_factory=Mismatch)
     """How far the nominal model may be off."""
     kinds: Mapping[str, float] = field(
@@ -53,10 +55,16 @@ class PosteriorSettings:
     def __post_init__(self) -> None:
         if not 0 < self.friction[0] <= self.friction[1] < np.inf:
             raise InvalidSetting(f"friction must be 0 < low <= high, got {self.friction}")
-        if self.frictions < 1 or self.directions < 2:
+        if self.frictions < 1 or self.directions < 2 or self.space_directions < 3:
             raise InvalidSetting(
-                "at least one friction and two directions are needed, got "
-                f"{self.frictions} and {self.directions}"
+                "at least one friction, two directions in the plane and three in space are "
+                f"needed, got {self.frictions}, {self.directions} and {self.space_directions}"
+            )
+        beyond = [k for k, share in self.kinds.items() if k not in DEFAULT_KINDS and share > 0]
+        if beyond:
+            raise InvalidSetting(
+                f"the posterior has no model of {beyond}, only of {list(DEFAULT_KINDS)}: keep to "
+                "these kinds, or use an agent that works without it"
             )
         if not 0 < self.temper <= 1:
             raise InvalidSetting(f"temper must be above 0 and at most 1, got {self.temper}")
@@ -72,21 +80,46 @@ class Belief:
     """Of each place and friction, by variant (V, P, F)."""
     links: int
     """Number of links."""
+    directions: Array
+    """Sliding directions of a link in its frame, unit vectors (A, axes)."""
 
     @property
     def probabilities(self) -> Array:
-        """Probability of each hypothesis, in the order of `loose_env.faults.hypotheses`."""
+        """Probability of each of the posterior's hypotheses, in their order."""
         slides = self.loose.shape[1] - self.links
         by_place = logsumexp(self.loose, axis=(0, 2))
         by_link = logsumexp(by_place[:slides].reshape(self.links, -1), axis=1)
         log = np.concatenate([[logsumexp(self.healthy)], by_link, by_place[slides:]])
         return np.asarray(np.exp(log - logsumexp(log)))
 
-    def direction(self, link: int) -> float:
-        """Most probable sliding direction of a link in its frame [rad], axial."""
+    def by_direction(self, link: int) -> Array:
+        """Probability of each sliding direction, if that link is loose (A,)."""
         slides = self.loose.shape[1] - self.links
-        by_place = logsumexp(self.loose, axis=(0, 2))[:slides].reshape(self.links, -1)
-        return float(np.pi * np.argmax(by_place[link - 1]) / by_place.shape[1])
+        log = logsumexp(self.loose, axis=(0, 2))[:slides].reshape(self.links, -1)[link - 1]
+        return np.asarray(np.exp(log - logsumexp(log)))
+
+    def direction(self, link: int) -> float:
+        """Most probable sliding direction of a link in its plane [rad], axial.
+
+        Raises
+        ------
+        InvalidSetting
+            If the arm does not move in a plane: an angle cannot say the direction.
+        """
+        if self.directions.shape[1] != 2:
+            raise InvalidSetting("the arm moves in space: ask for axis(link), a unit vector")
+        x, y = self.directions[np.argmax(self.by_direction(link))]
+        return float(np.arctan2(y, x))
+
+    def axis(self, link: int) -> Array:
+        """Mean sliding direction of a link in its frame, a unit vector without sign (3,).
+
+        Directions count by their probability if that link is loose; the mean is the leading
+        eigenvector of the sum of their outer products.
+        """
+        u = self.directions
+        mean = np.linalg.eigh(np.einsum("a,ai,aj->ij", self.by_direction(link), u, u))[1][:, -1]
+        return np.concatenate([mean, np.zeros(3 - len(mean))])
 
 
 class FaultPosterior:
@@ -95,7 +128,7 @@ class FaultPosterior:
     Parameters
     ----------
     linear : LinearArm
-        The nominal arm; it must move in a plane.
+        The nominal arm, in a plane or in space.
     sensors : SensorSuite
         Figures of the sensors.
     settings : PosteriorSettings, optional
@@ -106,7 +139,7 @@ class FaultPosterior:
     Raises
     ------
     InvalidSetting
-        If the arm does not move in a plane.
+        If the tool is read along one axis only.
 
     Examples
     --------
@@ -126,21 +159,28 @@ class FaultPosterior:
     ) -> None:
         self.settings = PosteriorSettings() if settings is None else settings
         arm = linear.arm
-        if len(arm.axes) != 2:
-            raise InvalidSetting(f"arm {arm.name!r} does not move in a plane")
-        self.linear, self.hypotheses = linear, hypotheses(arm)
+        axes = linear.slide_dofs.shape[1]
+        if axes not in (2, 3):
+            raise InvalidSetting(
+                f"arm {arm.name!r} reads {axes} axis at its tool; the posterior needs 2, for "
+                "an arm that moves in a plane, or 3"
+            )
+        self.linear, self.hypotheses = linear, hypotheses(arm, DEFAULT_KINDS)
         self.table = shipped_table() if table is None else table
         self.floor = SensorFloor.of(sensors, arm.band)
-        self.directions = slide_directions(self.settings.directions)
+        count = self.settings.directions if axes == 2 else self.settings.space_directions
+        self.directions = slide_directions(count, axes)
         self.variants, self._weights = variants(linear, self.settings.mismatch.stiffness)
         drive = SeatDrive(linear)
         places = [
-            drive.slide(link, (*u, 0.0)) for link in range(1, arm.n + 1) for u in self.directions
+            drive.slide(link, tuple(u)) for link in range(1, arm.n + 1) for u in self.directions
         ]
         places += [drive.hinge(joint) for joint in range(1, arm.n + 1)]
+        # Some motions of a seat no joint drives, such as those across a plane of motion.
+        driven = np.maximum(places, 1e-9 * max(places))
         low, high = np.log(self.settings.friction)
         middle = (np.arange(self.settings.frictions) + 0.5) / self.settings.frictions
-        self._friction = np.array(places)[:, None] * np.exp(low + (high - low) * middle)  # (P, F)
+        self._friction = driven[:, None] * np.exp(low + (high - low) * middle)  # (P, F)
 
     def start(self) -> Belief:
         """Return the prior."""
@@ -158,6 +198,7 @@ class FaultPosterior:
             healthy=log(kinds.get("healthy", 0.0)) + self._weights,
             loose=loose + self._weights[:, None, None],
             links=n,
+            directions=self.directions,
         )
 
     def update(self, belief: Belief, record: RecordStatistics) -> Belief:
@@ -173,6 +214,7 @@ class FaultPosterior:
             healthy=belief.healthy + temper * healthy,
             loose=belief.loose + temper * loose,
             links=belief.links,
+            directions=belief.directions,
         )
 
     def _summed(self, fit: Fit) -> Array:
@@ -180,24 +222,47 @@ class FaultPosterior:
         slides = self.linear.arm.n * len(self.directions)
         top = fit.log.max()
         likelihood = np.exp(fit.log - top).reshape(len(fit.log), -1)
-        result = np.empty(self._friction.shape)
-        lower, share = self.table.nodes(fit.force[:, None] / self._friction)
+        nodes = self.table.nodes(fit.force[:, None], self._friction, fit.load[:, None])
+        mixed = np.zeros(self._friction.shape)
         for table, places in (
             (self.table.slide, slice(0, slides)),
             (self.table.hinge, slice(slides, None)),
         ):
-            by_node = likelihood[places] @ table.reshape(len(table), -1).T
-            at = np.arange(len(by_node))[:, None]
-            below, above = by_node[at, lower[places]], by_node[at, lower[places] + 1]
-            mixed = (1 - share[places]) * below + share[places] * above
-            result[places] = np.log(np.maximum(mixed, 1e-300)) + top
-        return result
+            by_node = likelihood[places] @ table.reshape(-1, likelihood.shape[1]).T
+            for node, weight in nodes:
+                mixed[places] += weight[places] * np.take_along_axis(by_node, node[places], 1)
+        return np.asarray(np.log(np.maximum(mixed, 1e-300)) + top)
 
 
-def slide_directions(count: int) -> Array:
-    """Unit vectors over half a turn in the plane of a link (count, 2)."""
-    angle = np.pi * np.arange(count) / count
-    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+def slide_directions(count: int, axes: int = 2) -> Array:
+    """Even grid of directions without sign: over half a turn, or over the half sphere.
+
+    Parameters
+    ----------
+    count : int
+        Number of directions.
+    axes : int
+        2 for the plane; 3 for space, where the directions are a Fibonacci lattice.
+
+    Returns
+    -------
+    ndarray (count, axes)
+        Unit vectors.
+
+    Examples
+    --------
+    >>> slide_directions(4).round(2).tolist()
+    [[1.0, 0.0], [0.71, 0.71], [0.0, 1.0], [-0.71, 0.71]]
+    >>> slide_directions(96, 3).shape
+    (96, 3)
+    """
+    if axes == 2:
+        angle = np.pi * np.arange(count) / count
+        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    height = (np.arange(count) + 0.5) / count
+    turn = np.pi * (3 - np.sqrt(5)) * np.arange(count)  # the golden angle
+    flat = np.sqrt(1 - height**2)
+    return np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
 
 
 def variants(linear: LinearArm, stiffness: float) -> tuple[list[LinearArm], Array]:

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from loose_env.arms.arm import Arm
 from loose_env.arms.linear import LinearPose, Response
 from loose_env.excitation import Excitation
 from loose_env.sensors import SensorSuite
@@ -27,6 +28,12 @@ class SensorFloor:
     """Standard deviation of a joint acceleration from an encoder [rad/s²]."""
     tool: float
     """Standard deviation of one axis of the tool acceleration [m/s²]."""
+    slide: float = 0.0
+    """Standard deviation of a sliding joint's acceleration from its linear scale [m/s²]."""
+
+    def joints(self, arm: Arm) -> Array:
+        """Standard deviation of every joint's acceleration [rad/s², m/s² where it slides] (n,)."""
+        return np.where(arm.sliding, self.slide, self.joint)
 
     @classmethod
     def of(cls, sensors: SensorSuite, band: tuple[float, float]) -> SensorFloor:
@@ -38,11 +45,16 @@ class SensorFloor:
         low, high = band
         share = (high - low) / (sensors.rate / 2)
         encoder = sensors.encoder.noise**2 + sensors.encoder.resolution**2 / 12
+        scale = sensors.encoder.linear_noise**2 + sensors.encoder.linear_resolution**2 / 12
         fourth = (2 * np.pi) ** 4 * (high**5 - low**5) / 5 / (high - low)
         accelerometer = sensors.accelerometer
         tool = accelerometer.noise_density**2 * (high - low)
         tool += accelerometer.resolution**2 / 12 * share
-        return cls(joint=float(np.sqrt(encoder * fourth * share)), tool=float(np.sqrt(tool)))
+        return cls(
+            joint=float(np.sqrt(encoder * fourth * share)),
+            tool=float(np.sqrt(tool)),
+            slide=float(np.sqrt(scale * fourth * share)),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,20 +140,28 @@ def predict(pose: LinearPose, excitation: Excitation, floor: SensorFloor) -> Pre
     response = pose.response(excitation.excited)
     joints = np.flatnonzero(excitation.excited)
     torque = np.array(excitation.torque_rms)[joints]
-    return _statistics(response, response.joint[:, joints], response.tool, torque, floor)
+    noise = floor.joints(pose.linear.arm)[joints]
+    return _statistics(
+        response, response.joint[:, joints], response.tool, torque, noise, floor.tool
+    )
 
 
 def _statistics(
-    response: Response, joint: Complex, tool: Complex, torque: Array, floor: SensorFloor
+    response: Response,
+    joint: Complex,
+    tool: Complex,
+    torque: Array,
+    joint_noise: Array,
+    tool_noise: float,
 ) -> Prediction:
-    """Average spectra over the band; joint (K, m, m), tool (K, d, m)."""
+    """Average spectra over the band; joint (K, m, m), tool (K, d, m), joint noise (m,)."""
     x, a = joint * torque, tool * torque
     count = len(response.frequency)
-    m, d = x.shape[1], a.shape[1]
+    d = a.shape[1]
     return Prediction(
-        joint=np.einsum("kim,kjm->ij", x, x.conj()).real / count + floor.joint**2 * np.eye(m),
+        joint=np.einsum("kim,kjm->ij", x, x.conj()).real / count + np.diag(joint_noise**2),
         joint_tool=np.einsum("kim,kdm->id", x, a.conj()).real / count,
-        tool=np.einsum("kim,kjm->ij", a, a.conj()).real / count + floor.tool**2 * np.eye(d),
+        tool=np.einsum("kim,kjm->ij", a, a.conj()).real / count + tool_noise**2 * np.eye(d),
         # The command of joint j drives column j alone.
         command_joint=np.einsum("kim,m->mi", x, torque).real / count,
         command=np.diag(torque**2),

@@ -22,6 +22,8 @@ from loose_env.statistics import (
 __all__ = ["RecordStatistics", "statistics_of"]
 
 Array = NDArray[np.float64]
+_STILL = 1e-12
+"""Share of the largest variance, and of a row's mean, taken as rounding."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,9 +56,9 @@ class RecordStatistics:
     maximum_correlation: float
     """Highest correlation over directions [1]."""
     skewness: Array
-    """Skewness along the tool axes, whole bandwidth [1] (d,)."""
+    """Skewness along the tool axes, whole bandwidth; 0 along one that stands still [1] (d,)."""
     kurtosis: Array
-    """Excess kurtosis along the tool axes, whole bandwidth [1] (d,)."""
+    """Excess kurtosis along the tool axes, whole bandwidth; 0 as above [1] (d,)."""
     lowest_skewness: float
     """Skewness along the direction of lowest coherence [1]."""
     lowest_kurtosis: float
@@ -93,7 +95,7 @@ def statistics_of(measurement: Measurement) -> RecordStatistics:
 
     instrument = transmission_by_instrument_from(cov.command_x, cov.command_a)
     axes = len(measurement.tool)
-    third, fourth = shape_of([*measurement.tool, lowest.direction @ measurement.tool])
+    third, fourth = _shape(measurement.tool, lowest.direction)
     return RecordStatistics(
         pose=measurement.pose,
         torque=torque,
@@ -111,3 +113,18 @@ def statistics_of(measurement: Measurement) -> RecordStatistics:
         lowest_skewness=float(third[axes]),
         lowest_kurtosis=float(fourth[axes]),
     )
+
+
+def _shape(tool: Array, direction: Array) -> tuple[Array, Array]:
+    """Skewness and excess kurtosis along the tool axes, then along a direction (d + 1,).
+
+    Where excitation and arm leave an axis still, as the plane of a SCARA whose quill is shaken,
+    ideal sensors show rounding only. It has no shape; zero says that nothing struck there.
+    """
+    rows = np.array([*tool, direction @ tool])
+    power = rows.var(axis=1)
+    moving = (power > _STILL * power.max()) & (np.sqrt(power) > _STILL * np.abs(rows.mean(axis=1)))
+    third, fourth = np.zeros(len(rows)), np.zeros(len(rows))
+    if moving.any():
+        third[moving], fourth[moving] = shape_of(rows[moving])
+    return third, fourth

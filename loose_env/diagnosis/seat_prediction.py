@@ -18,6 +18,8 @@ from loose_env.arms.linear import LinearPose
 __all__ = ["SeatPrediction", "predict_seats"]
 
 Array = NDArray[np.float64]
+_CHUNK = 400_000
+"""Complex numbers worked on at once: what the processor's cache holds, and little memory."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,6 +44,8 @@ class SeatPrediction:
     """Covariance that the free motion of a seat on its own would add (P, p, p)."""
     force: Array
     """Rms force or torque that the shut seat transmits (P,)."""
+    load: Array
+    """Force or torque that gravity puts on the seat at rest, without sign (P,)."""
 
 
 def predict_seats(
@@ -90,20 +94,31 @@ def predict_seats(
 
     # Averages over the band, places first so that each is one small matrix product.
     column, free = column.transpose(1, 2, 0), free.transpose(1, 2, 0)
-    change = column[:, :, None] * free[:, None]  # (P, p, m, K)
-    in_step, in_step_open = healthy.real.mean(0), change.real.mean(-1)
-    flat = change.reshape(*change.shape[:2], -1)
+    in_step = healthy.real.mean(0)
     own = healthy.transpose(1, 2, 0).reshape(len(in_step), -1)
-    mixed = (own @ flat.conj().transpose(0, 2, 1)).real / count
-    mixed -= in_step @ in_step_open.transpose(0, 2, 1)
+    places, p, m = len(free), len(in_step), len(on)
+    in_step_open = np.empty((places, p, m))
+    mixed, rest_open, loose = (np.empty((places, p, p)) for _ in range(3))
+    chunk = max(1, _CHUNK // (p * m * count))
+    for some in (slice(k, k + chunk) for k in range(0, places, chunk)):
+        change = column[some, :, None] * free[some, None]  # (chunk, p, m, K)
+        step = change.real.mean(-1)
+        flat = change.reshape(*change.shape[:2], -1)
+        across = (own @ flat.conj().transpose(0, 2, 1)).real / count
+        in_step_open[some] = step
+        mixed[some] = across - in_step @ step.transpose(0, 2, 1)
+        rest_open[some] = (flat @ flat.conj().transpose(0, 2, 1)).real / count
+        rest_open[some] -= step @ step.transpose(0, 2, 1)
+        loose[some] = (column[some] @ column[some].conj().transpose(0, 2, 1)).real / count
     power = np.mean(np.sum(np.abs(free) ** 2, axis=1), axis=-1)
+    at_rest = [(pose.seat_load @ directions.T).ravel(), pose.load[pose.linear.hinge_dofs]]
     return SeatPrediction(
         in_step=in_step,
         in_step_open=in_step_open,
         rest=(own @ own.conj().T).real / count - in_step @ in_step.T + np.diag(floor),
         rest_mixed=mixed + mixed.transpose(0, 2, 1),
-        rest_open=(flat @ flat.conj().transpose(0, 2, 1)).real / count
-        - in_step_open @ in_step_open.transpose(0, 2, 1),
-        loose=(column @ column.conj().transpose(0, 2, 1)).real / count * power[:, None, None],
+        rest_open=rest_open,
+        loose=loose * power[:, None, None],
         force=np.sqrt(np.mean(np.sum(np.abs(force) ** 2, axis=-1), axis=0)),
+        load=np.abs(np.concatenate(at_rest)),
     )

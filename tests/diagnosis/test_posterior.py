@@ -8,7 +8,7 @@ import pytest
 from loose_env.arms import Arm, planar, vera
 from loose_env.arms.linear import LinearArm
 from loose_env.diagnosis.likelihood import LOOSE, OPENINGS
-from loose_env.diagnosis.opening import RATIOS, OpeningTable, shipped_table
+from loose_env.diagnosis.opening import PRESSES, RATIOS, OpeningTable, shipped_table
 from loose_env.diagnosis.posterior import FaultPosterior, PosteriorSettings
 from loose_env.diagnosis.record import RecordStatistics, statistics_of
 from loose_env.envs.difficulty import Difficulty, FaultSampler
@@ -17,6 +17,7 @@ from loose_env.excitation import at_levels
 from loose_env.faults import Fault, Healthy
 from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import SensorSuite
+from tests.diagnosis.imagined import imagined_record
 
 
 def records_of(
@@ -117,15 +118,36 @@ def test_the_prior_follows_the_kinds_that_are_possible() -> None:
 def test_the_shipped_table_holds_distributions_that_open_as_the_drive_grows() -> None:
     table = shipped_table()
     for part in (table.slide, table.hinge):
-        assert part.sum(axis=(1, 2)) == pytest.approx(np.ones(len(RATIOS)), abs=0.02)
-        mean = np.einsum("rsq,s->r", part, OPENINGS)
-        assert mean[:4] == pytest.approx(np.zeros(4))
-        assert mean[5:].max() > 0.15
+        assert part.sum(axis=(2, 3)) == pytest.approx(np.ones(part.shape[:2]), abs=0.02)
+        mean = np.einsum("hrsq,s->hr", part, OPENINGS)
+        assert mean[:, :4] == pytest.approx(np.zeros((len(PRESSES), 4)))
+        assert mean[0, 5:].max() > 0.15
+
+
+def test_in_the_plane_it_says_what_the_shipped_policies_were_trained_on() -> None:
+    linear = LinearArm(planar(3))
+    posterior = FaultPosterior(linear, SensorSuite())
+    belief = posterior.start()
+    for pose, joint in (([0.3, -0.8, 1.1], 1), ([-0.5, 0.9, 0.4], 3)):
+        record = imagined_record(
+            linear, pose, joint=joint, link=2, direction=[0.6, 0.8], opening=0.25
+        )
+        belief = posterior.update(belief, record)
+    # Worked out before the posterior knew arms in space.
+    before = [0.79357400, 0.01812587, 0.09789506, 0.08996078, 3.86908748e-4, 3.76574608e-5]
+    assert belief.probabilities[:6] == pytest.approx(before, rel=1e-6)
+    assert belief.direction(2) == pytest.approx(np.radians(50.0))
 
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"friction": (0.0, 1.0)}, {"friction": (1.0, 0.5)}, {"directions": 1}, {"temper": 0.0}],
+    [
+        {"friction": (0.0, 1.0)},
+        {"friction": (1.0, 0.5)},
+        {"directions": 1},
+        {"space_directions": 2},
+        {"temper": 0.0},
+    ],
 )
 def test_settings_that_make_no_sense_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(InvalidSetting):
@@ -133,6 +155,6 @@ def test_settings_that_make_no_sense_are_refused(wrong: dict[str, object]) -> No
 
 
 def test_a_table_of_another_shape_is_refused() -> None:
-    good = np.ones((len(RATIOS), len(OPENINGS), len(LOOSE)))
+    good = np.ones((len(PRESSES), len(RATIOS), len(OPENINGS), len(LOOSE)))
     with pytest.raises(InvalidData, match="shape"):
-        OpeningTable(slide=good, hinge=good[1:])
+        OpeningTable(slide=good, hinge=good[0])
