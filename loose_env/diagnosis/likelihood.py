@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch
+from loose_env.diagnosis.model_errors import joint_zero_errors, sensor_errors
 from loose_env.diagnosis.prediction import SensorFloor
 from loose_env.diagnosis.record import RecordStatistics
 from loose_env.diagnosis.seat_prediction import predict_seats
@@ -175,31 +176,10 @@ def _transmission_errors(
     on: NDArray[np.intp],
     b: Array,
     mismatch: Mismatch,
-) -> list[Array]:
-    """Changes of the transmission (d, m), one for each independent error of the model [m]."""
-    d = len(b)
-    errors = []
-    for i in range(d):
-        for j in range(d):
-            leak = np.zeros((d, d))
-            leak[i, j] = mismatch.gain if i == j else mismatch.cross_axis
-            errors.append(leak @ b)
-    turn = np.radians(mismatch.misalignment)
-    for i in range(d):
-        for j in range(i):
-            skew = np.zeros((d, d))
-            skew[i, j], skew[j, i] = turn, -turn
-            errors.append(skew @ b)
-    kinematic = linear.at(record.pose).kinematic[:, on]
-    tiny = 1e-4
-    for k in range(linear.arm.n):
-        moved = record.pose.copy()
-        moved[k] += tiny
-        slope = (linear.at(moved).kinematic[:, on] - kinematic) / tiny
-        errors.append(np.radians(mismatch.joint_zero) * slope)
-    size = mismatch.length * np.abs(b).max()
-    for i in range(d):
-        longer = np.zeros_like(b)
-        longer[i] = size
-        errors.append(longer)
-    return errors
+) -> Array:
+    """Changes of the transmission, one for each independent error of the model [m] (K, d, m)."""
+    zeros = joint_zero_errors(linear, record.pose, mismatch)[:, :, on]
+    # Lengths in the rough: each tool axis by as much as the longest lever would change.
+    longer = np.zeros((len(b), *b.shape))
+    longer[np.arange(len(b)), np.arange(len(b))] = mismatch.length * np.abs(b).max()
+    return np.concatenate([sensor_errors(b, mismatch), zeros, longer])

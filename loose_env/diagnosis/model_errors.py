@@ -14,7 +14,13 @@ from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch
 from loose_env.statistics import TransmissionEstimate
 
-__all__ = ["calibrate_sensor", "kinematic_errors", "sensor_errors", "sensor_matrices"]
+__all__ = [
+    "calibrate_sensor",
+    "joint_zero_errors",
+    "kinematic_errors",
+    "sensor_errors",
+    "sensor_matrices",
+]
 
 Array = NDArray[np.float64]
 
@@ -130,6 +136,21 @@ def calibrate_sensor(
     )
 
 
+def joint_zero_errors(linear: LinearArm, pose: Array, mismatch: Mismatch) -> Array:
+    """Change of the tool's Jacobian by an error of each joint's zero, tool frame [m] (n, d, n).
+
+    The zero of a sliding joint is off by as many metres as that of a turning one by radians.
+    """
+    tiny = 1e-4
+    kinematic = linear.at(pose).kinematic
+    slopes = []
+    for k in range(linear.arm.n):
+        moved = np.array(pose, dtype=float)
+        moved[k] += tiny
+        slopes.append((linear.at(moved).kinematic - kinematic) / tiny)
+    return np.asarray(np.radians(mismatch.joint_zero) * np.array(slopes))
+
+
 def kinematic_errors(linear: LinearArm, pose: Array, mismatch: Mismatch) -> Array:
     """Change of the tool's Jacobian by each error of a joint zero and of a link's length.
 
@@ -158,17 +179,7 @@ def kinematic_errors(linear: LinearArm, pose: Array, mismatch: Mismatch) -> Arra
     """
     arm = linear.arm
     axes = list(arm.axes)
-    kinematic = linear.at(pose).kinematic
-    zero = np.radians(mismatch.joint_zero)
-    tiny = 1e-5
-    errors = []
-    for k in range(arm.n):
-        moved = np.array(pose, dtype=float)
-        moved[k] += tiny
-        slope = (linear.at(moved).kinematic - kinematic) / tiny
-        # The zero of a sliding joint is off by as many metres as that of a turning one by radians.
-        errors.append(zero * slope)
-
+    errors = list(joint_zero_errors(linear, pose, mismatch))
     model = arm.model
     data = mujoco.MjData(model)
     data.qpos[arm.pose_addresses] = pose

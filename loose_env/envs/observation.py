@@ -12,6 +12,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
+from loose_env.arms.parts import held_inertia
 from loose_env.diagnosis.prediction import Prediction
 from loose_env.diagnosis.record import RecordStatistics
 from loose_env.envs.joint_pose import JointPose
@@ -327,6 +328,8 @@ def _slot_elements(arm: Arm, settings: DiagnosisSettings) -> Iterator[Element]:
     def log(name: str, unit: str, scale: float) -> Element:
         return Element(name=name, unit=unit, scaling="log10", scale=scale, low=-4.0, high=4.0)
 
+    inertias = held_inertia(arm.spec, arm.joints)
+
     def second_order(prefix: str) -> Iterator[Element]:
         for kind in ("transmission", "transmission_by_instrument"):
             for joint, slides in joints:
@@ -338,9 +341,11 @@ def _slot_elements(arm: Arm, settings: DiagnosisSettings) -> Iterator[Element]:
             yield log(f"{prefix}joint_rms.{joint}", unit, scale)
 
     def inertia(prefix: str) -> Iterator[Element]:
-        for joint, slides in joints:
+        for (joint, slides), carried in zip(joints, inertias, strict=True):
             # A bending mode can make the apparent inertia negative (joint 1 of VERA).
-            yield asinh(f"{prefix}inertia.{joint}", *(("kg", 1.0) if slides else ("kg·m²", 0.1)))
+            # Bounds of 200 scales hold twice what the joint carries, on heavy arms too.
+            unit, least = ("kg", 1.0) if slides else ("kg·m²", 0.1)
+            yield asinh(f"{prefix}inertia.{joint}", unit, max(least, round(carried / 100, 3)))
 
     def tool(prefix: str) -> Iterator[Element]:
         for axis in axes:

@@ -1,0 +1,43 @@
+"""The examples on the documentation's pages run as they are printed."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+UR5E = ROOT.parent / "shared" / "models" / "ur5e_bare.xml"
+BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+def blocks(page: Path) -> str:
+    return "\n".join(BLOCK.findall(page.read_text(encoding="utf-8")))
+
+
+@pytest.mark.skipif(not UR5E.is_file(), reason=f"needs the UR5e file at {UR5E}")
+def test_from_a_model_file_to_a_loose_link(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "ur5e.xml").write_bytes(UR5E.read_bytes())
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    exec(compile(blocks(ROOT / "docs" / "your_arm.md"), "your_arm.md", "exec"), names)
+    printed = capsys.readouterr().out
+    assert "shoulder_pan_joint" in printed
+    assert "structural_looseness@link3, along" in printed
+    posterior, hidden = names["posterior"], names["hidden"]
+    direction = posterior.directions[2]  # type: ignore[attr-defined]
+    true = np.array(hidden.direction) / np.linalg.norm(hidden.direction)  # type: ignore[attr-defined]
+    assert np.degrees(np.arccos(min(1.0, abs(float(direction @ true))))) < 10.0
+
+
+def test_the_readme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    exec(compile(BLOCK.findall((ROOT / "README.md").read_text())[0], "README.md", "exec"), names)
+    info = names["info"]
+    assert isinstance(info, dict)
+    assert "is_success" in info
