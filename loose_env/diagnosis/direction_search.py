@@ -1,0 +1,110 @@
+"""The most likely direction: a grid over half the circle or sphere, then Newton steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["climb", "half_grid"]
+
+Array = NDArray[np.float64]
+
+
+def half_grid(axes: int) -> Array:
+    """Directions over half the circle or half the sphere, evenly spread (U, A)."""
+    if axes == 2:
+        angle = np.pi * np.arange(36) / 36
+        return np.column_stack([np.cos(angle), np.sin(angle)])
+    count = 120
+    height = (np.arange(count) + 0.5) / count
+    turn = np.pi * (3 - np.sqrt(5)) * np.arange(count)
+    flat = np.sqrt(1 - height**2)
+    return np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height])
+
+
+def _tangents(u: Array) -> Array:
+    """Orthonormal directions perpendicular to each u (n, A-1, A)."""
+    if u.shape[1] == 2:
+        return np.stack([-u[:, 1], u[:, 0]], axis=1)[:, None]
+    least = np.eye(3)[np.argmin(np.abs(u), axis=1)]
+    first = np.cross(u, least)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(u, first)], axis=1)
+
+
+_UNKNOWN = np.pi / np.sqrt(12)
+"""Standard deviation of a direction of which nothing is known [rad]."""
+_STENCILS = {
+    2: np.array([[0.0], [1.0], [-1.0]]),
+    3: np.array([[0.0, 0.0], [1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1]]),
+}
+
+
+def climb(
+    likelihood: Callable[[Array], Array], u: Array, spacing: float, rounds: int = 5
+) -> tuple[Array, Array, Array]:
+    """Climb from each direction to its peak by Newton steps on finite differences.
+
+    Parameters
+    ----------
+    likelihood : callable
+        Log-likelihood of directions (n, U, A), as (n, U).
+    u : ndarray (n, A)
+        Where to start, unit vectors in the plane or in space.
+    spacing : float
+        How far the peak may be [rad].
+    rounds : int
+        Newton steps.
+
+    Returns
+    -------
+    best : ndarray (n, A)
+        Highest direction seen.
+    peak : ndarray (n,)
+        Its log-likelihood.
+    variance : ndarray (n, A-1)
+        Variances along the principal axes of the last fit [rad²].
+
+    Examples
+    --------
+    >>> best, peak, variance = climb(lambda u: 50 * u[..., 1] ** 2, np.array([[0.1, 0.995]]), 0.1)
+    >>> best.round(4).tolist(), variance.round(4).tolist()
+    ([[0.0, 1.0]], [[0.01]])
+    """
+    n, axes = u.shape
+    stencil, flat = _STENCILS[axes], axes - 1
+    step = np.full(n, 0.3 * spacing)
+    best, peak = u.copy(), np.full(n, -np.inf)
+    bend = np.full((n, flat), 1 / _UNKNOWN**2)
+    for _ in range(rounds):
+        tangents = _tangents(best)
+        around = best[:, None] + step[:, None, None] * (stencil @ tangents)
+        around /= np.linalg.norm(around, axis=2, keepdims=True)
+        f = likelihood(around)
+        slope = np.stack([f[:, 1 + 2 * i] - f[:, 2 + 2 * i] for i in range(flat)], axis=1)
+        slope /= 2 * step[:, None]
+        hessian = np.zeros((n, flat, flat))
+        for i in range(flat):
+            hessian[:, i, i] = f[:, 1 + 2 * i] + f[:, 2 + 2 * i] - 2 * f[:, 0]
+        if axes == 3:
+            both = f[:, 5] + f[:, 6] - 2 * f[:, 0]
+            cross = 0.5 * (both - hessian[:, 0, 0] - hessian[:, 1, 1])
+            hessian[:, 0, 1] = hessian[:, 1, 0] = cross
+        values, vectors = np.linalg.eigh(-hessian / step[:, None, None] ** 2)
+        bend = np.maximum(values, 1 / _UNKNOWN**2)
+        along = np.einsum("nij,ni->nj", vectors, slope) / bend
+        # Where the fit does not hold, a step no longer than the last stencil allows.
+        along *= np.minimum(1.0, 3 * step / np.maximum(np.linalg.norm(along, axis=1), 1e-12))[
+            :, None
+        ]
+        moved = best + np.einsum("nij,nj,nia->na", vectors, along, tangents)
+        moved /= np.linalg.norm(moved, axis=1, keepdims=True)
+        top = np.argmax(f, axis=1)
+        rows = np.arange(n)
+        after = likelihood(moved[:, None])[:, 0]
+        candidate = np.where((after > f[rows, top])[:, None], moved, around[rows, top])
+        peak, best = np.maximum(after, f[rows, top]), candidate
+        step = np.clip(0.5 / np.sqrt(bend.max(axis=1)), 1e-5, 0.3 * spacing)
+    return best, peak, 1 / bend
