@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch
+from loose_env.diagnosis.bending_errors import bent_by_seats, stiffness_errors
 from loose_env.diagnosis.model_errors import (
     calibrate_sensor,
     kinematic_errors,
@@ -33,9 +34,12 @@ __all__ = ["Instrument", "MeasuredChange", "change_of_transmission", "measured_t
 Array = NDArray[np.float64]
 Instrument = Literal["command", "encoder"]
 
-_TOLERANCE = 0.01
+_CHANGE_TOLERANCE = 0.01
 """Share of a change that the linear picture of an open seat gets wrong: the held joints move a
 little with it, and stops that are struck excite what the arm's model leaves out."""
+_REST_TOLERANCE = 3e-4
+"""Share of the whole transmission that may change without anything sliding: a shut seat gives by
+the stiffness of its stops, brakes and drives are not quite linear."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -150,11 +154,13 @@ def change_of_transmission(
     now = _by_joints(records, instrument)
     columns = [j for joints in now for j in joints]
     measured = join_transmissions(list(now.values()))
-    nominal = np.concatenate([_nominal(linear, records, joints) for joints in now], axis=1)
+    played = [_played(linear, records, joints) for joints in now]
+    nominal = np.concatenate([_nominal(arm, r, instrument) for arm, r in played], axis=1)
     kinematic = kinematic_errors(linear, pose, assumed)[:, :, columns]
     if healthy is None:
         reference, change = nominal, measured.minus(nominal)
-        errors = np.concatenate([sensor_errors(measured.b, assumed), kinematic])
+        springs = [stiffness_errors(arm, pose, r.excited, assumed) for arm, r in played]
+        errors = np.concatenate([sensor_errors(measured.b, assumed), kinematic, _apart(springs)])
     else:
         before = _by_joints(healthy, instrument)
         missing = [joints for joints in now if joints not in before]
@@ -168,8 +174,11 @@ def change_of_transmission(
         sensor, left = calibrate_sensor(sound, nominal, kinematic, assumed)
         reference, change = sound.b, measured.minus(sound).turned(np.linalg.inv(sensor))
         errors = left @ change.b
+    bent = np.concatenate([bent_by_seats(arm.at(pose), r.excited) for arm, r in played])
+    # Which link is loose is not known: each is as likely.
+    errors = np.concatenate([errors, np.einsum("mkde,em->kdm", bent, change.b) / linear.arm.n**0.5])
     return MeasuredChange(
-        estimate=change.with_errors(np.concatenate([errors, _coarse(change)])),
+        estimate=change.with_errors(np.concatenate([errors, _coarse(change, reference)])),
         joints=np.array(columns, dtype=np.intp),
         reference=reference,
         sampling=change,
@@ -187,18 +196,43 @@ def _by_joints(
     return {joints: pool_transmissions(found) for joints, found in groups.items()}
 
 
-def _nominal(linear: LinearArm, records: Sequence[Measurement], joints: tuple[int, ...]) -> Array:
-    """Transmission of the nominal arm with these joints excited, brakes and modes included."""
+def _played(
+    linear: LinearArm, records: Sequence[Measurement], joints: tuple[int, ...]
+) -> tuple[LinearArm, Measurement]:
+    """A record in which these joints were excited, and the arm in its band."""
     record = next(r for r in records if tuple(np.flatnonzero(r.excited)) == joints)
+    band = record.excitation.band
+    arm = linear if band == linear.arm.band else linear.variant(replace(linear.arm, band=band))
+    return arm, record
+
+
+def _nominal(linear: LinearArm, record: Measurement, instrument: Instrument) -> Array:
+    """Transmission of the nominal arm in a record, brakes and modes included."""
     quiet = SensorFloor(joint=0.0, tool=0.0)
-    return predict(linear.at(record.pose), record.excitation, quiet).transmission_by_instrument
+    expected = predict(linear.at(record.pose), record.excitation, quiet)
+    if instrument == "encoder":
+        return expected.transmission
+    return expected.transmission_by_instrument
 
 
-def _coarse(change: TransmissionEstimate) -> Array:
-    """Errors in every direction, in proportion to the loose motion of each column (K, d, m)."""
+def _apart(errors: Sequence[Array]) -> Array:
+    """Errors of sets of columns, each (K, d, m) and without effect on the others (K, d, m)."""
+    columns = sum(e.shape[2] for e in errors)
+    spread, start = [], 0
+    for e in errors:
+        wide = np.zeros((*e.shape[:2], columns))
+        wide[:, :, start : start + e.shape[2]] = e
+        spread.append(wide)
+        start += e.shape[2]
+    return np.concatenate(spread)
+
+
+def _coarse(change: TransmissionEstimate, reference: Array) -> Array:
+    """Errors in every direction, in proportion to loose motion and transmission (K, d, m)."""
     d, m = change.b.shape
-    scatter = np.einsum("imim->m", change.covariance)
-    sizes = _TOLERANCE * np.sqrt(np.sum(change.b**2, axis=0) + scatter)
+    loose = np.sum(change.b**2, axis=0) + np.einsum("imim->m", change.covariance)
+    whole = np.sum(reference**2, axis=0)
+    sizes = np.sqrt(_CHANGE_TOLERANCE**2 * loose + _REST_TOLERANCE**2 * whole)
     errors = np.zeros((d, m, d, m))
     for i in range(d):
         for j in range(m):

@@ -12,12 +12,8 @@ from loose_env.statistics.angles import (
     axial_vector,
     wrap_axial,
 )
-from loose_env.statistics.change_direction import (
-    ChangeDirection,
-    ChangeRank,
-    change_direction,
-    change_rank,
-)
+from loose_env.statistics.change_direction import ChangeDirection, change_direction
+from loose_env.statistics.change_rank import ChangeRank, change_rank
 from loose_env.statistics.coherence import (
     LowestCoherence,
     RankTest,

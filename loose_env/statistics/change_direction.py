@@ -9,92 +9,29 @@ covariance is known. For any axis u the best v follows in closed form, and
 is the squared misfit of the change D under the errors' covariance C. Its lowest point is the
 estimate, and its lowest value tests whether one direction explains the change. An axis belongs to
 the confidence region if its misfit is not much above the lowest. How much is allowed depends on
-how much of the change the axis explains: where that is little, errors alone make directions, and
-more must be allowed (a conditional likelihood ratio, whose region may be the whole sphere).
+how well the change would tell the angle of that axis: where that is little, errors alone make
+directions, and more must be allowed (a conditional likelihood ratio, whose region may be the whole
+sphere).
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import chdtrc, chdtri, fdtrc, fdtri
+from scipy.special import chdtri, fdtri
 
-from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.errors import InvalidSetting
 from loose_env.statistics._checks import FloatArray, as_direction
-from loose_env.statistics.angles import axial_vector
-from loose_env.statistics.sphere import axes_grid, tangents
+from loose_env.statistics.angle_information import angle_information
+from loose_env.statistics.axis_misfit import Misfit, lowest_axis
+from loose_env.statistics.sphere import tangents
 from loose_env.statistics.transmission_estimate import TransmissionEstimate
 
-_GRID = {2: 90, 3: 400}
-"""Axes at which the misfit is looked at first."""
-_STARTS = 3
-_STEPS, _SHRINK = 24, 0.5
 _AZIMUTHS, _RADII = 24, 90
-_DRAWS = 4000
+_DRAWS = 10000
 _STRENGTHS = np.concatenate(([0.0], np.geomspace(0.3, 3000.0, 30)))
-
-
-class Misfit:
-    """Squared misfit of a change along any axis, errors weighed by their covariance.
-
-    Parameters
-    ----------
-    change : TransmissionEstimate
-        Change of transmission, shape (d, m), with its covariance.
-
-    Raises
-    ------
-    InvalidData
-        If d is neither 2 nor 3, a value is not finite, or the covariance is not positive.
-    """
-
-    def __init__(self, change: TransmissionEstimate) -> None:
-        d, m = change.b.shape
-        if d not in (2, 3):
-            raise InvalidData(f"the change has {d} rows; a direction needs two or three")
-        size = d * m
-        covariance = change.covariance.reshape(size, size)
-        if not (np.isfinite(change.b).all() and np.isfinite(covariance).all()):
-            raise InvalidData("the change or its covariance holds NaN or infinite values")
-        spread = np.diag(covariance)
-        if not (spread >= 0).all() or not spread.any():
-            raise InvalidData("the covariance of the change must be positive")
-        # In units of each entry's scatter; one without any gets next to none.
-        scale = np.sqrt(np.maximum(spread, 1e-12 * spread.max()))
-        precision = np.linalg.inv(covariance / np.outer(scale, scale) + 1e-10 * np.eye(size))
-        self.precision = (precision / np.outer(scale, scale)).reshape(d, m, d, m)
-        self._weighted = np.einsum("imjn,jn->im", self.precision, change.b)
-        self.total = float(np.sum(self._weighted * change.b))
-        """Misfit of no change at all."""
-
-    def at(self, axes: FloatArray) -> FloatArray:
-        """Misfit at unit vectors of shape (K, d); shape (K,)."""
-        drive, gram = self._normal_equations(axes)
-        fitted = np.linalg.solve(gram, drive[..., None])[..., 0]
-        return np.asarray(self.total - np.sum(drive * fitted, axis=1))
-
-    def drives(self, axis: FloatArray) -> FloatArray:
-        """Best v for one axis, shape (m,)."""
-        drive, gram = self._normal_equations(axis[None])
-        return np.asarray(np.linalg.solve(gram[0], drive[0]))
-
-    def without(self, axes: FloatArray) -> FloatArray:
-        """Misfit if nothing of the change lay along these axes and anything across, shape (K,).
-
-        Small where a change of fewer directions than d explains all: it has no part along u.
-        """
-        d, m = self._weighted.shape
-        covariance = np.linalg.inv(self.precision.reshape(d * m, d * m)).reshape(d, m, d, m)
-        change = np.einsum("imjn,jn->im", covariance, self._weighted)
-        along = axes @ change
-        among = np.einsum("ki,imjn,kj->kmn", axes, covariance, axes)
-        return np.asarray(np.sum(along * np.linalg.solve(among, along[..., None])[..., 0], axis=1))
-
-    def _normal_equations(self, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return axes @ self._weighted, np.einsum("ki,imjn,kj->kmn", axes, self.precision, axes)
 
 
 class Region:
@@ -131,8 +68,9 @@ class Region:
 
     def excess(self, axes: FloatArray) -> FloatArray:
         """Rise of the misfit over what is allowed, at unit vectors (K, d); up to 1 is inside."""
-        misfit = self.misfit.at(axes)
-        allowed = np.interp(self.misfit.total - misfit, _STRENGTHS, self.allowed)
+        misfit, drives = self.misfit.at(axes), self.misfit.drives(axes)
+        strength = angle_information(self.misfit.precision, axes, drives)
+        allowed = np.interp(strength, _STRENGTHS, self.allowed)
         return np.asarray(np.maximum(misfit - self.lowest, 0.0) / (self.widening * allowed))
 
 
@@ -140,9 +78,10 @@ class Region:
 def _allowed(d: int, m: int, level: float) -> FloatArray:
     """Rise of the misfit at the true axis that errors alone exceed with chance 1 - level.
 
-    By how much of the change the true axis explains (`_STRENGTHS`). For errors that are alike in
-    all entries this is exact: with y the part along the axis, of size squared t, and Z what the
-    errors put across it, the rise is the largest eigenvalue of (y, Z) (y, Z).T less t.
+    By how well the change tells the angle of the true axis (`_STRENGTHS`, `angle_information`).
+    For errors that are alike in all entries this is exact: with y the part along the axis, of size
+    squared t, and Z what the errors put across it, t is that information and the rise is the
+    largest eigenvalue of (y, Z) (y, Z).T less t.
     """
     z = np.random.default_rng(0).standard_normal((_DRAWS, d - 1, m))
     allowed = []
@@ -210,8 +149,7 @@ def change_direction(change: TransmissionEstimate, level: float = 0.95) -> Chang
 
     References
     ----------
-    Cragg and Donald, J. Econometrics 76 (1997), minimum distance of a matrix to one of lower
-    rank; regions by profile likelihood.
+    Moreira, Econometrica 71 (2003), the conditional likelihood ratio behind the region.
 
     Examples
     --------
@@ -227,7 +165,7 @@ def change_direction(change: TransmissionEstimate, level: float = 0.95) -> Chang
         raise InvalidSetting(f"level is {level}; it must lie above 0 and below 1")
     d, m = change.b.shape
     misfit = Misfit(change)
-    direction, lowest = _lowest(misfit.at, d)
+    direction, lowest = lowest_axis(misfit.at, misfit.likely())
     region = Region(misfit, lowest, (d, m), level, change.degrees)
     half_angle, border = _extent(region, direction)
     sd = border / math.sqrt(region.widening * float(chdtri(d - 1, 1.0 - level)))
@@ -241,92 +179,6 @@ def change_direction(change: TransmissionEstimate, level: float = 0.95) -> Chang
         evidence=misfit.total - lowest,
         region=region,
     )
-
-
-@dataclass(frozen=True, slots=True)
-class ChangeRank:
-    """How many directions a change of transmission has."""
-
-    rank: int
-    """0: no change; 1: one direction; 2 or more: several."""
-    p_values: tuple[float, ...]
-    """Chance of so large a misfit if the rank were 0, 1, ..., for each rank that is tested."""
-    misfits: tuple[float, ...]
-    """Squared misfit of the best change of rank 0, 1, ..."""
-    significance: float
-    """A rank is refused below this chance."""
-
-
-def change_rank(change: TransmissionEstimate, significance: float = 0.01) -> ChangeRank:
-    """Count the directions of a change of transmission.
-
-    Ranks are tried from zero up; the first that the change's errors can explain is the answer. The
-    misfit of the best matrix of rank r is chi-square with (d - r)(m - r) degrees of freedom, or F
-    where the errors' covariance is itself an estimate.
-
-    Parameters
-    ----------
-    change : TransmissionEstimate
-        As in `change_direction`.
-    significance : float
-        Chance below which a rank is refused, above 0 and below 1.
-
-    Returns
-    -------
-    ChangeRank
-        The rank, and every test on the way to min(d, m).
-
-    Raises
-    ------
-    InvalidData, InvalidSetting
-        As `change_direction`.
-
-    Examples
-    --------
-    >>> small = 1e-4 * np.eye(9).reshape(3, 3, 3, 3)
-    >>> turned = np.outer([0.0, 0.6, 0.8], [0.3, -0.2, 0.5])
-    >>> [change_rank(TransmissionEstimate(b, small)).rank for b in (0 * turned, turned, np.eye(3))]
-    [0, 1, 3]
-    """
-    if not 0.0 < significance < 1.0:
-        raise InvalidSetting(f"significance is {significance}; it must lie above 0 and below 1")
-    misfit = Misfit(change)
-    d, m = change.b.shape
-    most = min(d, m)
-    misfits = [misfit.total]
-    if most > 1:
-        misfits.append(max(_lowest(misfit.at, d)[1], 0.0))
-    if most > 2:
-        misfits.append(max(_lowest(misfit.without, d)[1], 0.0))
-    p_values = tuple(_chance(q, (d - r) * (m - r), change.degrees) for r, q in enumerate(misfits))
-    rank = next((r for r, p in enumerate(p_values) if p >= significance), most)
-    return ChangeRank(rank, p_values, tuple(misfits), significance)
-
-
-def _chance(misfit: float, constraints: int, degrees: float) -> float:
-    """Chance of a larger misfit; F instead of chi-square where the scatter is estimated."""
-    if not math.isfinite(degrees):
-        return float(chdtrc(constraints, misfit))
-    return float(fdtrc(constraints, max(degrees, 1.0), misfit / constraints))
-
-
-def _lowest(at: Callable[[FloatArray], FloatArray], dimension: int) -> tuple[FloatArray, float]:
-    """Lowest point of a smooth function of axes: the best of a grid, then ever finer about them."""
-    grid = axes_grid(_GRID[dimension], dimension)
-    best = grid[np.argsort(at(grid))[:_STARTS]]
-    step = 1.5 * math.sqrt(2 * math.pi / len(grid)) if dimension == 3 else math.pi / len(grid)
-    offsets = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
-    around = np.stack(np.meshgrid(*[offsets] * (dimension - 1), indexing="ij"), axis=-1)
-    around = around.reshape(-1, dimension - 1)
-    for _ in range(_STEPS):
-        across = np.stack([tangents(u) for u in best])
-        near = best[:, None] + step * (around @ across)
-        near /= np.linalg.norm(near, axis=2, keepdims=True)
-        values = at(near.reshape(-1, dimension)).reshape(near.shape[:2])
-        best = near[np.arange(len(best)), np.argmin(values, axis=1)]
-        step *= _SHRINK
-    values = at(best)
-    return axial_vector(best[int(np.argmin(values))]), float(np.min(values))
 
 
 def _extent(region: Region, direction: FloatArray) -> tuple[float, float]:

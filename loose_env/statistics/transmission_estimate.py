@@ -145,7 +145,7 @@ def estimate_transmission(
     b = transmission_by_instrument_from(cov_x, cov_a)
     z, joint, tool = centred(instrument), centred(x), centred(a)
     residual = tool - np.einsum("ij,jn->in", b, joint)
-    drive = np.einsum("ji,jn->in", np.linalg.inv(cov_x.xa), z)
+    drive = np.linalg.solve(cov_x.xa, z)  # what each sample of z weighs in each column of b
     d, m = b.shape
     influence = (residual[:, None] * drive[None]).reshape(d * m, -1)
     count = influence.shape[1]
@@ -194,7 +194,10 @@ def join_transmissions(estimates: Sequence[TransmissionEstimate]) -> Transmissio
         span = slice(start, start + e.b.shape[1])
         covariance[:, span, :, span] = e.covariance
         start = span.stop
-    return TransmissionEstimate(b, covariance, min(e.degrees for e in estimates))
+    # What all columns say together rests on a typical one of them.
+    scarce = sum(1.0 / e.degrees for e in estimates)
+    degrees = len(estimates) / scarce if scarce > 0.0 else np.inf
+    return TransmissionEstimate(b, covariance, degrees)
 
 
 def pool_transmissions(estimates: Sequence[TransmissionEstimate]) -> TransmissionEstimate:
