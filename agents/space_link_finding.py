@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from agents.base import EpisodeAgent, Problem
 from agents.belief import record_from
+from loose_env.diagnosis.bending_errors import stiffness_errors
 from loose_env.diagnosis.change_sighting import ChangeModel, ChangeSighting, sight_change
 from loose_env.diagnosis.direction_images import ToolFrames, places
 from loose_env.diagnosis.link_finding import LinkFindingSettings
@@ -109,8 +110,8 @@ class SpaceLinkFindingAgent(EpisodeAgent):
         arm, rules = problem.arm, problem.settings
         self.frames = ToolFrames(arm)
         self.names = places(arm)
-        mismatch = difficulty_named(rules.difficulty).mismatch
-        self.model = ChangeModel.of(mismatch, joints=arm.n)
+        self.mismatch = difficulty_named(rules.difficulty).mismatch
+        self.model = ChangeModel.of(self.mismatch, joints=arm.n)
         self.floor = SensorFloor.of(rules.sensors, arm.band)
         # Hypotheses that the environment does not hold are left out.
         self.prior = np.array([float(name in problem.hypotheses) for name in self.names])
@@ -289,4 +290,5 @@ class SpaceLinkFindingAgent(EpisodeAgent):
             band=problem.arm.band,
             floor=self.floor,
             model=self.model,
+            springs=stiffness_errors(problem.linear, record.pose, record.excited, self.mismatch),
         )

@@ -10,6 +10,7 @@ and how the arm would move were it open.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -176,6 +177,13 @@ class LinearArm:
         self._remember = remember
         self._cache: dict[bytes, LinearPose] = {}
 
+    def variant(self, arm: Arm, model: mujoco.MjModel | None = None) -> LinearArm:
+        """Answer for the same bodies in another band, held otherwise, or with other springs."""
+        other = copy(self)
+        other.arm, other.model, other._cache = arm, self.model if model is None else model, {}
+        other.frequency = np.linspace(*arm.band, len(self.frequency))
+        return other
+
     @property
     def twist_dofs(self) -> NDArray[np.intp]:
         """Slides, then rotations of each link about its frame's origin (n, t).
@@ -335,7 +343,6 @@ class LinearPose:
         mass = self.inertia[np.ix_(move, move)]
         stiffness = -(omega**2)[:, None, None] * mass.astype(complex)
         stiffness[:, np.arange(len(move)), np.arange(len(move))] += diagonal
-
         return np.asarray(stiffness)
 
     def _respond(self, excited: NDArray[np.bool_]) -> Response:

@@ -92,6 +92,7 @@ def sight_change(
     band: tuple[float, float],
     floor: SensorFloor,
     model: ChangeModel,
+    springs: Array | None = None,
 ) -> ChangeSighting:
     """Read the direction of looseness off the change of transmission in one record.
 
@@ -110,6 +111,10 @@ def sight_change(
         Noise of the sensors in the band.
     model : ChangeModel
         Errors of model and sensors.
+    springs : ndarray (K, d, m), optional
+        What errors of springs do to the transmission, from
+        `loose_env.diagnosis.bending_errors.stiffness_errors`; they matter for an arm that bends
+        in its band.
 
     Raises
     ------
@@ -168,12 +173,16 @@ def sight_change(
     bent += model.geometry**2 * float(columns @ v**2)
     errors = float(np.trace(mixed) * np.trace(scatter))
     errors += (d * model.sensor**2 + model.geometry**2) * float(columns.sum())
+    bending = np.zeros((0, d, m)) if springs is None else springs * rms
+    errors += float(np.sum(bending**2))
+    lean = bending @ v  # (K, d)
     noise = float(np.sqrt(errors / min(d, m)))
     # Errors alone have a largest singular value too: only what exceeds it points anywhere.
     top = float(values[0]) ** 2 - noise**2
     precision = np.zeros((d, d))
     if top > 0:
-        covariance = (float(v @ mixed @ v) * scatter + bent * np.eye(d)) / top
+        covariance = float(v @ mixed @ v) * scatter + bent * np.eye(d) + lean.T @ lean
+        covariance = covariance / top
         precision = precision_of(direction, covariance + model.floor**2 * np.eye(d))
     return ChangeSighting(
         pose=record.pose,

@@ -14,6 +14,7 @@ directions largest, because nothing is known yet about the fault.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,8 @@ _LEVELS = np.geomspace(0.05, 50.0, 121)
 """Levels that are tried, rms acceleration of the nominal tool [m/s²]."""
 _AS_GOOD = 0.9
 """Share of the best score at which a level counts as about as good."""
+_WORTH = 0.5
+"""Share of the opening in the arm's own band that a band below its modes must keep."""
 _OVERCOME = 0.6
 """Rms force over static load at which a seat begins to move: peaks are what opens it."""
 
@@ -142,21 +145,18 @@ def propose_band(
     if top - bottom >= _LEAST_WIDTH:
         return (round(bottom, 1), round(top, 1)), modes, ()
     inside = modes[(modes > 0.8 * low) & (modes < 1.25 * high)]
-    what = ", ".join(f"{m:.0f}" for m in inside[:4])
     if not len(inside):
-        return (
-            arm.band,
-            modes,
-            (f"the lowest holding mode, {lowest:.0f} Hz, is below twice the band's top",),
-        )
+        note = f"the lowest holding mode, {lowest:.0f} Hz, is below twice the band's top"
+        return arm.band, modes, (note,)
+    return arm.band, modes, (_warning(arm.band, inside, "there is no room below"),)
+
+
+def _warning(band: tuple[float, float], inside: Array, why: str) -> str:
+    what = ", ".join(f"{m:.0f}" for m in inside[:4])
     return (
-        arm.band,
-        modes,
-        (
-            f"the band {low:g} to {high:g} Hz holds {len(inside)} holding modes ({what} Hz) and "
-            f"there is no room below them: compare with healthy records or the whole dynamic "
-            "model, expect errors of ten degrees and more otherwise, or hold the joints stiffer",
-        ),
+        f"the band {band[0]:g} to {band[1]:g} Hz lies about holding modes ({what} Hz) and {why}: "
+        "compare with healthy records or the whole dynamic model, expect errors of ten degrees "
+        "and more otherwise, or hold the joints stiffer"
     )
 
 
@@ -205,16 +205,58 @@ def propose_excitation(
             raise InvalidSetting(f"{name} is {value!r}; it must be finite and {least:g} or more")
     nominal = LinearArm(arm)
     band, modes, warnings = propose_band(nominal, pose)
+    wanted = (pose, gap, friction, duration)
+    found = _play(nominal, *wanted)
     if band != arm.band:
-        arm = replace(arm, band=band)
-        nominal = LinearArm(arm)
-    at = nominal.at(pose)
+        lower = _play(nominal.variant(replace(arm, band=band)), *wanted)
+        if lower.openings.mean() >= _WORTH * found.openings.mean():
+            found = lower
+        else:  # the gap allows little acceleration at low frequencies, gravity asks for more
+            inside = modes[modes < _CLEAR * arm.band[1]]
+            band, warnings = arm.band, (_warning(arm.band, inside, "below them seats stay shut"),)
+    notes = [*warnings, *found.notes]
+    at, best_by_link = found.at, found.openings
+    mass = _seat_mass(at)
+    gravity = np.linalg.norm(at.seat_load, axis=1) / (9.81 * np.maximum(mass, 1e-9))
+    shut = [i + 1 for i in range(arm.n) if best_by_link[i] < 0.1]
+    if shut:
+        notes.append(
+            f"gravity and torque limits keep seats of links {shut} mostly shut in this pose: add "
+            "poses that lay other directions across gravity"
+        )
+    return Proposal(
+        band=band,
+        levels=found.levels,
+        shares=found.shares,
+        excitations=found.excitations,
+        modes=modes,
+        seat_gravity=gravity,
+        openings=best_by_link,
+        warnings=tuple(notes),
+    )
+
+
+class _Play(NamedTuple):
+    """The part of a proposal that depends on the band."""
+
+    at: LinearPose
+    levels: Array
+    shares: Array
+    excitations: tuple[Excitation | None, ...]
+    openings: Array
+    """Of each link under its best joint (n,)."""
+    notes: list[str]
+
+
+def _play(nominal: LinearArm, pose: Array, gap: float, friction: float, duration: float) -> _Play:
+    """Find the level of every joint in the arm's band."""
+    arm, at = nominal.arm, nominal.at(pose)
     axes = axes_grid(_AXES[len(arm.axes)], len(arm.axes))
     load = np.abs(at.seat_load @ axes.T) + friction  # (n links, A)
     levels, shares = np.zeros(arm.n), np.ones(arm.n)
     excitations: list[Excitation | None] = [None] * arm.n
     openings = np.zeros((arm.n, arm.n))
-    notes = list(warnings)
+    notes = []
     for j in range(arm.n):
         if np.linalg.norm(at.kinematic[:, j]) < 1e-6:
             notes.append(f"joint {j + 1} does not move the tool in this pose: leave it out")
@@ -233,25 +275,7 @@ def propose_excitation(
         excitations[j], shares[j] = excitation, share[j]
         levels[j] = wanted[j] * share[j]
         openings[j] = _lost(levels[j], force, load, travel, gap).mean(axis=1)
-    mass = _seat_mass(at)
-    gravity = np.linalg.norm(at.seat_load, axis=1) / (9.81 * np.maximum(mass, 1e-9))
-    best_by_link = openings.max(axis=0)
-    shut = [i + 1 for i in range(arm.n) if best_by_link[i] < 0.1]
-    if shut:
-        notes.append(
-            f"gravity and torque limits keep seats of links {shut} mostly shut in this pose: add "
-            "poses that lay other directions across gravity"
-        )
-    return Proposal(
-        band=band,
-        levels=levels,
-        shares=shares,
-        excitations=tuple(excitations),
-        modes=modes,
-        seat_gravity=gravity,
-        openings=best_by_link,
-        warnings=tuple(notes),
-    )
+    return _Play(at, levels, shares, tuple(excitations), openings.max(axis=0), notes)
 
 
 def _per_level(at: LinearPose, joint: int, axes: Array) -> tuple[Array, Array]:

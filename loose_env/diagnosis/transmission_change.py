@@ -34,10 +34,10 @@ __all__ = ["Instrument", "MeasuredChange", "change_of_transmission", "measured_t
 Array = NDArray[np.float64]
 Instrument = Literal["command", "encoder"]
 
-_CHANGE_TOLERANCE = 0.01
+_CHANGE_TOLERANCE = 0.005
 """Share of a change that the linear picture of an open seat gets wrong: the held joints move a
 little with it, and stops that are struck excite what the arm's model leaves out."""
-_REST_TOLERANCE = 3e-4
+_REST_TOLERANCE = 2e-4
 """Share of the whole transmission that may change without anything sliding: a shut seat gives by
 the stiffness of its stops, brakes and drives are not quite linear."""
 

@@ -51,7 +51,8 @@ def long_run_covariance(series: FloatArray) -> LongRun:
     spectrum = np.fft.rfft(centred, 2 * count)
     power = spectrum.real**2 + spectrum.imag**2
     auto = np.fft.irfft(power)[:, :count] / count
-    window = max(memory_window(row) for row in auto)
+    # A series that stands still has no memory; its autocovariances are all zero.
+    window = max((memory_window(row) for row in auto if row[0] > 0.0), default=1)
     flat = np.einsum("in,jn->ij", centred, centred) / count
     falling = flat.copy()
     for lag in range(1, window + 1):

@@ -64,6 +64,25 @@ def test_levels_are_within_the_drives(arm) -> None:  # type: ignore[no-untyped-d
     assert (found.seat_gravity <= 1.0 + 1e-6).all()
 
 
+def test_a_band_below_the_modes_is_not_taken_where_gravity_shuts_the_seats_in_it() -> None:
+    arm, low_enough, rng = planar(4, vertical=True, hold="compliant"), 0, np.random.default_rng(0)
+    linear = LinearArm(arm)
+    for _ in range(12):
+        pose = arm.random_pose(rng)
+        band, _, _ = propose_band(linear, pose)
+        found = propose_excitation(arm, pose)
+        low_enough += band != arm.band
+        if band != found.band:
+            assert found.band == arm.band
+            assert any("stay shut" in w for w in found.warnings)
+            assert found.openings.mean() > 0.1
+    assert low_enough > 0
+    # Without gravity nothing is lost below the modes.
+    flat = vera()
+    pose = np.array([0.3, 1.0])
+    assert propose_excitation(flat, pose).band == propose_band(LinearArm(flat), pose)[0]
+
+
 def test_heavier_seats_and_larger_gaps_ask_for_more() -> None:
     pose = np.array([0.3, 0.7, -0.4, 0.2])
     light = propose_excitation(planar(4), pose, gap=0.05e-3)

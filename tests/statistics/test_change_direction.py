@@ -170,6 +170,37 @@ def test_the_command_frees_the_estimate_of_encoder_noise() -> None:
     assert abs(free.b[0, 0] - 1.0) < 4 * np.sqrt(free.covariance[0, 0, 0, 0]) < 0.2
 
 
+def test_scatter_is_right_where_one_command_moves_several_joints() -> None:
+    """Brakes give a little: cov(command, x) is then not symmetric."""
+    rng = np.random.default_rng(9)
+    b = np.array([[0.5, 0.1], [0.2, -0.3], [0.0, 0.4]])
+    mixed = np.array([[1.0, 0.8], [0.0, 0.5]])
+    found = []
+    for _ in range(200):
+        command = rng.standard_normal((2, 1200))
+        x = mixed @ command
+        tool = b @ x + np.array([[0.3], [0.1], [0.2]]) * rng.standard_normal((3, 1200))
+        found.append(estimate_transmission(x, tool, 1000.0, command=command))
+    true = np.sqrt(np.mean([(e.b - b).ravel() ** 2 for e in found], axis=0))
+    claimed = np.sqrt(np.mean([np.diag(e.covariance.reshape(6, 6)) for e in found], axis=0))
+    np.testing.assert_allclose(claimed, true, rtol=0.2)
+
+
+@pytest.mark.parametrize(("dimension", "joints"), [(2, 4), (3, 6)])
+def test_regions_allow_for_errors_that_differ_much_where_little_changes(
+    dimension: int, joints: int
+) -> None:
+    rng = np.random.default_rng(10)
+    held, cases, size = 0, 150, dimension * joints
+    for _ in range(cases):
+        u = rng.standard_normal(dimension)
+        u /= np.linalg.norm(u)
+        root = 0.05 * rng.standard_normal((size, size))
+        change = scattered(0.1 * np.outer(u, rng.standard_normal(joints)), root, rng)
+        held += change_direction(change).contains(u)
+    assert 0.9 <= held / cases <= 0.995
+
+
 def test_joined_and_pooled_estimates() -> None:
     rng = np.random.default_rng(8)
     parts = [estimate_transmission(*record(rng)[:2], 1000.0) for _ in range(4)]
