@@ -173,7 +173,8 @@ class SeatDrive:
                 levels = np.zeros(arm.n)
                 levels[j] = arm.levels[-1]
                 excitation, _ = at_levels(at, levels, duration=1.0)
-                answer = at.response(excitation.excited)
+                # Not those it says are excited: a drive that hardly holds its load is none of them.
+                answer = at.response(levels > 0)
                 power = excitation.torque_rms[j] ** 2
                 slide = answer.slide[..., 0]
                 outer = np.einsum("kia,kib->iab", slide, slide.conj()).real

@@ -16,6 +16,7 @@ from loose_env.arms.chain_spec import TOOL_SITE, chain_spec
 from loose_env.arms.compliance import held
 from loose_env.arms.drive_figures import (
     TIMESTEP,
+    calm_centring,
     propose_levels,
     propose_limits,
     stable_timestep,
@@ -157,6 +158,7 @@ def arm_from_file(
         settling=0.1,
     )
     arm = replace(arm, timestep=stable_timestep(arm, poses))
+    arm = replace(arm, centring=calm_centring(arm, poses))
     arm = held(replace(arm, gears=proposed_gears(arm)), hold)
     return replace(arm, levels=propose_levels(arm, poses))
 

@@ -101,6 +101,8 @@ def read_model_file(path: str | Path) -> ModelFile:
                 "; a body that moves needs mass: give it an inertia, or put its joint on the "
                 "body that has one"
             )
+        elif "free joint" in message:
+            hint = "; an arm stands on the ground: fix its base, without a free or floating joint"
         raise InvalidData(f"{file.name}: MuJoCo cannot build it: {message}{hint}") from error
     _require_numbers(model, drives, file)
     return ModelFile(

@@ -232,8 +232,8 @@ def _refuse_loops(
         elif driven >= set(tie.names) and all(tie.names):
             raise InvalidData(
                 f"{file.path.name}: joints {tie.names[0]!r} and {tie.names[1]!r} are coupled by an "
-                "equality constraint; each joint of an arm has its own drive: remove the "
-                "coupling, or leave one joint out with joints=[...]"
+                "equality constraint, or one mimics the other; each joint of an arm has its own "
+                "drive: remove the coupling, or leave one joint out with joints=[...]"
             )
         elif driven & set(tie.names):
             names = " and ".join(repr(n) for n in tie.names if n)

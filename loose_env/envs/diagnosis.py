@@ -26,7 +26,8 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
     """Find the fault hidden in a robot arm.
 
     ## Description
-    An arm may have a link that slides on its flange, a joint with play, or nothing wrong.
+    An arm may have a link that slides on its flange, a joint with play, or nothing wrong; where
+    `kinds` says so, also a link that rocks on its flange or is loose in several ways.
     The agent moves joints, shakes some of them with band-limited Gaussian torque while the
     others are held, and sees how the tool's acceleration correlates with the excitation. It
     names the fault when it is sure; every record has its price.
@@ -44,10 +45,10 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
     A joint that slides goes in proportion through its range: 90 degrees are half of it. With a
     verdict nothing is measured and the rest is ignored. Levels beyond a joint's torque limit
     are clipped; the share that remains is in the observation and in `info["level_share"]`. With
-    all levels off the arm moves, a record is spent and its slot stays empty. `action_masks()`
-    and `info["action_mask"]` say what makes sense: no move past a joint limit (such a joint
-    stays), no verdict before the first record (it is ignored), no going on after the last
-    record (it ends the episode as a wrong verdict).
+    all levels off, or no torque left beside gravity, the arm moves, a record is spent and its
+    slot stays empty. `action_masks()` and `info["action_mask"]` say what makes sense: no move
+    past a joint limit (such a joint stays), no verdict before the first record (it is ignored),
+    no going on after the last record (it ends the episode as a wrong verdict).
 
     ## Observation Space
     A flat float32 `Box` with finite bounds: the pose and what has been spent, then a slot for
@@ -71,11 +72,13 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
     diverges truncates; `info["failure"]` says why, `divergences` counts by fault kind.
 
     ## Arguments
-    `difficulty`, `max_records`, `prices` and all other fields of `DiagnosisSettings`; for the
-    planar arm also `n_links` and `vertical`; for `loose_env/Arm-v0` `model`, the path of an
-    MJCF or URDF file, `tool` and `joints`; `hold` says how joints that are not excited are
-    held. `reset(options={"fault": ...})` seats a given fault or one drawn
-    under a given hypothesis; `{"pose": ...}` sets the first pose.
+    `difficulty`, `max_records`, `prices` and all other fields of `DiagnosisSettings`. `kinds` are
+    the kinds of fault that are hypotheses: "healthy", "structural_looseness" and "backlash" by
+    default, "rotational_looseness" and "compound_looseness" besides. `hold` says how joints that
+    are not excited are held: "brake", "servo", or "compliant", by brakes behind elastic gears.
+    For the planar arm also `n_links` and `vertical`; for `loose_env/Arm-v0` `model`, the path of
+    an MJCF or URDF file, `tool` and `joints`. `reset(options={"fault": ...})` seats a given
+    fault, or one drawn under a given hypothesis; `{"pose": ...}` sets the first pose.
 
     ## Version History
     * v0: first version

@@ -196,7 +196,7 @@ class EpisodeBatch:
                 )
                 info["level_share"] = share
                 waiting[slot] = (action, share, info)
-                if action.levels.any():
+                if any(excitation.excited):  # not where gravity leaves a drive no torque
                     jobs.append(self._job(slot, episode, excitation))
         for k, measurement in self._measured(jobs):
             slot = jobs[k].slot

@@ -148,7 +148,7 @@ class RotationalLooseness:
 
     def __post_init__(self) -> None:
         unit("an axis", self.axis)
-        pivot = np.asarray(self.pivot, dtype=float)
+        pivot = _numbers(self.pivot)
         if pivot.shape != (3,) or not np.isfinite(pivot).all():
             raise InvalidSetting(
                 f"a pivot is three finite numbers [m] in the link frame; got {self.pivot!r}"
@@ -226,12 +226,20 @@ def unit(what: str, vector: Vector) -> NDArray[np.float64]:
     InvalidSetting
         If it is not three finite numbers, or points nowhere.
     """
-    given = np.asarray(vector, dtype=float)
+    given = _numbers(vector)
     if given.shape != (3,) or not np.isfinite(given).all() or not np.linalg.norm(given) > 0:
         raise InvalidSetting(
             f"{what} is three finite numbers, not all zero, in the link frame; got {vector!r}"
         )
     return np.asarray(given / np.linalg.norm(given))
+
+
+def _numbers(values: object) -> NDArray[np.float64]:
+    """Numbers as an array; empty where they are none."""
+    try:
+        return np.empty(0) if isinstance(values, str) else np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        return np.empty(0)
 
 
 def _independent(what: str, vectors: list[Vector]) -> None:
@@ -247,7 +255,8 @@ def _independent(what: str, vectors: list[Vector]) -> None:
 
 def _not_negative(**values: float) -> None:
     for name, value in values.items():
-        if not np.isfinite(value) or value < 0:
+        number = _numbers(value)
+        if number.shape != () or not 0 <= number < np.inf:
             raise InvalidSetting(f"{name} must be a finite number, zero or more; got {value!r}")
 
 

@@ -146,8 +146,9 @@ def set_seat(model: mujoco.MjModel, fault: Fault, data: mujoco.MjData | None = N
     Raises
     ------
     InvalidSetting
-        If the model has no such seat, or a stop or a preloaded seat is too stiff for the
-        simulation step; several stops that are touched at once make a stiffer one.
+        If the model has no such seat, a gap is wider than 2 m or rad, or a stop or a preloaded
+        seat is too stiff for the simulation step; several stops that are touched at once make a
+        stiffer one.
     """
     names = seat_names(model)
     parts = (fault,) * len(names) if isinstance(fault, Healthy) else parts_of(fault)
@@ -199,6 +200,10 @@ def _set_part(model: mujoco.MjModel, name: str, part: SinglePart) -> None:
     stops = ((1.0, 0.0), (1.0, 0.0))
     if isinstance(part, (StructuralLooseness, Backlash, RotationalLooseness)):
         friction, reach = part.friction, part.gap / 2
+        if reach > _FAR:
+            raise InvalidSetting(
+                f"a gap of {part.gap:g} is wider than a seat has room for, {2 * _FAR:g} m or rad"
+            )
         stops = tuple(zip(part.stiffness, part.damping, strict=True))  # type: ignore[assignment]
     model.dof_frictionloss[dof] = max(friction, 1e-9)
     model.tendon_range[low] = (-reach, 2 * _FAR)

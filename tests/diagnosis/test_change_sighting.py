@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loose_env.arms import planar, scara, six_axis
+from loose_env.arms import planar, scara, six_axis, vera
 from loose_env.arms.arm import Arm
 from loose_env.arms.mismatch import Mismatch
+from loose_env.diagnosis.bending_errors import stiffness_errors
 from loose_env.diagnosis.change_sighting import ChangeModel, ChangeSighting, sight_change
 from loose_env.diagnosis.direction_images import ToolFrames
 from loose_env.diagnosis.prediction import SensorFloor, predict
@@ -15,6 +16,7 @@ from loose_env.diagnosis.record import statistics_of
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import at_levels
+from loose_env.faults import Healthy
 from loose_env.rig import Job, SimulatedRig
 
 
@@ -67,6 +69,31 @@ def test_an_open_seat_shows_its_direction_within_the_stated_uncertainty() -> Non
     assert np.degrees(np.median(errors)) < 5
     assert 0.3 < np.median(errors / sd) < 1.2  # 0.67 for a normal error
     assert np.mean(errors < 3 * sd) > 0.85
+
+
+def test_a_bending_arm_is_expected_to_differ_by_its_springs() -> None:
+    arm, pose, model = vera(), np.array([0.3, 1.0]), ChangeModel()
+    rig = SimulatedRig(arm, threads=1)
+    floor, at = SensorFloor.of(rig.sensors, arm.band), rig.nominal.at(pose)
+    shake, _ = at_levels(at, np.full(arm.n, arm.levels[1]), duration=1.2)
+    springs = stiffness_errors(rig.nominal, pose, np.array(shake.excited), Mismatch())
+    rig.mount(0, Healthy(), Mismatch(stiffness=0.2).draw(arm, np.random.default_rng(0)))
+    record = statistics_of(rig.measure(pose, shake))
+
+    def seen(errors: np.ndarray | None) -> ChangeSighting:
+        return sight_change(
+            record,
+            predict(at, shake, floor),
+            band=arm.band,
+            floor=floor,
+            model=model,
+            springs=errors,
+        )
+
+    with_springs, without = seen(springs), seen(None)
+    np.testing.assert_array_equal(seen(springs[:0]).precision, without.precision)
+    assert with_springs.excess < without.excess
+    assert np.trace(with_springs.precision) < np.trace(without.precision)
 
 
 def test_a_model_without_errors_is_refused() -> None:

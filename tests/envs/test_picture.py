@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import builtins
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
-from loose_env.arms import Arm, planar, vera
+from loose_env.arms import Arm, planar, scara, vera
 from loose_env.arms.linear import LinearArm
 from loose_env.diagnosis.prediction import SensorFloor, predict
 from loose_env.envs.diagnosis import DiagnosisEnv
@@ -142,20 +142,37 @@ def test_the_end_says_what_it_was(picture: Picture) -> None:
     for fault in (Healthy(), LOOSE, PLAY, ROCKS, BOTH):
         episode.fault = fault
         found[fault.hypothesis] = picture.draw(episode)
-        words = texts(picture, episode, verdict="backlash@joint1")
-        assert (
-            words[0]
-            == {
-                "healthy": "Nothing was loose",
-                "structural_looseness": "Link 2 was loose (0.2 mm)",
-                "backlash": "Joint 1 had play (0.057°)",
-                "rotational_looseness": "Link 2 was loose and rocked (0.057°)",
-                "compound_looseness": "Link 2 was loose in several directions (0.2 mm, 0.057°)",
-            }[fault.kind]
-        )
+        title = {
+            "healthy": "Nothing was loose",
+            "structural_looseness": "Link 2 was loose (0.2 mm)",
+            "backlash": "Joint 1 had play (0.057°)",
+            "rotational_looseness": "Link 2 was loose and rocked (0.057°)",
+            "compound_looseness": "Link 2 was loose in several directions (0.2 mm, 0.057°)",
+        }[fault.kind]
         mark = "right" if fault is PLAY else "wrong"
-        assert words[1] == f"Verdict: joint 1 has play – {mark}"
+        words = " ".join(texts(picture, episode, verdict="backlash@joint1"))
+        assert words.startswith(f"{title} Verdict: joint 1 has play – {mark} ")
     assert len({pixels.tobytes() for pixels in found.values() if pixels is not None}) == 5
+
+
+@pytest.mark.parametrize("make", [vera, scara], ids=["plane", "space"])
+@pytest.mark.parametrize("fault", [PLAY, ROCKS, BOTH], ids=lambda fault: fault.kind)
+def test_the_words_above_stay_in_the_figure_and_off_the_drawing(
+    make: Callable[[], Arm], fault: Fault
+) -> None:
+    arm = make()
+    pose = np.zeros(arm.n)
+    pose[2:] = -4.0  # degrees; the SCARA's slide goes down by 70 mm
+    env = measured(fault, arm=arm, levels=[2, *[0] * (arm.n - 1)], pose=pose)
+    episode = episode_of(env)
+    episode.ended = True
+    picture = Picture(env.batch.nominal, show=False)
+    figure = picture.figure(episode, verdict="compound_looseness@link2")
+    figure.canvas.draw()
+    header = [text.get_window_extent() for text in figure.texts if text.get_va() == "top"]
+    assert len(header) >= 5
+    assert max(box.x1 for box in header) < figure.bbox.x1
+    assert min(box.y0 for box in header) > figure.axes[0].bbox.y1 - 3  # pixels
 
 
 def test_the_words_name_joint_level_pose_and_correlation(picture: Picture) -> None:

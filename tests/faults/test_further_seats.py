@@ -555,6 +555,10 @@ def test_a_compound_seat_that_is_none_is_refused(changes: dict[str, Any], messag
         ({"pivot": (0.0, 1.0)}, "a pivot is three finite numbers"),
         ({"gap": -1.0}, "gap must be a finite number, zero or more"),
         ({"stiffness": 3.0}, "stiffness is two numbers"),
+        ({"gap": "wide"}, "gap must be a finite number, zero or more; got 'wide'"),
+        ({"stiffness": ("1", "2")}, "stiffness must be a finite number.*got '1'"),
+        ({"axis": "x"}, "an axis is three finite numbers.*got 'x'"),
+        ({"pivot": None}, "a pivot is three finite numbers.*got None"),
     ],
 )
 def test_a_rotation_that_is_none_is_refused(changes: dict[str, Any], message: str) -> None:
@@ -565,6 +569,8 @@ def test_a_rotation_that_is_none_is_refused(changes: dict[str, Any], message: st
 def test_a_fault_in_the_wrong_seat_is_refused() -> None:
     arm = planar(2)
     slide = seated_spec(arm, 1, "slide").compile()
+    with pytest.raises(InvalidSetting, match="gap of 5 is wider than a seat has room for, 2 m"):
+        set_seat(slide, replace(sliding(arm, 1), gap=5.0))
     with pytest.raises(InvalidSetting, match="needs a hinge, which 'seat' of the model is not"):
         set_seat(slide, rocking(arm, 1))
     with pytest.raises(InvalidSetting, match="2 loose degrees of freedom, the model's seat has 1"):

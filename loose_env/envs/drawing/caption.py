@@ -20,9 +20,12 @@ from loose_env.rig.measurement import Measurement
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Line", "header_lines", "write_header", "write_legend"]
+__all__ = ["Line", "header_height", "header_lines", "write_header", "write_legend"]
 
 _LETTERS = 56  # that fit beside each other
+_LARGE = 0.64  # as many large letters fit in the place of a small one
+_TOP = 0.16  # above the first line [inches]
+_STEP = {"title": 0.28, "truth": 0.28, "plain": 0.195, "muted": 0.195}  # heights [inches]
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,12 @@ def header_lines(
         )
 
 
-def write_header(figure: Figure, lines: Iterator[Line], *, letters: int = _LETTERS) -> None:
+def header_height(lines: Sequence[Line], *, letters: int = _LETTERS) -> float:
+    """Room that lines above the drawing take [inches]."""
+    return _TOP + sum(_STEP[line.rank] for line in _broken(lines, letters))
+
+
+def write_header(figure: Figure, lines: Sequence[Line], *, letters: int = _LETTERS) -> None:
     """Write the lines at the top of a figure, ``letters`` beside each other."""
     height = float(figure.get_size_inches()[1])
     large: dict[str, Any] = {"fontsize": 14.0, "fontweight": "bold"}
@@ -79,11 +87,19 @@ def write_header(figure: Figure, lines: Iterator[Line], *, letters: int = _LETTE
         "plain": small | {"color": INK},
         "muted": small | {"color": MUTED},
     }
-    y = 1.0 - 0.16 / height
+    y = 1.0 - _TOP / height
+    for line in _broken(lines, letters):
+        figure.text(0.04, y, line.text, ha="left", va="top", **looks[line.rank])
+        y -= _STEP[line.rank] / height
+
+
+def _broken(lines: Sequence[Line], letters: int) -> Iterator[Line]:
+    """Break lines that are too long for the figure."""
     for line in lines:
-        for text in wrap(line.text, letters):
-            figure.text(0.04, y, text, ha="left", va="top", **looks[line.rank])
-            y -= (0.28 if line.rank in ("title", "truth") else 0.195) / height
+        room = round(_LARGE * letters) if line.rank in ("title", "truth") else letters
+        # A number stays with its unit.
+        for text in wrap(line.text.replace(" mm", "\N{NO-BREAK SPACE}mm"), room):
+            yield Line(text.replace("\N{NO-BREAK SPACE}", " "), line.rank)
 
 
 def write_legend(

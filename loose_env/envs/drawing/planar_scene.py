@@ -9,7 +9,12 @@ import numpy as np
 from loose_env.arms.linear import LinearArm
 from loose_env.diagnosis.prediction import SensorFloor, predict
 from loose_env.envs.drawing.arm import ArmDrawing
-from loose_env.envs.drawing.caption import header_lines, write_header, write_legend
+from loose_env.envs.drawing.caption import (
+    header_height,
+    header_lines,
+    write_header,
+    write_legend,
+)
 from loose_env.envs.drawing.ink import PAPER
 from loose_env.envs.drawing.loop import LoopPair, measured_loop, predicted_loop
 from loose_env.envs.drawing.loop_shapes import draw_healthy, draw_measured, draw_scale
@@ -25,7 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PlanarScene"]
 
-_HEADER, _LEGEND = 0.185, 0.105  # shares of the height
+_HEADER, _LEGEND = 0.185, 0.105  # least shares of the height
 _LOOP = 0.34  # radius of r = 1 over half the height of the drawing
 
 
@@ -67,17 +72,17 @@ class PlanarScene:
         excited = None if measurement is None else measurement.excited
         truth = episode.fault if episode.ended else None
         pose = self._view.at(episode.pose)
-
-        axes = figure.add_axes((0.0, _LEGEND, 1.0, 1.0 - _HEADER - _LEGEND))
+        loops = None if measurement is None else self._loops(measurement)
+        lines = list(header_lines(self.linear, episode, measurement, loops, verdict))
+        header = max(_HEADER, header_height(lines) / self.size[1])
+        axes = figure.add_axes((0.0, _LEGEND, 1.0, 1.0 - header - _LEGEND))
         axes.set_axis_off()
         half = _frame(axes, pose, drawing)
         draw_measure(axes, vertical=drawing.vertical)
         draw_base(axes, float(drawing.radii[0]), vertical=drawing.vertical)
         drawing.links(axes, pose, loose=loose_link_of(truth))
         drawing.joints(axes, pose, excited)
-        loops = None
-        if measurement is not None:
-            loops = self._loops(measurement)
+        if loops is not None:
             radius = _LOOP * half
             draw_scale(axes, pose, radius)
             draw_healthy(axes, pose, radius, loops.healthy)
@@ -85,7 +90,7 @@ class PlanarScene:
         drawing.tool(axes, pose)
         if truth is not None:
             drawing.fault(axes, pose, truth)
-        write_header(figure, header_lines(self.linear, episode, measurement, loops, verdict))
+        write_header(figure, lines)
         if measurement is not None:
             write_legend(figure, truth, some_held=not measurement.excited.all())
 

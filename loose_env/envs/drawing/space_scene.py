@@ -9,7 +9,12 @@ from numpy.typing import NDArray
 
 from loose_env.arms.linear import LinearArm
 from loose_env.diagnosis.prediction import SensorFloor, predict
-from loose_env.envs.drawing.caption import header_lines, write_header, write_legend
+from loose_env.envs.drawing.caption import (
+    header_height,
+    header_lines,
+    write_header,
+    write_legend,
+)
 from loose_env.envs.drawing.ink import MUTED, PAPER
 from loose_env.envs.drawing.looseness import loose_link_of
 from loose_env.envs.drawing.scenery import arrow, half_height
@@ -28,7 +33,7 @@ if TYPE_CHECKING:
 __all__ = ["SpaceScene"]
 
 Array = NDArray[np.float64]
-_HEADER, _CUTS, _LEGEND = 1.04, 2.0, 0.6  # heights [inches]
+_HEADER, _CUTS, _LEGEND = 1.04, 2.0, 0.6  # heights, the first the least [inches]
 _LETTERS = 70  # that fit beside each other
 
 
@@ -66,7 +71,10 @@ class SpaceScene:
         pose = self._view.at(episode.pose)
         height = self.size[1]
         below = (_LEGEND + _CUTS + 0.22 if measurement is not None else 0.15) / height
-        axes = figure.add_axes((0.0, below, 1.0, 1.0 - _HEADER / height - below))
+        surfaces = None if measurement is None else self._surfaces(measurement)
+        lines = list(header_lines(self.linear, episode, measurement, surfaces, verdict))
+        header = max(_HEADER, header_height(lines, letters=_LETTERS)) / height
+        axes = figure.add_axes((0.0, below, 1.0, 1.0 - header - below))
         axes.set_axis_off()
         _frame(axes, drawing.room(pose), drawing.reach)
         drawing.ground(axes, pose)
@@ -77,9 +85,7 @@ class SpaceScene:
         drawing.tool(axes, pose, arm.axes)
         if truth is not None:
             drawing.fault(axes, pose, truth)
-        surfaces = None
-        if measurement is not None:
-            surfaces = self._surfaces(measurement)
+        if surfaces is not None:
             names = tuple("xyz"[a] for a in arm.axes)
             box = (0.02, _LEGEND / height, 0.96, _CUTS / height)
             slides = _slides_in_tool_frame(truth, pose, arm.axes)
@@ -92,7 +98,6 @@ class SpaceScene:
                 fontsize=9,
                 va="center",
             )
-        lines = header_lines(self.linear, episode, measurement, surfaces, verdict)
         write_header(figure, lines, letters=_LETTERS)
         if measurement is not None:
             held = not measurement.excited.all()
