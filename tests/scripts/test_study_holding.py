@@ -65,7 +65,7 @@ def test_a_played_command_of_even_spectrum_transmits_what_is_predicted(holding: 
     assert np.linalg.norm(other - expected[:, 0]) > 0.02 * np.linalg.norm(expected)
 
 
-def test_on_brakes_the_change_finds_the_direction_and_on_soft_gears_it_does_not(
+def test_on_soft_gears_only_the_whole_dynamic_model_finds_the_direction(
     holding: ModuleType,
 ) -> None:
     settings = dataclasses.replace(holding.Settings(), planar_cases=6)
@@ -74,6 +74,11 @@ def test_on_brakes_the_change_finds_the_direction_and_on_soft_gears_it_does_not(
     assert stiff["lost"] == soft["lost"] == 0
     assert holding.median_error(stiff, "reference_command") < 5
     assert holding.median_error(soft, "kinematic_command") > 10
+    for estimator in ("lines_healthy", "lines_nominal"):
+        assert holding.median_error(soft, estimator) < 3
+        assert np.median(soft["errors_link_known"][estimator]) < 3
+        assert np.mean(soft["link_right"][estimator]) > 0.6
+        assert len(soft["evidence"][estimator]) == 6
 
 
 def test_an_interrupted_study_goes_on_with_the_same_settings_only(
