@@ -31,7 +31,10 @@ def test_from_a_model_file_to_a_loose_link(
     posterior, hidden = names["posterior"], names["hidden"]
     direction = posterior.directions[2]  # type: ignore[attr-defined]
     true = np.array(hidden.direction) / np.linalg.norm(hidden.direction)  # type: ignore[attr-defined]
-    assert np.degrees(np.arccos(min(1.0, abs(float(direction @ true))))) < 10.0
+    whole = names["whole"]
+    assert whole.place == "structural_looseness@link3"  # type: ignore[attr-defined]
+    for found in (direction, whole.direction_in_link):  # type: ignore[attr-defined]
+        assert np.degrees(np.arccos(min(1.0, abs(float(found @ true))))) < 10.0
 
 
 def test_the_readme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
