@@ -37,6 +37,7 @@ from typing import Any
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 import loose_env
 from loose_env.arms import Arm, planar, scara, six_axis, vera
@@ -55,11 +56,13 @@ from loose_env.excitation import at_levels
 from loose_env.faults import Fault, Healthy, StructuralLooseness
 from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import LinkAccelerometers, SensorSuite
+from loose_env.statistics import axial_angle_between
 
 Array = NDArray[np.float64]
 Records = Sequence[StackedRecord] | None
-Score = tuple[float, bool, float, bool]
-"""Log odds of a fault, whether the link is right, error of the direction [deg], within two sd."""
+Score = tuple[float, bool, float, bool, float]
+"""Log odds of a fault, whether the link is right, error of the direction [deg], whether that is
+within two standard deviations, probability stated for the link named."""
 
 ROOT = Path(__file__).resolve().parents[1]
 ARMS: dict[str, Callable[[], Arm]] = {
@@ -288,11 +291,12 @@ class Study:
 
 
 def score(verdict: SensorVerdict, case: Case) -> Score:
-    """Odds, whether the link is right, angle between the directions [deg], within two sd."""
+    """Compare a verdict with the truth; see `Score`."""
     k = verdict.link - 1
-    angle = float(np.degrees(np.arccos(min(abs(float(verdict.world[k] @ case.truth)), 1.0))))
-    inside = angle <= 2 * float(np.degrees(verdict.spread[k]))
-    return verdict.odds, verdict.link == case.link, angle, inside
+    angle = axial_angle_between(verdict.world[k], case.truth)
+    said = float(np.exp(verdict.evidence[k] - logsumexp(verdict.evidence)))
+    right, inside = verdict.link == case.link, angle <= 2 * float(verdict.spread[k])
+    return verdict.odds, right, float(np.degrees(angle)), inside, said
 
 
 def figures_of(
@@ -332,6 +336,7 @@ def figures_of(
         "link_right_found": float(np.mean([s[1] for s in caught])) if caught else None,
         "direction_error": float(np.median([s[2] for s in named])),
         "direction_error_found": float(np.median([s[2] for s in caught])) if caught else None,
+        "link_said_found": float(np.mean([s[4] for s in caught])) if caught else None,
         "within_two_sd": float(np.mean([s[3] for s in caught])) if caught else None,
     }
 
@@ -362,26 +367,40 @@ def smallest_gap(share: Array, wanted: float) -> float | None:
 
 
 def print_table(rows: Sequence[dict[str, Any]]) -> None:
-    """Print a line for each arm and set: healthy reference / nominal / with rigid seats."""
+    """Print a line for each arm and set: healthy reference / nominal / with rigid seats.
+
+    Of the faults that were found: how probable the link named was said to be beside how often it
+    was right, and how often the true direction lay within two standard deviations.
+    """
     print(
         f"{'arm':9} {'sensors':34} {'axes':>4}  {'direction [deg]':>15}  {'link right [%]':>14}  "
+        f"{'found: right [%]':>16}  {'said [%]':>9}  {'in 2 sd [%]':>11}  "
         f"{'half found from [mm]':>27}  {'90 % from [mm]':>27}"
     )
     for group in zip(rows[::3], rows[1::3], rows[2::3], strict=True):
         head = group[0]
-        error, right, half, most = (
+        error, right, found, said, inside, half, most = (
             " / ".join(form(row[key]) for row in group[:count])
             for key, form, count in (
                 ("direction_error", "{:.1f}".format, 2),
-                ("link_right", lambda share: f"{100 * share:.0f}", 2),
+                ("link_right", percent, 2),
+                ("link_right_found", percent, 2),
+                ("link_said_found", percent, 2),
+                ("within_two_sd", percent, 2),
                 ("gap_half_mm", gap_text, 3),
                 ("gap_most_mm", gap_text, 3),
             )
         )
         print(
             f"{head['arm']:9} {head['sensors']:34} {head['channels']:4d}  "
-            f"{error:>15}  {right:>14}  {half:>27}  {most:>27}"
+            f"{error:>15}  {right:>14}  {found:>16}  {said:>9}  {inside:>11}  "
+            f"{half:>27}  {most:>27}"
         )
+
+
+def percent(share: float | None) -> str:
+    """Spell out a share [%]; a dash where there was nothing to count."""
+    return "-" if share is None else f"{100 * share:.0f}"
 
 
 def gap_text(gap: float | None) -> str:
@@ -464,10 +483,18 @@ def draw_figure(rows: Sequence[dict[str, Any]], path: Path) -> None:
         handles, names, loc="upper left", ncols=2 if wide else 1, frameon=False, fontsize=8
     )
     picture.tight_layout(rect=(0, 0, 1, 1 - head / height))
-    for suffix in (".png", ".svg"):
-        beside = path.with_suffix(f".part{suffix}")
-        picture.savefig(beside, dpi=150, metadata={"Date": None} if suffix == ".svg" else None)
-        os.replace(beside, path.with_suffix(suffix))
+    beside = path.with_suffix(f".part{path.suffix}")
+    picture.savefig(beside, dpi=150)
+    os.replace(beside, path)
+
+
+def shortened(value: Any) -> Any:
+    """Round all numbers in it to four digits."""
+    if isinstance(value, dict):
+        return {key: shortened(part) for key, part in value.items()}
+    if isinstance(value, list):
+        return [shortened(part) for part in value]
+    return float(f"{value:.4g}") if isinstance(value, float) else value
 
 
 def write_json(rows: Sequence[dict[str, Any]], settings: Settings, path: Path) -> None:
@@ -484,10 +511,11 @@ def write_json(rows: Sequence[dict[str, Any]], settings: Settings, path: Path) -
             "numpy": np.__version__,
             "python": platform.python_version(),
         },
-        "rows": list(rows),
     }
     beside = path.with_suffix(".part.json")
-    beside.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    lines = ",\n".join("  " + json.dumps(shortened(row)) for row in rows)
+    head = json.dumps(document, indent=1).removesuffix("\n}")
+    beside.write_text(f'{head},\n "rows": [\n{lines}\n ]\n}}\n', encoding="utf-8")
     os.replace(beside, path)
 
 

@@ -7,35 +7,23 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["climb", "half_grid"]
+from loose_env.statistics import axes_grid, tangents
+
+__all__ = ["UNKNOWN", "climb", "half_grid"]
 
 Array = NDArray[np.float64]
 
 
 def half_grid(axes: int) -> Array:
     """Directions over half the circle or half the sphere, evenly spread (U, A)."""
-    if axes == 2:
-        angle = np.pi * np.arange(36) / 36
-        return np.column_stack([np.cos(angle), np.sin(angle)])
-    count = 120
-    height = (np.arange(count) + 0.5) / count
-    turn = np.pi * (3 - np.sqrt(5)) * np.arange(count)
-    flat = np.sqrt(1 - height**2)
-    return np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height])
+    return axes_grid({2: 36, 3: 120}[axes], axes)
 
 
-def _tangents(u: Array) -> Array:
-    """Orthonormal directions perpendicular to each u (n, A-1, A)."""
-    if u.shape[1] == 2:
-        return np.stack([-u[:, 1], u[:, 0]], axis=1)[:, None]
-    least = np.eye(3)[np.argmin(np.abs(u), axis=1)]
-    first = np.cross(u, least)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([first, np.cross(u, first)], axis=1)
-
-
-_UNKNOWN = np.pi / np.sqrt(12)
-"""Standard deviation of a direction of which nothing is known [rad]."""
+UNKNOWN = {2: np.pi / np.sqrt(12), 3: np.sqrt(np.pi - 2)}
+"""Root mean square angle to a direction of which nothing is known, in the plane and in space [rad].
+"""
+_FLAT = UNKNOWN[2]
+"""Standard deviation of a direction along a way in which nothing is known of it [rad]."""
 _STENCILS = {
     2: np.array([[0.0], [1.0], [-1.0]]),
     3: np.array([[0.0, 0.0], [1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1]]),
@@ -77,10 +65,10 @@ def climb(
     stencil, flat = _STENCILS[axes], axes - 1
     step = np.full(n, 0.3 * spacing)
     best, peak = u.copy(), np.full(n, -np.inf)
-    bend = np.full((n, flat), 1 / _UNKNOWN**2)
+    bend = np.full((n, flat), 1 / _FLAT**2)
     for _ in range(rounds):
-        tangents = _tangents(best)
-        around = best[:, None] + step[:, None, None] * (stencil @ tangents)
+        ways = np.stack([tangents(one) for one in best])
+        around = best[:, None] + step[:, None, None] * (stencil @ ways)
         around /= np.linalg.norm(around, axis=2, keepdims=True)
         f = likelihood(around)
         slope = np.stack([f[:, 1 + 2 * i] - f[:, 2 + 2 * i] for i in range(flat)], axis=1)
@@ -93,13 +81,13 @@ def climb(
             cross = 0.5 * (both - hessian[:, 0, 0] - hessian[:, 1, 1])
             hessian[:, 0, 1] = hessian[:, 1, 0] = cross
         values, vectors = np.linalg.eigh(-hessian / step[:, None, None] ** 2)
-        bend = np.maximum(values, 1 / _UNKNOWN**2)
+        bend = np.maximum(values, 1 / _FLAT**2)
         along = np.einsum("nij,ni->nj", vectors, slope) / bend
         # Where the fit does not hold, a step no longer than the last stencil allows.
         along *= np.minimum(1.0, 3 * step / np.maximum(np.linalg.norm(along, axis=1), 1e-12))[
             :, None
         ]
-        moved = best + np.einsum("nij,nj,nia->na", vectors, along, tangents)
+        moved = best + np.einsum("nij,nj,nia->na", vectors, along, ways)
         moved /= np.linalg.norm(moved, axis=1, keepdims=True)
         top = np.argmax(f, axis=1)
         rows = np.arange(n)

@@ -7,54 +7,62 @@ one to what the sensors show beside the joints' motion.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LooseMotion", "loose_record"]
+__all__ = ["LooseMotion", "loose_records"]
 
 Array = NDArray[np.float64]
 
 _POWER_ERROR = 0.35
 """Relative error of residual powers that sampling does not explain [1]."""
-_SHARES = np.concatenate([[0.0], np.geomspace(1e-5, 1.0, 11)])
+_SHARES = np.concatenate([[0.0], np.geomspace(1e-5, 10.0, 31)])
 """Powers of loose motion that are tried, over that of a freely floating seat [1]."""
 
 
-def loose_record(
-    rest: Array, healthy: Array, column: Array, error: Array, samples: float
-) -> tuple[Array, Array, float]:
-    """Reduce one record to each link's products with its pattern.
+def loose_records(
+    rest: Array, healthy: Array, column: Array, error: Array, missed: Array, samples: Array
+) -> tuple[Array, Array, Array]:
+    """Reduce the records of one pose to each link's products with its pattern.
+
+    A pattern is off by the gains, leakage and mounting of the sensors and by what the model
+    misses. These errors are the same in all samples of all records, so that no number of them
+    averages out: in each sample they count as if their variance were larger by the number of
+    samples that share them.
 
     Parameters
     ----------
-    rest : ndarray (D, D)
-        Covariance of what follows no joint [m²/s⁴].
-    healthy : ndarray (D, D)
+    rest : ndarray (R, D, D)
+        Covariance of what follows no joint in each record [m²/s⁴].
+    healthy : ndarray (R, D, D)
         The same of the healthy arm.
-    column : ndarray (D, n, A)
+    column : ndarray (R, D, n, A)
         What a unit acceleration of each link's seat adds to each row.
-    error : ndarray (n,)
-        Relative error of each link's pattern [1].
-    samples : float
-        Independent samples of the record.
+    error : ndarray (R, D)
+        Variance that the sensors' errors bring into each row beside any link's pattern [m²/s⁴].
+    missed : ndarray (R, D)
+        The same of what the model misses.
+    samples : ndarray (R,)
+        Independent samples of each record.
 
     Returns
     -------
-    a, c : ndarray (n, A, A)
+    a, c : ndarray (n, R, A, A)
         Pattern against pattern and rest against pattern, weighted by the healthy covariance.
-    degrees : float
-        Degrees of freedom of the covariance.
+    degrees : ndarray (R,)
+        Degrees of freedom of the covariances.
     """
-    d = len(column)
-    size = float(np.trace(rest)) / d
-    wide = healthy + (error**2)[:, None, None] * size * np.eye(d)
-    weighted = np.linalg.solve(wide, column.transpose(1, 0, 2))  # (n, D, A)
-    across = weighted.transpose(0, 2, 1)
     degrees = 2 / (2 / samples + _POWER_ERROR**2)
-    a = across @ column.transpose(1, 0, 2)
-    return a, across @ rest @ weighted, float(degrees)
+    whole = np.trace(rest, axis1=1, axis2=2)
+    still = np.trace(healthy, axis1=1, axis2=2)
+    shown = np.maximum(1 - still / np.maximum(whole, 1e-300), 0.0)
+    count = float(degrees @ shown)  # a record that shows nothing of the seat shares no errors
+    shared = count * error + degrees.sum() * missed
+    wide = healthy + shared[:, :, None] * np.eye(rest.shape[1])
+    pattern = column.transpose(2, 0, 1, 3)
+    weighted = np.linalg.solve(wide, pattern)  # (n, R, D, A)
+    across = weighted.swapaxes(2, 3)
+    return across @ pattern, across @ rest @ weighted, degrees
 
 
 class LooseMotion:
@@ -65,24 +73,22 @@ class LooseMotion:
 
     Parameters
     ----------
-    records : sequence of (a, c, degrees)
-        From `loose_record`.
-    floating : ndarray (records, n)
+    a, c, degrees : ndarray (n, R, A, A), (n, R, A, A), (R,)
+        From `loose_records`.
+    floating : ndarray (R, n)
         Power of a freely floating seat's acceleration [m²/s⁴].
 
     Examples
     --------
-    >>> a = np.eye(2)[None]
-    >>> motion = LooseMotion([(a, np.diag([9.0, 1.0])[None], 14.0)], np.array([[100.0]]))
+    >>> a, c = np.eye(2)[None, None], np.diag([9.0, 1.0])[None, None]
+    >>> motion = LooseMotion(a, c, np.array([14.0]), np.array([[100.0]]))
     >>> found = motion(np.eye(2)[None])
     >>> bool(found[0, 0] > 10), bool(found[0, 1] < 0)
     (True, True)
     """
 
-    def __init__(self, records: Sequence[tuple[Array, Array, float]], floating: Array) -> None:
-        self._a = np.stack([r[0] for r in records], axis=1)  # (n, R, A, A)
-        self._c = np.stack([r[1] for r in records], axis=1)
-        self._degrees = np.array([r[2] for r in records])
+    def __init__(self, a: Array, c: Array, degrees: Array, floating: Array) -> None:
+        self._a, self._c, self._degrees = a, c, degrees
         self._power = floating.T[:, None, :, None] * _SHARES  # (n, 1, R, Q)
 
     def __call__(self, u: Array) -> Array:

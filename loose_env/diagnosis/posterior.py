@@ -25,6 +25,7 @@ from loose_env.errors import InvalidSetting
 from loose_env.excitation import SeatDrive
 from loose_env.faults import DEFAULT_KINDS, hypotheses
 from loose_env.sensors import SensorSuite
+from loose_env.statistics import axes_grid
 
 __all__ = ["Belief", "FaultPosterior", "PosteriorSettings", "slide_directions", "variants"]
 
@@ -256,13 +257,7 @@ def slide_directions(count: int, axes: int = 2) -> Array:
     >>> slide_directions(96, 3).shape
     (96, 3)
     """
-    if axes == 2:
-        angle = np.pi * np.arange(count) / count
-        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    height = (np.arange(count) + 0.5) / count
-    turn = np.pi * (3 - np.sqrt(5)) * np.arange(count)  # the golden angle
-    flat = np.sqrt(1 - height**2)
-    return np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
+    return axes_grid(count, axes)
 
 
 def variants(linear: LinearArm, stiffness: float) -> tuple[list[LinearArm], Array]:

@@ -49,6 +49,8 @@ class SensedPose:
     """Apparent mass at the seats (n, A, A) [kg]."""
     orientation: Array
     """Frame of each link's seat in the world: columns are its axes (n, 3, 3)."""
+    turns: Array
+    """Axis of each joint in the frame of each link's seat; zero if the joint slides (n, n, 3)."""
 
 
 class SensedArm:
@@ -163,6 +165,7 @@ class SensedArm:
             )
         beside = np.concatenate(out_of_step, axis=1)  # (K, 3 S, m)
         power = np.sum(np.square(columns), axis=(0, 1, 3))
+        orientation, joint_axes = self._frames(q)
         bending = [self._transmission(bent, q, mask) - healthy for bent in self._bent]
         return SensedPose(
             transmission=healthy,
@@ -174,12 +177,17 @@ class SensedArm:
             rest=np.einsum("kim,kjm->ijm", beside, beside.conj()).real / len(beside),
             force=np.mean(np.abs(answer.slide[:, :, :axes]) ** 2, axis=(0, 2)),
             mass=opened.mass_slide[..., :axes, :axes].real.mean(0),
-            orientation=self._orientations(q),
+            orientation=orientation,
+            turns=np.einsum("kci,jc->kji", orientation, joint_axes),
         )
 
-    def _orientations(self, q: Array) -> Array:
+    def _frames(self, q: Array) -> tuple[Array, Array]:
+        """Frames of the seats (n, 3, 3) and axes of the joints that turn (n, 3), in the world."""
         m = self.arm.model
         data = mujoco.MjData(m)
         data.qpos[self.arm.pose_addresses] = q
         mujoco.mj_kinematics(m, data)
-        return np.array([data.body(b).xmat.reshape(3, 3) for b in self.arm.seat_bodies])
+        joints = [m.joint(name).id for name in self.arm.joints]
+        turning = m.jnt_type[joints] == mujoco.mjtJoint.mjJNT_HINGE
+        seats = np.array([data.body(b).xmat.reshape(3, 3) for b in self.arm.seat_bodies])
+        return seats, np.where(turning[:, None], data.xaxis[joints], 0.0)

@@ -7,6 +7,9 @@ stacked change is compared with that pattern, weighted with what scatter and the
 errors allow. How far the seat opens under each excitation is unknown and integrated out in
 closed form; the direction is found by maximising what remains. Motion of the seat that follows no
 command shows at the same sensors along the same direction, and counts beside it.
+
+What sensors and model get wrong is the same in every record. It is carried as errors that all
+excitations share, so that neither the direction nor the odds grow surer than the sensors allow.
 """
 
 from __future__ import annotations
@@ -19,8 +22,8 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from loose_env.arms.mismatch import Mismatch
-from loose_env.diagnosis.direction_search import climb, half_grid
-from loose_env.diagnosis.loose_motion import LooseMotion, loose_record
+from loose_env.diagnosis.direction_search import UNKNOWN, climb, half_grid
+from loose_env.diagnosis.loose_motion import LooseMotion, loose_records
 from loose_env.diagnosis.prediction import SensorFloor
 from loose_env.diagnosis.sensed_arm import SensedArm, SensedPose
 from loose_env.diagnosis.sensor_errors import (
@@ -28,6 +31,8 @@ from loose_env.diagnosis.sensor_errors import (
     against_reference,
     healthy_rest,
     pattern_error,
+    sensor_error,
+    zero_error,
 )
 from loose_env.diagnosis.sensor_rows import SensorRows, StackedRecord
 from loose_env.errors import InvalidData
@@ -48,6 +53,9 @@ class OpeningPrior:
     """Standard deviation of what each excitation opens beside it [1]."""
     aside: float = 0.1
     """Standard deviation of seat motion that no nominal force explains, over floating [1]."""
+    sizes: tuple[float, ...] = (1.0, 0.3, 0.1, 0.0)
+    """Factors on all of these, equally likely [1]: friction and weight may hold a seat nearly shut.
+    Without small ones, a link whose seat is driven hard would be cleared because little moves."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,7 +67,7 @@ class SensorVerdict:
     direction: Array
     """Best sliding direction of each link, unit vector in its seat's frame (n, 3)."""
     spread: Array
-    """Standard deviation of each of these directions [rad] (n,)."""
+    """Root mean square angle between each of these directions and the true one [rad] (n,)."""
     world: Array
     """The same directions in the world's frame of the nominal arm (n, 3)."""
 
@@ -164,29 +172,40 @@ def weigh_links(
             spread, error = np.zeros(len(rows)), []
             still = reference[k].rest
         moved = (record.transmission - healthy) @ record.joint
-        from_change, floor = against_reference(rows, moved, mismatch)
-        wide = own + np.diag(floor + spread + 1e-6 * np.trace(own))
+        wide = own + np.diag(spread + 1e-6 * np.trace(own))
         pattern, power = _basis(rows, sites, at, record, opening)
         column = np.einsum("dc,dcna->dna", rows.direction, at.column[sites])
-        bent = np.sqrt(pattern_error(mismatch) ** 2 + at.rough)
-        worth = float(record.samples.min())
-        loose.append(loose_record(record.rest, still, column, bent, worth))
+        off = pattern_error(rows, at, record.rest, still, mismatch)
+        loose.append((record.rest, still, column, *off))
         floating.append(power)
         for e in range(moved.shape[1]):
             change.append(moved[:, e])
             scatter.append(wide)
             basis.append(pattern[:, :, :, e])
-        modes.append((np.array(error).reshape(-1, *moved.shape), np.array(from_change)))
-    whole = _Weighed(np.array(change), np.array(scatter), _joined(modes), np.array(basis))
-    motion = LooseMotion(loose, np.array(floating))
-    return _search(whole, motion, sensed.at(records[0].pose, records[0].excited), opening)
-
-
-def _joined(modes: Sequence[tuple[Array, Array]]) -> Array:
-    """Error modes over all columns (r, M, D): the same sensors make the same errors in each."""
-    arms = np.concatenate([m[0] for m in modes], axis=-1)
-    sensors = np.concatenate([m[1] for m in modes], axis=-1)
-    return np.concatenate([arms, sensors]).transpose(0, 2, 1)
+        modes.append(np.array(error).reshape(-1, *moved.shape))
+    changes = np.array(change)
+    bends, missed = against_reference(rows, changes.T, mismatch)
+    shared = np.concatenate([np.concatenate(modes, axis=-1), bends]).transpose(0, 2, 1)
+    shared = shared[np.any(shared != 0, axis=(1, 2))]  # sensors that do not move make no errors
+    wide = np.array(scatter) + missed[:, None, None] * np.eye(len(rows))
+    whole = _Weighed(changes, wide, shared, np.array(basis))
+    samples = np.array([record.samples.min() for record in records])
+    rest, still, column, bent, bending = (np.array(part) for part in zip(*loose, strict=True))
+    reduced = loose_records(rest, still, column, bent, bending, samples)
+    motion = LooseMotion(*reduced, np.array(floating))
+    at = sensed.at(records[0].pose, records[0].excited)
+    evidence, direction, variance = _search(_Likelihood(whole, at.mass, opening, motion), at)
+    # Change and loose motion count as independent, but share the sensors' errors: the variance may
+    # be too small by up to a half, and cannot be below what the sensors leave.
+    least = sensor_error(rows, sites, at, direction, mismatch)
+    variance = np.clip(least, variance, 2 * variance)
+    variance += zero_error(rows, sites, at, direction, mismatch)
+    return SensorVerdict(
+        evidence=evidence,
+        direction=direction,
+        spread=np.minimum(np.sqrt(variance), UNKNOWN[at.mass.shape[1]]),
+        world=np.einsum("ncd,nd->nc", at.orientation, direction),
+    )
 
 
 def _basis(
@@ -233,10 +252,16 @@ class _Weighed:
         zt = z.transpose(0, 2, 1)
         inner = np.eye(z.shape[2]) + (zt @ z).sum(axis=0)
         seen = (zt @ phi).transpose(0, 2, 1, 3).reshape(n, z.shape[2], columns * q)
-        solved = np.linalg.solve(inner, seen)
+        # All links in one call: the matrix is factorised once.
+        right = seen.transpose(1, 0, 2).reshape(len(inner), n * columns * q)
+        beside = np.linalg.solve(inner, right)
+        solved = beside.reshape(len(inner), n, columns * q).transpose(1, 0, 2)
         self.gram -= (seen.transpose(0, 2, 1) @ solved).reshape(self.gram.shape)
         seen_change = (zt @ y).sum(axis=0)[:, 0]
         self.lever -= (seen_change @ solved).reshape(self.lever.shape)
+        # More than any pattern can explain.
+        shared = seen_change @ np.linalg.solve(inner, seen_change)
+        self.energy = float(np.maximum(np.sum(y**2) - shared, 0.0))
 
 
 class _Likelihood:
@@ -255,6 +280,7 @@ class _Likelihood:
         prior = np.zeros((columns, 2, columns, 2))
         prior[:, 0, :, 0] = opening.shared**2 + opening.own**2 * np.eye(columns)
         prior[:, 1, :, 1] = np.eye(columns)
+        self.sizes, self.most = opening.sizes, 1.001 * whole.energy + 1
         self.root = np.linalg.cholesky(prior.reshape(2 * columns, 2 * columns))
         # Columns beside each other: (n, M M, q, q) and (n, M, q).
         self.gram = whole.gram.transpose(0, 1, 3, 2, 4).reshape(n, columns**2, q, q)
@@ -273,20 +299,29 @@ class _Likelihood:
         gram = weight.transpose(0, 1, 2, 4, 3) @ (self.gram[:, None] @ weight)
         gram = gram.reshape(n, count, m, m, 2, 2).transpose(0, 1, 2, 4, 3, 5)
         lever = (self.lever[:, None] @ weight[:, :, 0]).reshape(n, count, size)
-        inner = self.root.T @ gram.reshape(n, count, size, size) @ self.root + np.eye(size)
-        factor = np.linalg.cholesky(inner)
-        h = np.linalg.solve(factor, (lever @ self.root)[..., None])[..., 0]
-        height = np.log(np.diagonal(factor, axis1=2, axis2=3)).sum(axis=2)
-        total = 0.5 * np.sum(h**2, axis=2) - height
+        inner = self.root.T @ gram.reshape(n, count, size, size) @ self.root
+        lever = lever @ self.root
+        found = []
+        for factor in self.sizes:
+            # One factorisation gives the determinant, and the quadratic form in its last corner.
+            joined = np.empty((n, count, size + 1, size + 1))
+            joined[..., :size, :size] = np.eye(size) + factor**2 * inner
+            joined[..., size, :size] = joined[..., :size, size] = factor * lever
+            joined[..., size, size] = self.most
+            diagonal = np.diagonal(np.linalg.cholesky(joined), axis1=2, axis2=3)
+            height = np.log(diagonal[..., :size]).sum(axis=2)
+            found.append(0.5 * (self.most - diagonal[..., size] ** 2) - height)
+        total = logsumexp(found, axis=0) - np.log(len(found))
         return np.asarray(total if self.motion is None else total + self.motion(u))
 
 
-def _search(
-    whole: _Weighed, motion: LooseMotion, at: SensedPose, opening: OpeningPrior
-) -> SensorVerdict:
-    """Find each link's best direction and integrate over it."""
+def _search(likelihood: _Likelihood, at: SensedPose) -> tuple[Array, Array, Array]:
+    """Evidence of each link (n,), its best direction (n, 3) and that one's variance [rad²] (n,).
+
+    Directions near the best one are taken as a Gaussian if it is narrower than the grid; all
+    others are summed over the grid.
+    """
     n, axes = at.mass.shape[:2]
-    likelihood = _Likelihood(whole, at.mass, opening, motion)
     grid = half_grid(axes)
     over = likelihood(np.broadcast_to(grid, (n, *grid.shape)))
     spacing = np.pi / len(grid) if axes == 2 else np.sqrt(2 * np.pi / len(grid))
@@ -295,20 +330,20 @@ def _search(
         volume = np.sqrt(2 * np.pi * variance[:, 0]) / np.pi
     else:
         volume = np.sqrt(np.prod(variance, axis=1))
-    mean = logsumexp(over, axis=1) - np.log(len(grid))
-    # A peak narrower than the grid is taken as a Gaussian, a wider one is summed.
     narrow = np.sqrt(variance.max(axis=1)) < spacing
-    evidence = np.where(narrow, peak + np.log(np.minimum(volume, 1.0)), mean)
+    angle = np.arccos(np.minimum(np.abs(best @ grid.T), 1.0))  # (n, U)
+    summed = ~narrow[:, None] | (angle > 2 * spacing)
+    log = np.where(summed, over - np.log(len(grid)), -np.inf)
+    inside = np.where(narrow, peak + np.log(np.minimum(volume, 1.0)), -np.inf)
+    evidence = np.logaddexp(logsumexp(log, axis=1), inside)
+    share = np.exp(log - evidence[:, None])
+    wide = np.sum(share * (angle**2 + spacing**2 / 12), axis=1)
+    total = wide + np.exp(inside - evidence) * variance.sum(axis=1)
     direction = np.zeros((n, 3))
     direction[:, :axes] = best
     for row in direction:  # an axis has two ends; the last component that is not zero is positive
         row *= np.sign(row[np.flatnonzero(np.abs(row) > 1e-9)[-1]])
-    return SensorVerdict(
-        evidence=evidence,
-        direction=direction,
-        spread=np.sqrt(variance.mean(axis=1)),
-        world=np.einsum("ncd,nd->nc", at.orientation, direction),
-    )
+    return evidence, direction, total
 
 
 def _sites(sensed: SensedArm, rows: SensorRows) -> NDArray[np.intp]:
