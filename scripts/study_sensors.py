@@ -533,7 +533,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--out", type=Path, help="picture; default docs/figures/sensors_number.png, quick: out/"
     )
+    parser.add_argument("--show", type=Path, help="print the table of a stored study and end")
     chosen = parser.parse_args(arguments)
+    if chosen.show is not None:
+        print_table(json.loads(chosen.show.read_text(encoding="utf-8"))["rows"])
+        return
     cases = chosen.cases or (4 if chosen.quick else Settings.cases)
     if cases < 2:
         parser.error(f"cases must be 2 or more, got {cases}")

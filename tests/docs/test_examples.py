@@ -37,6 +37,22 @@ def test_from_a_model_file_to_a_loose_link(
         assert np.degrees(np.arccos(min(1.0, abs(float(found @ true))))) < 10.0
 
 
+def test_the_examples_in_space() -> None:
+    code = blocks(ROOT / "docs" / "space.md")
+    names: dict[str, object] = {}
+    exec(compile(code, "space.md", "exec"), names)
+    assert "rotational_looseness@link6" in names["env"].unwrapped.hypotheses  # type: ignore[attr-defined]
+
+
+def test_the_table_of_sensors_is_the_stored_study(capsys: pytest.CaptureFixture[str]) -> None:
+    from scripts.study_sensors import main
+
+    main(["--show", str(ROOT / "docs" / "figures" / "sensors_number.json")])
+    page = (ROOT / "docs" / "space.md").read_text(encoding="utf-8")
+    for line in capsys.readouterr().out.splitlines():
+        assert line.rstrip() in page
+
+
 def test_the_readme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
