@@ -12,7 +12,6 @@ Usage: python scripts/study_directions.py [--arm six_axis] [--cases 1000] [--out
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -23,6 +22,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+import loose_env
 from loose_env.arms import Arm, cylindrical, planar, scara, six_axis, vera
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch
@@ -39,6 +39,7 @@ from loose_env.faults import (
     StructuralLooseness,
     parts_of,
 )
+from loose_env.report.stored_study import study_head, write_study
 from loose_env.rig import Job, Measurement, SimulatedRig
 from loose_env.statistics import (
     acceleration_from_angle,
@@ -423,19 +424,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     sound = false_ranks(arm, options.further, options.seed + 2)
     several = several_directions(arm, options.further, options.seed + 3)
     options.out.mkdir(parents=True, exist_ok=True)
-    target = options.out / f"{options.arm}.json"
-    content = {
-        "configuration": {
-            "arm": options.arm,
-            "cases": options.cases,
-            "seed": options.seed,
-            "gaps_m": GAPS,
-        },
-        "rows": [asdict(r) for r in rows],
-    }
-    beside = target.with_suffix(".part")
-    beside.write_text(json.dumps(content), encoding="utf-8")
-    beside.replace(target)
+    chosen = {key: value for key, value in vars(options).items() if key != "out"}
+    head = study_head(
+        "scripts/study_directions.py", chosen, version=loose_env.__version__, gaps_m=GAPS
+    )
+    write_study(options.out / f"{options.arm}.json", head, [asdict(r) for r in rows])
     print(
         f"{options.arm}: {len(rows)} cases, gaps {1e3 * GAPS[0]:g} to {1e3 * GAPS[1]:g} mm, "
         f"seed {options.seed}\n"

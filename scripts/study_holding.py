@@ -17,9 +17,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import os
-import platform
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -40,6 +38,7 @@ from loose_env.diagnosis.record import RecordStatistics, statistics_of
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import Healthy, StructuralLooseness
+from loose_env.report.stored_study import rounded, stored_rows, study_head, write_study
 from loose_env.rig import Job, Measurement, SimulatedRig
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import (
@@ -477,45 +476,6 @@ def print_holding(rows: Sequence[dict[str, Any]]) -> None:
         )
 
 
-def write_json(path: Path, document: dict[str, Any]) -> None:
-    """Write a document whole or not at all."""
-    beside = path.with_suffix(".part.json")
-    beside.write_text(json.dumps(document, indent=None) + "\n", encoding="utf-8")
-    os.replace(beside, path)
-
-
-def head(settings: Settings) -> dict[str, Any]:
-    """Everything needed to get the rows again."""
-    return {
-        "made_by": "scripts/study_holding.py",
-        "settings": json.loads(json.dumps(dataclasses.asdict(settings))),
-        "versions": {
-            "loose_env": loose_env.__version__,
-            "mujoco": mujoco.__version__,
-            "numpy": np.__version__,
-            "python": platform.python_version(),
-        },
-    }
-
-
-def earlier(path: Path, document: dict[str, Any]) -> list[dict[str, Any]]:
-    """Rows of an interrupted study with the same settings and versions."""
-    if not path.exists():
-        return []
-    stored = json.loads(path.read_text(encoding="utf-8"))
-    same = all(stored.get(key) == value for key, value in document.items())
-    return list(stored["rows"]) if same else []
-
-
-def rounded(value: Any) -> Any:
-    """Round all numbers of a row to four digits, which is more than they hold."""
-    if isinstance(value, dict):
-        return {k: rounded(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [rounded(v) for v in value]
-    return float(f"{value:.4g}") if isinstance(value, float) else value
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the study, print its tables, write its figures."""
     parser = argparse.ArgumentParser(
@@ -544,9 +504,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     def report(line: str) -> None:
         print(f"[{time.perf_counter() - started:4.0f} s] {line}", file=sys.stderr, flush=True)
 
-    document = head(settings)
+    document = study_head("scripts/study_holding.py", settings, version=loose_env.__version__)
     path = folder / "holding_modes.json"
-    rows = [] if chosen.afresh else earlier(path, document)
+    rows = [] if chosen.afresh else stored_rows(path, document)
     done = {(r["arm"], r["hold"], r["mode_hz"]) for r in rows}
     plan = [(a, STIFF, 800.0) for a in settings.arms]
     plan += [(a, h, m) for a in settings.arms for h in ("servo", "gears") for m in settings.modes]
@@ -556,7 +516,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             continue
         report(f"{k + 1} of {len(plan)}: {key[0]}, {key[1]}, {key[2]:g} Hz")
         rows.append(rounded(holding_row(settings, *key, chosen.threads)))
-        write_json(path, {**document, "rows": rows})
+        write_study(path, document, rows)
     draw_holding(rows, settings, path.with_suffix(".png"))
     print_holding(rows)
     print(f"\npicture: {path.with_suffix('.png')}")

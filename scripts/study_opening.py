@@ -11,9 +11,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import os
-import platform
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -31,6 +29,7 @@ from loose_env.diagnosis.record import statistics_of
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Healthy, StructuralLooseness
+from loose_env.report.stored_study import rounded, stored_rows, study_head, write_study
 from loose_env.rig import Job, SimulatedRig
 from loose_env.statistics import transmission_change
 
@@ -219,45 +218,6 @@ def print_opening(rows: Sequence[dict[str, Any]]) -> None:
         print(f"{gravity:6g} g {1e3 * gap:5g} mm {shares}")
 
 
-def write_json(path: Path, document: dict[str, Any]) -> None:
-    """Write a document whole or not at all."""
-    beside = path.with_suffix(".part.json")
-    beside.write_text(json.dumps(document, indent=None) + "\n", encoding="utf-8")
-    os.replace(beside, path)
-
-
-def head(settings: Settings) -> dict[str, Any]:
-    """Everything needed to get the rows again."""
-    return {
-        "made_by": "scripts/study_opening.py",
-        "settings": json.loads(json.dumps(dataclasses.asdict(settings))),
-        "versions": {
-            "loose_env": loose_env.__version__,
-            "mujoco": mujoco.__version__,
-            "numpy": np.__version__,
-            "python": platform.python_version(),
-        },
-    }
-
-
-def earlier(path: Path, document: dict[str, Any]) -> list[dict[str, Any]]:
-    """Rows of an earlier study with the same settings and versions."""
-    if not path.exists():
-        return []
-    stored = json.loads(path.read_text(encoding="utf-8"))
-    same = all(stored.get(key) == value for key, value in document.items())
-    return list(stored["rows"]) if same else []
-
-
-def rounded(value: Any) -> Any:
-    """Round all numbers of a row to four digits, which is more than they hold."""
-    if isinstance(value, dict):
-        return {k: rounded(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [rounded(v) for v in value]
-    return float(f"{value:.4g}") if isinstance(value, float) else value
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the study, print its table, write its figure."""
     parser = argparse.ArgumentParser(
@@ -279,10 +239,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(f"[{time.perf_counter() - started:4.0f} s] {line}", file=sys.stderr, flush=True)
 
     path = folder / "holding_opening.json"
-    found = [] if chosen.afresh else earlier(path, head(settings))
+    document = study_head("scripts/study_opening.py", settings, version=loose_env.__version__)
+    found = [] if chosen.afresh else stored_rows(path, document)
     if not found:
         found = rounded(opening_rows(settings, chosen.threads, report))
-        write_json(path, {**head(settings), "rows": found})
+        write_study(path, document, found)
     draw_opening(found, settings, path.with_suffix(".png"))
     print_opening(found)
     print(f"\npicture: {path.with_suffix('.png')}")

@@ -27,14 +27,12 @@ import argparse
 import dataclasses
 import json
 import os
-import platform
 import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
@@ -54,6 +52,7 @@ from loose_env.diagnosis.several_sensors import SensorVerdict, weigh_links
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Fault, Healthy, StructuralLooseness
+from loose_env.report.stored_study import study_head, write_study
 from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import LinkAccelerometers, SensorSuite
 from loose_env.statistics import axial_angle_between
@@ -488,37 +487,6 @@ def draw_figure(rows: Sequence[dict[str, Any]], path: Path) -> None:
     os.replace(beside, path)
 
 
-def shortened(value: Any) -> Any:
-    """Round all numbers in it to four digits."""
-    if isinstance(value, dict):
-        return {key: shortened(part) for key, part in value.items()}
-    if isinstance(value, list):
-        return [shortened(part) for part in value]
-    return float(f"{value:.4g}") if isinstance(value, float) else value
-
-
-def write_json(rows: Sequence[dict[str, Any]], settings: Settings, path: Path) -> None:
-    """Write the rows with everything needed to get them again."""
-    document = {
-        "made_by": "scripts/study_sensors.py",
-        "settings": dataclasses.asdict(settings),
-        "gaps_mm": (1e3 * GAPS).tolist(),
-        "scored_from_mm": 1e3 * KNOWN_FROM,
-        "false_alarms": FALSE_ALARMS,
-        "versions": {
-            "loose_env": loose_env.__version__,
-            "mujoco": mujoco.__version__,
-            "numpy": np.__version__,
-            "python": platform.python_version(),
-        },
-    }
-    beside = path.with_suffix(".part.json")
-    lines = ",\n".join("  " + json.dumps(shortened(row)) for row in rows)
-    head = json.dumps(document, indent=1).removesuffix("\n}")
-    beside.write_text(f'{head},\n "rows": [\n{lines}\n ]\n}}\n', encoding="utf-8")
-    os.replace(beside, path)
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the study, print its table, write its picture."""
     parser = argparse.ArgumentParser(
@@ -561,9 +529,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(f"[{time.perf_counter() - started:4.0f} s] {line}", file=sys.stderr, flush=True)
 
     rows: list[dict[str, Any]] = []
+    head = study_head(
+        "scripts/study_sensors.py",
+        settings,
+        version=loose_env.__version__,
+        gaps_mm=(1e3 * GAPS).tolist(),
+        scored_from_mm=1e3 * KNOWN_FROM,
+        false_alarms=FALSE_ALARMS,
+    )
     for name in settings.arms:
         rows += Study(name, settings, report).run()
-        write_json(rows, settings, path.with_suffix(".json"))
+        write_study(path.with_suffix(".json"), head, rows)
     report("done")
     print_table(rows)
     draw_figure(rows, path)

@@ -14,11 +14,13 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
+import loose_env
 from loose_env.arms import planar, six_axis
 from loose_env.arms.linear import LinearArm
 from loose_env.diagnosis.prediction import SensorFloor, predict
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import StructuralLooseness
+from loose_env.report.stored_study import stored_rows, study_head, write_study
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -86,12 +88,16 @@ def test_an_interrupted_study_goes_on_with_the_same_settings_only(
 ) -> None:
     settings = holding.quick(holding.Settings())
     path = tmp_path / "rows.json"
-    document = holding.head(settings)
-    holding.write_json(path, {**document, "rows": [{"mode_hz": 70.0}]})
+    document = study_head("scripts/study_holding.py", settings, version=loose_env.__version__)
+    write_study(path, document, [{"mode_hz": 70.0}])
     assert json.loads(path.read_text())["made_by"] == "scripts/study_holding.py"
-    assert holding.earlier(path, document) == [{"mode_hz": 70.0}]
-    other = holding.head(dataclasses.replace(settings, level=1.0))
-    assert holding.earlier(path, other) == []
+    assert stored_rows(path, document) == [{"mode_hz": 70.0}]
+    other = study_head(
+        "scripts/study_holding.py",
+        dataclasses.replace(settings, level=1.0),
+        version=loose_env.__version__,
+    )
+    assert stored_rows(path, other) == []
 
 
 def test_gravity_along_the_seat_shuts_it() -> None:
