@@ -22,7 +22,7 @@ from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import SensorSuite
 from tests.diagnosis.imagined import imagined_record
 
-UR5E = Path("/work/shared/models/ur5e_bare.xml")
+UR5E = Path(__file__).resolve().parents[3] / "shared" / "models" / "ur5e_bare.xml"
 
 
 def arm_named(name: str) -> Arm:
