@@ -70,7 +70,7 @@ class Gears:
             value = getattr(self, name)
             if value is None:
                 continue
-            figures = np.atleast_1d(np.asarray(value, dtype=float))
+            figures = np.atleast_1d(_numbers(value))
             low = figures < 0 if name == "damping_ratio" else figures <= 0
             if figures.ndim != 1 or not np.isfinite(figures).all() or low.any():
                 raise InvalidSetting(
@@ -258,13 +258,21 @@ def poses_of(arm: Arm) -> Array:
 
 def each_joint(name: str, value: Figures, n: int) -> Array:
     """Check figures of the joints, one for all or one for each, and return (n,) of them."""
-    figures = np.asarray(value, dtype=float)
+    figures = _numbers(value)
     wrong = figures < 0 if name == "damping_ratio" else figures <= 0
     if figures.shape not in ((), (n,)) or not np.isfinite(figures).all() or wrong.any():
         raise InvalidSetting(
             f"{name} is one positive number, or one for each of {n} joints; got {value!r}"
         )
     return np.broadcast_to(figures, n).astype(float)
+
+
+def _numbers(value: object) -> Array:
+    """What was given as floats; NaN, which no check lets pass, where it is no number."""
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        return np.array(np.nan)
 
 
 def _tuple(name: str, value: Figures, n: int) -> tuple[float, ...]:

@@ -63,6 +63,8 @@ def precision_of(direction: ArrayLike, uncertainty: ArrayLike) -> Array:
     if np.isinf(spread).any() and not np.isnan(spread).any():
         return np.zeros((len(p), len(p)))  # nothing is known
     if spread.ndim == 0:
+        if spread <= 0:
+            raise InvalidData(f"a standard deviation is above zero, got {uncertainty!r} rad")
         spread = spread**2 * np.eye(len(p))
     if spread.shape != (len(p), len(p)) or np.isnan(spread).any():
         raise InvalidData(

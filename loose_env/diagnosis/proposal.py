@@ -14,6 +14,7 @@ directions largest, because nothing is known yet about the fault.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import NamedTuple
 
 import numpy as np
@@ -201,7 +202,7 @@ def propose_excitation(
     ((30.0, 150.0), (6,), True)
     """
     for name, value, least in (("gap", gap, 1e-9), ("friction", friction, 0.0)):
-        if not np.isfinite(value) or value < least:
+        if not isinstance(value, Real) or not np.isfinite(value) or value < least:
             raise InvalidSetting(f"{name} is {value!r}; it must be finite and {least:g} or more")
     nominal = LinearArm(arm)
     band, modes, warnings = propose_band(nominal, pose)

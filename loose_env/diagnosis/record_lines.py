@@ -67,7 +67,9 @@ def record_lines(arm: Arm, measurement: Measurement, sensors: SensorSuite) -> Re
     Raises
     ------
     InvalidData
-        If the measurement failed, does not fit the arm, nothing was excited, or a shaker was on.
+        If the measurement failed, does not fit the arm, nothing was excited, a shaker was on, or
+        its channels have different lengths, values that are not finite, or a tool that stands
+        still.
 
     Examples
     --------
@@ -92,6 +94,22 @@ def record_lines(arm: Arm, measurement: Measurement, sensors: SensorSuite) -> Re
     if measurement.excitation.shaker_rms > 0:
         raise InvalidData("the shaker was on; take records with excited joints alone")
     count, rate = measurement.tool.shape[1], measurement.rate
+    channels = {
+        "tool": measurement.tool,
+        "command": measurement.command[on],
+        "encoder": measurement.encoder[on, 1:-1],
+    }
+    lengths = {name: channel.shape[-1] for name, channel in channels.items()}
+    if len(set(lengths.values())) > 1:
+        raise InvalidData(
+            f"the channels of the record have different lengths (encoder less two): {lengths}; it "
+            "may be cut off"
+        )
+    broken = [name for name, channel in channels.items() if not np.isfinite(channel).all()]
+    if broken:
+        raise InvalidData(f"{', '.join(broken)} of the record holds NaN or infinite values")
+    if not np.ptp(measurement.tool, axis=1).any():
+        raise InvalidData("the tool's readings are constant: is the accelerometer connected?")
     low, high = measurement.excitation.band
     frequency: Array = np.fft.rfftfreq(count, 1 / rate).astype(float)
     kept = (frequency >= low - 1e-9) & (frequency <= high + 1e-9)

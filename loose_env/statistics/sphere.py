@@ -59,9 +59,10 @@ def axes_grid(count: int, dimension: int = 3) -> FloatArray:
     >>> bool(np.allclose(np.linalg.norm(axes_grid(100), axis=1), 1.0))
     True
     """
-    if count < 1 or dimension not in (2, 3):
+    if count != int(count) or count < 1 or dimension not in (2, 3):
         raise InvalidSetting(
-            f"count is {count} and dimension {dimension}; at least one axis in 2 or 3 dimensions"
+            f"count is {count} and dimension {dimension}; a whole number of axes, one or more, in "
+            "2 or 3 dimensions"
         )
     k = np.arange(count, dtype=np.float64)
     if dimension == 2:

@@ -286,3 +286,9 @@ def test_the_posterior_tries_softer_and_stiffer_gears() -> None:
     assert len(arms) > 1
     assert np.all(np.diff(stiffness) > 0)
     assert np.exp(weights).sum() == pytest.approx(1.0)
+
+
+def test_figures_that_are_no_numbers_are_refused() -> None:
+    for wrong in ("stiff", float("nan"), (1.0, 2.0)):
+        with pytest.raises(InvalidSetting):
+            planar(3).with_compliance(stiffness=wrong)  # type: ignore[arg-type]

@@ -330,3 +330,18 @@ def test_what_cannot_be_used_is_refused() -> None:
     )
     with pytest.raises(InvalidData, match="lines lie elsewhere"):
         direction_by_dynamics(linear, [good], healthy=[shorter])
+
+
+def test_a_broken_record_is_refused() -> None:
+    arm = planar(2)
+    shake = at_levels(LinearArm(arm).at([0.2, 0.9]), np.array([2.0, 0.0]), duration=0.2)[0]
+    record = SimulatedRig(arm, threads=1).measure(np.array([0.2, 0.9]), shake)
+    tool, encoder = record.tool, record.encoder
+    for broken, why in (
+        ({"tool": tool[:, :50]}, "cut off"),
+        ({"tool": np.full_like(tool, np.nan)}, "tool of the record holds NaN"),
+        ({"encoder": np.full_like(encoder, np.inf)}, "encoder of the record holds NaN"),
+        ({"tool": np.zeros_like(tool)}, "accelerometer connected"),
+    ):
+        with pytest.raises(InvalidData, match=why):
+            direction_by_dynamics(LinearArm(arm), [dataclasses.replace(record, **broken)])

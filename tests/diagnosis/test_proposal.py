@@ -96,7 +96,7 @@ def test_heavier_seats_and_larger_gaps_ask_for_more() -> None:
 
 
 def test_bad_figures_are_refused() -> None:
-    for bad in ({"gap": 0.0}, {"gap": np.nan}, {"friction": -1.0}):
+    for bad in ({"gap": 0.0}, {"gap": np.nan}, {"friction": -1.0}, {"gap": "wide"}):
         with pytest.raises(InvalidSetting):
             propose_excitation(planar(2), np.zeros(2), **bad)
     with pytest.raises(InvalidSetting, match="pose"):

@@ -454,3 +454,9 @@ def test_of_moves_that_tell_as_much_the_one_that_opens_the_seats_is_taken() -> N
         expected_openness(linear, found, q, level=4.0)[0, :6].mean() for q in (blunt, open_one)
     ]
     assert share[1] > share[0]
+
+
+def test_a_standard_deviation_is_above_zero() -> None:
+    for wrong in (-0.1, 0.0):
+        with pytest.raises(InvalidData, match="above zero"):
+            DirectionSighting.of([0.0, 0.0], [1.0, 0.0], wrong)

@@ -67,6 +67,8 @@ def test_the_search_finds_what_the_closed_form_gives() -> None:
 def test_bad_settings_are_refused() -> None:
     with pytest.raises(InvalidSetting, match="count"):
         axes_grid(0)
+    with pytest.raises(InvalidSetting, match="whole number"):
+        axes_grid(2.5)  # type: ignore[arg-type]
     with pytest.raises(InvalidSetting, match="dimension"):
         axes_grid(5, 4)
     with pytest.raises(InvalidSetting, match="tolerance"):
