@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -39,6 +38,7 @@ from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import Healthy, StructuralLooseness
 from loose_env.report.stored_study import rounded, stored_rows, study_head, write_study
+from loose_env.report.study_figure import INK, MUTED, pyplot, save_figure
 from loose_env.rig import Job, Measurement, SimulatedRig
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import (
@@ -326,7 +326,6 @@ def _with_gears(draw: Any, arm: Arm, geared: Any) -> Any:
 
 # --- figures
 
-INK, MUTED, FAINT = "#1b2128", "#66717d", "#c9d0d7"
 COLOURS = {
     "lowest": "#4a8f5c",
     "reference": "#0072b2",
@@ -334,28 +333,6 @@ COLOURS = {
     "dynamic": "#8a5fbf",
     "lines": "#1b2128",
 }
-
-
-def _pyplot() -> Any:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    plt.rcParams.update(
-        {
-            "font.size": 9,
-            "text.color": INK,
-            "axes.edgecolor": FAINT,
-            "axes.labelcolor": INK,
-            "xtick.color": MUTED,
-            "ytick.color": MUTED,
-            "axes.spines.top": False,
-            "axes.spines.right": False,
-            "svg.hashsalt": "study_holding",
-        }
-    )
-    return plt
 
 
 def median_error(row: dict[str, Any], estimator: str) -> float:
@@ -366,7 +343,7 @@ def median_error(row: dict[str, Any], estimator: str) -> float:
 
 def draw_holding(rows: Sequence[dict[str, Any]], settings: Settings, path: Path) -> None:
     """Draw the median error against the holding mode, a panel for each arm and holding."""
-    plt = _pyplot()
+    plt = pyplot()
     kinds = {"servo": "joints on position servos", "gears": "brakes behind elastic gears"}
     figure, axes = plt.subplots(
         2,
@@ -431,14 +408,7 @@ def draw_holding(rows: Sequence[dict[str, Any]], settings: Settings, path: Path)
         color=MUTED,
     )
     figure.tight_layout(rect=(0, 0.03, 1, 0.915))
-    _save(plt, figure, path)
-
-
-def _save(plt: Any, figure: Any, path: Path) -> None:
-    beside = path.with_suffix(f".part{path.suffix}")
-    figure.savefig(beside, dpi=130)
-    plt.close(figure)
-    os.replace(beside, path)
+    save_figure(plt, figure, path)
 
 
 # --- tables and files

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -30,6 +29,7 @@ from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Healthy, StructuralLooseness
 from loose_env.report.stored_study import rounded, stored_rows, study_head, write_study
+from loose_env.report.study_figure import INK, MUTED, pyplot, save_figure
 from loose_env.rig import Job, SimulatedRig
 from loose_env.statistics import transmission_change
 
@@ -37,7 +37,6 @@ Array = NDArray[np.float64]
 
 ROOT = Path(__file__).resolve().parents[1]
 OPENING_LINK, OPENING_SEAT, OPENING_BEND = 2, (0.6, 0.8, 0.0), (0.7, -0.6)
-INK, MUTED, FAINT = "#1b2128", "#66717d", "#c9d0d7"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -136,38 +135,9 @@ def opening_rows(
     return rows
 
 
-def _pyplot() -> Any:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    plt.rcParams.update(
-        {
-            "font.size": 9,
-            "text.color": INK,
-            "axes.edgecolor": FAINT,
-            "axes.labelcolor": INK,
-            "xtick.color": MUTED,
-            "ytick.color": MUTED,
-            "axes.spines.top": False,
-            "axes.spines.right": False,
-            "svg.hashsalt": "study_opening",
-        }
-    )
-    return plt
-
-
-def _save(plt: Any, figure: Any, path: Path) -> None:
-    beside = path.with_suffix(f".part{path.suffix}")
-    figure.savefig(beside, dpi=130)
-    plt.close(figure)
-    os.replace(beside, path)
-
-
 def draw_opening(rows: Sequence[dict[str, Any]], settings: Settings, path: Path) -> None:
     """Draw the share of transmission lost along the seat against the level."""
-    plt = _pyplot()
+    plt = pyplot()
     colours = ("#0072b2", "#4a8f5c", "#f0a30a", "#d0451b")
     count = len(settings.gaps)
     figure, axes = plt.subplots(
@@ -202,7 +172,7 @@ def draw_opening(rows: Sequence[dict[str, Any]], settings: Settings, path: Path)
         color=MUTED,
     )
     figure.tight_layout(rect=(0, 0.075, 1, 0.94))
-    _save(plt, figure, path)
+    save_figure(plt, figure, path)
 
 
 def print_opening(rows: Sequence[dict[str, Any]]) -> None:
