@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from loose_env.arms.arm import Arm
+from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation
-from loose_env.rig.engines import Engine
 
-__all__ = ["Job", "Run"]
+__all__ = ["Job", "Run", "check_jobs", "whole_factor"]
 
 Array = NDArray[np.float64]
 
@@ -35,8 +36,6 @@ class Run:
     """A chunk of jobs of one length and one model layout on its way through the engine."""
 
     jobs: Sequence[Job]
-    engine: Engine
-    """What simulates it."""
     control: Array
     """Commanded torques, gravity included (jobs, steps, n)."""
     delivered: Array
@@ -48,3 +47,52 @@ class Run:
     count: int
     """Samples of the record."""
     failures: dict[int, str] = field(default_factory=dict)
+
+
+def check_jobs(arm: Arm, jobs: Sequence[Job]) -> None:
+    """Refuse jobs that do not fit an arm.
+
+    Raises
+    ------
+    InvalidSetting
+        If a slot is named twice, or a pose or excitation does not fit the arm.
+    """
+    slots = [job.slot for job in jobs]
+    if len(set(slots)) != len(slots):
+        raise InvalidSetting(f"each slot can be measured once at a time, got slots {slots}")
+    n = arm.n
+    for job in jobs:
+        if job.pose.shape != (n,) or len(job.excitation.torque_rms) != n:
+            raise InvalidSetting(
+                f"arm {arm.name!r} needs {n} joint positions and {n} torques, got "
+                f"{job.pose.shape} and {len(job.excitation.torque_rms)}"
+            )
+        if job.excitation.shaker_rms > 0 and arm.shaker is None:
+            raise InvalidSetting(
+                f"arm {arm.name!r} has no shaker; set shaker_rms to 0 or take an arm "
+                "that stands at one"
+            )
+
+
+def whole_factor(rate: float, timestep: float) -> int:
+    """Simulation steps per reading.
+
+    Parameters
+    ----------
+    rate : float
+        Sampling rate [Hz].
+    timestep : float
+        Simulation step [s].
+
+    Raises
+    ------
+    InvalidSetting
+        If the rate is no whole fraction of the simulation's.
+    """
+    factor = round(1 / (rate * timestep))
+    if factor < 1 or abs(factor * rate * timestep - 1) > 1e-6:
+        raise InvalidSetting(
+            f"the sampling rate {rate:g} Hz must be a whole fraction of the "
+            f"simulation's {1 / timestep:g} Hz"
+        )
+    return factor

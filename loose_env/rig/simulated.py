@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -14,10 +15,11 @@ from loose_env.arms.arm import Arm
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import MismatchDraw
 from loose_env.errors import InvalidSetting
-from loose_env.excitation import Excitation, torque_signals
+from loose_env.excitation import Excitation
 from loose_env.faults import Fault, Healthy
-from loose_env.rig.engines import Engines
-from loose_env.rig.jobs import Job, Run
+from loose_env.rig.controls import controls
+from loose_env.rig.engines import Engine, Engines
+from loose_env.rig.jobs import Job, Run, check_jobs, whole_factor
 from loose_env.rig.measurement import Measurement
 from loose_env.rig.plant import Plant, PlantShop
 from loose_env.rig.quiet import quiet
@@ -28,6 +30,13 @@ __all__ = ["Job", "SimulatedRig"]
 
 Array = NDArray[np.float64]
 _CHUNK = 16  # arms simulated in one call; reading one chunk overlaps with the next
+
+
+@dataclass(kw_only=True, eq=False)
+class _EngineRun(Run):
+    """A run and the engine that simulates it."""
+
+    engine: Engine
 
 
 class SimulatedRig:
@@ -77,12 +86,7 @@ class SimulatedRig:
         self.arm = arm
         self.sensors = sensors if sensors is not None else SensorSuite()
         self.timestep = arm.timestep if timestep is None else timestep
-        self.factor = round(1 / (self.sensors.rate * self.timestep))
-        if self.factor < 1 or abs(self.factor * self.sensors.rate * self.timestep - 1) > 1e-6:
-            raise InvalidSetting(
-                f"the sampling rate {self.sensors.rate:g} Hz must be a whole fraction of the "
-                f"simulation's {1 / self.timestep:g} Hz"
-            )
+        self.factor = whole_factor(self.sensors.rate, self.timestep)
         self.nominal = LinearArm(arm)
         self.shop = PlantShop(
             arm, timestep=self.timestep, link_accelerometers=self.sensors.link_accelerometers
@@ -150,21 +154,7 @@ class SimulatedRig:
         InvalidSetting
             If a slot is named twice, or a pose or excitation does not fit the arm.
         """
-        slots = [job.slot for job in jobs]
-        if len(set(slots)) != len(slots):
-            raise InvalidSetting(f"each slot can be measured once at a time, got slots {slots}")
-        n = self.arm.n
-        for job in jobs:
-            if job.pose.shape != (n,) or len(job.excitation.torque_rms) != n:
-                raise InvalidSetting(
-                    f"arm {self.arm.name!r} needs {n} joint positions and {n} torques, got "
-                    f"{job.pose.shape} and {len(job.excitation.torque_rms)}"
-                )
-            if job.excitation.shaker_rms > 0 and self.arm.shaker is None:
-                raise InvalidSetting(
-                    f"arm {self.arm.name!r} has no shaker; set shaker_rms to 0 or take an arm "
-                    "that stands at one"
-                )
+        check_jobs(self.arm, jobs)
         if self._models_changed:
             self._engines.load(self.plants)
             self._models_changed = False
@@ -189,7 +179,7 @@ class SimulatedRig:
             yield self._read_all(run)
             return
         with ThreadPoolExecutor(max_workers=1) as engine:
-            pending: tuple[Run, Future[None]] | None = None
+            pending: tuple[_EngineRun, Future[None]] | None = None
             for k, chunk in enumerate(chunks):
                 run = self._prepare(chunk, k % 2)
                 if pending is not None:
@@ -202,12 +192,18 @@ class SimulatedRig:
                 pending[1].result()
                 yield self._read_all(pending[0])
 
-    def _prepare(self, jobs: Sequence[Job], room: int) -> Run:
+    def _prepare(self, jobs: Sequence[Job], room: int) -> _EngineRun:
         """Draw the torques of jobs of one length and layout and set their arms up."""
         factor, rate = self.factor, self.sensors.rate
         half = len(decimation_filter(factor, self.sensors.accelerometer.bandwidth, rate)) // 2
         before = round(self.arm.settling * rate) * factor
-        control = self._controls(jobs, before, max(half, factor) + 1)
+        control = controls(
+            self.nominal,
+            jobs,
+            timestep=self.timestep,
+            before=before,
+            after=max(half, factor) + 1,
+        )
         engine = self._engines.of(self.plants[jobs[0].slot].parts)
         batch = engine.batch
         position, active = batch.bind("qpos"), batch.bind("eq_active")
@@ -225,7 +221,7 @@ class SimulatedRig:
             active[job.slot, plant.brakes] = ~released
             delivered[k, :, : self.arm.n] = control[k, :, : self.arm.n] * plant.mismatch.drive_gain
             delivered[k, :, self.arm.n :] = control[k, :, self.arm.n :]
-        return Run(
+        return _EngineRun(
             jobs=jobs,
             engine=engine,
             control=control,
@@ -235,30 +231,7 @@ class SimulatedRig:
             count=round(jobs[0].excitation.duration * rate),
         )
 
-    def _controls(self, jobs: Sequence[Job], before: int, after: int) -> Array:
-        """Torques of every step, and the shaker's force where there is one (jobs, steps, drives).
-
-        Random part plus what holds the arm against gravity, within the drives' limits.
-        """
-        shaker = self.arm.shaker
-        drives = self.arm.n + (shaker is not None)
-        limits = np.array(self.arm.torque_limits)
-        control = np.zeros((len(jobs), 0, drives))
-        for k, job in enumerate(jobs):
-            torque = torque_signals(
-                job.excitation, timestep=self.timestep, before=before, after=after, rng=job.rng
-            )
-            if k == 0:
-                control = np.zeros((len(jobs), torque.shape[1], drives))
-            if shaker is not None and job.excitation.shaker_rms > 0:
-                most = shaker.force_limit
-                control[k, :, -1] = np.clip(torque[-1], -most, most)
-            gravity = self.nominal.at(job.pose).gravity_torque
-            for j in np.flatnonzero(np.array(job.excitation.excited) | (gravity != 0)):
-                control[k, :, j] = np.clip(torque[j] + gravity[j], -limits[j], limits[j])
-        return control
-
-    def _simulate(self, run: Run) -> None:
+    def _simulate(self, run: _EngineRun) -> None:
         """Run the engine; fill in what it recorded and which arms failed."""
         batch, data, failures = run.engine.batch, run.recorded, run.failures
         ids = np.array([job.slot for job in run.jobs])
