@@ -16,7 +16,7 @@ from loose_env.arms.linear import LinearArm
 from loose_env.envs.actions import ActionLayout
 from loose_env.envs.observation import ObservationLayout
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.faults import hypotheses
+from loose_env.faults import UNSURE, hypotheses
 
 __all__ = ["Agent", "EpisodeAgent", "Problem"]
 
@@ -45,9 +45,14 @@ class Problem:
             hypotheses=names,
         )
 
-    def verdict(self, hypothesis: str) -> NDArray[np.int64]:
-        """Build the action that names a hypothesis."""
-        return self.actions.encode(verdict=1 + self.hypotheses.index(hypothesis))
+    @property
+    def verdicts(self) -> tuple[str, ...]:
+        """What an agent can say: every hypothesis, then "unsure"."""
+        return (*self.hypotheses, UNSURE)
+
+    def verdict(self, named: str) -> NDArray[np.int64]:
+        """Build the action that names a hypothesis, or says "unsure"."""
+        return self.actions.encode(verdict=1 + self.verdicts.index(named))
 
 
 class Agent(Protocol):

@@ -3,59 +3,63 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agents.base import Problem
+from agents.belief_agent import Situation, records_taken
 from loose_env.diagnosis.posterior import Belief, FaultPosterior, PosteriorSettings
 from loose_env.diagnosis.record import RecordStatistics
 from loose_env.envs.difficulty import difficulty_named
 from loose_env.envs.observation import ObservationLayout
+from loose_env.errors import InvalidSetting
 
-__all__ = ["Tracker", "record_from", "tracker_features"]
+__all__ = [
+    "Posterior",
+    "Tracker",
+    "analytic_posterior",
+    "belief_of",
+    "record_from",
+    "tracker_features",
+]
 
 
 def record_from(
     layout: ObservationLayout, observation: NDArray[np.float32], slot: int
 ) -> RecordStatistics | None:
     """Read the statistics of one record back from an observation; None for an empty slot."""
-
-    def at(name: str) -> NDArray[np.float64]:
-        return layout.physical(observation, name)[slot]
-
-    if at("valid")[0] < 0.5:
+    row = layout.slots_of(observation)[slot]
+    if row[0] < 0.5:
         return None
+    at = layout.groups_of(row)
     arm = layout.arm
     n, d = arm.n, len(arm.axes)
-    rms = at("tool_rms")
+    rms = at["tool_rms"]
     covariance = np.diag(rms**2)
-    for value, (i, j) in zip(
-        at("tool_correlation"), zip(*np.triu_indices(d, 1), strict=True), strict=True
-    ):
-        covariance[i, j] = covariance[j, i] = value * rms[i] * rms[j]
+    upper = np.triu_indices(d, 1)
+    covariance[upper] = at["tool_correlation"] * rms[upper[0]] * rms[upper[1]]
+    covariance.T[upper] = covariance[upper]
     products = np.zeros((d, d))
-    products[np.triu_indices(d)] = at("lowest_direction")
+    products[np.triu_indices(d)] = at["lowest_direction"]
     products = products + np.triu(products, 1).T
-    direction = np.linalg.eigh(products)[1][:, -1]
-    lowest, highest = float(at("coherence")[0]), float(at("correlation")[0])
     return RecordStatistics(
-        pose=layout.record_poses_of(observation)[slot],
-        torque=at("torque") * np.array(arm.torque_limits),
-        duration=float(at("duration")[0]),
-        transmission=at("transmission").reshape(n, d).T,
-        transmission_by_instrument=at("transmission_by_instrument").reshape(n, d).T,
-        joint_rms=at("joint_rms"),
-        inertia=at("inertia"),
+        pose=at["pose"],
+        torque=at["torque"] * np.array(arm.torque_limits),
+        duration=float(at["duration"][0]),
+        transmission=at["transmission"].reshape(n, d).T,
+        transmission_by_instrument=at["transmission_by_instrument"].reshape(n, d).T,
+        joint_rms=at["joint_rms"],
+        inertia=at["inertia"],
         tool_covariance=covariance,
-        lowest_direction=direction,
-        lowest_coherence=lowest,
-        maximum_correlation=highest,
-        skewness=at("skewness"),
-        kurtosis=at("kurtosis"),
-        lowest_skewness=float(at("lowest_skewness")[0]),
-        lowest_kurtosis=float(at("lowest_kurtosis")[0]),
+        lowest_direction=np.linalg.eigh(products)[1][:, -1],
+        lowest_coherence=float(at["coherence"][0]),
+        maximum_correlation=float(at["correlation"][0]),
+        skewness=at["skewness"],
+        kurtosis=at["kurtosis"],
+        lowest_skewness=float(at["lowest_skewness"][0]),
+        lowest_kurtosis=float(at["lowest_kurtosis"][0]),
     )
 
 
@@ -63,9 +67,23 @@ def record_from(
 class _Memory:
     """Belief of one episode and how many records went into it."""
 
-    belief: Belief
+    belief: Any
     records: int = 0
-    rng: np.random.Generator | None = None
+
+
+class Posterior(Protocol):
+    """What turns records into a belief: the analytic posterior or the learned one."""
+
+    hypotheses: tuple[str, ...]
+    """What its probabilities stand for."""
+
+    def start(self) -> Any:
+        """Return the prior; anything with ``probabilities``."""
+        ...
+
+    def update(self, belief: Any, record: RecordStatistics) -> Any:
+        """Take in one record."""
+        ...
 
 
 class Tracker:
@@ -75,6 +93,8 @@ class Tracker:
     ----------
     problem : Problem
         The nominal arm and the rules.
+    posterior : Posterior, optional
+        What weighs the records; the analytic posterior by default.
 
     Raises
     ------
@@ -82,36 +102,69 @@ class Tracker:
         If a kind of fault that may come up has no model in the posterior.
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, posterior: Posterior | None = None) -> None:
         self.problem = problem
-        difficulty = difficulty_named(problem.settings.difficulty)
-        self.posterior = FaultPosterior(
-            problem.linear,
-            problem.settings.sensors,
-            PosteriorSettings(
-                friction=difficulty.friction,
-                mismatch=difficulty.mismatch,
-                kinds=difficulty.probabilities(problem.settings.kinds),
-            ),
-        )
+        self.posterior = analytic_posterior(problem) if posterior is None else posterior
         known = self.posterior.hypotheses
+        unknown = [name for name in problem.hypotheses if name not in known]
+        if unknown:
+            raise InvalidSetting(
+                f"the posterior knows nothing of {unknown}; it knows {list(known)}"
+            )
         self._order = [known.index(name) for name in problem.hypotheses]
 
-    def begin(self, rng: np.random.Generator | None = None) -> _Memory:
+    def begin(self) -> _Memory:
         """Return the memory of a new episode."""
-        return _Memory(belief=self.posterior.start(), rng=rng)
+        return _Memory(belief=self.posterior.start())
 
     def follow(self, observation: NDArray[np.float32], memory: _Memory) -> NDArray[np.float64]:
         """Take in the records that are new; return the probabilities of the hypotheses."""
         layout = self.problem.layout
-        share = float(layout.physical(observation, "spent")[0])
-        taken = round(share * self.problem.settings.max_records)
+        taken = records_taken(self.problem, observation)
         for slot in range(memory.records, taken):
             record = record_from(layout, observation, slot)
             if record is not None:
                 memory.belief = self.posterior.update(memory.belief, record)
         memory.records = taken
         return np.asarray(memory.belief.probabilities[self._order])
+
+
+def belief_of(situation: Situation) -> Belief:
+    """Log-weights of places and frictions behind the probabilities of a situation.
+
+    Raises
+    ------
+    InvalidSetting
+        If its estimator keeps none: the policy needs one of the posteriors.
+    """
+    belief = getattr(situation.memory, "belief", None)
+    belief = getattr(belief, "belief", belief)
+    if not isinstance(belief, Belief):
+        raise InvalidSetting(
+            "this policy needs an estimator that keeps a posterior over places and frictions, "
+            f"not one whose memory is {type(situation.memory).__name__}"
+        )
+    return belief
+
+
+def analytic_posterior(problem: Problem) -> FaultPosterior:
+    """Build the posterior whose likelihood follows from the nominal arm alone.
+
+    Raises
+    ------
+    InvalidSetting
+        If a kind of fault that may come up has no model in it.
+    """
+    difficulty = difficulty_named(problem.settings.difficulty)
+    return FaultPosterior(
+        problem.linear,
+        problem.settings.sensors,
+        PosteriorSettings(
+            friction=difficulty.friction,
+            mismatch=difficulty.mismatch,
+            kinds=difficulty.probabilities(problem.settings.kinds),
+        ),
+    )
 
 
 def tracker_features(problem: Problem, observation: Any, probabilities: Any) -> NDArray[np.float32]:

@@ -1,28 +1,54 @@
-"""Agents by name, with the settings and weights that ship beside them."""
+"""Agents by name, with the settings and weights that ship beside them.
+
+An agent is a name of `AGENTS`, or an estimator and a policy in the form ``estimator/policy``,
+such as ``posterior/random``.
+"""
 
 from __future__ import annotations
 
 import json
 import warnings
 from collections.abc import Callable
-from pathlib import Path
 
 from agents.base import Agent, Problem
+from agents.belief_agent import BeliefAgent, Sure
+from agents.estimators import ESTIMATORS, make_estimator
 from agents.link_finding import LinkFindingAgent
+from agents.policies import POLICIES, WEIGHTS, make_policy, setting_name, tuned
 from agents.space_link_finding import SpaceLinkFindingAgent, SpaceLinkFindingSettings
 from loose_env.diagnosis.link_finding import LinkFindingSettings, Order
 from loose_env.errors import UnknownName
 
-__all__ = ["AGENTS", "WEIGHTS", "make_agent"]
+__all__ = ["AGENTS", "WEIGHTS", "belief_agent", "describe", "make_agent"]
 
-WEIGHTS = Path(__file__).parent / "weights"
-"""Where tuned settings and trained weights lie."""
+SURE = 0.9
+"""Probability at which an agent stops that was not tuned for its arm."""
 
 
-def _random(problem: Problem, seed: int) -> Agent:
-    from agents.random_agent import RandomAgent
+def belief_agent(
+    estimator: str, policy: str, problem: Problem, *, seed: int = 0, stop: float | None = None
+) -> BeliefAgent:
+    """Make an agent of an estimator and a policy.
 
-    return RandomAgent(problem, seed=seed)
+    Parameters
+    ----------
+    estimator, policy : str
+        Names in `agents.estimators.ESTIMATORS` and `agents.policies.POLICIES`.
+    problem : Problem
+        The nominal arm and the rules.
+    seed : int
+        Seed of what it draws.
+    stop : float, optional
+        Probability at which it stops; by default the one tuned for the arm and difficulty.
+    """
+    made = make_estimator(estimator, problem)
+    if stop is None:
+        stop = tuned(problem).get("stop", {}).get(f"{estimator}/{policy}", SURE)
+    return BeliefAgent(problem, made, make_policy(policy, problem, made), Sure(stop), seed=seed)
+
+
+def _of(estimator: str, policy: str) -> Callable[[Problem, int], Agent]:
+    return lambda problem, seed: belief_agent(estimator, policy, problem, seed=seed)
 
 
 def _link_finding(order: Order) -> Callable[[Problem, int], Agent]:
@@ -33,15 +59,15 @@ def _link_finding(order: Order) -> Callable[[Problem, int], Agent]:
             return SpaceLinkFindingAgent(
                 problem, SpaceLinkFindingSettings(policy="turns", rules=rules), seed=seed
             )
-        tuned = WEIGHTS / f"{problem.arm.name}-{order}.json"
-        if not tuned.is_file():
+        path = WEIGHTS / f"{problem.arm.name}-{order}.json"
+        if not path.is_file():
             warnings.warn(
                 f"link finding {order} is not tuned for arm {problem.arm.name!r}: it plays with "
                 "untuned thresholds; scripts/tune_link_finding.py tunes them",
                 stacklevel=2,
             )
             return LinkFindingAgent(problem, LinkFindingSettings(order=order), seed=seed)
-        settings = LinkFindingSettings(**json.loads(tuned.read_text(encoding="utf-8")))
+        settings = LinkFindingSettings(**json.loads(path.read_text(encoding="utf-8")))
         return LinkFindingAgent(problem, settings, seed=seed)
 
     return make
@@ -51,21 +77,45 @@ def _images(problem: Problem, seed: int) -> Agent:
     return SpaceLinkFindingAgent(problem, seed=seed)
 
 
-def _ppo(problem: Problem, seed: int) -> Agent:
-    from agents.learned import LearnedAgent
+def _learned(algorithm: str) -> Callable[[Problem, int], Agent]:
+    def make(problem: Problem, seed: int) -> Agent:
+        from agents.learned import LearnedAgent
 
-    return LearnedAgent.load(problem, WEIGHTS / problem.arm.name)
+        return LearnedAgent.load(problem, WEIGHTS / f"{algorithm}-{setting_name(problem)}")
+
+    return make
 
 
 AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
-    "random": (_random, "random moves and shakes until its posterior is sure"),
+    "random": (_of("posterior", "random"), "random moves and shakes until its posterior is sure"),
     "thesis": (_link_finding("outward"), "the thesis's link finding, from the base outward"),
     "inward": (_link_finding("inward"), "the same, from the tool inward"),
     "bisection": (_link_finding("bisection"), "the same, halving the arm"),
     "images": (_images, "predicted directions of every hypothesis, all joints at once"),
-    "ppo": (_ppo, "a policy trained by PPO on the posterior"),
+    "constant": (
+        _of("amortised", "constant"),
+        "the learned posterior, always the best single joint, random poses",
+    ),
+    "together": (
+        _of("amortised", "together"),
+        "the learned posterior, always all joints, random poses",
+    ),
+    "greedy": (_of("amortised", "greedy"), "the learned posterior, the most telling record next"),
+    "look_ahead": (_of("amortised", "look_ahead"), "the same, two records ahead"),
+    "ppo": (_learned("ppo"), "a policy trained by PPO on the learned posterior"),
+    "recurrent_ppo": (_learned("ppo_lstm"), "the same with a memory of its own"),
+    "maskable_ppo": (_learned("maskable_ppo"), "the same, allowed choices only"),
 }
 """How each agent is made, and what it is in a few words."""
+
+
+def describe(name: str) -> str:
+    """Say in a few words what an agent is."""
+    if name in AGENTS:
+        return AGENTS[name][1]
+    estimator, _, policy = name.partition("/")
+    _require(name, estimator, policy)
+    return f"{ESTIMATORS[estimator][1]}; {POLICIES[policy][1]}"
 
 
 def make_agent(name: str, problem: Problem, *, seed: int = 0) -> Agent:
@@ -76,6 +126,16 @@ def make_agent(name: str, problem: Problem, *, seed: int = 0) -> Agent:
     UnknownName
         If there is no agent of that name.
     """
-    if name not in AGENTS:
-        raise UnknownName(f"unknown agent {name!r}; agents are {list(AGENTS)}")
-    return AGENTS[name][0](problem, seed)
+    if name in AGENTS:
+        return AGENTS[name][0](problem, seed)
+    estimator, _, policy = name.partition("/")
+    _require(name, estimator, policy)
+    return belief_agent(estimator, policy, problem, seed=seed)
+
+
+def _require(name: str, estimator: str, policy: str) -> None:
+    if estimator not in ESTIMATORS or policy not in POLICIES:
+        raise UnknownName(
+            f"unknown agent {name!r}; agents are {list(AGENTS)}, or an estimator of "
+            f"{list(ESTIMATORS)} and a policy of {list(POLICIES)}, as in posterior/random"
+        )

@@ -1,47 +1,57 @@
-"""Compare agents on the same hidden faults: a table, raw rows, and a page if asked.
+"""Compare agents on the same hidden faults: tables, raw rows, and a page if asked.
 
 Usage: python scripts/compare.py --env loose_env/Planar-v0 --agents random thesis --episodes 400
+
+Estimators are crossed with ways of choosing poses by --estimators and --policies; both are named
+together as in --agents posterior/random. Agents called name#1, name#2, ... are trainings of one
+agent with several seeds.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import shlex
 import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+# One thread each: the order in which threads add up changes the last digit of a row.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("MKL_NUM_THREADS", "1")
+
 import gymnasium
+import numpy as np
 
 import loose_env
+from agents.backends import BackendSettings, add_backend_options
 from agents.base import Problem
-from agents.evaluation import EpisodeRow, evaluate
+from agents.configuration import canonical
+from agents.evaluation import EVALUATION_SEED
+from agents.evaluation_shards import EvaluationTask, play_task, problem_of
 from agents.registry import AGENTS, make_agent
-from loose_env.envs.diagnosis import DiagnosisEnv
-from loose_env.envs.registration import IDS
 from loose_env.errors import LooseEnvError
-from loose_env.report.standings import Standing, standings
+from loose_env.report.comparison_text import comparison_text
+from loose_env.report.rows_file import configuration_hash, need_format, write_rows
+from loose_env.report.standings import Row, by_agent, standings
+from loose_env.report.training_seeds import SEPARATOR
 
-EVALUATION_SEED = 20_260_000
-"""Seed of the evaluation episodes; training uses others."""
+EPISODES = 4000
+"""Episodes of a published comparison."""
 
+NO_AGENTS = {"oracle": "knows the hidden direction and friction, which no agent is told"}
+"""Rows that are no agents, and why; their names get a star."""
 
-def table(found: Sequence[Standing]) -> str:
-    """Lay the standings out for a terminal."""
-    head = f"{'agent':<12}{'success':>9}{'95 % interval':>17}{'mean poses':>12}"
-    lines = [head + f"{'mean records':>14}{'mean return':>13}", "-" * 77]
-    for s in found:
-        interval = f"{100 * s.low:.1f} to {100 * s.high:.1f} %"
-        lines.append(
-            f"{s.agent:<12}{100 * s.success:>7.1f} %{interval:>17}{s.poses:>12.2f}"
-            f"{s.records:>14.2f}{s.reward:>+13.3f}"
-        )
-    return "\n".join(lines)
+LINES: list[Callable[[Problem, Sequence[Row]], str]] = []
+"""What else is to be said below the table, such as a bound on records: one line each."""
+
+BOOTSTRAP_SEED = 0
+"""Seed of the resamples behind the intervals."""
 
 
 def arguments_of(text: str) -> dict[str, Any]:
@@ -57,94 +67,149 @@ def arguments_of(text: str) -> dict[str, Any]:
     return found
 
 
-def problem_of(env_id: str, arguments: dict[str, Any]) -> Problem:
-    """Make the environment once to learn what problem it poses."""
-    env = gymnasium.make(env_id, **arguments).unwrapped
-    if not isinstance(env, DiagnosisEnv):
-        raise ValueError(f"{env_id} is no diagnosis environment; those are {', '.join(IDS)}")
-    return Problem.of(env.arm, env.settings)
+def names_of(options: argparse.Namespace) -> list[str]:
+    """Agents to play: those named, and every estimator with every policy."""
+    if bool(options.estimators) != bool(options.policies):
+        raise ValueError("--estimators and --policies are crossed: give both or neither")
+    crossed = [f"{e}/{p}" for p in options.policies for e in options.estimators]
+    named = options.agents
+    if named is None:
+        named = [] if crossed else ["random", "thesis", "ppo"]
+    return list(dict.fromkeys([*named, *crossed]))
+
+
+def reference_of(options: argparse.Namespace, names: Sequence[str]) -> str | None:
+    """Agent that the others are compared with: the thesis's method, or the first one."""
+    if options.reference is not None:
+        if options.reference not in names:
+            raise ValueError(f"--reference {options.reference} does not play; {list(names)} do")
+        return str(options.reference)
+    if len(names) < 2:
+        return None
+    return "thesis" if "thesis" in names else names[0]
+
+
+def levels_of(options: argparse.Namespace) -> list[dict[str, Any]]:
+    """Arguments of the environment, once for each difficulty."""
+    arguments = arguments_of(options.arguments)
+    if not options.difficulties:
+        return [arguments]
+    if "difficulty" in arguments:
+        raise ValueError("give the difficulty by --difficulties or by --arguments, not by both")
+    return [{**arguments, "difficulty": name} for name in options.difficulties]
 
 
 def play(
-    names: Sequence[str], problem: Problem, *, episodes: int, seed: int, width: int, threads: int
-) -> dict[str, list[EpisodeRow]]:
+    names: Sequence[str],
+    levels: Sequence[Mapping[str, Any]],
+    options: argparse.Namespace,
+    *,
+    records: int | None = None,
+) -> list[dict[str, Any]]:
     """Let every agent play the same episodes; progress goes to standard error."""
-    results = {}
-    # All are made before the first plays: a missing weight shows at once.
-    for name, agent in [(name, make_agent(name, problem)) for name in names]:
-        begin = time.perf_counter()
-
-        def progress(done: int, name: str = name, begin: float = begin) -> None:
-            if done == episodes or (sys.stderr.isatty() and done % 10 == 0):
-                spent = time.perf_counter() - begin
-                line = f"\r{name:<12}{done:>6} of {episodes} episodes, {spent:.0f} s"
-                end = "\n" if done == episodes else ""
-                print(line, end=end, file=sys.stderr, flush=True)
-
-        results[name] = evaluate(
-            agent,
-            name,
-            problem.arm,
-            problem.settings,
-            episodes=episodes,
-            seed=seed,
-            width=width,
-            threads=threads,
-            progress=progress,
-        )
-    return results
+    settings = BackendSettings.of(options)
+    rows = []
+    for name in names:
+        for arguments in levels:
+            level = f", {arguments['difficulty']}" if len(levels) > 1 else ""
+            made = "" if records is None else f", {records} records each"
+            print(f"{name}{level}{made}", file=sys.stderr, flush=True)
+            task = EvaluationTask(
+                agent=name,
+                env_id=options.env,
+                arguments=arguments,
+                count=options.episodes,
+                seed=options.seed,
+                agent_seed=options.agent_seed,
+                records=records,
+                width=options.width,
+                threads=options.threads,
+            )
+            folder = Path(options.out) / "shards"
+            rows += play_task(task, folder, settings=settings, shard=options.shard)
+    return rows
 
 
-def write_rows(path: Path, rows: Sequence[dict[str, Any]], configuration: object) -> None:
-    """Write all rows with the configuration, beside first, then renamed."""
-    beside = path.with_suffix(".part")
-    beside.write_text(json.dumps({"configuration": configuration, "rows": rows}, indent=0) + "\n")
-    beside.replace(path)
+def words_of(name: str) -> str:
+    """What an agent is, in a few words."""
+    plain = name.partition(SEPARATOR)[0]
+    if plain in NO_AGENTS:
+        return f"{starred(name)}: no agent; it {NO_AGENTS[plain]}."
+    if plain in AGENTS:
+        return f"{name}: {AGENTS[plain][1]}."
+    estimator, _, policy = name.partition("/")
+    return f"{name}: estimator {estimator}, poses chosen by {policy}."
+
+
+def starred(name: str) -> str:
+    """Mark what is no agent."""
+    return f"{name}*" if name.partition(SEPARATOR)[0] in NO_AGENTS else name
+
+
+def shown(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows as tables and page show them: what is no agent gets its star."""
+    return [{**row, "agent": starred(row["agent"])} for row in rows]
 
 
 def write_page(
     path: Path,
-    problem: Problem,
     rows: Sequence[dict[str, Any]],
+    forced: Sequence[dict[str, Any]],
+    *,
+    problem: Problem,
     options: argparse.Namespace,
+    made_by: str,
+    reference: str | None,
 ) -> Path:
-    """Write the page: what was played, who won, figures, and one episode in pictures."""
+    """Write the page: what was played, who won, tables, figures, one episode in pictures."""
     from loose_env.report.comparison import write_comparison
     from loose_env.report.story import tell_episode
 
-    best = standings(rows)[0].agent
-    own = [row for row in rows if row["agent"] == best]
-    # The first faulty arm that the best agent got right after more than one record.
-    right = (r for r in own if r["success"] and r["truth"] != "healthy" and r["records"] > 1)
-    told = next(right, own[0])
-    story = tell_episode(
-        make_agent(best, problem),
-        problem.arm,
-        problem.settings,
-        seed=options.seed,
-        number=told["episode"],
-    )
-    kinds = len(problem.hypotheses)
+    best = next(s.agent for s in standings(rows) if not s.agent.endswith("*"))
+    told = _told(rows, best, problem)
+    story = None
+    if told is not None:
+        agent = make_agent(best, problem, seed=options.agent_seed)
+        arm, settings = problem.arm, problem.settings
+        story = tell_episode(agent, arm, settings, seed=told["seed"], number=told["episode"])
+    own = by_agent(rows)
+    truths = Counter(row["truth"] for row in own[best])
     return write_comparison(
         path,
         rows,
         title=f"Finding the loose link on {problem.arm.name}",
         played=[
-            f"{options.episodes} arms, each with a fault hidden at random: nothing, a link that "
+            f"{len(own[best])} arms, each with a fault hidden at random: nothing, a link that "
             "slides on its flange, or a joint with play. Every agent met the same arms. It moved "
-            "joints, shook one at a time, saw how the tool followed, and named the fault when it "
-            f"was sure. There are {kinds} possible verdicts. A right one earns 1, a wrong one "
-            "loses 1, and every record costs a little.",
-            *(f"{name}: {AGENTS[name][1]}." for name in options.agents),
+            "joints, shook them, saw how the tool followed, and named the fault when it "
+            f"was sure. There are {len(problem.hypotheses)} hypotheses. A right verdict earns 1, a "
+            "wrong one loses 1, and every record costs a little. Simulated by "
+            f"{engine_words(problem)}.",
+            *(words_of(name.removesuffix("*")) for name in own),
         ],
-        hypotheses=problem.hypotheses,
-        chance=max(Counter(row["truth"] for row in own).values()) / len(own),
+        chance=max(truths.values()) / len(own[best]),
+        forced=forced,
+        reference=reference,
+        rng=np.random.default_rng(BOOTSTRAP_SEED),
+        said=[line(problem, rows) for line in LINES],
         story=story,
         story_of=best,
-        notes=f"Made by: python scripts/compare.py --page --env {options.env} "
-        f"--arguments {shlex.quote(options.arguments)} --agents {' '.join(options.agents)} "
-        f"--episodes {options.episodes} --seed {options.seed}",
+        notes=made_by,
     )
+
+
+def _told(rows: Sequence[dict[str, Any]], best: str, problem: Problem) -> dict[str, Any] | None:
+    """The first faulty arm that the best agent got right after more than one record."""
+    level = problem.settings.difficulty
+    own = [r for r in rows if r["agent"] == best and r["difficulty"] in (level, "own")]
+    right = (r for r in own if r["success"] and r["truth"] != "healthy" and r["records"] > 1)
+    return next(right, own[0] if own else None)
+
+
+def engine_words(problem: Problem) -> str:
+    """What simulates the arms."""
+    engine = getattr(problem.settings, "engine", "mujoco")
+    return "MuJoCo" if engine == "mujoco" else f"the {engine} engine"
 
 
 def parser() -> argparse.ArgumentParser:
@@ -152,57 +217,110 @@ def parser() -> argparse.ArgumentParser:
     options = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    known = ", ".join(f"{name} ({words})" for name, (_, words) in AGENTS.items())
-    options.add_argument("--env", default="loose_env/Vera-v0", help="environment id")
-    options.add_argument("--arguments", default="{}", help="its arguments, as JSON")
-    options.add_argument(
-        "--agents", nargs="+", default=["random", "thesis", "ppo"], help=f"any of {known}"
-    )
-    options.add_argument("--episodes", type=int, default=400, help="episodes for each agent")
-    options.add_argument("--seed", type=int, default=EVALUATION_SEED, help="seed of the episodes")
-    options.add_argument("--width", type=int, default=64, help="arms simulated side by side")
-    options.add_argument("--threads", type=int, default=0, help="simulation threads, 0 for all")
-    options.add_argument("--out", default="out", help="folder for rows.json and the page")
-    options.add_argument("--page", action="store_true", help="write a page with pictures too")
+    known = "; ".join(f"{name}, {words}" for name, (_, words) in AGENTS.items())
+    add = options.add_argument
+    add("--env", default="loose_env/Vera-v0", help="environment id")
+    add("--arguments", default="{}", help="its arguments, as JSON")
+    add("--agents", nargs="+", help=f"estimator/policy, or any of: {known}")
+    add("--estimators", nargs="+", default=[], help="estimators to cross with --policies")
+    add("--policies", nargs="+", default=[], help="policies to cross with --estimators")
+    add("--reference", help="whose return is subtracted; default: thesis, or the first agent")
+    add("--difficulties", nargs="+", default=[], help="play all episodes at each of these")
+    add("--curve", type=int, metavar="K", help="play again, K records each: success after 1 to K")
+    add("--episodes", type=int, default=EPISODES, help="episodes for each agent and difficulty")
+    add("--seed", type=int, default=EVALUATION_SEED, help="seed of the episodes")
+    add("--agent-seed", type=int, default=0, help="seed of what agents draw")
+    add("--width", type=int, default=64, help="arms simulated side by side in a process")
+    add("--threads", type=int, default=0, help="simulation threads with --workers 1, 0 for all")
+    add("--shard", type=int, default=200, help="episodes that a worker plays at a time")
+    add("--out", default="out", help="folder of rows and page")
+    add("--rows", default="parquet", help="raw rows as parquet or json")
+    add("--page", action="store_true", help="write a page with pictures too")
+    add_backend_options(options)
     return options
 
 
 def compare(options: argparse.Namespace) -> None:
-    """Play, print the table, write rows and page."""
+    """Play, print the tables, write rows and page."""
     begin = time.perf_counter()
-    arguments = arguments_of(options.arguments)
+    form = need_format(options.rows)  # whatever is wrong shows now, not after an hour of play
     if options.episodes < 1:
         raise ValueError(f"--episodes must be 1 or more, got {options.episodes}")
+    names, levels = names_of(options), levels_of(options)
+    reference = reference_of(options, names)
     out = Path(options.out)
-    out.mkdir(parents=True, exist_ok=True)  # fails before an hour of play, not after
-    problem = problem_of(options.env, arguments)
-    results = play(
-        options.agents,
-        problem,
-        episodes=options.episodes,
-        seed=options.seed,
-        width=options.width,
-        threads=options.threads,
+    out.mkdir(parents=True, exist_ok=True)
+    problems = [problem_of(options.env, arguments) for arguments in levels]
+    problem = problems[0]
+    made = {name: make_agent(name, problem, seed=options.agent_seed) for name in names}
+    goers = [name for name in names if hasattr(made[name], "stopping")]
+    if options.curve is not None and not 1 <= options.curve <= problem.settings.max_records:
+        raise ValueError(
+            f"--curve must be 1 to {problem.settings.max_records}, got {options.curve}"
+        )
+    played = play(names, levels, options)
+    more = [] if options.curve is None else play(goers, levels, options, records=options.curve)
+    rows, forced = shown(played), shown(more)
+    reference = None if reference is None else starred(reference)
+    configuration = canonical(
+        {
+            "env": options.env,
+            "engine": getattr(problem.settings, "engine", "mujoco"),
+            "arguments": list(levels),
+            "agents": list(names),
+            "agent_seed": options.agent_seed,
+            "episodes": options.episodes,
+            "seed": options.seed,
+            "curve": options.curve,
+            "settings": [problem.settings for problem in problems],
+            "version": loose_env.__version__,
+        }
     )
-    rows = [asdict(row) for own in results.values() for row in own]
-    title = f"{options.env}, {options.episodes} episodes for each agent, seed {options.seed}"
-    print(f"\n{title}\n\n{table(standings(rows))}\n")
-    diverged = Counter(row["truth"].partition("@")[0] for row in rows if row["truncated"])
-    if diverged:
-        print(f"Episodes ended by a diverging simulation: {dict(diverged)}\n")
-    configuration = {
-        "env": options.env,
-        "arguments": arguments,
-        "agents": options.agents,
-        "episodes": options.episodes,
-        "seed": options.seed,
-        "version": loose_env.__version__,
-    }
-    write_rows(out / "rows.json", rows, configuration)
-    print(f"Rows: {out / 'rows.json'}")
+    digest = configuration_hash(configuration)
+    frozen = "the frozen one" if options.seed == EVALUATION_SEED else "for trials"
+    title = (
+        f"{options.env}, {engine_words(problem)}, "
+        f"{', '.join(options.difficulties) or problem.settings.difficulty}: {options.episodes} "
+        f"episodes for each agent\nseed {options.seed} ({frozen}), configuration {digest[:12]}"
+    )
+    stars = [f"* {words_of(name)}" for name in names if starred(name) != name]
+    told = comparison_text(
+        rows,
+        forced,
+        reference=reference,
+        rng=np.random.default_rng(BOOTSTRAP_SEED),
+        said=[*stars, *(line(problem, rows) for line in LINES)],
+    )
+    print(f"\n{title}\n\n{told}\n")
+    print(f"Rows: {write_rows(out, 'rows', played, configuration, form=form)}")
+    if more:
+        print(f"Rows of the curve: {write_rows(out, 'curve', more, configuration, form=form)}")
     if options.page:
-        print(f"Page: {write_page(out / 'index.html', problem, rows, options)}")
+        made_by = f"Made by: {command(options)}. Configuration {digest[:12]}."
+        page = write_page(
+            out / "index.html",
+            rows,
+            forced,
+            problem=problem,
+            options=options,
+            made_by=made_by,
+            reference=reference,
+        )
+        print(f"Page: {page}")
     print(f"Took {time.perf_counter() - begin:.0f} s.")
+
+
+def command(options: argparse.Namespace) -> str:
+    """The command that gives the same rows."""
+    given: list[str] = []
+    for name in ("env", "arguments", "episodes", "seed", "agent_seed", "curve", "reference"):
+        value = getattr(options, name)
+        if value is not None:
+            given += [f"--{name.replace('_', '-')}", str(value)]
+    for name in ("agents", "estimators", "policies", "difficulties"):
+        if getattr(options, name):
+            given += [f"--{name}", *getattr(options, name)]
+    return shlex.join(["python", "scripts/compare.py", "--page", *given])
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -211,7 +329,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         compare(options)
     except KeyboardInterrupt:
-        sys.exit("compare: interrupted; nothing was written")
+        sys.exit("compare: interrupted; the same command goes on from what was played")
     except (LooseEnvError, gymnasium.error.Error, ValueError, OSError) as error:
         sys.exit(f"compare: {error}")
 

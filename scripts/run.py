@@ -16,8 +16,12 @@ EPISODES = 300
 
 
 def main() -> None:
-    """Compare the three agents on VERA and write the page; later options win."""
-    compare.main(["--page", "--episodes", str(EPISODES), *sys.argv[1:]])
+    """Compare the three agents on VERA and write the page; later options win.
+
+    In this process and with rows as JSON: it needs no package beyond those of `make run`.
+    """
+    plain = ["--workers", "1", "--rows", "json"]
+    compare.main(["--page", "--episodes", str(EPISODES), *plain, *sys.argv[1:]])
 
 
 if __name__ == "__main__":

@@ -1,172 +1,393 @@
-"""Train a PPO policy on an environment and save it.
+"""Train a policy on an environment, with the options of the rl-zoo.
 
-Usage: python scripts/train.py --env loose_env/Vera-v0 --records 60000 --out agents/weights/vera
+Usage: python scripts/train.py --algo ppo --env loose_env/Vera-v0 -P
+
+The run lies in LOG_FOLDER/ALGO/ENV_SEED. The same command run again goes on from the last
+checkpoint, also after a kill; scripts/enjoy.py plays what it learned. `--export FOLDER` puts the
+best policy elsewhere, such as agents/weights/vera.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
+import shutil
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import gymnasium
-import numpy as np
 
-import loose_env  # noqa: F401  (registers the ids)
 from agents.base import Problem
-from loose_env.errors import LooseEnvError
+from agents.estimators import feature_size, make_estimator
+from agents.evaluation import check_training_seed, evaluate
+from agents.hyperparameters import (
+    ALGORITHMS,
+    algorithm_named,
+    key_values,
+    model_arguments,
+    read_hyperparameters,
+    shipped_file,
+)
+from agents.training_options import check_training, training_parser
+from loose_env.envs.registration import IDS
+from loose_env.envs.vector import DiagnosisVectorEnv
+from loose_env.errors import InvalidData, InvalidSetting, LooseEnvError, MissingExtra, UnknownName
 
-HYPERPARAMETERS: dict[str, Any] = {
-    "n_steps": 8,
-    "batch_size": 128,
-    "n_epochs": 8,
-    "learning_rate": 1e-3,
-    "gamma": 1.0,
-    "gae_lambda": 0.95,
-    "clip_range": 0.2,
-    "ent_coef": 0.003,
-}
+ROOT = Path(__file__).resolve().parents[1]
+STOP_BIAS = -1.5
+"""Added to the logit of stopping at the start: early verdicts are mostly wrong, teach little."""
 
 
-def configuration_of(options: argparse.Namespace, problem: Problem) -> dict[str, Any]:
+def make_environments(env_id: str, num_envs: int, arguments: dict[str, Any]) -> DiagnosisVectorEnv:
+    """Make the environments side by side.
+
+    Raises
+    ------
+    UnknownName
+        If the id is none of the registered ones, or no diagnosis.
+    InvalidSetting
+        If the observation carries raw signals, which no estimator takes.
+    """
+    if env_id not in gymnasium.registry:
+        raise UnknownName(f"unknown environment {env_id!r}; environments are {', '.join(IDS)}")
+    try:
+        env = gymnasium.make_vec(env_id, num_envs=num_envs, **arguments)
+    except TypeError as error:
+        reason = " ".join(str(error).split())
+        raise InvalidSetting(f"{env_id} does not take {arguments}: {reason}") from error
+    if not isinstance(env, DiagnosisVectorEnv):
+        raise UnknownName(f"{env_id} is no diagnosis environment; those are {', '.join(IDS)}")
+    if env.settings.raw:
+        raise InvalidSetting("the policy learns on an estimator of the statistics: leave raw out")
+    return env
+
+
+def configuration_of(
+    options: argparse.Namespace,
+    problem: Problem,
+    arguments: dict[str, Any],
+    hyperparameters: dict[str, Any],
+    steps: int,
+    further: int,
+) -> dict[str, Any]:
     """Everything that the result depends on."""
-    return {
-        "format": "loose-policy/1",
-        "algorithm": "ppo",
+    from agents.network import FORMAT
+
+    modules = ("loose_env", "gymnasium", "mujoco", "numpy", "stable_baselines3", "torch")
+    own = {key: value for key, value in hyperparameters.items() if key != "n_timesteps"}
+    found = {
+        "format": FORMAT,
+        "algorithm": ALGORITHMS[options.algo][0],
         "env": options.env,
-        "arguments": json.loads(options.arguments),
+        "env_kwargs": arguments,
         "arm": problem.arm.name,
+        "hypotheses": problem.hypotheses,
+        "estimator": options.estimator,
+        "further_features": further,
         "seed": options.seed,
-        "records": options.records,
-        "num_envs": options.num_envs,
-        "hyperparameters": HYPERPARAMETERS,
-        "settings": json.loads(json.dumps(asdict(problem.settings), default=dict)),
-        "versions": {
-            name: __import__(name).__version__
-            for name in ("loose_env", "gymnasium", "mujoco", "numpy", "stable_baselines3", "torch")
+        "n_timesteps": steps,
+        "hyperparameters": own,
+        "training": {
+            "shaping": options.shaping,
+            "forced_records": options.forced_records,
+            "forced_share": options.forced_share,
+            "eval_episodes": options.eval_episodes,
+            "trained_agent": options.trained_agent,
         },
+        "settings": asdict(problem.settings),
+        "options": vars(options),
+        "command": " ".join(sys.argv),
+        "versions": {
+            "python": sys.version.split()[0],
+            **{name: importlib.import_module(name).__version__ for name in modules},
+        },
+        "git_commit": git_commit_here(),
     }
+    plain: dict[str, Any] = json.loads(json.dumps(found, default=str))
+    return plain
 
 
-def train(options: argparse.Namespace) -> None:
-    """Train, showing progress, and write weights with their configuration."""
+def git_commit_here() -> str | None:
+    """Commit of this repository, if it is one."""
+    from agents.training_run import git_commit
+
+    return git_commit(ROOT)
+
+
+def train(options: argparse.Namespace) -> Path:
+    """Train, keep the run on disk, and return its folder."""
+    check_training(options)
+    for package in options.gym_packages:
+        importlib.import_module(package)
+    algorithm = ALGORITHMS[options.algo][0]
+    hyperparameters = read_hyperparameters(
+        options.conf_file or shipped_file(options.algo), options.env
+    ) | key_values(options.hyperparams, "--hyperparams")
+    own = hyperparameters.pop("env_kwargs", {})
+    if isinstance(own, str):
+        raise InvalidSetting(f"env_kwargs in a hyperparameter file is a mapping, got {own!r}")
+    arguments = own | key_values(options.env_kwargs, "--env-kwargs")
+    model_class = algorithm_named(algorithm)
+    given = model_arguments(hyperparameters, algorithm)  # fails here, before anything is made
+    steps = whole(hyperparameters.get("n_timesteps", 0), "n_timesteps")
+    if options.n_timesteps > 0:
+        steps = options.n_timesteps
+    if steps < 1:
+        raise InvalidSetting("the hyperparameters have no n_timesteps: give -n")
+
     import torch
-    from stable_baselines3 import PPO
-    from stable_baselines3.common.callbacks import BaseCallback
-    from stable_baselines3.common.vec_env import VecMonitor
 
-    from agents.network import save_network
-    from agents.training import TrackedVecEnv
+    from agents.training import TrackedVecEnv, evaluation_seed, training_seed
+    from agents.training_run import RunCallback, RunFolder, RunState, Schedule, write_json
 
-    torch.set_num_threads(1)
-    out = Path(options.out)
-    out.mkdir(parents=True, exist_ok=True)
-    checkpoint = out / "checkpoint.zip"
-    env = gymnasium.make_vec(
-        options.env, num_envs=options.num_envs, **json.loads(options.arguments)
+    torch.set_num_threads(max(options.num_threads, 1))
+    num_envs = whole(hyperparameters.get("n_envs", 1), "n_envs")
+    env = make_environments(options.env, num_envs, arguments)
+    problem = Problem.of(env.arm, env.settings)
+    estimator = make_estimator(options.estimator, problem)
+    configuration = configuration_of(
+        options, problem, arguments, hyperparameters, steps, feature_size(estimator)
     )
-    problem = Problem.of(env.arm, env.settings)  # type: ignore[attr-defined]
-    configuration = configuration_of(options, problem)
-    vec = VecMonitor(TrackedVecEnv(env, problem))  # type: ignore[arg-type]
-    vec.seed(options.seed)
-
-    class Progress(BaseCallback):
-        """Says how far the training is, and keeps a checkpoint."""
-
-        def __init__(self) -> None:
-            super().__init__()
-            self.begin = time.perf_counter()
-            self.rewards: list[float] = []
-            self.success: list[bool] = []
-
-        def _on_step(self) -> bool:
-            for info in self.locals["infos"]:
-                if "is_success" in info:
-                    self.success.append(bool(info["is_success"]))
-                    self.rewards.append(float(info["episode"]["r"]))
-            return True
-
-        def _on_rollout_end(self) -> None:
-            spent = time.perf_counter() - self.begin
-            reward, success = np.mean(self.rewards[-500:]), np.mean(self.success[-500:])
-            print(
-                f"{self.num_timesteps:7d} of {options.records} steps  {spent:5.0f} s  "
-                f"{len(self.success):6d} episodes  success {success:.3f}  return {reward:+.3f}",
-                flush=True,
-            )
-            beside = checkpoint.with_suffix(".part.zip")
-            self.model.save(beside)
-            beside.replace(checkpoint)
-            save_network(self.model, out)
-
-    described = out / "configuration.json"
-    if checkpoint.exists() and not options.restart:
-        before = json.loads(described.read_text(encoding="utf-8"))
-        differ = sorted(
-            key for key in configuration if key != "records" and configuration[key] != before[key]
-        )
-        if differ:
-            raise ValueError(
-                f"{out} holds a run with other {', '.join(differ)}; choose another --out, or "
-                "--restart to begin anew"
-            )
-        model = PPO.load(checkpoint, env=vec)
-        print(f"resumed from {checkpoint} at {model.num_timesteps} steps")
-        vec.seed(options.seed + 1000 * model.num_timesteps)  # faults it has not met
+    name = options.env.replace("/", "-")
+    folder = RunFolder(Path(options.log_folder) / algorithm / f"{name}_{options.seed}")
+    folder.root.mkdir(parents=True, exist_ok=True)
+    vec = TrackedVecEnv(env, problem, estimator, shaping=options.shaping)
+    log = str(Path(options.tensorboard_log) / name) if options.tensorboard_log else None
+    given |= {"tensorboard_log": log, "seed": options.seed, "device": options.device}
+    resumed = folder.checkpoint.is_file() and not options.restart
+    if resumed:
+        model = checkpointed(folder, configuration, model_class, vec, options.device)
+        model.tensorboard_log = log
+        say(options, f"resumed from {folder.checkpoint} at {model.num_timesteps} steps")
     else:
-        model = PPO(
-            "MlpPolicy",
+        check_elsewhere(options.trained_agent, folder)
+        model = new_model(model_class, vec, given, options.trained_agent)
+        model.run_state = RunState()
+        folder.clear()  # only now: what was refused has taken nothing away
+    if model.num_timesteps >= steps:
+        say(options, f"{folder.root} is trained already, {model.num_timesteps} steps")
+    else:
+        write_json(folder.configuration, configuration)
+        first = training_seed(options.seed, model.num_timesteps)
+        vec.seed(check_training_seed(first, count=num_envs))
+        model.run_state.restore_generators()
+        show, close = progress(options, steps, model.num_timesteps)
+        callback = RunCallback(
+            folder,
             vec,
-            seed=options.seed,
-            policy_kwargs={"net_arch": [64, 64]},
-            **HYPERPARAMETERS,
+            Schedule(
+                total=steps,
+                save_freq=options.save_freq,
+                eval_freq=options.eval_freq,
+                forced=options.forced_records,
+                forced_share=options.forced_share,
+            ),
+            configuration,
+            evaluator(options, problem, estimator, arguments, evaluation_seed(options.seed)),
+            show,
         )
-        _prefer_measuring(model)
-    _write(described, json.dumps(configuration, indent=1) + "\n")
-    left = options.records - model.num_timesteps
-    if left > 0:
-        model.learn(left, callback=Progress(), reset_num_timesteps=False)
-    save_network(model, out)
-    env.close()
+        try:
+            model.learn(
+                steps - model.num_timesteps,
+                callback=callback,
+                tb_log_name=f"{algorithm}_{options.seed}",
+                reset_num_timesteps=not resumed,
+            )
+        finally:
+            close()
+            vec.close()
+    say(options, f"policy: {folder.root}")
+    if options.export:
+        export(folder, Path(options.export))
+        say(options, f"exported to {options.export}")
+    return folder.root
 
 
-def _write(path: Path, text: str) -> None:
-    """Write beside, then rename."""
-    beside = path.with_suffix(".part")
-    beside.write_text(text, encoding="utf-8")
-    beside.replace(path)
+def whole(value: Any, name: str) -> int:
+    """Read a whole number, which YAML may give as 1e6 or as text.
+
+    Raises
+    ------
+    InvalidSetting
+        If it is none, or negative.
+    """
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = -1.0
+    if number < 0 or number != round(number):
+        raise InvalidSetting(f"{name} must be a whole number, 1 or more; got {value!r}")
+    return int(number)
+
+
+def checkpointed(
+    folder: Any, configuration: dict[str, Any], model_class: type[Any], vec: Any, device: str
+) -> Any:
+    """Load the model that a run goes on with.
+
+    Raises
+    ------
+    InvalidSetting
+        If the run has another configuration, with what differs.
+    InvalidData
+        If the checkpoint cannot be read.
+    """
+    from agents.training_run import differences
+
+    before = folder.described()
+    differ = differences(before, configuration)
+    if differ:
+        raise InvalidSetting(
+            f"{folder.root} holds a run with other {', '.join(differ)}; choose another "
+            "--log-folder or --seed, or --restart to begin anew"
+        )
+    for name in ("versions", "git_commit"):
+        if before.get(name) != configuration[name]:
+            print(f"train: note: {name} differs from that of the run's start", file=sys.stderr)
+    try:
+        return model_class.load(folder.checkpoint, env=vec, device=device)
+    except (ValueError, KeyError, RuntimeError, AttributeError, EOFError, BadZipFile) as error:
+        reason = " ".join(str(error).split())
+        raise InvalidData(
+            f"cannot go on from {folder.checkpoint}; --restart begins anew: {reason}"
+        ) from error
+
+
+def check_elsewhere(path: str, folder: Any) -> None:
+    """Refuse to continue a model in its own folder, which is cleared.
+
+    Raises
+    ------
+    InvalidSetting
+        If it lies there.
+    """
+    if path and folder.root.resolve() in Path(path).resolve().parents:
+        raise InvalidSetting(
+            f"{path} lies in the folder of the run itself; choose another --log-folder or --seed "
+            "for the run that continues it"
+        )
+
+
+def new_model(model_class: type[Any], vec: Any, given: dict[str, Any], path: str) -> Any:
+    """Make a model, or load the one that is to be continued.
+
+    Raises
+    ------
+    InvalidSetting
+        If the algorithm refuses its hyperparameters, or the model does not fit.
+    """
+    try:
+        if not path:
+            model = model_class(env=vec, **given)
+            _prefer_measuring(model)
+            return model
+        # The network stays as it is; what remains are the settings of the algorithm.
+        kept = {key: v for key, v in given.items() if key not in ("policy", "policy_kwargs")}
+        model = model_class.load(path, env=vec, **kept)
+        model.num_timesteps = 0
+        return model
+    except ImportError as error:
+        raise MissingExtra(f"{error}; pip install -e '.[train]' installs it") from error
+    except (AssertionError, TypeError, ValueError, KeyError, RuntimeError) as error:
+        what = f"cannot continue {path}" if path else "hyperparameters refused"
+        reason = " ".join(str(error).split())
+        raise InvalidSetting(f"{what} by {model_class.__name__}: {reason}") from error
 
 
 def _prefer_measuring(model: Any) -> None:
-    """Start with a policy that seldom stops: early verdicts are mostly wrong and teach little."""
+    """Start with a policy that seldom stops."""
     import torch
 
     with torch.no_grad():
-        model.policy.action_net.bias[-1] -= 1.5
+        model.policy.action_net.bias[-1] += STOP_BIAS
+
+
+def evaluator(
+    options: argparse.Namespace,
+    problem: Problem,
+    estimator: Any,
+    arguments: dict[str, Any],
+    seed: int,
+) -> Callable[[Any], Any]:
+    """Return what plays the evaluation episodes, the same every time, with a network."""
+    from agents.learned import LearnedAgent
+
+    def play(network: Any) -> Any:
+        return evaluate(
+            LearnedAgent(problem, network, estimator),
+            "policy",
+            problem.arm,
+            problem.settings,
+            episodes=options.eval_episodes,
+            seed=seed,
+            width=options.n_eval_envs,
+            threads=arguments.get("threads", 0),
+        )
+
+    return play
+
+
+def progress(
+    options: argparse.Namespace, total: int, start: int
+) -> tuple[Callable[[int, str], None], Callable[[], None]]:
+    """Return what shows how far the training is, and what ends the showing."""
+    begin = time.perf_counter()
+    if not options.progress:
+
+        def line(steps: int, words: str) -> None:
+            spent = time.perf_counter() - begin
+            say(options, f"{steps:7d} of {total} steps  {spent:5.0f} s  {words}")
+
+        return line, lambda: None
+    try:
+        from tqdm import tqdm
+    except ImportError as error:
+        raise MissingExtra(
+            "the progress bar needs tqdm; install it with: pip install -e '.[train]'"
+        ) from error
+    bar = tqdm(total=total, initial=start, unit="step", dynamic_ncols=True)
+
+    def move(steps: int, words: str) -> None:
+        bar.set_postfix_str(words, refresh=False)
+        bar.update(steps - bar.n)
+
+    return move, bar.close
+
+
+def export(folder: Any, target: Path) -> None:
+    """Copy the best policy, or the last if none was evaluated, weights last."""
+    from agents.learned import CONFIGURATION
+    from agents.network import WEIGHTS
+
+    source = folder.best if (folder.best / WEIGHTS).is_file() else folder.root
+    target.mkdir(parents=True, exist_ok=True)
+    for name in (CONFIGURATION, WEIGHTS):
+        beside = target / (name + ".part")
+        shutil.copyfile(source / name, beside)
+        beside.replace(target / name)
+
+
+def say(options: argparse.Namespace, words: str) -> None:
+    """Print, unless nothing is to be printed."""
+    if options.verbose:
+        print(words, flush=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Read the options and train."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--env", default="loose_env/Vera-v0", help="environment id")
-    parser.add_argument("--arguments", default="{}", help="its arguments, as JSON")
-    parser.add_argument("--records", type=int, default=60_000, help="environment steps in all")
-    parser.add_argument("--num-envs", type=int, default=64, help="arms side by side")
-    parser.add_argument("--seed", type=int, default=1, help="seed of policy and environments")
-    parser.add_argument("--out", default="runs/ppo", help="folder of the result")
-    parser.add_argument("--restart", action="store_true", help="ignore an earlier checkpoint")
-    options = parser.parse_args(arguments)
+    """Read the options and train, with errors in one line."""
+    options = training_parser(__doc__).parse_args(arguments)
     try:
         train(options)
-    except (LooseEnvError, gymnasium.error.Error, ValueError, OSError) as error:
+    except (LooseEnvError, gymnasium.error.Error, ImportError, ValueError, OSError) as error:
         sys.exit(f"train: {error}")
     except KeyboardInterrupt:
-        sys.exit("interrupted; run the same command again to go on from the checkpoint")
+        sys.exit("train: interrupted; the same command goes on from the last checkpoint")
 
 
 if __name__ == "__main__":

@@ -15,7 +15,15 @@ from loose_env.diagnosis.record import RecordStatistics
 from loose_env.diagnosis.seat_prediction import predict_seats
 from loose_env.diagnosis.wishart import wishart_fit
 
-__all__ = ["LOOSE", "OPENINGS", "SHUT", "Fit", "fit_record"]
+__all__ = [
+    "LOOSE",
+    "OPENINGS",
+    "SHUT",
+    "Fit",
+    "fit_record",
+    "joint_covariance",
+    "transmission_errors",
+]
 
 Array = NDArray[np.float64]
 
@@ -86,7 +94,7 @@ def fit_record(
     samples = 2 * (linear.arm.band[1] - linear.arm.band[0]) * record.duration
 
     b = record.transmission_by_instrument[:, on]
-    joint = _joint_covariance(record.joint_rms[on], seats.in_step[:m], seats.rest[:m, :m])
+    joint = joint_covariance(record.joint_rms[on], seats.in_step[:m], seats.rest[:m, :m])
     mixed = joint @ record.transmission[:, on].T
     residual = record.tool_covariance - b @ mixed - mixed.T @ b.T + b @ joint @ b.T
     if m > 1:  # with their covariance only predicted, more may be taken off than was there
@@ -133,7 +141,7 @@ def fit_record(
     return Fit(log=log, force=seats.force, load=seats.load)
 
 
-def _joint_covariance(rms: Array, in_step: Array, rest: Array) -> Array:
+def joint_covariance(rms: Array, in_step: Array, rest: Array) -> Array:
     """Covariance of the excited joints (m, m): as strong as measured, correlated as predicted."""
     predicted = in_step @ in_step.T + rest
     scale = rms / np.sqrt(np.diag(predicted))
@@ -156,7 +164,7 @@ def _in_step(
     d, m = b.shape
     # Unit of the residual: joint motion as predicted, so that the density is one of B.
     x = np.sqrt(np.diag(healthy[:m] @ healthy[:m].T))
-    errors = _transmission_errors(linear, record, on, b, mismatch)
+    errors = transmission_errors(linear, record.pose, on, b, mismatch)
     uncertain = np.array([(e * x).ravel() for e in errors])
     covariance = uncertain.T @ uncertain + np.kron(residual, np.eye(m)) / samples
     nominal = healthy[m:] @ np.linalg.inv(healthy[:m])
@@ -170,15 +178,15 @@ def _in_step(
     return np.asarray(fit + d * np.log(np.maximum(motion, 1e-9)))
 
 
-def _transmission_errors(
+def transmission_errors(
     linear: LinearArm,
-    record: RecordStatistics,
+    pose: Array,
     on: NDArray[np.intp],
     b: Array,
     mismatch: Mismatch,
 ) -> Array:
     """Changes of the transmission, one for each independent error of the model [m] (K, d, m)."""
-    zeros = joint_zero_errors(linear, record.pose, mismatch)[:, :, on]
+    zeros = joint_zero_errors(linear, pose, mismatch)[:, :, on]
     # Lengths in the rough: each tool axis by as much as the longest lever would change.
     longer = np.zeros((len(b), *b.shape))
     longer[np.arange(len(b)), np.arange(len(b))] = mismatch.length * np.abs(b).max()

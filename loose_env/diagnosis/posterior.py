@@ -181,7 +181,9 @@ class FaultPosterior:
         driven = np.maximum(places, 1e-9 * max(places))
         low, high = np.log(self.settings.friction)
         middle = (np.arange(self.settings.frictions) + 0.5) / self.settings.frictions
-        self._friction = driven[:, None] * np.exp(low + (high - low) * middle)  # (P, F)
+        self.frictions = np.exp(low + (high - low) * middle)
+        """Nodes of friction over the seat drive of the top level [1] (F,)."""
+        self._friction = driven[:, None] * self.frictions  # (P, F)
 
     def start(self) -> Belief:
         """Return the prior."""

@@ -28,7 +28,7 @@ class Action:
     duration: float
     """Record length [s]."""
     verdict: int
-    """0 to go on, k to name the k-th hypothesis and end."""
+    """0 to go on, k to name the k-th hypothesis and end, the last choice to end unsure."""
 
 
 class ActionLayout:
@@ -61,8 +61,13 @@ class ActionLayout:
         self.nvec = np.array(
             [len(settings.moves)] * n
             + [1 + len(arm.levels)] * n
-            + [len(settings.durations), 1 + hypotheses]
+            + [len(settings.durations), 2 + hypotheses]
         )
+
+    @property
+    def unsure(self) -> int:
+        """The verdict entry's choice that names nothing, its last one."""
+        return 1 + self.hypotheses
 
     @property
     def space(self) -> spaces.MultiDiscrete:
@@ -140,6 +145,6 @@ class ActionLayout:
                 self.allowed_moves(pose).ravel(),
                 np.ones(int(self.nvec[self.arm.n : -1].sum()), dtype=bool),
                 [not last],
-                np.full(self.hypotheses, records > 0),
+                np.full(self.hypotheses + 1, records > 0),  # every hypothesis, and unsure
             ]
         )

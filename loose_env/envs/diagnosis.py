@@ -30,7 +30,8 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
     `kinds` says so, also a link that rocks on its flange or is loose in several ways.
     The agent moves joints, shakes some of them with band-limited Gaussian torque while the
     others are held, and sees how the tool's acceleration correlates with the excitation. It
-    names the fault when it is sure; every record has its price.
+    names the fault when it is sure; every record has its price. What fits no hypothesis it may
+    leave unnamed: the verdict is then "unsure". `verdicts` lists what can be said, in order.
 
     ## Action Space
     `MultiDiscrete`, in this order:
@@ -40,7 +41,7 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
     | one a joint | 5 | relative move: -90, -45, 0, 45, 90 degrees |
     | one a joint | 4 | excitation: 0 off, levels 1 to 3 (rms acceleration of the nominal tool) |
     | 1 | 3 | record length: 0.2, 0.4, 1.2 s |
-    | 1 | 1 + hypotheses | verdict: 0 go on, k name the k-th hypothesis |
+    | 1 | 2 + hypotheses | verdict: 0 go on, k name the k-th hypothesis, the last one unsure |
 
     A joint that slides goes in proportion through its range: 90 degrees are half of it. With a
     verdict nothing is measured and the rest is ignored. Levels beyond a joint's torque limit
@@ -60,8 +61,8 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
     latest record.
 
     ## Rewards
-    +1 for the right hypothesis, -1 for a wrong one or for running out of records; less the
-    prices of each record (0.05), second of excitation (0.02) and level (0.002).
+    +1 for the right hypothesis, -1 for a wrong one or for running out of records, -0.25 for being
+    unsure; less the prices of each record (0.05), second of excitation (0.02) and level (0.002).
 
     ## Starting State
     A fault drawn from the difficulty's ranges, a true arm that differs from the nominal one, a
@@ -77,8 +78,14 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
     default, "rotational_looseness" and "compound_looseness" besides. `hold` says how joints that
     are not excited are held: "brake", "servo", or "compliant", by brakes behind elastic gears.
     For the planar arm also `n_links` and `vertical`; for `loose_env/Arm-v0` `model`, the path of
-    an MJCF or URDF file, `tool` and `joints`. `reset(options={"fault": ...})` seats a given
-    fault, or one drawn under a given hypothesis; `{"pose": ...}` sets the first pose.
+    an MJCF or URDF file, `tool` and `joints`.
+
+    Options of `reset` hold for one episode. `{"fault": ...}` seats a given fault, or one drawn
+    under a given hypothesis. It may lie outside the hypotheses, as "several_faults" does, two
+    faults drawn at once: then no name is right. `{"mismatch_scale": 3.0}` multiplies the
+    deviations of the true arm from the nominal one, `{"preload_g": 1.0}` presses the loose seat
+    towards its upper stop with so many times the weight it carries (`loose_env.faults.preloaded`),
+    `{"pose": ...}` sets the first pose.
 
     ## Version History
     * v0: first version
@@ -105,7 +112,7 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
         self.settings = DiagnosisSettings() if settings is None else settings
         self.batch = EpisodeBatch(arm, self.settings, threads=threads, rig=rig)
         self.arm = arm
-        self.hypotheses = self.batch.hypotheses
+        self.hypotheses, self.verdicts = self.batch.hypotheses, self.batch.verdicts
         self.layout = self.batch.observations
         self.actions = self.batch.actions
         self.action_space = self.actions.space

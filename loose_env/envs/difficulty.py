@@ -23,6 +23,7 @@ from loose_env.faults import (
     Backlash,
     Fault,
     Healthy,
+    SeveralFaults,
     StructuralLooseness,
     checked_kinds,
     place_of,
@@ -223,3 +224,29 @@ class FaultSampler:
             damping=damping,
             friction=ratio * self.drive.slide(place, direction),
         )
+
+    def several(self, rng: np.random.Generator, count: int = 2) -> SeveralFaults:
+        """Draw faults at ``count`` places of different numbers, kinds as likely as in `draw`.
+
+        Each is drawn as it would be alone. Where their stops would be too fast for the step if
+        all were touched at once, all are softened alike.
+
+        Raises
+        ------
+        InvalidSetting
+            If the arm has fewer joints, or every arm is healthy here.
+        """
+        kinds = [k for k in KINDS if k != "healthy" and self.probabilities.get(k, 0.0) > 0]
+        if not 2 <= count <= self.arm.n or not kinds:
+            raise InvalidSetting(
+                f"several faults are 2 to {self.arm.n} on arm {self.arm.name!r}, of kinds that "
+                f"come up (here {kinds}); got {count!r}"
+            )
+        weights = np.array([self.probabilities[k] for k in kinds])
+        places = 1 + rng.permutation(self.arm.n)[:count]
+        faults = []
+        for place in sorted(int(p) for p in places):
+            kind = kinds[int(rng.choice(len(kinds), p=weights / weights.sum()))]
+            part = "joint" if kind == "backlash" else "link"
+            faults.append(self.draw(rng, hypothesis=f"{kind}@{part}{place}"))
+        return self.further.softened(SeveralFaults(faults=tuple(faults)))  # type: ignore[arg-type]

@@ -26,11 +26,13 @@ from loose_env.envs.actions import Action, ActionLayout
 from loose_env.envs.difficulty import FaultSampler, difficulty_named
 from loose_env.envs.observation import ObservationLayout
 from loose_env.envs.raw import RawMeasurement
+from loose_env.envs.reset_options import ResetOptions
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation, at_levels
-from loose_env.faults import Fault, Healthy, hypotheses, is_fault, place_of
+from loose_env.faults import UNSURE, Fault, Healthy, SeveralFaults, hypotheses, place_of
 from loose_env.rig.measurement import Measurement
+from loose_env.rig.reduced import ReducedRig
 from loose_env.rig.simulated import Job, SimulatedRig
 
 __all__ = ["BatchRig", "Episode", "EpisodeBatch", "Outcome"]
@@ -116,14 +118,14 @@ class EpisodeBatch:
         self.arm, self.settings, self.num, self.threads = arm, settings, num, threads
         self.rig: BatchRig
         if rig is None:
-            simulated = SimulatedRig(arm, slots=num, sensors=settings.sensors, threads=threads)
             # One linear arm for both: it remembers the poses it has worked out.
-            self.rig, self.nominal = simulated, simulated.nominal
+            self.rig, self.nominal = _simulated_rig(arm, settings, num, threads)
         else:
             self.rig, self.nominal = rig, LinearArm(arm)
         self.difficulty = difficulty_named(settings.difficulty)
         self.sampler = FaultSampler(self.nominal, self.difficulty, settings.kinds)
         self.hypotheses = hypotheses(arm, settings.kinds)
+        self.verdicts = (*self.hypotheses, UNSURE)
         self.actions = ActionLayout(arm, settings, len(self.hypotheses))
         for seconds in settings.durations:  # fails here where the arm's band is too narrow
             Excitation(torque_rms=(0.0,) * arm.n, duration=seconds, band=arm.band)
@@ -141,23 +143,17 @@ class EpisodeBatch:
         self, slot: int, *, seed: int, number: int, options: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
         """Begin an episode in a slot: hide a fault, take a random pose, measure nothing."""
-        given = dict(options or {})
-        unknown = set(given) - {"fault", "pose"}
-        if unknown:
-            raise UnknownName(f"unknown reset options {sorted(unknown)}; known: fault, pose")
+        given = ResetOptions.of(options, self.arm)
         blank = np.zeros(
             (self.settings.max_records, len(self.observations.slot_elements)), dtype=np.float32
         )
         episode = Episode(
             seed=seed, number=number, fault=Healthy(), pose=np.zeros(self.arm.n), slots=blank
         )
-        episode.fault = self._fault(given.get("fault"), episode.stream(_FAULT))
-        pose = given.get("pose")
-        episode.pose = (
-            self.arm.random_pose(episode.stream(_POSE)) if pose is None else self._pose(pose)
-        )
-        mismatch = self.difficulty.mismatch.draw(self.arm, episode.stream(_MISMATCH))
-        self.rig.mount(slot, episode.fault, mismatch)
+        episode.fault = given.hidden_fault(self.sampler, episode.stream(_FAULT))
+        episode.pose = given.first_pose(episode.stream(_POSE))
+        true = given.true_arm(self.difficulty.mismatch, episode.stream(_MISMATCH))
+        self.rig.mount(slot, episode.fault, true)
         self._episodes[slot] = episode
         return {"action_mask": self.mask(slot)}
 
@@ -185,7 +181,7 @@ class EpisodeBatch:
             if episode.records >= self.settings.max_records and action.verdict == 0:
                 outcomes[slot] = self._end(episode, None, {"out_of_records": True})
             elif action.verdict > 0 and episode.records > 0:
-                outcomes[slot] = self._end(episode, self.hypotheses[action.verdict - 1], {})
+                outcomes[slot] = self._end(episode, self.verdicts[action.verdict - 1], {})
             else:
                 ignored = action.verdict > 0
                 info: dict[str, Any] = {"verdict_ignored": ignored}
@@ -210,7 +206,7 @@ class EpisodeBatch:
         """Measure; a simulated rig gives each record out while it works on the next ones."""
         if not jobs:
             return ()
-        if isinstance(self.rig, SimulatedRig):
+        if isinstance(self.rig, (SimulatedRig, ReducedRig)):
             return self.rig.measure_each(jobs)
         return enumerate(self.rig.measure_many(jobs))
 
@@ -228,7 +224,7 @@ class EpisodeBatch:
         The mismatch is drawn from ``rng`` unless it is given.
         """
         draw = self.difficulty.mismatch.draw(self.arm, rng) if mismatch is None else mismatch
-        rig = SimulatedRig(self.arm, sensors=self.settings.sensors, threads=1)
+        rig, _ = _simulated_rig(self.arm, self.settings, 1, 1)
         rig.mount(0, fault, draw)
         return rig.measure(pose, excitation, rng=rng)
 
@@ -303,7 +299,7 @@ class EpisodeBatch:
 
     def _truth(self, episode: Episode, named: str | None) -> dict[str, Any]:
         truth = episode.fault.hypothesis
-        right_place = named is not None and place_of(named) == place_of(truth)
+        right_place = named not in (None, UNSURE) and place_of(named) in _places(episode.fault)
         return {
             "fault": truth,
             "fault_figures": episode.fault,
@@ -322,28 +318,20 @@ class EpisodeBatch:
             raise ResetNeeded("no episode is running: call reset() first")
         return episode
 
-    def _fault(self, given: Any, rng: np.random.Generator) -> Fault:
-        if given is None:
-            return self.sampler.draw(rng)
-        if is_fault(given):
-            return given  # type: ignore[no-any-return]
-        if isinstance(given, str) and given in self.hypotheses:
-            return self.sampler.draw(rng, hypothesis=given)
-        raise UnknownName(
-            f"unknown fault {given!r}; give a fault of loose_env.faults or one of "
-            f"{list(self.hypotheses)}"
-        )
 
-    def _pose(self, given: Any) -> Array:
-        try:
-            pose = np.asarray(given, dtype=float)
-        except (TypeError, ValueError):
-            pose = np.empty(0)
-        if pose.shape != (self.arm.n,) or not np.isfinite(pose).all():
-            raise InvalidSetting(f"a pose is {self.arm.n} finite numbers [rad or m], got {given!r}")
-        if not self.arm.within_ranges(pose).all():
-            ranges = [r and (float(r[0]), float(r[1])) for r in self.arm.joint_ranges]
-            raise InvalidSetting(
-                f"pose {pose.tolist()} leaves the joint ranges {ranges} [rad or m]"
-            )
-        return self.arm.wrap(pose)
+def _places(fault: Fault) -> set[int | None]:
+    """Numbers of the links and joints where something is loose; None where nothing is."""
+    faults = fault.faults if isinstance(fault, SeveralFaults) else (fault,)
+    return {place_of(one.hypothesis) for one in faults}
+
+
+def _simulated_rig(
+    arm: Arm, settings: DiagnosisSettings, num: int, threads: int
+) -> tuple[SimulatedRig | ReducedRig, LinearArm]:
+    """Build the rig of the engine that the settings name."""
+    rig: SimulatedRig | ReducedRig
+    if settings.engine == "reduced":
+        rig = ReducedRig(arm, slots=num, sensors=settings.sensors)
+    else:
+        rig = SimulatedRig(arm, slots=num, sensors=settings.sensors, threads=threads)
+    return rig, rig.nominal

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -14,8 +15,14 @@ from loose_env.envs.seat_stops import SeatMasses, Stops
 from loose_env.excitation import SeatDrive
 from loose_env.faults import (
     CompoundLooseness,
+    Healthy,
+    LooseFault,
+    Preload,
     RotationalLooseness,
+    SeveralFaults,
     StructuralLooseness,
+    part_seats,
+    parts_of,
     twist_of,
 )
 
@@ -82,6 +89,23 @@ class FurtherSeats:
             second = self._rotation(link, w, v)
         return CompoundLooseness(link=link, parts=tuple(self._finished([first, second], [u, w])))
 
+    def softened(self, faults: SeveralFaults) -> SeveralFaults:
+        """Soften the stops of all faults alike where they are too fast for the step together."""
+        parts = parts_of(faults)
+        links, _ = part_seats(faults)
+        seats = np.zeros((len(parts), self._masses.size))
+        for seat, part, link in zip(seats, parts, links, strict=True):
+            seat[self._linear.twist_dofs[link - 1]] = twist_of(self.arm, part)
+        stops = [part for part in parts if not isinstance(part, (Healthy, Preload))]
+        share = self._masses.softening(
+            seats,
+            np.array([max(part.stiffness) for part in stops]),
+            np.array([max(part.damping) for part in stops]),
+        )
+        if share == 1:
+            return faults
+        return replace(faults, faults=tuple(_softer(one, share) for one in faults.faults))
+
     def _slide(self, link: int, u: Array, direction: Vector) -> StructuralLooseness:
         gap = log_uniform(self.ranges.gap, u[2])
         return StructuralLooseness(link=link, direction=direction, gap=gap, stiffness=_OPEN[0])
@@ -118,6 +142,16 @@ class FurtherSeats:
             _with(part, stop, friction)
             for part, stop, friction in zip(parts, stops, frictions, strict=True)
         ]
+
+
+def _softer(fault: LooseFault, share: float) -> LooseFault:
+    """Multiply stiffness by a share, damping by its root: the damping ratios stay."""
+    if isinstance(fault, CompoundLooseness):
+        parts = tuple(_softer(part, share) for part in fault.parts)
+        return replace(fault, parts=parts)  # type: ignore[arg-type]
+    (low, high), (slow, fast) = fault.stiffness, fault.damping
+    root = float(np.sqrt(share))
+    return replace(fault, stiffness=(share * low, share * high), damping=(root * slow, root * fast))
 
 
 def _with(part: Part, stops: Stops, friction: float) -> Part:

@@ -80,10 +80,7 @@ class SeatMasses:
             As for `stops`.
         """
         held = np.einsum("ai,ij,aj->a", seats, self._inertias[0], seats)
-        across = np.einsum("pij,aj->pia", self._inertias[:, self._free], seats)
-        masses = np.einsum("ai,pij,bj->pab", seats, self._inertias, seats)
-        masses -= across.transpose(0, 2, 1) @ np.linalg.solve(self._among, across)
-        mobility = np.linalg.inv(masses)
+        mobility = self._mobility(seats)
         lightest = 1 / np.einsum("paa->pa", mobility).max(axis=0)
         stiffness = held[:, None] * (2 * np.pi * modes) ** 2
         stiffness = np.minimum(stiffness, lightest[:, None] * (_FASTEST / self._step) ** 2)
@@ -92,6 +89,39 @@ class SeatMasses:
         stiffness = stiffness * min(1.0, _FASTEST**2 / float(turn))
         damping = 2 * ratios * np.sqrt(stiffness * lightest[:, None])
         return tuple((_pair(k), _pair(c)) for k, c in zip(stiffness, damping, strict=True))
+
+    def softening(self, seats: Array, stiffness: Array, damping: Array) -> float:
+        """Factor on stiffness, and by its root on damping, that leaves seats slow enough together.
+
+        At 1 they are slow enough as they are.
+
+        Parameters
+        ----------
+        seats : ndarray (p, nv)
+            Direction of each seat among the degrees of freedom of the linear arm.
+        stiffness, damping : ndarray (p,)
+            Largest of each seat's two stops [N/m and N·s/m, N·m/rad and N·m·s/rad].
+        """
+        mobility = self._mobility(seats)
+
+        def fastest(diagonal: Array) -> float:
+            root = np.sqrt(diagonal)
+            return float(np.linalg.eigvalsh(root[:, None] * mobility * root).max())
+
+        spring = fastest(stiffness * self._step**2)
+        damper = fastest(2 * damping * self._step)
+        # The largest eigenvalue of a sum is at most the sum of the largest ones. With s for the
+        # root of the factor, spring s² + damper s stays below what explicit stepping bears.
+        most = 4 * (_FASTEST / FASTEST_STOP) ** 2
+        both = (np.sqrt(damper**2 + 4 * spring * most) - damper) / (2 * spring)
+        return float(min(1.0, both**2, _FASTEST**2 / spring))
+
+    def _mobility(self, seats: Array) -> Array:
+        """Inverse of the inertia of seats with everything free, in every pose (poses, p, p)."""
+        across = np.einsum("pij,aj->pia", self._inertias[:, self._free], seats)
+        masses = np.einsum("ai,pij,bj->pab", seats, self._inertias, seats)
+        masses -= across.transpose(0, 2, 1) @ np.linalg.solve(self._among, across)
+        return np.asarray(np.linalg.inv(masses))
 
 
 def _pair(values: Array) -> tuple[float, float]:

@@ -61,7 +61,7 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         self.settings = DiagnosisSettings() if settings is None else settings
         self.batch = EpisodeBatch(arm, self.settings, num=num_envs, threads=threads)
         self.arm = arm
-        self.hypotheses = self.batch.hypotheses
+        self.hypotheses, self.verdicts = self.batch.hypotheses, self.batch.verdicts
         self.layout = self.batch.observations
         self.actions = self.batch.actions
         self.single_action_space = self.actions.space

@@ -9,15 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidSetting
-from loose_env.faults.kinds import FaultKind
+from loose_env.faults.kinds import SEVERAL_FAULTS, FaultKind
 
 __all__ = [
     "Backlash",
     "CompoundLooseness",
     "Fault",
     "Healthy",
+    "LooseFault",
     "Preload",
     "RotationalLooseness",
+    "SeveralFaults",
     "StructuralLooseness",
     "is_fault",
     "unit",
@@ -81,10 +83,13 @@ class StructuralLooseness:
     """Damping of the lower and the upper stop [N·s/m]."""
     friction: float = 0.0
     """Coulomb friction of the guide [N]."""
+    preload: float = 0.0
+    """Constant force that presses the seat on its upper stop; below zero on the lower [N]."""
 
     def __post_init__(self) -> None:
         unit("a direction", self.direction)
         _not_negative(gap=self.gap, friction=self.friction)
+        _finite(preload=self.preload)
         _two_sides(stiffness=self.stiffness, damping=self.damping)
 
     @property
@@ -112,9 +117,13 @@ class Backlash:
     """Damping of the lower and the upper flank [N·m·s/rad, or N·s/m]."""
     friction: float = 0.0
     """Coulomb friction between the two sides [N·m, or N]."""
+    preload: float = 0.0
+    """Constant torque or force that presses the seat on its upper stop, below zero on the lower
+    [N·m, or N]."""
 
     def __post_init__(self) -> None:
         _not_negative(gap=self.gap, friction=self.friction)
+        _finite(preload=self.preload)
         _two_sides(stiffness=self.stiffness, damping=self.damping)
 
     @property
@@ -143,6 +152,8 @@ class RotationalLooseness:
     """Damping of the lower and the upper stop [N·m·s/rad]."""
     friction: float = 0.0
     """Coulomb friction of the seat [N·m]."""
+    preload: float = 0.0
+    """Constant torque that presses the seat on its upper stop; below zero on the lower [N·m]."""
     pivot: Vector = (0.0, 0.0, 0.0)
     """A point of the axis in the link frame [m]."""
 
@@ -154,6 +165,7 @@ class RotationalLooseness:
                 f"a pivot is three finite numbers [m] in the link frame; got {self.pivot!r}"
             )
         _not_negative(gap=self.gap, friction=self.friction)
+        _finite(preload=self.preload)
         _two_sides(stiffness=self.stiffness, damping=self.damping)
 
     @property
@@ -210,7 +222,48 @@ class CompoundLooseness:
         return f"compound_looseness@link{self.link}"
 
 
-Fault = Healthy | Preload | StructuralLooseness | Backlash | RotationalLooseness | CompoundLooseness
+LooseFault = StructuralLooseness | Backlash | RotationalLooseness | CompoundLooseness
+"""A fault that leaves one seat loose, in one way or several."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeveralFaults:
+    """Faults in several places of one arm. No hypothesis names it.
+
+    Each is what it is alone, with stops, friction and a place in its gap of its own.
+    """
+
+    kind: ClassVar[str] = SEVERAL_FAULTS
+    faults: tuple[LooseFault, ...]
+    """Two faults or more, each on a link or joint of its own number."""
+
+    def __post_init__(self) -> None:
+        faults = self.faults
+        if not isinstance(faults, tuple) or len(faults) < 2:
+            raise InvalidSetting(
+                f"several faults are a tuple of two or more; give a single one as it is; got "
+                f"{faults!r}"
+            )
+        for fault in faults:
+            if not isinstance(fault, get_args(LooseFault)):
+                raise InvalidSetting(
+                    "each of several faults is StructuralLooseness, Backlash, "
+                    f"RotationalLooseness or CompoundLooseness; got {fault!r}"
+                )
+        places = [f.joint if isinstance(f, Backlash) else f.link for f in faults]
+        if len(set(places)) != len(places):
+            raise InvalidSetting(
+                "several faults lie on links and joints of different numbers, for one link loose "
+                f"in several ways use CompoundLooseness; got places {places}"
+            )
+
+    @property
+    def hypothesis(self) -> str:
+        """Name of what is the matter; no verdict can name it."""
+        return SEVERAL_FAULTS
+
+
+Fault = Healthy | Preload | LooseFault | SeveralFaults
 
 
 def is_fault(value: object) -> bool:
@@ -258,6 +311,13 @@ def _not_negative(**values: float) -> None:
         number = _numbers(value)
         if number.shape != () or not 0 <= number < np.inf:
             raise InvalidSetting(f"{name} must be a finite number, zero or more; got {value!r}")
+
+
+def _finite(**values: float) -> None:
+    for name, value in values.items():
+        number = _numbers(value)
+        if number.shape != () or not np.isfinite(number):
+            raise InvalidSetting(f"{name} must be a finite number; got {value!r}")
 
 
 def _two_sides(**pairs: tuple[float, float]) -> None:

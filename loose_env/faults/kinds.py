@@ -8,7 +8,16 @@ from typing import Literal, get_args
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidSetting, UnknownName
 
-__all__ = ["DEFAULT_KINDS", "KINDS", "FaultKind", "checked_kinds", "hypotheses", "place_of"]
+__all__ = [
+    "DEFAULT_KINDS",
+    "KINDS",
+    "SEVERAL_FAULTS",
+    "UNSURE",
+    "FaultKind",
+    "checked_kinds",
+    "hypotheses",
+    "place_of",
+]
 
 FaultKind = Literal[
     "healthy", "structural_looseness", "backlash", "rotational_looseness", "compound_looseness"
@@ -19,6 +28,12 @@ KINDS: tuple[FaultKind, ...] = get_args(FaultKind)
 
 DEFAULT_KINDS: tuple[FaultKind, ...] = ("healthy", "structural_looseness", "backlash")
 """The kinds of the thesis."""
+
+SEVERAL_FAULTS = "several_faults"
+"""What an arm with more than one fault falls under; no verdict can name it."""
+
+UNSURE = "unsure"
+"""The verdict that names nothing: what was seen fits none of the hypotheses well enough."""
 
 
 def checked_kinds(kinds: Sequence[str]) -> tuple[FaultKind, ...]:
@@ -84,7 +99,7 @@ def hypotheses(arm: Arm, kinds: Sequence[str] = DEFAULT_KINDS) -> tuple[str, ...
 
 
 def place_of(hypothesis: str) -> int | None:
-    """Link or joint number that a hypothesis names; None for healthy.
+    """Link or joint number that a hypothesis names; None where it names no one place.
 
     Examples
     --------

@@ -22,6 +22,7 @@ from loose_env.faults.faults import (
     Healthy,
     Preload,
     RotationalLooseness,
+    SeveralFaults,
     StructuralLooseness,
     unit,
 )
@@ -31,6 +32,7 @@ __all__ = [
     "SeatKind",
     "SinglePart",
     "gaps_of",
+    "part_seats",
     "parts_of",
     "seat_name",
     "seat_names",
@@ -53,6 +55,8 @@ Array = NDArray[np.float64]
 
 def parts_of(fault: Fault) -> tuple[SinglePart, ...]:
     """Degrees of freedom of a fault, each as a fault of its own."""
+    if isinstance(fault, SeveralFaults):
+        return tuple(part for one in fault.faults for part in parts_of(one))
     return fault.parts if isinstance(fault, CompoundLooseness) else (fault,)
 
 
@@ -63,14 +67,48 @@ def gaps_of(fault: Fault) -> tuple[float, ...]:
     )
 
 
+def part_seats(fault: Fault) -> tuple[tuple[int, ...], tuple[SeatKind, ...]]:
+    """Link whose seat each part of a fault uses, and the kind of that part of the seat.
+
+    There are no links where any will do.
+
+    Examples
+    --------
+    >>> play = Backlash(joint=3, gap=1e-3, stiffness=(1e3, 1e3))
+    >>> slide = StructuralLooseness(link=1, direction=(1, 0, 0), gap=1e-4, stiffness=(1e5, 1e5))
+    >>> part_seats(SeveralFaults(faults=(play, slide)))
+    ((3, 1), ('play', 'slide'))
+    >>> part_seats(Healthy())
+    ((), ('slide',))
+    """
+    if isinstance(fault, SeveralFaults):
+        links, kinds = zip(*(part_seats(one) for one in fault.faults), strict=True)
+        return sum(links, ()), sum(kinds, ())
+    link, own = seats_of(fault)
+    return (() if link is None else (link,) * len(own)), own
+
+
 def seats_of(fault: Fault) -> tuple[int | None, tuple[SeatKind, ...]]:
     """Link whose seat a fault uses (None: any) and the kind of each part of that seat.
+
+    For one fault; `part_seats` knows several as well.
+
+    Raises
+    ------
+    InvalidSetting
+        If there are several faults.
+    UnknownName
+        If it is no fault.
 
     Examples
     --------
     >>> seats_of(Backlash(joint=2, gap=1e-3, stiffness=(1e3, 1e3)))
     (2, ('play',))
     """
+    if isinstance(fault, SeveralFaults):
+        raise InvalidSetting(
+            "several faults have seats on several links: take them one by one, or use part_seats"
+        )
     if isinstance(fault, CompoundLooseness):
         return fault.link, tuple(
             "slide" if isinstance(part, StructuralLooseness) else "hinge" for part in fault.parts
@@ -84,8 +122,8 @@ def seats_of(fault: Fault) -> tuple[int | None, tuple[SeatKind, ...]]:
     if isinstance(fault, Healthy):
         return None, ("slide",)
     raise UnknownName(
-        "a fault is Healthy, Preload, StructuralLooseness, Backlash, RotationalLooseness or "
-        f"CompoundLooseness, got {type(fault).__name__}: {fault!r}"
+        "a fault is Healthy, Preload, StructuralLooseness, Backlash, RotationalLooseness, "
+        f"CompoundLooseness or SeveralFaults, got {type(fault).__name__}: {fault!r}"
     )
 
 
@@ -97,9 +135,9 @@ def seat_of(fault: Fault) -> tuple[int | None, SeatKind]:
     Raises
     ------
     InvalidSetting
-        If the fault is a rotation or has several parts.
+        If the fault is a rotation, has several parts or is several faults.
     """
-    if isinstance(fault, (RotationalLooseness, CompoundLooseness)):
+    if isinstance(fault, (RotationalLooseness, CompoundLooseness, SeveralFaults)):
         raise InvalidSetting(
             f"{fault.hypothesis} is not dealt with here: give a Healthy, Preload, "
             "StructuralLooseness or Backlash"

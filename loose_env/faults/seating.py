@@ -12,12 +12,13 @@ where ``J`` is 1e-4 of the seat's effective mass: the smallest inertance MuJoCo'
 constraints allow (impedance 1e-4, direct ``solref`` scaled with the inverse weight, so that
 ``k`` and ``c`` really are N/m and N·s/m, for a hinge N·m/rad and N·m·s/rad). Guide friction is
 Coulomb friction that truly sticks (impedance 0.9999). Where a seat has several degrees of
-freedom, each has stops and friction of its own.
+freedom, each has stops and friction of its own. A preload is a constant force: that of a spring
+which rests 1e4 m or rad away, so that it changes by a 1e-7th where the seat moves by 1 mm.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -45,10 +46,13 @@ Array = NDArray[np.float64]
 
 _SOFT, _STIFF = 1e-4, 0.9999  # MuJoCo's smallest and largest constraint impedance
 _FAR = 1.0  # a stop that is never reached [m or rad]
+_PULLED_FROM = 1e4  # where the soft spring of a preload rests [m or rad]
 _HINGE, _SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 
 
-def seated_spec(arm: Arm, link: int, kinds: SeatKind | Sequence[SeatKind]) -> mujoco.MjSpec:
+def seated_spec(
+    arm: Arm, link: int | Sequence[int], kinds: SeatKind | Sequence[SeatKind]
+) -> mujoco.MjSpec:
     """Copy the arm's spec and give ``link`` a seat: its joints, their stops and their locks.
 
     The spec is the same for every fault on that seat; `set_seat` writes the fault's figures
@@ -58,8 +62,9 @@ def seated_spec(arm: Arm, link: int, kinds: SeatKind | Sequence[SeatKind]) -> mu
     ----------
     arm : Arm
         The arm.
-    link : int
-        Link that gets the seat, from 1 at the base.
+    link : int or sequence of int
+        Link that gets the seat, from 1 at the base; or, for seats on several links, that of each
+        degree of freedom.
     kinds : SeatKind or sequence of them
         Kind of each degree of freedom, from the flange outward. "play" moves as the link's joint
         does: a hinge about its axis, or a slide along it. The axes of the others are
@@ -70,32 +75,48 @@ def seated_spec(arm: Arm, link: int, kinds: SeatKind | Sequence[SeatKind]) -> mu
     UnknownName
         If the arm has no such link, or a kind is not "slide", "hinge" or "play".
     InvalidSetting
-        If the seat has more degrees of freedom than a body can, six with the link's own.
+        If a seat has more degrees of freedom than a body can, six with the link's own, or not
+        every degree of freedom has its link.
     """
-    number = arm.link_number(link)
     wanted = (kinds,) if isinstance(kinds, str) else tuple(kinds)
     for kind in wanted:
         if kind not in ("slide", "hinge", "play"):
             raise UnknownName(f"a seat is a 'slide', a 'hinge' or a 'play', got {kind!r}")
+    links = tuple(link) if isinstance(link, Sequence) else (link,) * max(len(wanted), 1)
+    if len(links) != max(len(wanted), 1):
+        raise InvalidSetting(
+            f"each of {len(wanted)} degrees of freedom stands on one link, got links {links}"
+        )
     spec = arm.spec.copy()
+    for number in dict.fromkeys(arm.link_number(at) for at in links):
+        own = {
+            k: kind for k, (at, kind) in enumerate(zip(links, wanted, strict=False)) if at == number
+        }
+        _seat_link(arm, spec, number, own)
+    return spec
+
+
+def _seat_link(arm: Arm, spec: mujoco.MjSpec, number: int, kinds: Mapping[int, SeatKind]) -> None:
+    """Give one link its seat; the kinds stand under the numbers of their names."""
     body = spec.body(arm.seat_bodies[number - 1])
     joint = spec.joint(arm.joints[number - 1])
-    if not 1 <= len(wanted) <= 6 - len(body.joints):
+    if not 1 <= len(kinds) <= 6 - len(body.joints):
         raise InvalidSetting(
             f"the seat of link {number} of arm {arm.name!r} takes 1 to {6 - len(body.joints)} "
-            f"degrees of freedom, got {len(wanted)}"
+            f"degrees of freedom, got {len(kinds)}"
         )
     slides, hinges = iter(np.eye(3)), iter(_frame_about(np.array(joint.axis)))
-    for k, kind in enumerate(wanted):
+    for k, kind in kinds.items():
         turns = kind == "hinge" or (kind == "play" and joint.type == _HINGE)
         if kind == "slide":
             axis = next(slides, None)
         else:
             axis = np.array(joint.axis) if kind == "play" else next(hinges, None)
         if axis is None:
-            raise InvalidSetting(f"a seat has three slides and three hinges at most, got {wanted}")
+            raise InvalidSetting(
+                f"a seat has three slides and three hinges at most, got {tuple(kinds.values())}"
+            )
         _add_seat(spec, body, seat_name(k), axis, joint.pos if turns else None)
-    return spec
 
 
 def _frame_about(axis: Array) -> Array:
@@ -155,7 +176,7 @@ def set_seat(model: mujoco.MjModel, fault: Fault, data: mujoco.MjData | None = N
     if len(parts) != len(names):
         raise InvalidSetting(
             f"{fault.hypothesis} has {len(parts)} loose degrees of freedom, the model's seat has "
-            f"{len(names)}; take the seat that seats_of names"
+            f"{len(names)}; take the seats that part_seats names"
         )
     placed = False
     for name, part in zip(names, parts, strict=True):
@@ -166,7 +187,7 @@ def set_seat(model: mujoco.MjModel, fault: Fault, data: mujoco.MjData | None = N
     for name, part in zip(names, parts, strict=True):
         _set_part(model, name, part)
     if len(parts) > 1 and not isinstance(fault, Healthy):
-        _require_slow_together(model, names, parts, data)
+        _require_slow_together(model, names, fault, data)
 
 
 def _place(model: mujoco.MjModel, name: str, part: SinglePart) -> bool:
@@ -216,11 +237,17 @@ def _set_part(model: mujoco.MjModel, name: str, part: SinglePart) -> None:
             -max(stiffness * weight, 1e-12),
             -max(damping * weight, 1e-12),
         )
-    closed = (0.0, 0.0)
+    closed, rest = (0.0, 0.0), 0.0
+    if isinstance(part, (StructuralLooseness, Backlash, RotationalLooseness)) and part.preload:
+        closed, rest = (
+            (abs(part.preload) / _PULLED_FROM, 0.0),
+            np.copysign(_PULLED_FROM, part.preload),
+        )
     if isinstance(part, Preload):
         closed = (part.stiffness, part.damping)
         _require_slow("a preloaded seat", *closed, model.dof_invweight0[dof], step)
     model.jnt_stiffness[seat.id], model.dof_damping[dof] = closed
+    model.qpos_spring[seat.qposadr[0]] = rest
 
 
 def _require_slow(what: str, stiffness: float, damping: float, weight: float, step: float) -> None:
@@ -244,10 +271,10 @@ def _require_slow(what: str, stiffness: float, damping: float, weight: float, st
 def _require_slow_together(
     model: mujoco.MjModel,
     names: Sequence[str],
-    parts: Sequence[SinglePart],
+    fault: Fault,
     data: mujoco.MjData | None,
 ) -> None:
-    """Refuse stops that are too fast when every part of a seat rests on one of its own."""
+    """Refuse stops that are too fast when every part of a fault rests on one of its own."""
     scratch = mujoco.MjData(model) if data is None else data
     dofs = np.array([model.joint(name).dofadr[0] for name in names])
     mujoco.mj_resetData(model, scratch)
@@ -256,7 +283,7 @@ def _require_slow_together(
     mujoco.mj_solveM(model, scratch, inverse, np.eye(model.nv)[dofs])
     mobility = inverse[:, dofs]
     step = model.opt.timestep
-    loose = [p for p in parts if not isinstance(p, (Healthy, Preload))]
+    loose = [p for p in parts_of(fault) if not isinstance(p, (Healthy, Preload))]
     stiffness = np.array([max(p.stiffness) for p in loose])
     damping = np.array([max(p.damping) for p in loose])
 
@@ -269,7 +296,7 @@ def _require_slow_together(
     if spring > FASTEST_STOP**2 or both >= 4:
         share = min(FASTEST_STOP**2 / max(spring, 1e-300), 4 / max(both, 1e-300))
         raise InvalidSetting(
-            f"the stops of a compound looseness, stiffness {stiffness.tolist()} and damping "
+            f"the stops of {fault.hypothesis}, stiffness {stiffness.tolist()} and damping "
             f"{damping.tolist()}, are too stiff together for a step of {step:g} s; multiply all by "
             f"less than {share:.3g}, or use a smaller step"
         )

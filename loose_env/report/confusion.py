@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.envs.drawing.ink import FAINT, INK, MUTED
-from loose_env.faults import place_of
+from loose_env.errors import InvalidData
+from loose_env.faults import SEVERAL_FAULTS, UNSURE, place_of
 from loose_env.report.colours import AGENTS, is_light
 from loose_env.report.figures import WIDTH, new_figure
 from loose_env.report.standings import Row
@@ -25,6 +26,8 @@ __all__ = ["confusion_counts", "confusion_matrix", "ordered_hypotheses"]
 def ordered_hypotheses(rows: Sequence[Row]) -> tuple[str, ...]:
     """All hypotheses that rows mention: healthy, then links, then joints, each by number.
 
+    Truths that no verdict can name come last. "unsure" is no hypothesis.
+
     Examples
     --------
     >>> rows = [dict(truth="backlash@joint1", verdict="structural_looseness@link2")]
@@ -32,6 +35,7 @@ def ordered_hypotheses(rows: Sequence[Row]) -> tuple[str, ...]:
     ('healthy', 'structural_looseness@link2', 'backlash@joint1')
     """
     named = {str(row[k]) for row in rows for k in ("truth", "verdict") if row[k] is not None}
+    named.discard(UNSURE)
 
     def rank(hypothesis: str) -> tuple[int, int]:
         return _kind(hypothesis), place_of(hypothesis) or 0
@@ -40,12 +44,24 @@ def ordered_hypotheses(rows: Sequence[Row]) -> tuple[str, ...]:
 
 
 def confusion_counts(rows: Sequence[Row], hypotheses: Sequence[str]) -> NDArray[np.intp]:
-    """Count verdicts: a row a truth, a column a verdict, the last column for none (h, h + 1)."""
+    """Count verdicts: a row a truth, a column a verdict, the last two unsure and none (h, h + 2).
+
+    Raises
+    ------
+    InvalidData
+        If a row's truth or verdict is none of the hypotheses.
+    """
     index = {name: k for k, name in enumerate(hypotheses)}
-    counts = np.zeros((len(index), len(index) + 1), dtype=np.intp)
+    columns: dict[Any, int] = {**index, UNSURE: len(index), None: len(index) + 1}
+    counts = np.zeros((len(index), len(columns)), dtype=np.intp)
     for row in rows:
-        verdict = row["verdict"]
-        counts[index[str(row["truth"])], len(index) if verdict is None else index[verdict]] += 1
+        if row["truth"] not in index or row["verdict"] not in columns:
+            raise InvalidData(
+                f"an episode has the truth {row['truth']!r} and the verdict {row['verdict']!r}, of "
+                f"which one is none of the hypotheses {list(hypotheses)}; ordered_hypotheses(rows) "
+                "finds all that rows mention"
+            )
+        counts[index[row["truth"]], columns[row["verdict"]]] += 1
     return counts
 
 
@@ -128,9 +144,9 @@ def _labels(axes: Axes, names: Sequence[str], inch: float, size: float) -> None:
     start = 0
     for kind, group in groupby(names, key=_kind):
         count = len(list(group))
-        words = ("healthy", "link loose", "joint play")[kind]
+        words = ("healthy", "link loose", "joint play", "several")[kind]
         middle = start + count / 2
-        if kind == 0:
+        if kind in (0, 3):
             axes.text(-near, middle, words, ha="right", va="center", **plain)
             axes.text(middle, -near, words, ha="center", va="bottom", rotation=90, **plain)
         else:
@@ -153,9 +169,11 @@ def _labels(axes: Axes, names: Sequence[str], inch: float, size: float) -> None:
             )
             axes.text(middle, -far - near, words, ha="center", va="bottom", **muted)
         start += count
-    axes.text(start + 0.5, -near, "none", ha="center", va="bottom", rotation=90, **plain)
+    for k, words in enumerate((UNSURE, "none")):
+        middle = start + k + 0.5
+        axes.text(middle, -near, words, ha="center", va="bottom", rotation=90, **plain)
     corner = muted | {"fontstyle": "italic"}
-    axes.text(start / 2 + 0.5, -0.72 * inch, "verdict", ha="center", va="bottom", **corner)
+    axes.text(start / 2 + 1, -0.72 * inch, "verdict", ha="center", va="bottom", **corner)
     axes.text(
         -0.72 * inch,
         start / 2,
@@ -171,4 +189,6 @@ def _labels(axes: Axes, names: Sequence[str], inch: float, size: float) -> None:
 def _kind(hypothesis: str) -> int:
     if hypothesis == "healthy":
         return 0
+    if hypothesis == SEVERAL_FAULTS:
+        return 3
     return 2 if hypothesis.startswith("backlash") else 1

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loose_env.errors import InvalidData
+from loose_env.report.page_table import PageTable
 from loose_env.report.plate import Plate
 from loose_env.report.template import paragraphs, shown, template, write_whole
 
@@ -25,10 +26,11 @@ def write_comparison_page(
     *,
     title: str,
     table: Sequence[Mapping[str, object]],
-    figures: Sequence[Image],
+    figures: Sequence[Image | PageTable],
     text: str | Sequence[str],
     result: str | Sequence[str] = (),
     colours: Mapping[str, str] | None = None,
+    table_note: str = "",
     story: Sequence[Image] = (),
     story_text: str | Sequence[str] = (),
     notes: str | Sequence[str] = (),
@@ -46,14 +48,17 @@ def write_comparison_page(
     table : sequence of mapping
         One row an agent. The keys of the first row are the columns; the first of them names
         the agent.
-    figures : sequence of Plate or (caption, image)
-        Figures in order; an image is a matplotlib figure, or an SVG or a PNG as bytes.
+    figures : sequence of Plate, (caption, image) or PageTable
+        Figures and further tables in order; an image is a matplotlib figure, or an SVG or a PNG
+        as bytes. In a section tables stand above figures.
     text : str or sequence of str
         Paragraphs that stand first: what was played.
     result : str or sequence of str
         Paragraphs about the outcome; the first of them stands out.
     colours : mapping, optional
         Colour of each agent, ``#rrggbb``, shown beside its name in the table.
+    table_note : str
+        A sentence below the table: what its columns mean.
     story : sequence of Plate or (caption, image)
         One episode in pictures.
     story_text, notes : str or sequence of str
@@ -78,6 +83,7 @@ def write_comparison_page(
         text=text,
         result=result,
         colours=colours,
+        table_note=table_note,
         story=story,
         story_text=story_text,
         notes=notes,
@@ -89,27 +95,23 @@ def render_page(
     *,
     title: str,
     table: Sequence[Mapping[str, object]],
-    figures: Sequence[Image],
+    figures: Sequence[Image | PageTable],
     text: str | Sequence[str],
     result: str | Sequence[str] = (),
     colours: Mapping[str, str] | None = None,
+    table_note: str = "",
     story: Sequence[Image] = (),
     story_text: str | Sequence[str] = (),
     notes: str | Sequence[str] = (),
 ) -> str:
     """Return the page that `write_comparison_page` writes."""
-    columns = list(table[0]) if table else []
-    for row in table:
-        if list(row) != columns:
-            raise InvalidData(f"every row of the table has columns {columns}, got {list(row)}")
     page: str = template("loose_env.report/page.html").render(
         title=title,
         text=paragraphs(text),
         result=paragraphs(result),
-        columns=columns,
-        table=[[str(value) for value in row.values()] for row in table],
+        table=_table(PageTable(rows=table, note=table_note)) if table else None,
         colours=dict(colours or {}),
-        groups=_groups([shown(_plate(item), f"f{k}") for k, item in enumerate(figures)]),
+        groups=_groups(figures),
         story=[shown(_plate(item), f"s{k}") for k, item in enumerate(story)],
         story_text=paragraphs(story_text),
         notes=paragraphs(notes),
@@ -121,11 +123,30 @@ def _plate(item: Image) -> Plate:
     return item if isinstance(item, Plate) else Plate(caption=item[0], image=item[1])
 
 
-def _groups(plates: Sequence[dict[str, str]]) -> list[dict[str, Any]]:
-    """Put figures under their headings."""
+def _groups(items: Sequence[Image | PageTable]) -> list[dict[str, Any]]:
+    """Put figures and tables under their headings."""
     groups: list[dict[str, Any]] = []
-    for plate in plates:
-        if plate["heading"] or not groups:
-            groups.append({"heading": plate["heading"], "intro": plate["intro"], "plates": []})
-        groups[-1]["plates"].append(plate)
+    for k, item in enumerate(items):
+        whole = item if isinstance(item, PageTable) else _plate(item)
+        if whole.heading or not groups:
+            head = {"heading": whole.heading, "intro": whole.intro}
+            groups.append({**head, "tables": [], "plates": []})
+        if isinstance(whole, PageTable):
+            groups[-1]["tables"].append(_table(whole))
+        else:
+            groups[-1]["plates"].append(shown(whole, f"f{k}"))
     return groups
+
+
+def _table(table: PageTable) -> dict[str, Any]:
+    """Columns and cells of a table, as text."""
+    columns = list(table.rows[0])
+    for row in table.rows:
+        if list(row) != columns:
+            raise InvalidData(f"every row of the table has columns {columns}, got {list(row)}")
+    return {
+        "title": table.title,
+        "note": table.note,
+        "columns": columns,
+        "rows": [[str(value) for value in row.values()] for row in table.rows],
+    }

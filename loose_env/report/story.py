@@ -12,6 +12,7 @@ from loose_env.envs.drawing.words import fault_words, hypothesis_words
 from loose_env.envs.episode import EpisodeBatch
 from loose_env.envs.picture import Picture
 from loose_env.envs.settings import DiagnosisSettings
+from loose_env.faults import UNSURE
 from loose_env.report.plate import Plate
 from loose_env.report.svg import to_svg
 
@@ -87,6 +88,8 @@ def tell_episode(
     last = picture.figure(episode, verdict=verdict)
     plates.append(Plate(image=to_svg(last), caption="Verdict and truth"))
     mark = "That was right." if verdict == info["fault"] else f"That was wrong: {truth}."
+    if verdict == UNSURE:
+        mark = f"What was the matter: {truth}."
     spent = f"After {episode.records} record{'' if episode.records == 1 else 's'}"
     said = "there was no verdict" if verdict is None else f"the verdict was: {named}"
     return Story(

@@ -18,14 +18,16 @@ from loose_env.faults import (
     Fault,
     SeatKind,
     gaps_of,
+    part_seats,
     seat_names,
     seated_spec,
-    seats_of,
     set_seat,
 )
 from loose_env.sensors import LinkAccelerometers, link_choice
 
 __all__ = ["Plant", "PlantShop"]
+
+_MOST = 5  # loose degrees of freedom beside a joint, of the six a body can have
 
 
 class Plant:
@@ -111,22 +113,28 @@ class PlantShop:
         self.link_sites: tuple[LinkSite, ...] = (
             () if choice is None else tuple(link_site(arm, i, choice.place) for i in choice.on(arm))
         )
-        self._templates: dict[tuple[int, tuple[SeatKind, ...]], mujoco.MjModel] = {}
+        self._templates: dict[tuple[tuple[int, ...], tuple[SeatKind, ...]], mujoco.MjModel] = {}
         self._scratch: dict[int, mujoco.MjData] = {}  # by the number of parts of the seat
 
-    def template(self, link: int, kinds: SeatKind | Sequence[SeatKind]) -> mujoco.MjModel:
-        """Compiled model with the given seat; one layout for all seats with as many parts."""
+    def template(
+        self, link: int | Sequence[int], kinds: SeatKind | Sequence[SeatKind]
+    ) -> mujoco.MjModel:
+        """Compiled model with the given seat; one layout for all seats with as many parts.
+
+        The parts may stand on several links: ``link`` is then that of each.
+        """
         parts = (kinds,) if isinstance(kinds, str) else tuple(kinds)
-        found = self._templates.get((link, parts))
+        links = tuple(link) if isinstance(link, Sequence) else (link,) * len(parts)
+        found = self._templates.get((links, parts))
         if found is None:
-            found = self._templates[link, parts] = self._compile(link, parts)
+            found = self._templates[links, parts] = self._compile(links, parts)
         return found
 
     def spare(self, parts: int) -> mujoco.MjModel:
         """Compiled model with a seat of so many parts, whichever."""
-        kinds: list[SeatKind] = ["slide"] * min(parts, 3)
-        kinds += ["hinge"] * (parts - 3)
-        return self.template(self.arm.n, kinds)
+        links = [self.arm.n - k // _MOST for k in range(parts)]  # where one is full, the next
+        kinds: list[SeatKind] = ["slide" if k % _MOST < 3 else "hinge" for k in range(parts)]
+        return self.template(links, kinds)
 
     def build(self, fault: Fault, mismatch: MismatchDraw) -> Plant:
         """Build the true arm with its fault seated.
@@ -136,11 +144,11 @@ class PlantShop:
         UnknownName
             If the fault names a link or joint the arm does not have, or is no fault.
         """
-        link, kinds = seats_of(fault)
-        if link is not None:
+        links, kinds = part_seats(fault)
+        for link in links:
             self.arm.link_number(link)
         # A shut seat shows nowhere; the last link's is as good as any.
-        template = self.template(link if link is not None else self.arm.n, kinds)
+        template = self.template(links or self.arm.n, kinds)
         scratch = self._scratch.get(len(kinds))
         if scratch is None:  # all templates with as many parts share one layout
             scratch = self._scratch[len(kinds)] = mujoco.MjData(template)
@@ -151,9 +159,9 @@ class PlantShop:
                 plant.model.site_pos[site] *= mismatch.length[at.scaled_by]
         return plant
 
-    def _compile(self, link: int, kinds: tuple[SeatKind, ...]) -> mujoco.MjModel:
+    def _compile(self, links: tuple[int, ...], kinds: tuple[SeatKind, ...]) -> mujoco.MjModel:
         arm = self.arm
-        spec = seated_spec(arm, link, kinds)
+        spec = seated_spec(arm, links, kinds)
         option = spec.option
         option.timestep = self.timestep
         option.integrator = mujoco.mjtIntegrator.mjINT_EULER

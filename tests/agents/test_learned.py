@@ -1,29 +1,29 @@
-"""The learned policy: what it sees and chooses, its weights without code, its training."""
+"""The learned policy: what it sees and chooses, and its weights without code."""
 
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from agents.base import Problem
 from agents.belief import Tracker, record_from
-from agents.evaluation import evaluate
-from agents.learned import LearnedAgent, PolicyForm
-from agents.network import load_network, save_network
-from agents.random_agent import RandomAgent
+from agents.belief_agent import BeliefAgent, Sure
+from agents.evaluation import EpisodeRow, evaluate
+from agents.learned import CONFIGURATION, LearnedAgent, PolicyForm
+from agents.network import FORMAT, load_network, network_of, save_network
+from agents.random_agent import RandomPolicy
 from agents.registry import WEIGHTS, make_agent
-from loose_env.arms import planar, vera
+from loose_env.arms import planar, scara, vera
 from loose_env.diagnosis.record import statistics_of
 from loose_env.envs.diagnosis import DiagnosisEnv
 from loose_env.envs.settings import DiagnosisSettings
+from loose_env.errors import InvalidData, InvalidSetting
 
 pytest.importorskip("safetensors")
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -65,10 +65,10 @@ def test_a_tracker_takes_each_record_in_once(problem: Problem) -> None:
 
 
 def test_the_random_agent_names_what_its_posterior_holds_most_probable(problem: Problem) -> None:
-    agent = RandomAgent(problem, sure=0.9)
+    agent = BeliefAgent(problem, Tracker(problem), RandomPolicy(problem), Sure())
     rows = evaluate(agent, "random", problem.arm, problem.settings, episodes=24, seed=9)
     assert rows == evaluate(
-        RandomAgent(problem, sure=0.9),
+        BeliefAgent(problem, Tracker(problem), RandomPolicy(problem), Sure()),
         "random",
         problem.arm,
         problem.settings,
@@ -81,49 +81,250 @@ def test_the_random_agent_names_what_its_posterior_holds_most_probable(problem: 
     assert all(1 <= r.records <= problem.settings.max_records for r in rows)
 
 
-def test_weights_written_from_a_trained_model_choose_as_it_does(
-    problem: Problem, tmp_path: Path
-) -> None:
-    sb3 = pytest.importorskip("stable_baselines3")
+ALGORITHMS = {
+    "ppo": {"net_arch": [16, 8]},
+    "ppo_lstm": {"lstm_hidden_size": 8, "n_lstm_layers": 2, "net_arch": [8]},
+    "maskable_ppo": {"net_arch": [16]},
+}
+
+
+def untrained(problem: Problem, algorithm: str, kwargs: dict[str, Any] | None = None) -> Any:
+    """A model whose every weight is random, so that no two options are alike."""
+    pytest.importorskip("sb3_contrib")
+    import torch
+
+    from agents.hyperparameters import ALGORITHMS as KNOWN
+    from agents.hyperparameters import algorithm_named
     from agents.training import TrackedVecEnv
     from loose_env.envs.vector import DiagnosisVectorEnv
 
-    vec = TrackedVecEnv(DiagnosisVectorEnv(planar(2), problem.settings, num_envs=4), problem)
-    model = sb3.PPO(
-        "MlpPolicy",
+    vec = TrackedVecEnv(DiagnosisVectorEnv(problem.arm, problem.settings, num_envs=2), problem)
+    model = algorithm_named(algorithm)(
+        KNOWN[algorithm][1],
         vec,
         n_steps=4,
         batch_size=8,
-        n_epochs=1,
         seed=0,
-        policy_kwargs={"net_arch": [64, 64]},
+        device="cpu",
+        policy_kwargs=ALGORITHMS[algorithm] if kwargs is None else kwargs,
     )
-    model.learn(16)
-    save_network(model, tmp_path)
+    with torch.no_grad():
+        for parameter in model.policy.parameters():
+            parameter.normal_(0.0, 0.1 if parameter.ndim == 1 else 1.0)
+    return model
+
+
+def write_policy(problem: Problem, folder: Path, algorithm: str = "ppo") -> Any:
+    """Write a policy as the training does."""
+    model = untrained(problem, algorithm)
+    folder.mkdir(parents=True, exist_ok=True)
+    save_network(network_of(model), folder)
+    described = {"format": FORMAT, "arm": problem.arm.name, "estimator": "posterior"}
+    (folder / CONFIGURATION).write_text(json.dumps(described))
+    return model
+
+
+def test_several_joints_are_excited_at_once(problem: Problem) -> None:
+    form = PolicyForm(problem)
+    choice = np.array([0, 2, 3, 1, 1, 0])
+    action = form.action(choice, np.full(5, 0.2), records=1)
+    decoded = problem.actions.decode(action)
+    assert decoded.moves.tolist() == [0, 2]
+    assert decoded.levels.tolist() == [3, 1]
+    assert decoded.duration == problem.settings.durations[1]
+    assert decoded.verdict == 0
+
+
+def test_with_every_joint_off_the_last_one_shakes(problem: Problem) -> None:
+    action = PolicyForm(problem).action(np.array([2, 2, 0, 0, 0, 0]), np.full(5, 0.2), records=0)
+    assert problem.actions.decode(action).levels.tolist() == [0, len(problem.arm.levels)]
+
+
+def test_it_stops_neither_before_the_first_record_nor_after_the_last(problem: Problem) -> None:
+    form = PolicyForm(problem)
+    go, stop = np.array([2, 2, 1, 0, 0, 0]), np.array([2, 2, 1, 0, 0, 1])
+    p = np.array([0.1, 0.1, 0.6, 0.1, 0.1])
+    most = problem.settings.max_records
+
+    def named(choice: Any, records: int, least: int = 1) -> str | None:
+        k = problem.actions.decode(form.action(choice, p, records, least=least)).verdict
+        return problem.verdicts[k - 1] if k else None
+
+    assert named(stop, 0) is None
+    assert named(stop, 1) == problem.hypotheses[2]
+    assert named(stop, 2, least=3) is None
+    assert named(stop, 3, least=3) == problem.hypotheses[2]
+    assert named(go, most - 1) is None
+    assert named(go, most) == problem.hypotheses[2]
+    assert named(go, most, least=most + 5) == problem.hypotheses[2]
+
+
+def test_masks_leave_the_moves_and_stops_that_make_sense() -> None:
+    problem = Problem.of(scara(), DiagnosisSettings())
+    form = PolicyForm(problem)
+    n, moves = problem.arm.n, len(problem.settings.moves)
+    pose = np.array([0.0 if r is None else r[1] for r in problem.arm.joint_ranges])
+    mask = form.mask(pose, records=0)
+    assert mask.shape == (form.nvec.sum(),)
+    allowed = mask[: n * moves].reshape(n, moves)
+    assert np.array_equal(allowed, problem.actions.allowed_moves(pose))
+    assert not allowed.all()
+    assert mask[n * moves : -2].all()
+    assert mask[-2:].tolist() == [True, False]
+    assert form.mask(pose, records=2, least=3)[-2:].tolist() == [True, False]
+    assert form.mask(pose, records=3, least=3)[-2:].tolist() == [True, True]
+    most = problem.settings.max_records
+    assert form.mask(pose, records=most, least=99)[-2:].tolist() == [False, True]
+
+
+def test_what_it_sees_lies_in_its_space(problem: Problem) -> None:
+    form = PolicyForm(problem, further=2)
+    env = DiagnosisEnv(planar(2), DiagnosisSettings())
+    observation, _ = env.reset(seed=3)
+    for p in (np.eye(5)[1], np.full(5, 0.2)):
+        seen = form.features(observation, p, np.array([99.0, -0.5]))
+        assert form.observation_space.contains(seen)
+        assert seen[:5] == pytest.approx(p)
+        assert seen[-2:] == pytest.approx([5.0, -0.5])
+    with pytest.raises(InvalidData, match="shows 2 numbers"):
+        form.features(observation, np.full(5, 0.2))
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_weights_choose_as_the_model_that_they_were_written_from(
+    problem: Problem, tmp_path: Path, algorithm: str
+) -> None:
+    model = write_policy(problem, tmp_path, algorithm)
     form = PolicyForm(problem)
     network = load_network(tmp_path, form)
     rng = np.random.default_rng(0)
-    for _ in range(20):
-        features = rng.normal(size=form.observation_space.shape).astype(np.float32)
-        wanted, _ = model.predict(features, deterministic=True)
-        assert np.array_equal(network.predict(features)[0], wanted)
+    state, theirs, chosen = network.begin(), None, set()
+    for k in range(30):
+        seen = rng.normal(size=form.observation_space.shape).astype(np.float32)
+        pose = rng.uniform(-3.0, 3.0, problem.arm.n)
+        mask = form.mask(pose, records=k % 13)
+        choice, state = network.choose(seen, state, mask)
+        if algorithm == "maskable_ppo":
+            wanted, _ = model.predict(seen, deterministic=True, action_masks=mask)
+        else:
+            wanted, theirs = model.predict(
+                seen, state=theirs, episode_start=np.array([k == 0]), deterministic=True
+            )
+        assert np.array_equal(choice, np.ravel(wanted))
+        chosen.add(tuple(choice))
+    assert len(chosen) > 5
 
 
-def test_weights_for_another_arm_are_refused(problem: Problem) -> None:
-    if not (WEIGHTS / "vera" / "configuration.json").is_file():
-        pytest.skip("no trained policy ships for VERA")
-    with pytest.raises(ValueError, match="vera"):
-        LearnedAgent.load(problem, WEIGHTS / "vera")
+@pytest.mark.parametrize("activation", ["Tanh", "ReLU"])
+def test_memory_cells_give_the_logits_of_torch(problem: Problem, activation: str) -> None:
+    torch = pytest.importorskip("torch")
+    kwargs = ALGORITHMS["ppo_lstm"] | {"activation_fn": getattr(torch.nn, activation)}
+    model = untrained(problem, "ppo_lstm", kwargs)
+    network = network_of(model)
+    rng = np.random.default_rng(1)
+    state = network.begin()
+    theirs = tuple(torch.zeros(2, 1, 8) for _ in range(2))
+    for _ in range(12):
+        seen = rng.normal(size=PolicyForm(problem).observation_space.shape).astype(np.float32)
+        logits, state = network.logits(seen, state)
+        with torch.no_grad():
+            found, theirs = model.policy.get_distribution(
+                torch.from_numpy(seen)[None], theirs, torch.zeros(1)
+            )
+        wanted = torch.cat([d.logits for d in found.distribution], dim=1)[0].numpy()
+        parts = np.split(logits, np.cumsum(network.nvec)[:-1])
+        ours = np.concatenate([p - np.logaddexp.reduce(p) for p in parts])
+        np.testing.assert_allclose(ours, wanted, atol=1e-5)
+
+
+def test_an_activation_without_a_forward_pass_is_refused(problem: Problem) -> None:
+    torch = pytest.importorskip("torch")
+    model = untrained(problem, "ppo", {"net_arch": [4], "activation_fn": torch.nn.ELU})
+    with pytest.raises(InvalidSetting, match="Tanh or ReLU"):
+        network_of(model)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_a_loaded_policy_plays_and_shows_its_probabilities(
+    problem: Problem, tmp_path: Path, algorithm: str
+) -> None:
+    write_policy(problem, tmp_path, algorithm)
+    agent = LearnedAgent.load(problem, tmp_path)
+
+    def rows(width: int, records: int | None = None) -> list[EpisodeRow]:
+        return evaluate(
+            agent,
+            "learned",
+            problem.arm,
+            problem.settings,
+            episodes=4,
+            seed=3,
+            width=width,
+            records=records,
+        )
+
+    first = rows(4)
+    assert first == rows(1)
+    assert all(row.verdict in problem.verdicts for row in first)
+    assert all(len(row.trail_truth) == row.records for row in first)
+    assert {row.records for row in rows(4, records=2)} == {2}
+
+
+def test_weights_for_another_arm_are_refused(problem: Problem, tmp_path: Path) -> None:
+    write_policy(problem, tmp_path)
+    with pytest.raises(InvalidData, match="trained for arm 'planar2', not 'vera'"):
+        LearnedAgent.load(Problem.of(vera(), DiagnosisSettings()), tmp_path)
+    other = Problem.of(planar(2), DiagnosisSettings(durations=(0.2,)))
+    with pytest.raises(InvalidData, match="features and has"):
+        LearnedAgent.load(other, tmp_path)
+
+
+def test_an_old_format_is_refused_with_the_way_out(problem: Problem, tmp_path: Path) -> None:
+    write_policy(problem, tmp_path)
+    described = tmp_path / CONFIGURATION
+    described.write_text(json.dumps({"format": "loose-policy/1", "arm": "planar2"}))
+    with pytest.raises(InvalidData, match=r"loose-policy/1.*train it anew") as caught:
+        LearnedAgent.load(problem, tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", "{"])
+def test_a_broken_configuration_is_refused(problem: Problem, tmp_path: Path, content: str) -> None:
+    write_policy(problem, tmp_path)
+    (tmp_path / CONFIGURATION).write_text(content)
+    with pytest.raises(InvalidData, match="no trained policy"):
+        LearnedAgent.load(problem, tmp_path)
+
+
+def test_broken_weights_are_refused(problem: Problem, tmp_path: Path) -> None:
+    write_policy(problem, tmp_path)
+    path = tmp_path / "policy.safetensors"
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(InvalidData, match="no safetensors file"):
+        LearnedAgent.load(problem, tmp_path)
 
 
 def test_a_missing_policy_is_named_with_the_way_to_make_one(
     problem: Problem, tmp_path: Path
 ) -> None:
-    with pytest.raises(ValueError, match=r"scripts/train\.py"):
+    with pytest.raises(InvalidData, match=r"scripts/train\.py"):
         load_network(tmp_path, PolicyForm(problem))
+    with pytest.raises(InvalidData, match=r"scripts/train\.py --export"):
+        LearnedAgent.load(problem, tmp_path)
+
+
+def test_the_registry_plays_the_weights_of_the_arm(
+    problem: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_policy(problem, tmp_path / problem.arm.name)
+    monkeypatch.setattr("agents.registry.WEIGHTS", tmp_path)
+    assert isinstance(make_agent("ppo", problem), LearnedAgent)
 
 
 def test_the_shipped_policy_beats_the_random_agent() -> None:
+    described = WEIGHTS / "vera" / CONFIGURATION
+    if not described.is_file() or json.loads(described.read_text())["format"] != FORMAT:
+        pytest.skip(f"no policy of format {FORMAT} ships for VERA")
     settings = DiagnosisSettings()
     problem = Problem.of(vera(), settings)
     returns = {}
@@ -132,34 +333,3 @@ def test_the_shipped_policy_beats_the_random_agent() -> None:
         rows = evaluate(agent, name, problem.arm, settings, episodes=96, seed=77)
         returns[name] = float(np.mean([r.reward for r in rows]))
     assert returns["ppo"] > returns["random"]
-
-
-def test_training_writes_weights_and_configuration_and_resumes(tmp_path: Path) -> None:
-    pytest.importorskip("stable_baselines3")
-    out = tmp_path / "run"
-
-    def train(records: int) -> str:
-        command = [
-            sys.executable,
-            str(ROOT / "scripts" / "train.py"),
-            "--env",
-            "loose_env/Planar-v0",
-            "--arguments",
-            json.dumps({"n_links": 2, "durations": [0.2]}),
-            "--num-envs",
-            "8",
-            "--records",
-            str(records),
-            "--out",
-            str(out),
-        ]
-        return subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT).stdout
-
-    first = train(64)
-    assert "64 of 64 steps" in first
-    configuration = json.loads((out / "configuration.json").read_text())
-    assert configuration["arm"] == "planar2"
-    assert (out / "policy.safetensors").is_file()
-    second = train(128)
-    assert "resumed" in second
-    assert "128 of 128 steps" in second

@@ -50,7 +50,7 @@ def test_an_action_is_moves_then_levels_then_length_then_verdict(
     env = make_env(name, **arguments)
     hypotheses = 1 + 2 * joints
     assert env.action_space == spaces.MultiDiscrete(
-        [5] * joints + [4] * joints + [3, 1 + hypotheses]
+        [5] * joints + [4] * joints + [3, 1 + hypotheses + 1]
     )
 
 
@@ -279,7 +279,7 @@ def test_verdicts_wait_for_the_first_record_and_going_on_ends_with_the_last(
     for _ in range(2):
         info = env.step(env.actions.encode())[-1]
         seen.append(mask_parts(env, info["action_mask"])[-1].tolist())
-    assert seen == [[True] + [False] * 5, [True] * 6, [False] + [True] * 5]
+    assert seen == [[True] + [False] * 6, [True] * 7, [False] + [True] * 6]
 
 
 def test_levels_and_lengths_are_never_masked(make_env: Callable[..., DiagnosisEnv]) -> None:

@@ -133,14 +133,14 @@ def test_a_price_is_a_finite_number_zero_or_more(name: str, value: Any) -> None:
         Prices(**{name: value})
 
 
-@pytest.mark.parametrize("name", ["correct", "wrong", "false_alarm", "miss"])
+@pytest.mark.parametrize("name", ["correct", "wrong", "false_alarm", "miss", "unsure"])
 @pytest.mark.parametrize("value", [NAN, INF, -INF, "1"])
 def test_a_reward_is_a_finite_number(name: str, value: Any) -> None:
     with refused(InvalidSetting, repr(name), "finite number", repr(value)):
         Prices(**{name: value})
 
 
-@pytest.mark.parametrize("name", ["correct", "wrong"])
+@pytest.mark.parametrize("name", ["correct", "wrong", "unsure"])
 def test_only_the_special_rewards_can_be_left_out(name: str) -> None:
     with refused(InvalidSetting, repr(name), "None"):
         Prices(**{name: None})
@@ -245,8 +245,23 @@ def test_a_pose_past_a_joint_limit_is_refused(make_env: MakeEnv) -> None:
 
 def test_an_unknown_option_is_refused(make_env: MakeEnv, make_vector: MakeVector) -> None:
     for env in (make_env(n_links=2), make_vector(n_links=2)):
-        with refused(UnknownName, "'foult'", "fault, pose"):
+        with refused(UnknownName, "'foult'", "fault, pose, mismatch_scale, preload_g"):
             env.reset(seed=0, options={"foult": "healthy"})
+
+
+@pytest.mark.parametrize("name", ["mismatch_scale", "preload_g"])
+@pytest.mark.parametrize("value", [NAN, INF, "3", True, [3.0]])
+def test_a_number_among_the_options_is_finite(make_env: MakeEnv, name: str, value: Any) -> None:
+    env = make_env(n_links=2)
+    with refused(InvalidSetting, name, "finite number", repr(value)):
+        env.reset(seed=0, options={name: value})
+
+
+@pytest.mark.parametrize(("scale", "words"), [(-1.0, "zero or more"), (4.0, "must be below 0.33")])
+def test_a_mismatch_that_is_none_is_refused(make_env: MakeEnv, scale: float, words: str) -> None:
+    env = make_env(n_links=2)
+    with refused(InvalidSetting, "mismatch", words):
+        env.reset(seed=0, options={"mismatch_scale": scale})
 
 
 def test_a_refused_reset_leaves_the_running_episode_alone(make_env: MakeEnv) -> None:
@@ -343,7 +358,7 @@ def test_an_entry_out_of_range_is_refused(make_env: MakeEnv, place: int, value: 
     env.reset(seed=0)
     action: list[float] = [2, 2, 1, 0, 0, 0]
     action[place] = value
-    with refused(InvalidAction, "0 to [4, 4, 3, 3, 2, 5]", str(value)):
+    with refused(InvalidAction, "0 to [4, 4, 3, 3, 2, 6]", str(value)):
         env.step(np.array(action))
 
 

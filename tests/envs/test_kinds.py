@@ -240,7 +240,7 @@ def run(env: Any, fault: str, seed: int) -> tuple[Any, ...]:
 def test_episodes_with_all_kinds_run_on_every_arm(name: str) -> None:
     env = DiagnosisEnv(arm_of(name), DiagnosisSettings(kinds=KINDS, max_records=2), threads=1)
     assert env.hypotheses == hypotheses(env.arm, KINDS)
-    assert env.action_space.nvec[-1] == 1 + len(env.hypotheses)
+    assert env.action_space.nvec[-1] == 1 + len(env.verdicts)
     for k, fault in enumerate(env.hypotheses):
         first, (seen, _, terminated, truncated, info), last = run(env, fault, k)
         assert first.shape == seen.shape
@@ -283,5 +283,8 @@ def test_a_given_fault_need_not_be_a_hypothesis() -> None:
     *_, info = env.step(env.actions.encode(verdict=2))
     assert info["fault"] == "rotational_looseness@link1"
     assert not info["is_success"] and info["link_success"]
-    with pytest.raises(UnknownName, match="rotational_looseness@link1"):
-        env.reset(seed=0, options={"fault": "rotational_looseness@link1"})
+    env.reset(seed=0, options={"fault": "rotational_looseness@link1"})
+    drawn = env.batch.episode(0).fault  # type: ignore[union-attr]
+    assert isinstance(drawn, RotationalLooseness) and drawn != rocking
+    with pytest.raises(UnknownName, match="rotational_looseness@link3"):
+        env.reset(seed=0, options={"fault": "rotational_looseness@link3"})

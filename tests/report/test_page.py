@@ -19,6 +19,7 @@ from loose_env.report.comparison import write_comparison
 from loose_env.report.confusion import confusion_counts, confusion_matrix, ordered_hypotheses
 from loose_env.report.figures import success_against_records, success_bars
 from loose_env.report.page import render_page, write_comparison_page
+from loose_env.report.page_table import PageTable
 from loose_env.report.plate import Plate
 from loose_env.report.standings import standings, who_won
 from loose_env.report.story import Story, tell_episode
@@ -111,11 +112,65 @@ def test_the_page_loads_nothing_from_elsewhere(page: str) -> None:
 def test_the_page_holds_every_agent_figure_and_step(page: str, story: Story) -> None:
     assert page.count("first &lt;one&gt;") >= 3
     assert page.count("second &amp; two") >= 3
-    # Bars, curves, a matrix for each agent, and the story.
-    assert page.count("<svg") == 4 + len(story.plates)
+    # Bars, costs, curves, kinds of fault, a matrix for each agent, and the story.
+    assert page.count("<svg") == 6 + len(story.plates)
     assert page.count("<figure") == page.count("</figure>") == page.count("<svg")
     for word in ("Two agents, twenty arms.", "Made by: make run", story.words, "90 %", "45 %"):
         assert word in page
+
+
+def test_the_page_of_a_whole_comparison_holds_every_section(tmp_path: Path) -> None:
+    rows: list[dict[str, Any]] = []
+    for agent, rights in (("net/greedy#1", 18), ("net/greedy#2", 17), ("net/random", 12)):
+        rows += rows_of(agent, rights)
+    for k, row in enumerate(rows):
+        row["difficulty"] = "hard" if row["seed"] % 2 else "easy"
+        row["friction_ratio"] = None if row["truth"] == "healthy" else 0.3 * (1 + k % 40)
+        row["trail_best"] = [row["verdict"]] * row["records"]
+        row["trail_confidence"] = row["trail_truth"] = [0.8] * row["records"]
+    forced = [{**row, "records": 3} for row in rows if row["agent"] == "net/random"]
+    path = write_comparison(
+        tmp_path / "page.html",
+        rows,
+        title="All of it",
+        played="Words.",
+        forced=forced,
+        reference="net/random",
+        rng=np.random.default_rng(0),
+        said=["At least 1.2 records are needed."],
+    )
+    page = path.read_text(encoding="utf-8")
+    for words in (
+        "Return against net/random",
+        "At least 1.2 records are needed.",
+        "How often they were right",
+        "Estimator and choice of poses",
+        "What makes a fault hard to find",
+        "By seat drive over friction",
+        "By what was hidden",
+        "By difficulty",
+        "Whether probabilities mean what they say",
+        "What another training would give",
+        "Agarwal",
+        "What they took for what",
+    ):
+        assert words in page, words
+    ids = re.findall(r'\bid="([^"]+)"', page)
+    assert len(ids) == len(set(ids))
+    # On a narrow screen every number carries its own label.
+    assert 'data-label="False alarms"' in page
+
+
+def test_tables_stand_in_the_section_of_their_heading() -> None:
+    parts = [
+        Plate(image=SVG, caption="picture", heading="First"),
+        PageTable(rows=[{"Agent": "a", "Right": "5 %"}], title="In it", note="Five."),
+        PageTable(rows=[{"Agent": "b"}], heading="Second", intro="Why."),
+    ]
+    shown = render_page(**simple(figures=parts))
+    order = ["First", "In it", "5 %", "Five.", "picture</fig", "Second", "Why."]
+    places = [shown.index(word) for word in order]
+    assert places == sorted(places)
 
 
 def test_values_are_escaped(page: str) -> None:
@@ -258,7 +313,23 @@ def test_the_confusion_matrix_counts_every_arm() -> None:
     assert np.trace(counts) >= 12
     assert counts[:, -1].sum() == 1  # the one without a verdict
     shown = [text.get_text() for text in confusion_matrix(rows).axes[0].texts]
-    assert {"healthy", "link loose", "joint play", "none", "truth", "verdict"} <= set(shown)
+    headings = {"healthy", "link loose", "joint play", "unsure", "none", "truth", "verdict"}
+    assert headings <= set(shown)
+
+
+def test_unsure_verdicts_and_truths_beyond_the_hypotheses_are_counted() -> None:
+    rows = [{**row, "verdict": "unsure"} if k < 5 else row for k, row in enumerate(ROWS)]
+    rows.append({**ROWS[0], "truth": "several_faults", "verdict": "healthy"})
+    names = ordered_hypotheses(rows)
+    assert names == (*hypotheses(vera()), "several_faults")
+    counts = confusion_counts(rows, names)
+    assert counts.sum() == len(rows)
+    assert counts[:, -2].sum() == 5
+    assert counts[-1].tolist() == [1] + [0] * (len(names) + 1)
+    shown = [text.get_text() for text in confusion_matrix(rows).axes[0].texts]
+    assert shown.count("several") == 2
+    with pytest.raises(InvalidData, match="several_faults"):
+        confusion_counts(rows, names[:-1])
 
 
 def test_the_story_shows_each_record_and_the_end(story: Story) -> None:

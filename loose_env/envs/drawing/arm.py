@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -54,11 +55,11 @@ class ArmDrawing:
         base = r * np.array([[-3.4, -3.4], [3.4, 0.0]] if self.vertical else [[-2.6, -2.6]])
         return np.vstack([corners - 2.6 * r, corners + 2.6 * r, base])
 
-    def links(self, axes: Axes, pose: PlanarPose, *, loose: int | None = None) -> None:
-        """Draw the links, distal ones on top; the loose one in the colour of the truth."""
+    def links(self, axes: Axes, pose: PlanarPose, *, loose: Collection[int] = ()) -> None:
+        """Draw the links, distal ones on top; loose ones in the colour of the truth."""
         for i, (start, end) in enumerate(zip(pose.joints, pose.ends, strict=True)):
             link = self._link(start, end, self.radii[i], self.radii[i + 1])
-            link.set_facecolor(TRUTH if i + 1 == loose else BODY)
+            link.set_facecolor(TRUTH if i + 1 in loose else BODY)
             link.set_zorder(4 + 0.1 * i)
             axes.add_patch(link)
 

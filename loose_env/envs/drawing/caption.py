@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Literal
 from loose_env.arms.linear import LinearArm
 from loose_env.envs.drawing.ink import EDGE, INK, MEASURED, MUTED, SHAKEN, TRUTH
 from loose_env.envs.drawing.loop import LoopPair
-from loose_env.envs.drawing.looseness import loose_link_of
+from loose_env.envs.drawing.looseness import loose_links_of
 from loose_env.envs.drawing.surface import SurfacePair
 from loose_env.envs.drawing.words import fault_words, hypothesis_words, pose_words, shaking_words
 from loose_env.envs.episode import Episode
-from loose_env.faults import Backlash, Fault
+from loose_env.faults import UNSURE, Backlash, Fault, parts_of
 from loose_env.rig.measurement import Measurement
 
 if TYPE_CHECKING:
@@ -56,8 +56,10 @@ def header_lines(
         truth = fault_words(episode.fault, linear.arm)
         yield Line(truth[0].upper() + truth[1:], "truth")
         if verdict is not None:
-            mark = "right" if verdict == episode.fault.hypothesis else "wrong"
-            yield Line(f"Verdict: {hypothesis_words(verdict)} – {mark}", "plain")
+            mark = " – right" if verdict == episode.fault.hypothesis else " – wrong"
+            if verdict == UNSURE:  # neither
+                mark = ""
+            yield Line(f"Verdict: {hypothesis_words(verdict)}{mark}", "plain")
         yield Line(shaking, "muted")
     else:
         yield Line(f"Record {episode.records}" if episode.records else "Not measured yet", "title")
@@ -136,9 +138,9 @@ def write_legend(
     entries: list[Any] = [loop, lowest, healthy, _mark("o", SHAKEN, "shaken joint")]
     if some_held:
         entries.append(_mark("s", EDGE, "held joint"))
-    if loose_link_of(truth) is not None:
+    if loose_links_of(truth):
         entries.append(Patch(facecolor=TRUTH, edgecolor=EDGE, label="loose link"))
-    elif isinstance(truth, Backlash):
+    if truth is not None and any(isinstance(part, Backlash) for part in parts_of(truth)):
         ring = _mark("o", "none", "joint with play")
         ring.set(markeredgecolor=TRUTH, markeredgewidth=2.2)
         entries.append(ring)

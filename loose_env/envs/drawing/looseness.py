@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from loose_env.faults import CompoundLooseness, Fault, RotationalLooseness, StructuralLooseness
+from loose_env.faults import Fault, RotationalLooseness, StructuralLooseness, parts_of
 
-__all__ = ["loose_link_of"]
+__all__ = ["loose_links_of"]
 
 
-def loose_link_of(fault: Fault | None) -> int | None:
-    """Return the number of the link that is loose on its flange; None where none is.
+def loose_links_of(fault: Fault | None) -> frozenset[int]:
+    """Return the numbers of the links that are loose on their flanges.
 
     Examples
     --------
     >>> from loose_env.faults import Backlash
-    >>> loose_link_of(Backlash(joint=1, gap=1e-3, stiffness=(1e4, 1e4))) is None
-    True
+    >>> sorted(loose_links_of(Backlash(joint=1, gap=1e-3, stiffness=(1e4, 1e4))))
+    []
     """
-    kinds = StructuralLooseness, RotationalLooseness, CompoundLooseness
-    return fault.link if isinstance(fault, kinds) else None
+    parts = () if fault is None else parts_of(fault)
+    kinds = StructuralLooseness, RotationalLooseness
+    return frozenset(part.link for part in parts if isinstance(part, kinds))

@@ -18,7 +18,7 @@ from loose_env.envs.drawing.caption import (
 from loose_env.envs.drawing.ink import PAPER
 from loose_env.envs.drawing.loop import LoopPair, measured_loop, predicted_loop
 from loose_env.envs.drawing.loop_shapes import draw_healthy, draw_measured, draw_scale
-from loose_env.envs.drawing.looseness import loose_link_of
+from loose_env.envs.drawing.looseness import loose_links_of
 from loose_env.envs.drawing.scenery import draw_base, draw_measure
 from loose_env.envs.drawing.view import PlanarPose, PlanarView
 from loose_env.envs.episode import Episode
@@ -80,7 +80,7 @@ class PlanarScene:
         half = _frame(axes, pose, drawing)
         draw_measure(axes, vertical=drawing.vertical)
         draw_base(axes, float(drawing.radii[0]), vertical=drawing.vertical)
-        drawing.links(axes, pose, loose=loose_link_of(truth))
+        drawing.links(axes, pose, loose=loose_links_of(truth))
         drawing.joints(axes, pose, excited)
         if loops is not None:
             radius = _LOOP * half

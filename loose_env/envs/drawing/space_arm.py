@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -116,7 +117,7 @@ class SpaceDrawing:
         axes: Axes,
         pose: SpacePose,
         excited: NDArray[np.bool_] | None,
-        loose: int | None,
+        loose: Collection[int],
     ) -> None:
         """Draw links and joints, the nearer ones over the others.
 
@@ -128,8 +129,8 @@ class SpaceDrawing:
             The arm in its pose.
         excited : ndarray (n,), optional
             Which joints are shaken, the others being held; without a record there are neither.
-        loose : int, optional
-            Link that is drawn in the colour of the truth.
+        loose : collection of int
+            Links that are drawn in the colour of the truth.
         """
         n = len(pose.joints)
         depth = np.concatenate([0.5 * (pose.joints + pose.ends)[:, 2], pose.joints[:, 2]])
@@ -140,14 +141,14 @@ class SpaceDrawing:
             order = 4.0 + 0.02 * rank
             k = int(part) % n
             if part < n:
-                face = TRUTH if k + 1 == loose else BODY
+                face = TRUTH if k + 1 in loose else BODY
                 start, end = pose.joints[k], pose.ends[k]
                 wide, narrow = float(self.radii[k]), float(self.radii[k + 1])
                 draw_rod(axes, start, end, 0.7 * wide, 0.7 * narrow, face=face, zorder=order)
             else:
                 self._joint(axes, pose, k, excited, order)
-        if loose is not None:
-            self._uncover(axes, pose, loose - 1)
+        for link in loose:
+            self._uncover(axes, pose, link - 1)
 
     def tool(self, axes: Axes, pose: SpacePose, measured: tuple[int, ...]) -> None:
         """Draw the tool and the axes of its frame that are measured."""

@@ -16,7 +16,7 @@ from loose_env.envs.drawing.caption import (
     write_legend,
 )
 from loose_env.envs.drawing.ink import MUTED, PAPER
-from loose_env.envs.drawing.looseness import loose_link_of
+from loose_env.envs.drawing.looseness import loose_links_of
 from loose_env.envs.drawing.scenery import arrow, half_height
 from loose_env.envs.drawing.sections import draw_sections
 from loose_env.envs.drawing.space_arm import SpaceDrawing
@@ -81,7 +81,7 @@ class SpaceScene:
         self._surroundings(axes)
         drawing.base(axes, pose)
         excited = None if measurement is None else measurement.excited
-        drawing.arm(axes, pose, excited, loose_link_of(truth))
+        drawing.arm(axes, pose, excited, loose_links_of(truth))
         drawing.tool(axes, pose, arm.axes)
         if truth is not None:
             drawing.fault(axes, pose, truth)

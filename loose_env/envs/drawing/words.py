@@ -11,9 +11,12 @@ from loose_env.arms.arm import Arm
 from loose_env.arms.linear import LinearPose
 from loose_env.excitation import Excitation
 from loose_env.faults import (
+    SEVERAL_FAULTS,
+    UNSURE,
     Backlash,
     Fault,
     RotationalLooseness,
+    SeveralFaults,
     StructuralLooseness,
     parts_of,
     place_of,
@@ -31,11 +34,15 @@ def hypothesis_words(hypothesis: str | None, *, past: bool = False) -> str:
     'link 2 is loose'
     >>> hypothesis_words("backlash@joint1", past=True)
     'joint 1 had play'
-    >>> hypothesis_words(None)
-    'no verdict'
+    >>> hypothesis_words(None), hypothesis_words("unsure")
+    ('no verdict', 'unsure')
     """
     if hypothesis is None:
         return "no verdict"
+    if hypothesis == UNSURE:
+        return "unsure"
+    if hypothesis == SEVERAL_FAULTS:
+        return f"there {'were' if past else 'are'} several faults"
     place = place_of(hypothesis)
     if place is None:
         return f"nothing {'was' if past else 'is'} loose"
@@ -61,6 +68,8 @@ def fault_words(fault: Fault, arm: Arm | None = None) -> str:
     >>> fault_words(Backlash(joint=3, gap=1e-4, stiffness=(1e5, 1e5)), scara())
     'joint 3 had play (0.1 mm)'
     """
+    if isinstance(fault, SeveralFaults):
+        return "; ".join(fault_words(one, arm) for one in fault.faults)
     words = hypothesis_words(fault.hypothesis, past=True)
     travel = ", ".join(t for t in (_travel(part, arm) for part in parts_of(fault)) if t)
     return f"{words} ({travel})" if travel else words

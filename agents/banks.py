@@ -1,0 +1,142 @@
+"""Banks on disk: a folder of shards of records, and beside it the figures worked out from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import loose_env
+from agents.backends import BackendSettings
+from agents.base import Problem
+from agents.evaluation_shards import problem_of
+from agents.place_figures import PlaceFigures, figures_of
+from agents.record_bank import BANK_SEED, BankSettings, RecordBank, play_episodes
+from agents.shard_store import ArrayCodec, ShardStore
+from agents.shards import Shard, run_shards, shard_of
+from loose_env.diagnosis.seat_features import PLACE_FEATURES, RECORD_FEATURES, SeatFeatures
+from loose_env.envs.difficulty import difficulty_named
+
+__all__ = ["BankPlan", "build_bank", "build_figures", "read_bank", "read_figures", "seat_features"]
+
+SHARD = 500
+"""Episodes in one file."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BankPlan:
+    """A bank, said in names and numbers."""
+
+    env_id: str
+    """Id of the environment."""
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    """Arguments of the environment."""
+    episodes: int = 12_000
+    """Number of episodes."""
+    seed: int = BANK_SEED
+    """Seed of the episodes."""
+    records: BankSettings = field(default_factory=BankSettings)
+    """How records are taken."""
+    directions: int = 0
+    """Sliding directions of a link that figures are worked out for; 0: 24 in the plane, 100 in
+    space."""
+
+    @property
+    def configuration(self) -> dict[str, Any]:
+        """Everything that one episode of the bank depends on."""
+        return {
+            "env": self.env_id,
+            "arguments": dict(self.arguments),
+            "seed": self.seed,
+            "records": self.records,
+            "version": loose_env.__version__,
+        }
+
+    @property
+    def shards(self) -> tuple[Shard, ...]:
+        """Parts of the bank."""
+        return shard_of(self.episodes, SHARD)
+
+    def problem(self) -> Problem:
+        """Make the arm and the rules."""
+        return problem_of(self.env_id, self.arguments)
+
+
+def build_bank(plan: BankPlan, folder: Path, settings: BackendSettings | None = None) -> ShardStore:
+    """Make what is missing of a bank."""
+    store = ShardStore(folder / "records", plan.configuration, ArrayCodec())
+    run_shards(partial(_bank_shard, plan), plan.shards, store, settings=settings)
+    return store
+
+
+def build_figures(
+    plan: BankPlan, folder: Path, settings: BackendSettings | None = None
+) -> ShardStore:
+    """Work out what is missing of a bank's figures; the bank must be there."""
+    configuration = plan.configuration | {
+        "directions": directions_of(plan),
+        "place": PLACE_FEATURES,
+        "record": RECORD_FEATURES,
+    }
+    store = ShardStore(folder / "figures", configuration, ArrayCodec())
+    run_shards(partial(_figures_shard, plan, folder), plan.shards, store, settings=settings)
+    return store
+
+
+def read_bank(plan: BankPlan, folder: Path) -> RecordBank:
+    """Read a whole bank."""
+    store = ShardStore(folder / "records", plan.configuration, ArrayCodec())
+    return RecordBank.joined([RecordBank(**part) for part in store.read_all(plan.shards)])
+
+
+def read_figures(store: ShardStore, shards: tuple[Shard, ...]) -> PlaceFigures:
+    """Read the figures of some shards."""
+    return PlaceFigures.joined([PlaceFigures(**part) for part in store.read_all(shards)])
+
+
+def directions_of(plan: BankPlan) -> int:
+    """Sliding directions of a link that figures are worked out for."""
+    return plan.directions or (24 if len(_problem(plan).arm.axes) == 2 else 100)
+
+
+def seat_features(problem: Problem, directions: int) -> SeatFeatures:
+    """What works out the figures of a problem's records."""
+    return SeatFeatures(
+        problem.linear,
+        problem.settings.sensors,
+        difficulty_named(problem.settings.difficulty).mismatch,
+        directions=directions,
+    )
+
+
+_PROBLEMS: dict[str, Problem] = {}
+
+
+def _problem(plan: BankPlan) -> Problem:
+    key = f"{plan.env_id} {sorted(plan.arguments.items())}"
+    if key not in _PROBLEMS:
+        _PROBLEMS[key] = plan.problem()
+    return _PROBLEMS[key]
+
+
+def _bank_shard(plan: BankPlan, shard: Shard) -> dict[str, np.ndarray]:
+    bank = play_episodes(
+        _problem(plan), plan.records, seed=plan.seed, start=shard.start, stop=shard.stop
+    )
+    return vars(bank)
+
+
+def _figures_shard(plan: BankPlan, folder: Path, shard: Shard) -> dict[str, np.ndarray]:
+    problem = _problem(plan)
+    store = ShardStore(folder / "records", plan.configuration, ArrayCodec())
+    features = _features(problem, directions_of(plan))
+    return vars(figures_of(problem, features, RecordBank(**store.read(shard))))
+
+
+@lru_cache(maxsize=1)
+def _features(problem: Problem, directions: int) -> SeatFeatures:
+    return seat_features(problem, directions)

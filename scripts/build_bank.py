@@ -1,0 +1,73 @@
+"""Build a bank of simulated records, and work out the figures a posterior is trained on.
+
+Usage: python scripts/build_bank.py --env loose_env/Planar-v0 --episodes 20000 --out banks/planar4
+
+A bank holds episodes of random records and the truth behind them (see agents/record_bank.py). It
+is a folder with a file for every 500 episodes; stopped at any moment, the same command goes on.
+Every episode has its own seed, so a bank is the same for any backend and number of workers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+# One thread each: the order in which threads add up changes the last digit of a figure.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import gymnasium
+
+from agents.backends import BackendSettings, add_backend_options
+from agents.bank_options import add_bank_options, plan_of
+from agents.banks import build_bank, build_figures
+from loose_env.errors import LooseEnvError
+
+
+def parser() -> argparse.ArgumentParser:
+    """Options of the bank."""
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add_bank_options(options)
+    options.add_argument("--records-only", action="store_true", help="work out no figures")
+    add_backend_options(options)
+    return options
+
+
+def build(options: argparse.Namespace) -> None:
+    """Build, and say how large it is and how long it took."""
+    plan, folder = plan_of(options), Path(options.out)
+    settings = BackendSettings.of(options)
+    begin = time.perf_counter()
+    store = build_bank(plan, folder, settings)
+    made = time.perf_counter() - begin
+    records = sum(int((part["slots"][:, :, 0] > 0.5).sum()) for part in store.read_all(plan.shards))
+    size = sum(file.stat().st_size for file in (folder / "records").iterdir())
+    print(
+        f"{plan.episodes} episodes, {records} records, {size / 1e6:.0f} MB in {folder / 'records'}"
+        f"; this run took {made:.0f} s"
+    )
+    if not options.records_only:
+        begin = time.perf_counter()
+        build_figures(plan, folder, settings)
+        print(f"Figures in {folder / 'figures'}; this run took {time.perf_counter() - begin:.0f} s")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Build, with errors in one line."""
+    options = parser().parse_args(arguments)
+    try:
+        build(options)
+    except KeyboardInterrupt:
+        sys.exit("build_bank: interrupted; run the same command again to go on")
+    except (LooseEnvError, gymnasium.error.Error, ValueError, OSError) as error:
+        sys.exit(f"build_bank: {error}")
+
+
+if __name__ == "__main__":
+    main()

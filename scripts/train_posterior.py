@@ -1,0 +1,141 @@
+"""Train the posterior's likelihood on a bank of records.
+
+Usage: python scripts/train_posterior.py --env loose_env/Planar-v0 --out banks/planar4
+
+The bank is built first where it is missing (see scripts/build_bank.py). The last episodes are
+held out: the table at the end is theirs. Stopped at any moment, the same command goes on from the
+last checkpoint. Weights go to agents/weights, or to --weights.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import gymnasium
+
+from agents.backends import BackendSettings, add_backend_options
+from agents.bank_options import add_bank_options, plan_of
+from agents.banks import BankPlan, build_bank, build_figures, directions_of, read_figures
+from agents.policies import WEIGHTS, setting_name
+from agents.posterior_training import PosteriorTraining, TrainingSettings
+from loose_env.diagnosis.amortised import write_network
+from loose_env.envs.difficulty import difficulty_named
+from loose_env.errors import InvalidSetting, LooseEnvError
+from loose_env.faults import DEFAULT_KINDS, hypotheses
+from loose_env.statistics import axes_grid
+
+HELD_OUT = 0.1
+"""Share of the bank's episodes that training does not see."""
+
+
+def parser() -> argparse.ArgumentParser:
+    """Options of the training."""
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add_bank_options(options)
+    defaults = TrainingSettings()
+    options.add_argument("--steps", type=int, default=defaults.steps, help="optimiser steps")
+    options.add_argument("--hidden", type=int, default=defaults.hidden, help="hidden units")
+    options.add_argument("--training-seed", type=int, default=defaults.seed, help="its seed")
+    options.add_argument("--weights", default=None, help="folder of the trained weights")
+    add_backend_options(options)
+    return options
+
+
+def train(options: argparse.Namespace) -> None:
+    """Build what is missing, train, write the weights, print how well they do."""
+    import torch
+
+    torch.set_num_threads(1)
+    plan, folder = plan_of(options), Path(options.out)
+    backend = BackendSettings.of(options)
+    build_bank(plan, folder, backend)
+    store = build_figures(plan, folder, backend)
+    problem = plan.problem()
+    if problem.hypotheses != hypotheses(problem.arm, DEFAULT_KINDS):
+        raise InvalidSetting(
+            f"the posterior learns the kinds {list(DEFAULT_KINDS)}; leave the environment's kinds "
+            "as they are by default"
+        )
+    held = max(1, round(HELD_OUT * len(plan.shards)))
+    if len(plan.shards) <= held:
+        raise InvalidSetting(
+            f"a bank of {plan.episodes} episodes is too small to hold some out; take at least 1000"
+        )
+    difficulty = difficulty_named(problem.settings.difficulty)
+    training = PosteriorTraining(
+        read_figures(store, plan.shards[held:]),
+        joints=problem.arm.n,
+        directions=axes_grid(directions_of(plan), len(problem.arm.axes)),
+        friction=difficulty.friction,
+        settings=TrainingSettings(
+            steps=options.steps, hidden=options.hidden, seed=options.training_seed
+        ),
+    )
+    begin = time.perf_counter()
+
+    def report(step: int, loss: float) -> None:
+        spent = time.perf_counter() - begin
+        line = f"\rstep {step} of {options.steps}, {spent:.0f} s, loss {loss:.3f}"
+        print(line, end="", file=sys.stderr, flush=True)
+
+    training.train(folder / f"training-{options.training_seed}", report)
+    print(file=sys.stderr)
+    seconds = time.perf_counter() - begin
+    out = Path(options.weights or WEIGHTS / f"posterior-{setting_name(problem)}")
+    found = training.scores(read_figures(store, plan.shards[:held]))
+    write_network(
+        out,
+        {
+            "arm": problem.arm.name,
+            "difficulty": str(problem.settings.difficulty),
+            "directions": directions_of(plan),
+            "friction": list(difficulty.friction),
+            "bank": {**_described(plan), "held_out": held, "hash": store.hash},
+            "training": asdict(training.settings),
+            "held_out": found,
+        },
+        training.tensors(),
+    )
+    print(f"Trained in {seconds:.0f} s; weights in {out}\n")
+    print(f"{'records':>8}{'episodes':>10}{'success':>10}{'log score':>11}{'ECE':>8}")
+    for row in found:
+        print(
+            f"{row['records']:>8}{row['episodes']:>10}{100 * row['success']:>8.1f} %"
+            f"{row['score']:>11.3f}{row['ece']:>8.3f}"
+        )
+
+
+def _described(plan: BankPlan) -> dict[str, object]:
+    return {
+        "env": plan.env_id,
+        "arguments": dict(plan.arguments),
+        "episodes": plan.episodes,
+        "seed": plan.seed,
+        "records": asdict(plan.records),
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Train, with errors in one line."""
+    options = parser().parse_args(arguments)
+    try:
+        train(options)
+    except KeyboardInterrupt:
+        sys.exit("train_posterior: interrupted; run the same command again to go on")
+    except (LooseEnvError, gymnasium.error.Error, ValueError, OSError) as error:
+        sys.exit(f"train_posterior: {error}")
+
+
+if __name__ == "__main__":
+    main()
