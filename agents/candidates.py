@@ -59,18 +59,17 @@ def poses(
 def excitations(problem: Problem) -> list[tuple[NDArray[np.intp], int]]:
     """Levels of the joints and index of the length, of everything worth weighing.
 
-    All joints together or one alone, at every level; every length at the top level, the longest
-    at the others.
+    All joints together at the top level for the longest time comes first; then they at the lower
+    levels and for shorter times, and each joint alone at the two highest levels.
     """
     n, top = problem.arm.n, len(problem.arm.levels)
     durations = problem.settings.durations
     longest = int(np.argmax(durations))
-    found = []
-    for on in (np.ones(n, dtype=np.intp), *np.eye(n, dtype=np.intp)):
-        for level in range(top, 0, -1):
-            for duration in range(len(durations)):
-                if duration == longest or level == top:
-                    found.append((level * on, duration))
+    every = np.ones(n, dtype=np.intp)
+    found = [(level * every, longest) for level in range(top, 0, -1)]
+    found += [(top * every, k) for k in range(len(durations)) if k != longest]
+    for level in range(top, max(top - 2, 0), -1):
+        found += [(level * one, longest) for one in np.eye(n, dtype=np.intp)]
     return found
 
 

@@ -22,7 +22,7 @@ class GreedySettings:
 
     poses: int = 16
     """Poses weighed with all joints shaken at the top level."""
-    shortlist: int = 2
+    shortlist: int = 1
     """The best of these, weighed with every other excitation too."""
     worth: float = 0.5
     """What a nat of information is worth, in the environment's reward."""
@@ -73,22 +73,12 @@ def ranked(
 
     moves, where = poses(problem, situation, settings.poses)
     every = excitations(problem)
-    first = [
-        candidate_at(problem, m, p, *every[_longest(problem)])
-        for m, p in zip(moves, where, strict=True)
-    ]
-    values = [value(c) for c in first]
-    order = np.argsort(values)[::-1]
-    found = list(zip(values, first, strict=True))
+    first = [candidate_at(problem, m, p, *every[0]) for m, p in zip(moves, where, strict=True)]
+    found = [(value(candidate), candidate) for candidate in first]
+    order = np.argsort([-v for v, _ in found], kind="stable")
     for k in order[: settings.shortlist]:
-        for i, (levels, duration) in enumerate(every):
-            if i != _longest(problem):
-                candidate = candidate_at(problem, moves[k], where[k], levels, duration)
-                found.append((value(candidate), candidate))
+        for levels, duration in every[1:]:
+            candidate = candidate_at(problem, moves[k], where[k], levels, duration)
+            found.append((value(candidate), candidate))
     found.sort(key=lambda pair: -pair[0])
     return [candidate for _, candidate in found]
-
-
-def _longest(problem: Problem) -> int:
-    """Index of the longest record with all joints at the top level among the excitations."""
-    return int(np.argmax(problem.settings.durations))

@@ -77,9 +77,8 @@ class LookAheadPolicy:
         after = Situation(**{**vars(situation), "pose": candidate.pose})
         every = excitations(self.problem)
         moves, where = poses(self.problem, after, self.settings.second)
-        top = int(np.argmax(self.problem.settings.durations))
         seconds = [
-            candidate_at(self.problem, m, p, *every[top]) for m, p in zip(moves, where, strict=True)
+            candidate_at(self.problem, m, p, *every[0]) for m, p in zip(moves, where, strict=True)
         ]
         next_likely = [
             (self.information.likelihood(faults, c.pose, c.torque, c.duration), c.price)

@@ -90,7 +90,7 @@ class SimulatedRecords:
         self.variates = []
         for name in problem.hypotheses:
             counter = _Given()
-            self._draw(name, counter)
+            self._draw_from(name, counter)
             self.variates.append(counter.taken)
         shown = [summaries_of(record) for record in self.records]
         self.measured = np.concatenate([np.zeros(0), *shown])
@@ -104,7 +104,11 @@ class SimulatedRecords:
             for record in self.records
         ]
 
-    def _draw(self, hypothesis: str, given: _Given) -> tuple[MismatchDraw, Fault]:
+    def draw(self, hypothesis: str, variates: Array) -> tuple[MismatchDraw, Fault]:
+        """Make the arm and the fault that standard normal variates (V,) stand for."""
+        return self._draw_from(hypothesis, _Given(variates))
+
+    def _draw_from(self, hypothesis: str, given: _Given) -> tuple[MismatchDraw, Fault]:
         rng = cast(np.random.Generator, given)
         mismatch = self.mismatch.draw(self.problem.arm, rng)
         return mismatch, self.sampler.draw(rng, hypothesis=hypothesis)
@@ -120,7 +124,7 @@ class SimulatedRecords:
         for first in range(0, len(variates), self.rig.slots):
             chunk = range(first, min(first + self.rig.slots, len(variates)))
             for slot, k in enumerate(chunk):
-                mismatch, fault = self._draw(name, _Given(variates[k]))
+                mismatch, fault = self.draw(name, variates[k])
                 self.rig.mount(slot, fault, mismatch)
             for r, (record, excitation) in enumerate(
                 zip(self.records, self._excitations, strict=True)

@@ -44,7 +44,9 @@ def belief_agent(
     made = make_estimator(estimator, problem)
     if stop is None:
         stop = tuned(problem).get("stop", {}).get(f"{estimator}/{policy}", SURE)
-    return BeliefAgent(problem, made, make_policy(policy, problem, made), Sure(stop), seed=seed)
+    return BeliefAgent(
+        problem, made, make_policy(policy, problem, made), Sure(probability=stop), seed=seed
+    )
 
 
 def _of(estimator: str, policy: str) -> Callable[[Problem, int], Agent]:

@@ -32,8 +32,10 @@ import loose_env
 from agents.backends import BackendSettings, add_backend_options
 from agents.base import Problem
 from agents.configuration import canonical
+from agents.estimators import ESTIMATORS
 from agents.evaluation import EVALUATION_SEED
 from agents.evaluation_shards import EvaluationTask, play_task, problem_of
+from agents.policies import POLICIES
 from agents.registry import AGENTS, make_agent
 from loose_env.errors import LooseEnvError
 from loose_env.report.comparison_text import comparison_text
@@ -137,7 +139,9 @@ def words_of(name: str) -> str:
         return f"{starred(name)}: no agent; it {NO_AGENTS[plain]}."
     if plain in AGENTS:
         return f"{name}: {AGENTS[plain][1]}."
-    estimator, _, policy = name.partition("/")
+    estimator, _, policy = plain.partition("/")
+    if estimator in ESTIMATORS and policy in POLICIES:
+        return f"{name}: estimator, {ESTIMATORS[estimator][1]}; poses, {POLICIES[policy][1]}."
     return f"{name}: estimator {estimator}, poses chosen by {policy}."
 
 
@@ -222,8 +226,8 @@ def parser() -> argparse.ArgumentParser:
     add("--env", default="loose_env/Vera-v0", help="environment id")
     add("--arguments", default="{}", help="its arguments, as JSON")
     add("--agents", nargs="+", help=f"estimator/policy, or any of: {known}")
-    add("--estimators", nargs="+", default=[], help="estimators to cross with --policies")
-    add("--policies", nargs="+", default=[], help="policies to cross with --estimators")
+    add("--estimators", nargs="+", default=[], help=f"of {list(ESTIMATORS)}, to cross")
+    add("--policies", nargs="+", default=[], help=f"of {list(POLICIES)}, to cross")
     add("--reference", help="whose return is subtracted; default: thesis, or the first agent")
     add("--difficulties", nargs="+", default=[], help="play all episodes at each of these")
     add("--curve", type=int, metavar="K", help="play again, K records each: success after 1 to K")

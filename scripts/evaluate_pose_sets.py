@@ -185,13 +185,15 @@ def tables(rows: Sequence[Row]) -> str:
     for sd in sorted({key[1] for key in whole}, key=lambda s: (s == 0, s)):
         here = [a for a in arms if any(key[:2] == (a, sd) for key in whole)]
         own = {key: row for key, row in whole.items() if key[1] == sd}
-        cases = max(row["cases"] for key, row in own.items() if key[2] != LIMIT)
+        counts = {row["cases"] for key, row in own.items() if key[2] != LIMIT}
+        least, most = min(counts), max(counts)
+        cases = f"{most}" if least == most else f"{least} to {most} (a run cut short)"
         what = f"Directions with a scatter of {sd:g}°" if sd else "Simulated records"
         first = "1 / 2 / 3 / 5" if sd == 0 else "2 / 3 / 4"
         chosen = [int(x) - 1 for x in first.split("/")]
         lines = [
             f"**{what}**: the right link in %, after {first} poses, {cases} cases "
-            f"(95 % interval at most ±{100 * _half(cases):.1f}).",
+            f"(95 % interval at most ±{100 * _half(least):.1f}).",
             "",
             "| strategy | " + " | ".join(_title(a) for a in here) + " |",
             "| --- |" + " --- |" * len(here),

@@ -50,7 +50,7 @@ class ParticleSettings:
     """Populations that are resampled apart; their spread gives the standard error."""
     share: float = 0.5
     """Effective share of the particles that a step of the ladder leaves."""
-    moves: int = 1
+    moves: int = 2
     """Times that every particle tries to move after a step."""
     repeated: int = 24
     """Particles that are repeated to estimate the sampling covariance."""
@@ -313,7 +313,7 @@ class _Ladder:
         """Let every particle try a move that keeps the target.
 
         The proposal keeps a normal law fitted to the particles, whatever its length; lengths are
-        drawn over a decade, so that none has to be tuned.
+        drawn over half a decade, so that none has to be tuned.
         """
         here, rng = self.variates, self.rng
         count, size = here.shape
@@ -322,7 +322,7 @@ class _Ladder:
         covariance = damped * np.cov(here, rowvar=False).reshape(size, size)
         covariance += (1 - damped) * np.eye(size)
         root = np.linalg.cholesky(covariance)
-        length = 10 ** rng.uniform(-1.0, 0.0, (count, 1))
+        length = 10 ** rng.uniform(-0.5, 0.0, (count, 1))
         there = middle + np.sqrt(1 - length**2) * (here - middle)
         there = there + length * (rng.standard_normal(here.shape) @ root.T)
         shown = self._simulate(there)

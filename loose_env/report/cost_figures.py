@@ -107,6 +107,9 @@ def success_by_group(division: Division, *, colours: Mapping[str, str] | None = 
             marker=_MARKERS[k % len(_MARKERS)],
             markersize=5.0,
             linewidth=1.4,
+            linestyle="-" if division.ordered else "",
+            clip_on=False,
+            zorder=3,
             label=agent,
         )
     counts = [cell.episodes for cell in next(iter(division.cells.values()))]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -51,6 +51,8 @@ class Division:
     """Names of the groups."""
     cells: dict[str, tuple[Cell, ...]]
     """By agent, one for each group; the best agent first."""
+    ordered: bool = True
+    """Whether the groups follow each other, so that a line may join them."""
 
 
 def ratio_names(edges: Sequence[float] = RATIO_EDGES) -> tuple[str, ...]:
@@ -92,9 +94,10 @@ def divisions(rows: Sequence[Row]) -> list[Division]:
     kinds.sort(key=lambda kind: list(KIND_WORDS).index(kind) if kind in KIND_WORDS else 99)
     words = tuple(KIND_WORDS.get(kind, kind.replace("_", " ")) for kind in kinds)
     by_kind = dict(zip(kinds, words, strict=True))
-    found.append(
-        _divide(rows, "what was hidden", lambda r: by_kind[r["truth"].partition("@")[0]], words)
+    hidden = _divide(
+        rows, "what was hidden", lambda r: by_kind[r["truth"].partition("@")[0]], words
     )
+    found.append(replace(hidden, ordered=False))
     levels = tuple(dict.fromkeys(str(row["difficulty"]) for row in rows if row.get("difficulty")))
     if len(levels) > 1:
         found.append(_divide(rows, "difficulty", lambda row: str(row["difficulty"]), levels))

@@ -114,7 +114,7 @@ def calibration_tables(found: Sequence[Calibration]) -> list[PageTable]:
         ),
         PageTable(
             rows=ratios,
-            title="By seat drive over friction (faulty arms)",
+            title="Calibration error by seat drive over friction (faulty arms)",
             note="No agent sees the friction. Sorted by it even the exact posterior is off: too "
             "sure that a fault held fast is none, not sure enough of one that moves freely.",
         ),

@@ -149,7 +149,7 @@ def test_policies_find_easy_faults_with_any_estimator_and_stopping_rule() -> Non
     arm, rules = planar(3), DiagnosisSettings(difficulty="easy")
     problem = Problem.of(arm, rules)
     agent = BeliefAgent(
-        problem, Tracker(problem), GreedySeparation(problem, excited="first"), Sure(0.9)
+        problem, Tracker(problem), GreedySeparation(problem, excited="first"), Sure(probability=0.9)
     )
     rows = evaluate(agent, "greedy", arm, rules, episodes=16, seed=3, width=16, threads=1)
     assert np.mean([row.success for row in rows]) > 0.7

@@ -1,0 +1,148 @@
+"""Evidence by particles against cases whose evidence is known exactly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import multivariate_normal
+
+from loose_env.diagnosis.particles import Evidence, ParticleSettings, evidence_by_particles
+from loose_env.diagnosis.synthetic_likelihood import Repeated, SyntheticLikelihood
+from loose_env.errors import InvalidData, InvalidSetting
+
+Array = NDArray[np.float64]
+NOISE = np.random.default_rng(7).standard_normal((4000, 3))
+"""Noise of every numbered realisation, in standard deviations."""
+NORMAL = ParticleSettings(particles=600, repeated=20, repeats=12, freedom=np.inf)
+
+
+class LinearModel:
+    """Summaries linear in the variates, with normal noise: everything is known in closed form."""
+
+    prior = np.array([0.5, 0.3, 0.2])
+    variates = (3, 8, 8)
+    blocks = np.array([0, 0, 1])
+    noise = np.array([0.1, 0.2, 0.15])
+
+    def __init__(self, measured: Array) -> None:
+        self.measured = measured
+        rng = np.random.default_rng(5)
+        self.slopes = [
+            scale * rng.standard_normal((3, size))
+            for scale, size in zip((0.3, 0.5, 0.8), self.variates, strict=True)
+        ]
+        self.offsets = (0.0, 0.7, -0.7)
+
+    def simulate(self, hypothesis: int, variates: Array, realisations: NDArray[np.intp]) -> Array:
+        means = self.offsets[hypothesis] + variates @ self.slopes[hypothesis].T
+        return means + self.noise * NOISE[realisations]
+
+    @property
+    def exact(self) -> Array:
+        logs = [
+            multivariate_normal.logpdf(
+                self.measured, np.full(3, offset), a @ a.T + np.diag(self.noise**2)
+            )
+            for offset, a in zip(self.offsets, self.slopes, strict=True)
+        ]
+        weights = self.prior * np.exp(np.array(logs) - max(logs))
+        return np.asarray(weights / weights.sum())
+
+
+def found(model: LinearModel, settings: ParticleSettings, seed: int = 0) -> Evidence:
+    return evidence_by_particles(model, settings, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("case", range(4))
+def test_probabilities_are_those_of_bayes_rule(case: int) -> None:
+    model = LinearModel(np.random.default_rng(case).standard_normal(3))
+    evidence = found(model, ParticleSettings(particles=4000, freedom=np.inf, repeats=16))
+    assert evidence.probabilities == pytest.approx(model.exact, abs=0.08)
+    assert evidence.interaction < 0.05  # the noise adds to all particles alike
+
+
+def test_the_standard_error_falls_with_the_particles() -> None:
+    model = LinearModel(np.array([0.4, -0.3, 0.5]))
+
+    def error(particles: int) -> float:
+        settings = ParticleSettings(particles=particles, repeated=10, repeats=8)
+        errors = [found(model, settings, seed).standard_error.max() for seed in range(4)]
+        return float(np.mean(errors))
+
+    assert error(6400) < 0.6 * error(400)
+
+
+def test_the_standard_error_is_of_the_size_of_the_error() -> None:
+    model = LinearModel(np.array([0.4, -0.3, 0.5]))
+    settings = ParticleSettings(particles=1200, repeated=20, repeats=8, freedom=np.inf)
+    evidences = [found(model, settings, seed) for seed in range(12)]
+    spread = np.std([e.probabilities[1] for e in evidences])
+    said = np.mean([e.standard_error[1] for e in evidences])
+    assert 0.4 < said / spread < 2.5
+
+
+def test_a_hypothesis_far_off_is_left_early_with_a_bound() -> None:
+    model = LinearModel(np.array([2.5, 2.0, 2.5]))
+    model.slopes[0] = 0.05 * model.slopes[0]
+    evidence = found(model, NORMAL)
+    assert not evidence.finished[0]
+    assert evidence.probabilities[0] < 2 * NORMAL.negligible
+
+
+def test_a_hypothesis_without_prior_is_never_simulated() -> None:
+    model = LinearModel(np.zeros(3))
+    model.prior = np.array([0.5, 0.5, 0.0])
+    model.variates = (3, 8, -1)  # would fail
+    assert found(model, NORMAL).probabilities[2] == 0
+
+
+def test_particles_that_fail_count_as_impossible() -> None:
+    class Failing(LinearModel):
+        def simulate(
+            self, hypothesis: int, variates: Array, realisations: NDArray[np.intp]
+        ) -> Array:
+            shown = super().simulate(hypothesis, variates, realisations)
+            shown[variates[:, 0] > 0] = np.nan
+            return shown
+
+    # Half of every hypothesis fails: the halves that are left decide, all lose alike.
+    model, failing = LinearModel(np.zeros(3)), Failing(np.zeros(3))
+    for one in (model, failing):
+        for slopes in one.slopes:
+            slopes[:, 0] = 0.0  # so that the variate that fails says nothing else
+    many = ParticleSettings(particles=4000, freedom=np.inf, repeats=16)
+    assert found(failing, many).probabilities == pytest.approx(model.exact, abs=0.08)
+
+
+def test_what_the_common_realisation_adds_is_taken_off() -> None:
+    common = np.array([0.3, -0.2])
+    rng = np.random.default_rng(0)
+    repeated = [
+        Repeated(common=mean + common, again=mean + 0.1 * rng.standard_normal((200, 2)))
+        for mean in rng.standard_normal((6, 2))
+    ]
+    likelihood = SyntheticLikelihood.by_repeats(
+        np.zeros(2), repeated, np.array([0, 1]), freedom=np.inf
+    )
+    assert likelihood.centre == pytest.approx(common, abs=0.02)
+    assert 1 / np.diag(likelihood.white) == pytest.approx([0.1, 0.1], rel=0.1)
+    assert likelihood.interaction < 0.1
+
+
+def test_too_few_particles_or_successes_are_refused_with_words() -> None:
+    with pytest.raises(InvalidSetting, match="48 with 4 islands"):
+        found(LinearModel(np.zeros(3)), ParticleSettings(particles=40))
+    with pytest.raises(InvalidSetting, match="islands is a whole number"):
+        ParticleSettings(islands=1)
+    with pytest.raises(InvalidSetting, match="share"):
+        ParticleSettings(share=1.0)
+    with pytest.raises(InvalidData, match="all particles failed"):
+        SyntheticLikelihood.by_spread(np.zeros(1), np.full((4, 1), np.nan))
+    with pytest.raises(InvalidData, match="at least 2"):
+        SyntheticLikelihood.by_repeats(
+            np.zeros(1),
+            [Repeated(common=np.zeros(1), again=np.zeros((3, 1)))],
+            np.zeros(1),
+            freedom=5,
+        )
