@@ -119,5 +119,5 @@ class SeatNetwork:
         return float(np.exp(tempers[min(max(records, 1), len(tempers)) - 1]))
 
 
-def _silu(x: NDArray[np.float32]) -> NDArray[np.float32]:
+def _silu(x: Array) -> NDArray[np.float32]:
     return np.asarray(x * expit(x), dtype=np.float32)

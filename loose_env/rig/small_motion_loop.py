@@ -13,7 +13,7 @@ __all__ = ["integrate"]
 Array = NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, error_model="numpy")
 def _seat_force(free: float, mobility: float, x: float, v: float, law: Any) -> float:
     """Force of friction and stops on the seat.
 
@@ -62,7 +62,7 @@ def _seat_force(free: float, mobility: float, x: float, v: float, law: Any) -> f
     return force
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, error_model="numpy")
 def integrate(
     mobility: Any,
     stiffness: Any,

@@ -26,7 +26,7 @@ from loose_env.faults import Fault, Healthy
 pytest.importorskip("numba")
 from loose_env.rig.reduced import ReducedRig
 
-FEW = ParticleSettings(particles=200, repeated=6, repeats=4)
+FEW = ParticleSettings(particles=200, repeated=6, repeats=4, moves=1)
 POSE = np.array([0.3, 1.2])
 LOOSE = Difficulty(friction=(0.02, 0.1), gap=(0.1e-3, 0.4e-3))
 
@@ -45,11 +45,11 @@ def record_of(
     rig = ReducedRig(problem.arm)
     rig.mount(0, fault, Mismatch().draw(problem.arm, np.random.default_rng(seed)))
     levels = np.where(np.arange(problem.arm.n) == joint, problem.arm.levels[-1], 0.0)
-    shake, _ = at_levels(problem.linear.at(POSE), levels, duration=0.4)
+    shake, _ = at_levels(problem.linear.at(POSE), levels, duration=0.2)
     return statistics_of(rig.measure(POSE, shake, rng=np.random.default_rng(seed)))
 
 
-@pytest.mark.parametrize("hypothesis", ["structural_looseness@link2", "backlash@joint2", "healthy"])
+@pytest.mark.parametrize("hypothesis", ["structural_looseness@link2", "healthy"])
 def test_a_plain_state_is_named(posterior: ParticlePosterior, hypothesis: str) -> None:
     fault = posterior.sampler.draw(np.random.default_rng(2), hypothesis=hypothesis)
     evidence = posterior.evidence([record_of(posterior, fault)])
@@ -62,7 +62,7 @@ def test_a_plain_state_is_named(posterior: ParticlePosterior, hypothesis: str) -
 
 def test_the_same_seed_gives_the_same_probabilities(posterior: ParticlePosterior) -> None:
     record = record_of(posterior, Healthy())
-    tiny = dataclasses.replace(FEW, particles=80, repeated=3, repeats=2)
+    tiny = dataclasses.replace(FEW, particles=80, repeated=2, repeats=2)
     found = [
         ParticlePosterior(posterior.problem, tiny, seed=seed).evidence([record]).probabilities
         for seed in (1, 1, 2)
