@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from agents.base import Problem
 from agents.belief_agent import Situation, records_taken
@@ -127,6 +128,35 @@ class Tracker:
                 memory.belief = self.posterior.update(memory.belief, record)
         memory.records = taken
         return np.asarray(memory.belief.probabilities[self._order])
+
+    @property
+    def feature_size(self) -> int:
+        """How many numbers `features` gives."""
+        n, d = self.problem.arm.n, len(self.problem.arm.axes)
+        return n * (d * (d + 1) // 2) + 2 * n
+
+    def features(self, observation: NDArray[np.float32], memory: _Memory) -> NDArray[np.float32]:
+        """What a policy may want to know beside the probabilities.
+
+        For every link the mean of its sliding direction's products of components, in the link's
+        frame, times the probability that it is loose; then for every fault the mean place of its
+        friction among the nodes, from -1 for the lowest to 1 for the highest.
+        """
+        belief = getattr(memory.belief, "belief", memory.belief)
+        log = logsumexp(belief.loose, axis=0)
+        top = log.max()
+        weight = np.exp(log - top)
+        n, u = belief.links, belief.directions
+        total = weight.sum() + np.exp(belief.healthy - top).sum()
+        by_direction = weight[: n * len(u)].sum(1).reshape(n, len(u)) / total
+        upper = np.triu_indices(u.shape[1])
+        products = (u[:, upper[0]] * u[:, upper[1]])[None]
+        directions = (by_direction[..., None] * products).sum(1)
+        slides = weight[: n * len(u)].reshape(n, len(u), -1).sum(1)
+        by_node = np.concatenate([slides, weight[n * len(u) :]]) + 1e-12
+        nodes = np.linspace(-1.0, 1.0, by_node.shape[1])
+        friction = by_node @ nodes / by_node.sum(1)
+        return np.concatenate([directions.ravel(), friction]).astype(np.float32)
 
 
 def belief_of(situation: Situation) -> Belief:

@@ -14,6 +14,7 @@ from agents.base import Agent, Problem
 from agents.belief_agent import BeliefAgent, Sure
 from agents.estimators import ESTIMATORS, make_estimator
 from agents.link_finding import LinkFindingAgent
+from agents.oracle import oracle_agent
 from agents.policies import POLICIES, WEIGHTS, make_policy, setting_name, tuned
 from agents.space_link_finding import SpaceLinkFindingAgent, SpaceLinkFindingSettings
 from loose_env.diagnosis.link_finding import LinkFindingSettings, Order
@@ -79,6 +80,10 @@ def _images(problem: Problem, seed: int) -> Agent:
     return SpaceLinkFindingAgent(problem, seed=seed)
 
 
+def _oracle(problem: Problem, seed: int) -> Agent:
+    return oracle_agent(problem, seed=seed)
+
+
 def _learned(algorithm: str) -> Callable[[Problem, int], Agent]:
     def make(problem: Problem, seed: int) -> Agent:
         from agents.learned import LearnedAgent
@@ -104,6 +109,7 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
     ),
     "greedy": (_of("amortised", "greedy"), "the learned posterior, the most telling record next"),
     "look_ahead": (_of("amortised", "look_ahead"), "the same, two records ahead"),
+    "oracle": (_oracle, "no agent: greedy, told the hidden direction and friction"),
     "ppo": (_learned("ppo"), "a policy trained by PPO on the learned posterior"),
     "recurrent_ppo": (_learned("ppo_lstm"), "the same with a memory of its own"),
     "maskable_ppo": (_learned("maskable_ppo"), "the same, allowed choices only"),

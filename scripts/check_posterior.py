@@ -33,6 +33,7 @@ from agents.particle_check import (
     play,
     probabilities_of,
 )
+from agents.policies import WEIGHTS, setting_name
 from agents.progress_line import ProgressLine
 from loose_env.arms import planar, six_axis, vera
 from loose_env.diagnosis.amortised import AmortisedPosterior
@@ -103,6 +104,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--particles", type=int, default=4000)
     parser.add_argument("--moves", type=int, default=ParticleSettings().moves)
+    parser.add_argument(
+        "--repeated",
+        type=int,
+        default=ParticleSettings().repeated,
+        help="particles repeated for the sampling covariance",
+    )
     parser.add_argument("--records", type=int, default=3, help="most records of an episode")
     parser.add_argument("--seed", type=int, default=CHECK_SEED)
     parser.add_argument("--learned", type=Path, help="folder of the trained posterior")
@@ -112,10 +119,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     check_training_seed(chosen.seed)
     rules = DiagnosisSettings(difficulty=chosen.difficulty, engine="reduced")
     problem = Problem.of(ARMS[chosen.arm](), rules)
-    settings = ParticleSettings(particles=chosen.particles, moves=chosen.moves)
+    settings = ParticleSettings(
+        particles=chosen.particles, moves=chosen.moves, repeated=chosen.repeated
+    )
     batch = EpisodeBatch(problem.arm, rules, num=1, threads=1)
     posteriors: dict[str, Posterior] = {"analytic": analytic_posterior(problem)}
-    folder = chosen.learned or ROOT / "agents" / "weights" / f"posterior-{chosen.arm}"
+    folder = chosen.learned or WEIGHTS / f"posterior-{setting_name(problem)}"
     if chosen.learned is not None or folder.is_dir():
         posteriors["learned"] = learned_posterior(problem, folder)
     else:

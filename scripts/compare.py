@@ -31,6 +31,7 @@ import numpy as np
 import loose_env
 from agents.backends import BackendSettings, add_backend_options
 from agents.base import Problem
+from agents.bounds import bound_line
 from agents.configuration import canonical
 from agents.estimators import ESTIMATORS
 from agents.evaluation import EVALUATION_SEED
@@ -49,7 +50,7 @@ EPISODES = 4000
 NO_AGENTS = {"oracle": "knows the hidden direction and friction, which no agent is told"}
 """Rows that are no agents, and why; their names get a star."""
 
-LINES: list[Callable[[Problem, Sequence[Row]], str]] = []
+LINES: list[Callable[[Problem, Sequence[Row]], str]] = [bound_line]
 """What else is to be said below the table, such as a bound on records: one line each."""
 
 BOOTSTRAP_SEED = 0

@@ -22,6 +22,7 @@ from typing import Any
 from zipfile import BadZipFile
 
 import gymnasium
+import numpy as np
 
 from agents.base import Problem
 from agents.estimators import feature_size, make_estimator
@@ -42,6 +43,8 @@ from loose_env.errors import InvalidData, InvalidSetting, LooseEnvError, Missing
 ROOT = Path(__file__).resolve().parents[1]
 STOP_BIAS = -1.5
 """Added to the logit of stopping at the start: early verdicts are mostly wrong, teach little."""
+LEVEL_BIAS = 2.5
+"""Added at the start to the logits of each joint's top level and of the last record length."""
 
 
 def make_environments(env_id: str, num_envs: int, arguments: dict[str, Any]) -> DiagnosisVectorEnv:
@@ -285,7 +288,7 @@ def new_model(model_class: type[Any], vec: Any, given: dict[str, Any], path: str
     try:
         if not path:
             model = model_class(env=vec, **given)
-            _prefer_measuring(model)
+            _start_from_shaking_all(model)
             return model
         # The network stays as it is; what remains are the settings of the algorithm.
         kept = {key: v for key, v in given.items() if key not in ("policy", "policy_kwargs")}
@@ -300,12 +303,21 @@ def new_model(model_class: type[Any], vec: Any, given: dict[str, Any], path: str
         raise InvalidSetting(f"{what} by {model_class.__name__}: {reason}") from error
 
 
-def _prefer_measuring(model: Any) -> None:
-    """Start with a policy that seldom stops."""
+def _start_from_shaking_all(model: Any) -> None:
+    """Start with a policy that mostly shakes all joints at the top level, and seldom stops.
+
+    That is the constant policy; what is learned is where to depart from it.
+    """
     import torch
 
+    choices = model.action_space.nvec  # moves, levels, length, stop
+    joints = (len(choices) - 2) // 2
+    last = np.cumsum(choices) - 1  # the last option of each choice
     with torch.no_grad():
-        model.policy.action_net.bias[-1] += STOP_BIAS
+        bias = model.policy.action_net.bias
+        for choice in range(joints, 2 * joints + 1):  # top levels, longest record
+            bias[int(last[choice])] += LEVEL_BIAS
+        bias[-1] += STOP_BIAS
 
 
 def evaluator(

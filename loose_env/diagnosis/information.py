@@ -184,7 +184,8 @@ class RecordInformation:
         on = np.flatnonzero(excited)
         m, d = len(on), len(arm.axes)
         noise = np.concatenate([floor.joints(arm)[on], np.full(d, floor.tool)]) ** 2
-        seats = predict_seats(linear.at(pose), torque, features.directions, noise)
+        asked, at = np.unique(faults.place, return_inverse=True)
+        seats = predict_seats(linear.at(pose), torque, features.directions, noise, places=asked)
         x = seats.in_step[:m]
         b = seats.in_step[m:] @ np.linalg.inv(x)
         away = np.concatenate([-b, np.eye(d)], axis=1)
@@ -193,8 +194,7 @@ class RecordInformation:
         white = features.whitening(pose, excited, b, residual, x, duration)
         samples = 2 * (arm.band[1] - arm.band[0]) * duration
 
-        opening, loose = self._openings(faults, seats.force, seats.load)
-        at = faults.place
+        opening, loose = self._openings(faults, seats.force[at], seats.load[at])
         change = opening[:, None] * (features.open_change(seats)[at] @ white.T)
         nominal = np.diag(x)
         opened = np.diagonal(seats.in_step_open[:, :m], axis1=1, axis2=2)[at] / nominal
@@ -207,11 +207,14 @@ class RecordInformation:
         return np.concatenate([np.clip(change, -60.0, 60.0), inertia, motion], axis=1)
 
     def _openings(self, faults: ImaginedFaults, force: Array, load: Array) -> tuple[Array, Array]:
-        """Opening and loose motion of every imagined fault's seat (M,) each."""
+        """Opening and loose motion of every imagined fault's seat (M,) each.
+
+        Force and gravity's load are those on the shut seats (M,) [N or N·m].
+        """
         at = faults.place
         slides = self.features.places - self.features.linear.arm.n
         friction = faults.friction * self.features.top[at]
-        nodes = self.table.nodes(force[at], friction, load[at])
+        nodes = self.table.nodes(force, friction, load)
         pick = np.zeros(len(at), dtype=np.intp)
         for kind, chosen in (("slide", at < slides), ("hinge", at >= slides)):
             mixed = sum(weight[:, None] * self._cumulative[kind][node] for node, weight in nodes)

@@ -372,4 +372,4 @@ def _resampled(weights: Array, rng: np.random.Generator) -> NDArray[np.intp]:
     count = len(weights)
     edges = np.cumsum(weights)
     at = (rng.random() + np.arange(count)) / count * edges[-1]
-    return np.minimum(np.searchsorted(edges, at, side="right"), count - 1)
+    return np.asarray(np.minimum(np.searchsorted(edges, at, side="right"), count - 1))

@@ -18,6 +18,7 @@ from loose_env.arms.linear import LinearPose
 __all__ = ["SeatPrediction", "predict_seats"]
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 _CHUNK = 400_000
 """Complex numbers worked on at once: what the processor's cache holds, and little memory."""
 
@@ -49,7 +50,12 @@ class SeatPrediction:
 
 
 def predict_seats(
-    pose: LinearPose, torque: Array, directions: Array, floor: Array
+    pose: LinearPose,
+    torque: Array,
+    directions: Array,
+    floor: Array,
+    *,
+    places: NDArray[np.intp] | None = None,
 ) -> SeatPrediction:
     """Work out all seats of the arm in one pose.
 
@@ -63,6 +69,8 @@ def predict_seats(
         Sliding directions of a link, unit vectors in its frame.
     floor : ndarray (p,)
         Variance that the sensors add to each channel.
+    places : ndarray of int, optional
+        Places that are asked for, in the order in which they are wanted; all by default.
 
     Examples
     --------
@@ -79,28 +87,40 @@ def predict_seats(
     answer, opened = pose.response(excited), pose.open_response(excited)
     t = torque[on]
     n, count = pose.linear.arm.n, len(answer.frequency)
-    shape = (count, n * len(directions))
+    slides = n * len(directions)
+    asked = np.arange(slides + n) if places is None else np.asarray(places)
+    of_slide = asked < slides
+    link, u = asked[of_slide] // len(directions), directions[asked[of_slide] % len(directions)]
+    joint = asked[~of_slide] - slides
+
+    def placed(of_slides: Complex, of_hinges: Complex) -> Complex:
+        """Put slides and hinges where they were asked for, along the second axis."""
+        both = np.empty((count, len(asked), *of_slides.shape[2:]), dtype=complex)
+        both[:, of_slide], both[:, ~of_slide] = of_slides, of_hinges
+        return both
 
     healthy = np.concatenate([answer.joint[:, on], answer.tool], axis=1) * t
-    slide_force = np.einsum("kism,as->kiam", answer.slide, directions).reshape(*shape, -1)
-    force = np.concatenate([slide_force, answer.hinge], axis=1) * t
-    slide_mass = np.einsum("kisr,as,ar->kia", opened.mass_slide, directions, directions)
-    mass = np.concatenate([slide_mass.reshape(shape), opened.inertia_hinge], axis=1)
+    force = placed(np.einsum("kpsm,ps->kpm", answer.slide[:, link], u), answer.hinge[:, joint]) * t
+    mass = placed(
+        np.einsum("kpsr,ps,pr->kp", opened.mass_slide[:, link], u, u),
+        opened.inertia_hinge[:, joint],
+    )
     slide = np.concatenate([opened.joint_open_slide, opened.tool_open_slide], axis=1)
     hinge = np.concatenate([opened.joint_open_hinge, opened.tool_open_hinge], axis=1)
-    slide_column = np.einsum("kpis,as->kiap", slide, directions).reshape(*shape, -1)
-    column = np.concatenate([slide_column, hinge.transpose(0, 2, 1)], axis=1)
+    column = placed(
+        np.einsum("kcps,ps->kpc", slide[:, :, link], u), hinge[:, :, joint].transpose(0, 2, 1)
+    )
     free = -force / mass[..., None]
 
     # Averages over the band, places first so that each is one small matrix product.
     column, free = column.transpose(1, 2, 0), free.transpose(1, 2, 0)
     in_step = healthy.real.mean(0)
     own = healthy.transpose(1, 2, 0).reshape(len(in_step), -1)
-    places, p, m = len(free), len(in_step), len(on)
-    in_step_open = np.empty((places, p, m))
-    mixed, rest_open, loose = (np.empty((places, p, p)) for _ in range(3))
+    p, m = len(in_step), len(on)
+    in_step_open = np.empty((len(free), p, m))
+    mixed, rest_open, loose = (np.empty((len(free), p, p)) for _ in range(3))
     chunk = max(1, _CHUNK // (p * m * count))
-    for some in (slice(k, k + chunk) for k in range(0, places, chunk)):
+    for some in (slice(k, k + chunk) for k in range(0, len(free), chunk)):
         change = column[some, :, None] * free[some, None]  # (chunk, p, m, K)
         step = change.real.mean(-1)
         flat = change.reshape(*change.shape[:2], -1)
@@ -120,5 +140,5 @@ def predict_seats(
         rest_open=rest_open,
         loose=loose * power[:, None, None],
         force=np.sqrt(np.mean(np.sum(np.abs(force) ** 2, axis=-1), axis=0)),
-        load=np.abs(np.concatenate(at_rest)),
+        load=np.abs(np.concatenate(at_rest))[asked],
     )

@@ -179,7 +179,8 @@ class LinkPosterior:
     def direction_sd(self) -> Array:
         """Rms standard deviation of each link's direction, over the directions across [rad]."""
         total = np.trace(self.covariances, axis1=-2, axis2=-1)
-        return np.asarray(np.sqrt(total / (self.directions.shape[1] - 1)))
+        # Rounding can leave a sure direction a trace below zero.
+        return np.asarray(np.sqrt(np.maximum(total, 0.0) / (self.directions.shape[1] - 1)))
 
     def of(self, names: Sequence[str]) -> float:
         """Probability that one of several hypotheses holds."""
