@@ -108,6 +108,8 @@ class EpisodeRow:
     """Its Coulomb friction [N, or N·m where it turns]."""
     friction_ratio: float | None
     """Rms seat drive of the top level over the friction [1]; None on a healthy arm."""
+    opening_ratio: float | None
+    """The same over friction and gravity's load, in the best pose [1]; None on a healthy arm."""
     direction: tuple[float, float, float] | None
     """Direction of a slide or axis of a rocking link, link frame."""
     confidence: float | None
@@ -319,6 +321,7 @@ def _row(
         gap=hidden.gap,
         friction=hidden.friction,
         friction_ratio=hidden.friction_ratio,
+        opening_ratio=hidden.opening_ratio,
         direction=hidden.direction,
         confidence=_at(p, names, verdict),
         truth_probability=_at(p, names, truth),

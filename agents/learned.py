@@ -41,9 +41,9 @@ class PolicyForm:
     """What the policy sees and chooses, and how its choice becomes an action.
 
     It sees, one after the other: the probabilities of the hypotheses; their logarithms (the
-    natural ones, those below 1e-6 cut off, divided by 7); the largest probability; the entropy
-    as a share of the largest possible; pose and spending as the environment shows them; what
-    else the estimator has to show.
+    natural ones, those below 1e-6 cut off, divided by 7); the largest probability; the logarithm of
+    what is left beside it, from 0 to 1 at 0.1 %; the entropy as a share of the largest possible;
+    pose and spending as the environment shows them; what else the estimator has to show.
 
     It chooses a move for every joint, a level for every joint (0 for off), a record length, and
     whether to stop. If every joint is off, the last one shakes at its top level: a record
@@ -77,7 +77,7 @@ class PolicyForm:
         bounds = [
             *[(0.0, 1.0)] * kinds,
             *[(-2.0, 0.0)] * kinds,
-            *[(0.0, 1.0)] * 2,
+            *[(0.0, 1.0)] * 3,
             *((e.low, e.high) for e in start),
             *[(-FURTHER_BOUND, FURTHER_BOUND)] * further,
         ]
@@ -102,7 +102,9 @@ class PolicyForm:
                 f"the estimator said that it shows {self.further} numbers, it showed {shown.shape}"
             )
         shown = np.clip(shown, -FURTHER_BOUND, FURTHER_BOUND)
-        both = np.concatenate([p, logs, [p.max(), entropy], start, shown]).astype(np.float32)
+        doubt = np.log(np.maximum(1 - p.max(), 1e-3)) / np.log(1e-3)
+        summed = [p.max(), doubt, entropy]
+        both = np.concatenate([p, logs, summed, start, shown]).astype(np.float32)
         space = self.observation_space
         return np.asarray(np.clip(both, space.low, space.high))
 

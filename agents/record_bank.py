@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from agents.base import Problem
 from loose_env.envs.episode import EpisodeBatch
-from loose_env.faults import Backlash, Fault, StructuralLooseness
+from loose_env.faults import Fault, StructuralLooseness
+from loose_env.report.hidden import drive_over_friction
 
-__all__ = ["BANK_SEED", "BankSettings", "RecordBank", "friction_ratio", "play_episodes"]
+__all__ = ["BANK_SEED", "BankSettings", "RecordBank", "play_episodes"]
 
 BANK_SEED = 19_950_000
 """Seed of the banks' episodes; evaluation and training of policies use others."""
@@ -82,19 +83,6 @@ class RecordBank:
         return cls(slots=np.concatenate([padded(part.slots) for part in parts]), **columns)
 
 
-def friction_ratio(batch: EpisodeBatch, fault: Fault) -> float:
-    """Rms force that the top level drives across a seat, over the seat's friction [1].
-
-    Infinite for an arm without a fault.
-    """
-    drive = batch.sampler.drive
-    if isinstance(fault, StructuralLooseness):
-        return drive.slide(batch.arm.link_number(fault.link), fault.direction) / fault.friction
-    if isinstance(fault, Backlash):
-        return drive.hinge(batch.arm.link_number(fault.joint)) / fault.friction
-    return np.inf
-
-
 def play_episodes(
     problem: Problem, settings: BankSettings, *, seed: int, start: int, stop: int, width: int = 32
 ) -> RecordBank:
@@ -142,8 +130,13 @@ def play_episodes(
         direction=np.array([_direction(f) for f in faults]),
         gap=np.array([getattr(f, "gap", 0.0) for f in faults]),
         friction=np.array([getattr(f, "friction", 0.0) for f in faults]),
-        ratio=np.array([friction_ratio(batch, f) for f in faults]),
+        ratio=np.array([_ratio(batch, f) for f in faults]),
     )
+
+
+def _ratio(batch: EpisodeBatch, fault: Fault) -> float:
+    ratio = drive_over_friction(batch.sampler, fault)
+    return np.inf if ratio is None else ratio
 
 
 def _stream(seed: int, number: int) -> np.random.SeedSequence:

@@ -84,13 +84,20 @@ def _oracle(problem: Problem, seed: int) -> Agent:
     return oracle_agent(problem, seed=seed)
 
 
-def _learned(algorithm: str) -> Callable[[Problem, int], Agent]:
+def _learned(algorithm: str, training: str = "") -> Callable[[Problem, int], Agent]:
     def make(problem: Problem, seed: int) -> Agent:
         from agents.learned import LearnedAgent
 
-        return LearnedAgent.load(problem, WEIGHTS / f"{algorithm}-{setting_name(problem)}")
+        folder = f"{algorithm}-{setting_name(problem)}"
+        return LearnedAgent.load(
+            problem, WEIGHTS / (f"{folder}-{training}" if training else folder)
+        )
 
     return make
+
+
+LEARNED = {"ppo": "ppo", "recurrent_ppo": "ppo_lstm", "maskable_ppo": "maskable_ppo"}
+"""Learned agents, and the algorithm that trained each."""
 
 
 AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
@@ -110,9 +117,9 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
     "greedy": (_of("amortised", "greedy"), "the learned posterior, the most telling record next"),
     "look_ahead": (_of("amortised", "look_ahead"), "the same, two records ahead"),
     "oracle": (_oracle, "no agent: greedy, told the hidden direction and friction"),
-    "ppo": (_learned("ppo"), "a policy trained by PPO on the learned posterior"),
-    "recurrent_ppo": (_learned("ppo_lstm"), "the same with a memory of its own"),
-    "maskable_ppo": (_learned("maskable_ppo"), "the same, allowed choices only"),
+    "ppo": (_learned(LEARNED["ppo"]), "a policy trained by PPO on the learned posterior"),
+    "recurrent_ppo": (_learned(LEARNED["recurrent_ppo"]), "the same with a memory of its own"),
+    "maskable_ppo": (_learned(LEARNED["maskable_ppo"]), "the same, allowed choices only"),
 }
 """How each agent is made, and what it is in a few words."""
 
@@ -129,6 +136,9 @@ def describe(name: str) -> str:
 def make_agent(name: str, problem: Problem, *, seed: int = 0) -> Agent:
     """Make an agent for a problem.
 
+    A learned agent's further trainings, from other seeds, are ``ppo#2``, ``ppo#3``, ...;
+    ``ppo#1`` is the first, ``ppo`` itself.
+
     Raises
     ------
     UnknownName
@@ -136,6 +146,9 @@ def make_agent(name: str, problem: Problem, *, seed: int = 0) -> Agent:
     """
     if name in AGENTS:
         return AGENTS[name][0](problem, seed)
+    plain, _, training = name.partition("#")
+    if plain in LEARNED and training.isdigit():
+        return _learned(LEARNED[plain], "" if training == "1" else training)(problem, seed)
     estimator, _, policy = name.partition("/")
     _require(name, estimator, policy)
     return belief_agent(estimator, policy, problem, seed=seed)

@@ -165,7 +165,8 @@ class FaultSampler:
         self.difficulty = difficulty
         self.probabilities = difficulty.probabilities(kinds)
         self.drive = SeatDrive(linear)
-        self._linear = linear
+        self.linear = linear
+        """The nominal arm."""
         rng = np.random.default_rng(0)
         self._poses = [np.zeros(self.arm.n), *(self.arm.random_pose(rng) for _ in range(64))]
         self._masses = SeatMasses(linear, self._poses)
@@ -173,7 +174,7 @@ class FaultSampler:
     @cached_property
     def further(self) -> FurtherSeats:
         """Draws of rotational and compound looseness, made ready when first needed."""
-        return FurtherSeats(self._linear, self.difficulty, self._poses)
+        return FurtherSeats(self.linear, self.difficulty, self._poses)
 
     def draw(self, rng: np.random.Generator, *, hypothesis: str | None = None) -> Fault:
         """Draw a fault, of one hypothesis if it is given.
@@ -203,7 +204,7 @@ class FaultSampler:
         ratios = np.array([uniform(d.contact_damping, v) for v in u[6:8]])
         seat = np.zeros(self._masses.size)
         if kind == "backlash":
-            seat[self._linear.hinge_dofs[place - 1]] = 1.0
+            seat[self.linear.hinge_dofs[place - 1]] = 1.0
             stiffness, damping = self._masses.stops(seat, modes, ratios)
             return Backlash(
                 joint=place,
@@ -213,7 +214,7 @@ class FaultSampler:
                 friction=ratio * self.drive.hinge(place),
             )
         direction = direction_from(u[8], u[9], planar=len(self.arm.axes) == 2)
-        slides = self._linear.slide_dofs[place - 1]
+        slides = self.linear.slide_dofs[place - 1]
         seat[slides] = direction[: len(slides)]
         stiffness, damping = self._masses.stops(seat, modes, ratios)
         return StructuralLooseness(

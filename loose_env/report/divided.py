@@ -90,6 +90,10 @@ def divisions(rows: Sequence[Row]) -> list[Division]:
         names = ratio_names()
         heading = "seat drive over friction (faulty arms)"
         found.append(_divide(rows, heading, lambda row: ratio_class(row["friction_ratio"]), names))
+    ratios = [(row.get("friction_ratio"), row.get("opening_ratio")) for row in rows]
+    if any(a and b and b < 0.5 * a for a, b in ratios):  # gravity holds seats shut
+        heading = "seat drive over friction and gravity, best pose (faulty arms)"
+        found.append(_divide(rows, heading, lambda row: ratio_class(row["opening_ratio"]), names))
     kinds = list(dict.fromkeys(str(row["truth"]).partition("@")[0] for row in rows))
     kinds.sort(key=lambda kind: list(KIND_WORDS).index(kind) if kind in KIND_WORDS else 99)
     words = tuple(KIND_WORDS.get(kind, kind.replace("_", " ")) for kind in kinds)

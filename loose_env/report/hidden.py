@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 from loose_env.envs.difficulty import FaultSampler
 from loose_env.faults import (
@@ -18,8 +19,9 @@ from loose_env.faults import (
 )
 from loose_env.faults.faults import Preload
 from loose_env.faults.seat import SinglePart
+from loose_env.report.openness import SeatOpenness
 
-__all__ = ["HiddenFigures", "hidden_figures"]
+__all__ = ["HiddenFigures", "drive_over_friction", "hidden_figures"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +36,9 @@ class HiddenFigures:
     """Rms seat drive of the top level over the friction, of the part that is driven best [1].
 
     Below one the strongest shaking hardly moves the seat, and the fault looks healthy."""
+    opening_ratio: float | None = None
+    """The same over friction and gravity's load together, all joints shaken, in the best of some
+    poses; None for faults with several parts. Below one nothing opens the seat anywhere."""
     direction: tuple[float, float, float] | None = None
     """Direction of the slide, or axis of the rocking, of that part, in the link frame; None for
     play in a joint."""
@@ -79,8 +84,27 @@ def hidden_figures(sampler: FaultSampler, fault: Fault) -> HiddenFigures:
         gap=float(max(gaps_of(fault))),
         friction=float(best.friction),
         friction_ratio=ratio,
+        opening_ratio=_openness(sampler).ratio(fault),
         direction=direction,
     )
+
+
+def drive_over_friction(sampler: FaultSampler, fault: Fault) -> float | None:
+    """Rms seat drive of the top level over friction, of the part driven best [1].
+
+    None where nothing is loose.
+    """
+    found = [
+        _ratio(sampler, part)
+        for part in parts_of(fault)
+        if not isinstance(part, (Healthy, Preload))
+    ]
+    return max(found, default=None)
+
+
+@lru_cache(maxsize=4)
+def _openness(sampler: FaultSampler) -> SeatOpenness:
+    return SeatOpenness(sampler.linear)
 
 
 def _ratio(sampler: FaultSampler, part: SinglePart) -> float:

@@ -30,6 +30,7 @@ _REAL = (
     "gap",
     "friction",
     "friction_ratio",
+    "opening_ratio",
     "confidence",
     "truth_probability",
 )

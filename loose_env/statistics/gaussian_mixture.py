@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
-from scipy.special import logsumexp
+from scipy.special import log_ndtr, logsumexp
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.statistics._checks import FloatArray, as_floats, require_finite
@@ -106,6 +106,36 @@ class GaussianMixture:
             If the points have a wrong shape or a value that is not finite.
         """
         return np.asarray(logsumexp(self.log_densities(points), axis=1))
+
+    def log_upper_tail(self, points: ArrayLike) -> FloatArray:
+        """Log of the chance that the first dimension is larger than it is, given the others (N,).
+
+        Given the others, each Gaussian is one in the first dimension, and its weight goes with
+        the density of the others (Bishop 2006, 2.3.1).
+
+        Parameters
+        ----------
+        points : array, shape (N, D)
+            Points, D two or more.
+
+        Examples
+        --------
+        >>> mixture = GaussianMixture(
+        ...     weights=np.ones(1), means=np.zeros((1, 2)), covariances=np.eye(2)[None]
+        ... )
+        >>> np.exp(mixture.log_upper_tail([[0.0, 3.0], [1.645, 3.0]])).round(3).tolist()
+        [0.5, 0.05]
+        """
+        found = _points(points, self.means.shape[1])
+        others = self.marginal(range(1, found.shape[1])).log_densities(found[:, 1:])
+        share = others - logsumexp(others, axis=1, keepdims=True)
+        tails = np.empty_like(share)
+        for k, (mean, covariance) in enumerate(zip(self.means, self.covariances, strict=True)):
+            slope = np.linalg.solve(covariance[1:, 1:], covariance[1:, 0])
+            expected = mean[0] + (found[:, 1:] - mean[1:]) @ slope
+            sd = math.sqrt(covariance[0, 0] - covariance[0, 1:] @ slope)
+            tails[:, k] = log_ndtr((expected - found[:, 0]) / sd)
+        return np.asarray(logsumexp(share + tails, axis=1))
 
     def marginal(self, kept: Sequence[int]) -> "GaussianMixture":
         """Density of some of the dimensions, whatever the others are.
@@ -233,7 +263,9 @@ def _spread(points: FloatArray, count: int, rng: np.random.Generator) -> FloatAr
     return np.array(chosen)
 
 
-def _nearest(points: FloatArray, centres: FloatArray) -> "np.ndarray[tuple[int], np.dtype[np.intp]]":
+def _nearest(
+    points: FloatArray, centres: FloatArray
+) -> "np.ndarray[tuple[int], np.dtype[np.intp]]":
     """Which centre each point is nearest to (N,)."""
     away = np.stack([((points - one) ** 2).sum(1) for one in centres], axis=1)
     return np.asarray(np.argmin(away, axis=1))
