@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.base import EpisodeAgent, Problem
+from loose_env.faults import UNSURE
 
 __all__ = [
     "BeliefAgent",
@@ -23,7 +24,11 @@ __all__ = [
     "Sure",
     "best_verdict",
     "records_taken",
+    "surprise_of",
 ]
+
+SURPRISING = 0.003
+"""p-value of an episode among those of the trained kind, below which nothing is named."""
 
 
 class Estimator(Protocol):
@@ -113,6 +118,9 @@ class BeliefAgent(EpisodeAgent):
         What to measure next.
     stopping : StoppingRule
         When to stop. When the records have run out it is not asked.
+    surprising : float
+        Below which p-value an episode is so unlike all that the estimator knows that the verdict
+        is "unsure"; 0: never. See `surprise_of`.
     """
 
     def __init__(
@@ -123,9 +131,11 @@ class BeliefAgent(EpisodeAgent):
         stopping: StoppingRule,
         *,
         seed: int = 0,
+        surprising: float = SURPRISING,
     ) -> None:
         super().__init__(problem, seed=seed)
         self.estimator, self.policy, self.stopping = estimator, policy, stopping
+        self.surprising = surprising
 
     def begin(self, rng: np.random.Generator) -> Any:
         """Start from the prior."""
@@ -146,6 +156,8 @@ class BeliefAgent(EpisodeAgent):
         )
         done = situation.records >= problem.settings.max_records
         if situation.records > 0 and (done or self.stopping.stop(situation)):
+            if surprise_of(memory.estimate) < self.surprising:
+                return problem.verdict(UNSURE)
             return problem.verdict(best_verdict(problem, probabilities))
         return self.policy.choose(situation)
 
@@ -154,6 +166,15 @@ def records_taken(problem: Problem, observation: NDArray[np.float32]) -> int:
     """Number of records that an observation shows."""
     share = float(problem.layout.physical(observation, "spent")[0])
     return round(share * problem.settings.max_records)
+
+
+def surprise_of(memory: Any) -> float:
+    """p-value of an episode among those that its estimator was made for.
+
+    Estimators say it in ``surprise`` of the belief that their memory holds; one for those that
+    say nothing.
+    """
+    return float(getattr(getattr(memory, "belief", None), "surprise", 1.0))
 
 
 def best_verdict(problem: Problem, probabilities: NDArray[np.float64]) -> str:

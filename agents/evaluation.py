@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -185,6 +185,7 @@ def evaluate(
     width: int = 64,
     threads: int = 0,
     rig: BatchRig | None = None,
+    options: Mapping[str, Any] | None = None,
     progress: Callable[[int], None] | None = None,
     deterministic: bool = True,
 ) -> list[EpisodeRow]:
@@ -214,6 +215,8 @@ def evaluate(
         Arms side by side, and simulation threads (0: all processors).
     rig : BatchRig, optional
         Where measurements come from.
+    options : mapping, optional
+        Options of every episode, as `loose_env.envs.reset_options` has them.
     progress : callable, optional
         Called with the number of finished episodes.
     deterministic : bool
@@ -244,7 +247,7 @@ def evaluate(
         running.pop(slot, None)
         if number is None:
             return
-        batch.start(slot, seed=seed, number=number)
+        batch.start(slot, seed=seed, number=number, options=options)
         run = running[slot] = _Run(number=number)
         if hasattr(agent, "informed"):
             episode = batch.episode(slot)

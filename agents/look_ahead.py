@@ -85,26 +85,22 @@ class LookAheadPolicy:
             for c in seconds
             if c.torque.any()
         ]
+        prices = self.problem.settings.prices
+        stake = prices.correct - prices.wrong
         ticks = (np.arange(self.settings.outcomes) + 0.5) / self.settings.outcomes
         drawn = np.searchsorted(np.cumsum(faults.weight), ticks * faults.weight.sum())
         total = 0.0
         for k in np.minimum(drawn, len(faults.weight) - 1):
             weight = faults.weight * likely[k]
             weight = weight / weight.sum()
-            worth = self._sure(weight, faults)
+            worth = float(self._sures(weight[None], faults)[0])  # of a verdict now
             for more, price in next_likely:
-                joint = weight[None] * more
-                joint /= joint.sum(1, keepdims=True)
-                then = float(weight @ self._sures(joint, faults))
-                prices = self.problem.settings.prices
-                gain = (prices.correct - prices.wrong) * (then - worth) - price
-                worth = max(worth, worth + gain / (prices.correct - prices.wrong))
+                after_both = weight[None] * more
+                after_both /= after_both.sum(1, keepdims=True)
+                then = float(weight @ self._sures(after_both, faults))
+                worth = max(worth, then - price / stake)
             total += worth / len(drawn)
-        prices = self.problem.settings.prices
-        return prices.wrong + (prices.correct - prices.wrong) * total - candidate.price
-
-    def _sure(self, weight: Array, faults: ImaginedFaults) -> float:
-        return float(self._sures(weight[None], faults)[0])
+        return prices.wrong + stake * total - candidate.price
 
     def _sures(self, weights: Array, faults: ImaginedFaults) -> Array:
         """Probability of the most probable hypothesis (K,) for weights (K, M)."""

@@ -179,11 +179,8 @@ class OracleAgent(BeliefAgent):
 
         Of what it does not have, that of a slide drawn as the environment draws faults.
         """
-        link = 1 + int(rng.integers(self.problem.arm.n))
-        other = self._sampler.draw(rng, hypothesis=f"structural_looseness@link{link}")
-        assert isinstance(other, StructuralLooseness)
-        slide = fault if isinstance(fault, StructuralLooseness) else other
-        rubbing = fault if isinstance(fault, (StructuralLooseness, Backlash)) else other
+        slide = fault if isinstance(fault, StructuralLooseness) else self._drawn(rng)
+        rubbing = fault if isinstance(fault, Backlash) else slide
         u = np.asarray(slide.direction)[: self._directions.shape[1]]
         ratio = hidden_figures(self._sampler, rubbing).friction_ratio
         assert ratio is not None
@@ -193,6 +190,13 @@ class OracleAgent(BeliefAgent):
             direction=int(np.argmax(np.abs(self._directions @ u))),
             friction=int(np.argmin(np.abs(np.log(self._frictions / share)))),
         )
+
+    def _drawn(self, rng: np.random.Generator) -> StructuralLooseness:
+        """Draw a slide that could have been hidden."""
+        link = 1 + int(rng.integers(self.problem.arm.n))
+        drawn = self._sampler.draw(rng, hypothesis=f"structural_looseness@link{link}")
+        assert isinstance(drawn, StructuralLooseness)
+        return drawn
 
 
 def oracle_agent(

@@ -238,5 +238,5 @@ def draw_check(
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="upper left", ncols=2, frameon=False, fontsize=8.5)
     figure.text(0.01, 0.015, caption, fontsize=8, color=MUTED)
-    figure.tight_layout(rect=(0, 0.07, 1, 0.94))
+    figure.tight_layout(rect=(0, 0.1, 1, 0.94))
     save_figure(plt, figure, path)

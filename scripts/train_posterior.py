@@ -4,7 +4,9 @@ Usage: python scripts/train_posterior.py --env loose_env/Planar-v0 --out banks/p
 
 The bank is built first where it is missing (see scripts/build_bank.py). The last episodes are
 held out: the table at the end is theirs. Stopped at any moment, the same command goes on from the
-last checkpoint. Weights go to agents/weights, or to --weights.
+last checkpoint. Weights go to agents/weights, or to --weights. With them goes what arms of the
+trained kind leave unexplained, by which an agent knows an arm of another kind; --reference-only
+adds that to weights that were trained before.
 """
 
 from __future__ import annotations
@@ -21,13 +23,17 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import gymnasium
+import numpy as np
+from numpy.typing import NDArray
 
 from agents.backends import BackendSettings, add_backend_options
 from agents.bank_options import add_bank_options, plan_of
 from agents.banks import BankPlan, build_bank, build_figures, directions_of, read_figures
+from agents.novelty_training import fit_reference, with_reference
+from agents.place_figures import PlaceFigures
 from agents.policies import WEIGHTS, setting_name
 from agents.posterior_training import PosteriorTraining, TrainingSettings
-from loose_env.diagnosis.amortised import write_network
+from loose_env.diagnosis.amortised import read_network, write_network
 from loose_env.envs.difficulty import difficulty_named
 from loose_env.errors import InvalidSetting, LooseEnvError
 from loose_env.faults import DEFAULT_KINDS, hypotheses
@@ -48,6 +54,11 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument("--hidden", type=int, default=defaults.hidden, help="hidden units")
     options.add_argument("--training-seed", type=int, default=defaults.seed, help="its seed")
     options.add_argument("--weights", default=None, help="folder of the trained weights")
+    options.add_argument(
+        "--reference-only",
+        action="store_true",
+        help="train nothing; add to the weights what trained-kind arms leave unexplained",
+    )
     add_backend_options(options)
     return options
 
@@ -72,11 +83,21 @@ def train(options: argparse.Namespace) -> None:
         raise InvalidSetting(
             f"a bank of {plan.episodes} episodes is too small to hold some out; take at least 1000"
         )
+    out = Path(options.weights or WEIGHTS / f"posterior-{setting_name(problem)}")
+    directions = axes_grid(directions_of(plan), len(problem.arm.axes))
+    unseen = read_figures(store, plan.shards[:held])
+    if options.reference_only:
+        # A part of the bank is enough here, and all of it may be large.
+        add_reference(
+            out, read_figures(store, plan.shards[held : 2 * held + 8]), unseen, directions
+        )
+        return
     difficulty = difficulty_named(problem.settings.difficulty)
+    seen = read_figures(store, plan.shards[held:])
     training = PosteriorTraining(
-        read_figures(store, plan.shards[held:]),
+        seen,
         joints=problem.arm.n,
-        directions=axes_grid(directions_of(plan), len(problem.arm.axes)),
+        directions=directions,
         friction=difficulty.friction,
         settings=TrainingSettings(
             steps=options.steps, hidden=options.hidden, seed=options.training_seed
@@ -92,8 +113,9 @@ def train(options: argparse.Namespace) -> None:
     training.train(folder / f"training-{options.training_seed}", report)
     print(file=sys.stderr)
     seconds = time.perf_counter() - begin
-    out = Path(options.weights or WEIGHTS / f"posterior-{setting_name(problem)}")
-    found = training.scores(read_figures(store, plan.shards[:held]))
+    found = training.scores(unseen)
+    tensors = training.tensors()
+    reference = fit_reference(tensors, seen, unseen, directions=directions)
     write_network(
         out,
         {
@@ -105,7 +127,7 @@ def train(options: argparse.Namespace) -> None:
             "training": asdict(training.settings),
             "held_out": found,
         },
-        training.tensors(),
+        with_reference(tensors, reference),
     )
     print(f"Trained in {seconds:.0f} s; weights in {out}\n")
     print(f"{'records':>8}{'episodes':>10}{'success':>10}{'log score':>11}{'ECE':>8}")
@@ -114,6 +136,22 @@ def train(options: argparse.Namespace) -> None:
             f"{row['records']:>8}{row['episodes']:>10}{100 * row['success']:>8.1f} %"
             f"{row['score']:>11.3f}{row['ece']:>8.3f}"
         )
+
+
+def add_reference(
+    folder: Path, seen: PlaceFigures, unseen: PlaceFigures, directions: NDArray[np.float64]
+) -> None:
+    """Work the reference of trained weights out and store it beside them."""
+    configuration, tensors = read_network(folder)
+    if configuration["directions"] != len(directions):
+        raise InvalidSetting(
+            f"the weights in {folder} have {configuration['directions']} directions a link, the "
+            f"bank's figures {len(directions)}; give --directions"
+        )
+    reference = fit_reference(tensors, seen, unseen, directions=directions)
+    write_network(folder, configuration, with_reference(tensors, reference))
+    ranked = ", ".join(str(len(scores)) for scores in reference.scores)
+    print(f"Reference added to {folder}; held-out episodes after 1, 2, ... records: {ranked}")
 
 
 def _described(plan: BankPlan) -> dict[str, object]:

@@ -18,9 +18,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch
+from loose_env.diagnosis.novelty import NoveltyReference, left_over
 from loose_env.diagnosis.posterior import Belief
 from loose_env.diagnosis.record import RecordStatistics
 from loose_env.diagnosis.seat_features import PLACE_FEATURES, RECORD_FEATURES, SeatFeatures
@@ -29,12 +31,21 @@ from loose_env.errors import InvalidData
 from loose_env.faults import DEFAULT_KINDS, hypotheses
 from loose_env.sensors import SensorSuite
 
-__all__ = ["FORMAT", "AmortisedBelief", "AmortisedPosterior", "read_network", "write_network"]
+__all__ = [
+    "FORMAT",
+    "REFERENCE",
+    "AmortisedBelief",
+    "AmortisedPosterior",
+    "read_network",
+    "write_network",
+]
 
 Array = NDArray[np.float64]
 
 FORMAT = "loose-posterior/1"
 """Format of a stored network's configuration."""
+REFERENCE = "reference."
+"""How the names of the tensors of a `NoveltyReference` begin."""
 CONFIGURATION, WEIGHTS = "configuration.json", "posterior.safetensors"
 
 
@@ -52,8 +63,10 @@ class AmortisedBelief:
     """Log-probability of the hypotheses beforehand, the healthy one first (1 + 2 n,)."""
     directions: Array
     """Sliding directions in a link's frame (A, axes)."""
-    novelty: tuple[float, ...] = ()
-    """How far each record lies from what the network was trained on [1]."""
+    figures: tuple[tuple[Array, Array], ...] = ()
+    """Figures of each record, by place (P, C) and as a whole (Q,)."""
+    reference: NoveltyReference | None = None
+    """What arms of the trained kind leave unexplained, if that is known."""
 
     @cached_property
     def belief(self) -> Belief:
@@ -79,6 +92,30 @@ class AmortisedBelief:
         """Probability of each hypothesis: healthy, slides, plays (1 + 2 n,)."""
         return self.belief.probabilities
 
+    @cached_property
+    def novelty(self) -> tuple[float, ...]:
+        """By how much more each record leaves unexplained than is usual for it [1].
+
+        Under the belief after all of them, in standard deviations of a normal variable; empty
+        without a reference.
+        """
+        if self.reference is None or not self.figures:
+            return ()
+        log = np.asarray(logsumexp(self.belief.loose[0], axis=1))
+        loose = float(logsumexp(log))
+        figures = left_over(
+            np.stack([place for place, _ in self.figures]),
+            np.stack([whole for _, whole in self.figures]),
+            np.exp(log - loose),
+            float(self.prior[0]) - loose,
+        )
+        return tuple(self.reference.novelty(figures).tolist())
+
+    @property
+    def surprise(self) -> float:
+        """p-value of the episode among those of the trained kind; one where none are known."""
+        return 1.0 if self.reference is None else self.reference.surprise(self.novelty)
+
 
 class AmortisedPosterior:
     """Bayes' rule over faults, with a learned likelihood.
@@ -99,8 +136,8 @@ class AmortisedPosterior:
         Range of guide friction over the seat drive of the top level that the nodes divide [1].
     kinds : mapping of str to float, optional
         Prior probability of each kind of fault; a third each by default.
-    reference : mapping of str to ndarray, optional
-        Where the network's hidden layer lies on arms like those of its training, for the novelty.
+    reference : NoveltyReference, optional
+        What is left unexplained on arms like those of its training, for the novelty.
 
     Raises
     ------
@@ -118,7 +155,7 @@ class AmortisedPosterior:
         directions: int,
         friction: tuple[float, float] = (0.02, 1.0),
         kinds: Mapping[str, float] | None = None,
-        reference: Mapping[str, Array] | None = None,
+        reference: NoveltyReference | None = None,
     ) -> None:
         self.linear, self.network, self.friction = linear, network, friction
         self.hypotheses = hypotheses(linear.arm, DEFAULT_KINDS)
@@ -152,6 +189,7 @@ class AmortisedPosterior:
             temper=1.0,
             prior=self._prior,
             directions=self.features.directions,
+            reference=self.reference,
         )
 
     def update(self, belief: AmortisedBelief, record: RecordStatistics) -> AmortisedBelief:
@@ -159,15 +197,15 @@ class AmortisedPosterior:
         place, whole = self.features.of(record)
         likelihood = self.network.likelihood(place, whole, self.features.hypothesis)
         records = belief.records + 1
-        after = AmortisedBelief(
+        return AmortisedBelief(
             total=belief.total + likelihood,
             records=records,
             temper=self.network.temper(records),
             prior=self._prior,
             directions=belief.directions,
-            novelty=belief.novelty,
+            figures=(*belief.figures, (place, whole)),
+            reference=self.reference,
         )
-        return after
 
     @property
     def frictions(self) -> Array:
@@ -199,6 +237,8 @@ class AmortisedPosterior:
                 f"the posterior in {folder} was trained for arm {configuration['arm']!r}, not "
                 f"{linear.arm.name!r}; train one with scripts/train_posterior.py"
             )
+        start = len(REFERENCE)
+        known = {k[start:]: v for k, v in tensors.items() if k.startswith(REFERENCE)}
         return cls(
             linear,
             sensors,
@@ -207,7 +247,7 @@ class AmortisedPosterior:
             directions=configuration["directions"],
             friction=tuple(configuration["friction"]),
             kinds=kinds,
-            reference={k[10:]: v for k, v in tensors.items() if k.startswith("reference.")} or None,
+            reference=NoveltyReference.of(known) if known else None,
         )
 
 

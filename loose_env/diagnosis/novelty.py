@@ -35,7 +35,7 @@ record, log-odds of a sound arm, log of the number of records."""
 
 _PLACE_AT = [PLACE_FEATURES.index(name) for name in _PLACE]
 _RECORD_AT = [RECORD_FEATURES.index(name) for name in _RECORD]
-_LEFT = [PLACE_FEATURES.index(name) for name in ("left", "inertia_left")]
+_LEFT = PLACE_FEATURES.index("left")
 _FINEST = 0.1  # chi² below which a change is no change at all
 _SUREST = 10.0  # log-odds beyond which a posterior says no more
 _LARGEST = 30.0  # standard deviations beyond which all is alike
@@ -62,7 +62,7 @@ def left_over(place: Array, record: Array, weights: Array, healthy: float) -> Ar
         Log of the chi² that the favoured places leave, then `CONTEXT`.
     """
     mean = np.einsum("p,rpc->rc", weights, place)
-    left = np.log(np.expm1(np.minimum(mean[:, _LEFT], 60.0)).sum(1) + _FINEST)
+    left = np.log(np.expm1(np.clip(mean[:, _LEFT], 0.0, 60.0)) + _FINEST)
     count = len(record)
     whole = np.full((count, 2), [np.clip(healthy, -_SUREST, _SUREST), np.log(max(count, 1))])
     return np.concatenate([left[:, None], mean[:, _PLACE_AT], record[:, _RECORD_AT], whole], axis=1)

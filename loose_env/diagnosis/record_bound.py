@@ -132,7 +132,7 @@ def least_records(
 
     >>> prior = np.full(9, 1 / 9)
     >>> least_records([0.1, 0.3], prior, information=0.5).round(2).tolist()
-    [3.33, 1.92]
+    [3.33, 1.93]
     >>> least_records([0.1, 0.3], prior, success=[0.6, 0.8, 0.85]).round(2).tolist()
     [1.45, 1.1]
     """

@@ -242,7 +242,7 @@ def fit_gaussian_mixture(
 
 def _from_shares(points: FloatArray, share: FloatArray, ridge: FloatArray) -> GaussianMixture:
     """Gaussians of points that belong to each of them in part (N, K): the M-step."""
-    n, d = points.shape
+    d = points.shape[1]
     number = share.sum(axis=0) + 1e-9
     means = share.T @ points / number[:, None]
     covariances = np.empty((share.shape[1], d, d))

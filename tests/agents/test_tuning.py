@@ -33,7 +33,7 @@ from loose_env.diagnosis.link_finding import LinkFindingSettings
 from loose_env.envs.settings import DiagnosisSettings, Prices
 from loose_env.errors import InvalidSetting, UnknownName
 
-RECORDS = 4
+RECORDS = 3
 SETTINGS = DiagnosisSettings(
     durations=(0.2,),
     max_records=RECORDS,
@@ -58,16 +58,15 @@ def agents_of(problem: Problem) -> list[BeliefAgent]:
 @pytest.mark.parametrize("which", [0, 1], ids=["random", "oracle"])
 def test_a_threshold_is_worth_what_playing_with_it_brings(problem: Problem, which: int) -> None:
     agent = agents_of(problem)[which]
-    trails = play_trails(agent, problem, episodes=12, seed=9, records=RECORDS, width=5)
-    verdicts = set()
-    for threshold in (0.5, 0.7, 0.9, 0.99):
+    trails = play_trails(agent, problem, episodes=8, seed=9, records=RECORDS, width=5)
+    for threshold in (0.5, 0.95):
         agent.stopping = Sure(probability=threshold)
-        rows = evaluate(agent, "a", problem.arm, SETTINGS, episodes=12, seed=9, threads=1)
+        rows = evaluate(agent, "a", problem.arm, SETTINGS, episodes=8, seed=9, threads=1)
         assert [row.records for row in rows] == (1 + trails.ends(threshold)).tolist()
         assert [row.success for row in rows] == trails.success(threshold).tolist()
         assert [row.reward for row in rows] == pytest.approx(trails.returns(threshold))
-        verdicts |= {row.verdict for row in rows}
-    assert "unsure" in verdicts or which == 1
+        if which == 0 and threshold == 0.5:
+            assert "unsure" in {row.verdict for row in rows}
     assert len({tuple(trails.ends(t)) for t in THRESHOLDS}) > 1  # there was something to choose
 
 
@@ -126,7 +125,7 @@ def made_trails(count: int, seed: int) -> Trails:
 
 
 def test_the_threshold_is_near_the_best_on_other_episodes() -> None:
-    others = made_trails(40_000, 1)
+    others = made_trails(20_000, 1)
     worth = np.array([others.returns(t).mean() for t in THRESHOLDS])
     found = [best_threshold(made_trails(400, k), np.random.default_rng(0)) for k in range(2, 10)]
     lost = worth.max() - np.array([others.returns(t).mean() for t in found])
