@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 from torch import Tensor, nn
 
 from agents.place_figures import PlaceFigures
@@ -135,15 +136,19 @@ class PosteriorTraining:
         record = torch.from_numpy(self.figures.record[rows])
         each, hidden = self.layers(place, record, self.one_hot)
         total = each.reshape(-1, records, *each.shape[1:]).cumsum(1)
-        temper = torch.exp(self.layers.temper[:records])[None, :, None, None]
-        total = total * temper - np.log(self.settings.frictions)
+        log, tempered = self._log_probabilities(total, self.layers.temper[:records])
+        return log, tempered, hidden
+
+    def _log_probabilities(self, total: Tensor, temper: Tensor) -> tuple[Tensor, Tensor]:
+        """Log-probabilities (B, R, H) and tempered log-weights, from sums over records."""
+        total = total * torch.exp(temper)[None, :, None, None] - np.log(self.settings.frictions)
         by_place = torch.logsumexp(total, -1)
         slides = self.n * len(self.directions)
         by_link = by_place[..., :slides].unflatten(-1, (self.n, len(self.directions)))
         slide = torch.logsumexp(by_link, -1) - np.log(len(self.directions))
         healthy = torch.zeros_like(slide[..., :1])
         log = torch.cat([healthy, slide, by_place[..., slides:]], -1) + self.prior
-        return torch.log_softmax(log, -1), total, hidden
+        return torch.log_softmax(log, -1), total
 
     def train(
         self,
@@ -211,6 +216,41 @@ class PosteriorTraining:
             log = own[torch.arange(len(plays)), :, node[plays]]
             loss = loss - log.mean() * len(plays) / len(truth)
         return loss
+
+    def calibrate(self, figures: PlaceFigures) -> None:
+        """Set the tempers so that held-out episodes get the best log score.
+
+        One factor for each of the first four numbers of records, one for all above, where
+        held-out episodes are few. Training leaves the posterior a little less sure than it may be.
+        """
+        for first, last in ((1, 1), (2, 2), (3, 3), (4, 4), (5, len(self.layers.temper))):
+            chosen = np.flatnonzero(figures.count >= last)
+            if len(chosen) >= 50:
+                self._calibrate(figures, chosen, first, last)
+
+    def _calibrate(
+        self, figures: PlaceFigures, chosen: NDArray[np.intp], first: int, last: int
+    ) -> None:
+        seen, self.figures = self.figures, figures
+        truth = torch.from_numpy(figures.truth[chosen])[:, None, None]
+        with torch.no_grad():
+            temper = self.layers.temper[:last].clone()
+            parts = []
+            for some in (chosen[i : i + 50] for i in range(0, len(chosen), 50)):
+                _, tempered, _ = self.posterior(self.rows(some, last), last)
+                parts.append(tempered[:, first - 1 :])
+            tempered = torch.cat(parts) + np.log(self.settings.frictions)
+            total = tempered / torch.exp(temper[first - 1 :])[None, :, None, None]
+
+            def score(change: float) -> float:
+                log, _ = self._log_probabilities(total, temper[first - 1 :] + change)
+                return -float(log.gather(-1, truth.expand(-1, log.shape[1], 1)).mean())
+
+            best = minimize_scalar(
+                score, bounds=(-0.7, 0.7), method="bounded", options={"xatol": 0.02}
+            )
+            self.layers.temper[first - 1 : last] += float(best.x)
+        self.figures = seen
 
     def scores(self, figures: PlaceFigures, *, most: int = 4) -> list[dict[str, float]]:
         """How well held-out episodes are judged after one record, two, and so on.

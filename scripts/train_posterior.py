@@ -2,8 +2,8 @@
 
 Usage: python scripts/train_posterior.py --env loose_env/Planar-v0 --out banks/planar4
 
-The bank is built first where it is missing (see scripts/build_bank.py). The last episodes are
-held out: the table at the end is theirs. Stopped at any moment, the same command goes on from the
+The bank is built first where it is missing (see scripts/build_bank.py). A tenth of the episodes is
+held out: half of them set the tempers, the table at the end is of the others. Stopped at any moment, the same command goes on from the
 last checkpoint. Weights go to agents/weights, or to --weights. With them goes what arms of the
 trained kind leave unexplained, by which an agent knows an arm of another kind; --reference-only
 adds that to weights that were trained before.
@@ -113,7 +113,10 @@ def train(options: argparse.Namespace) -> None:
     training.train(folder / f"training-{options.training_seed}", report)
     print(file=sys.stderr)
     seconds = time.perf_counter() - begin
-    found = training.scores(unseen)
+    half = held // 2  # one part sets the tempers, the other judges
+    if half:
+        training.calibrate(read_figures(store, plan.shards[:half]))
+    found = training.scores(read_figures(store, plan.shards[half:held]))
     tensors = training.tensors()
     reference = fit_reference(tensors, seen, unseen, directions=directions)
     write_network(

@@ -291,6 +291,7 @@ def write_network(
     where.mkdir(parents=True, exist_ok=True)
     beside = where / (WEIGHTS + ".part")
     save_file({k: np.ascontiguousarray(v) for k, v in tensors.items()}, str(beside))
+    beside.chmod(0o644)  # safetensors leaves it to its owner alone
     described = where / (CONFIGURATION + ".part")
     text = json.dumps({"format": FORMAT, **configuration}, indent=1)
     described.write_text(text + "\n", encoding="utf-8")

@@ -96,9 +96,9 @@ def test_a_healthy_arm_is_told_figures_like_any_other(oracle: OracleAgent) -> No
     slides = ["structural_looseness@link1", "structural_looseness@link2"]
     plays = ["backlash@joint1", "backlash@joint2"]
     groups = [
-        [oracle.told(Healthy(), rng) for _ in range(120)],
-        [oracle.told(sampler.draw(rng, hypothesis=h), rng) for h in slides * 60],
-        [oracle.told(sampler.draw(rng, hypothesis=h), rng) for h in plays * 60],
+        [oracle.told(Healthy(), rng) for _ in range(60)],
+        [oracle.told(sampler.draw(rng, hypothesis=h), rng) for h in slides * 30],
+        [oracle.told(sampler.draw(rng, hypothesis=h), rng) for h in plays * 30],
     ]
     for name, per_bin, bins in (("direction", 3, 6), ("friction", 1, 8)):
         counts = [

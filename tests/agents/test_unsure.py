@@ -2,11 +2,203 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import pytest
 
 from agents.base import Problem
-from agents.belief_agent import AfterOne, BeliefAgent, surprise_of  # noqa: F401
+from agents.belief_agent import BeliefAgent, Sure, surprise_of
+from agents.novelty_training import NoveltySettings, fit_reference, with_reference
+from agents.place_figures import PlaceFigures
+from agents.random_agent import RandomPolicy
+from agents.unlike_arms import OFF, OtherArmRig, UnlikeTask
+from loose_env.arms import planar
+from loose_env.arms.mismatch import Mismatch, MismatchDraw
+from loose_env.diagnosis.amortised import AmortisedPosterior
+from loose_env.diagnosis.novelty import NoveltyReference
+from loose_env.diagnosis.record import RecordStatistics
+from loose_env.diagnosis.seat_features import PLACE_FEATURES, RECORD_FEATURES
+from loose_env.diagnosis.seat_network import SeatNetwork
+from loose_env.envs.episode import EpisodeBatch
+from loose_env.envs.settings import DiagnosisSettings
+from loose_env.errors import UnknownName
+from loose_env.faults import UNSURE, Fault, Healthy
+from loose_env.sensors import SensorSuite
+from loose_env.statistics import axes_grid
+
+JOINTS, DIRECTIONS = 2, 6
+PLACES = JOINTS * DIRECTIONS + JOINTS
+SIZES = {"C": len(PLACE_FEATURES), "Q": len(RECORD_FEATURES), "W": 8, "H": 2 * JOINTS}
+SIZES |= {"F": 3, "R": 4}
+
+
+@dataclass
+class _Belief:
+    surprise: float
+
+
+@dataclass
+class _Memory:
+    belief: _Belief = field(default_factory=lambda: _Belief(1.0))
+
+
+class _Estimator:
+    """Says what it is told to."""
+
+    def __init__(self, problem: Problem, probabilities: np.ndarray, surprise: float) -> None:
+        self.problem, self.probabilities, self.surprise = problem, probabilities, surprise
+
+    def begin(self) -> _Memory:
+        return _Memory()
+
+    def follow(self, observation: np.ndarray, memory: Any) -> np.ndarray:
+        memory.belief = _Belief(self.surprise)
+        return self.probabilities
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return Problem.of(planar(2), DiagnosisSettings(durations=(0.2,)))
+
+
+@pytest.fixture(scope="module")
+def tensors() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(0)
+    made = {
+        name: rng.normal(0, 0.3, [SIZES[x] for x in letters])
+        for name, letters in SeatNetwork.shapes.items()
+    }
+    made |= {"place_scale": np.ones(SIZES["C"]), "record_scale": np.ones(SIZES["Q"])}
+    return made | {"temper": np.zeros(SIZES["R"])}
+
+
+def figures(rng: np.random.Generator, episodes: int, *, records: int = 3) -> PlaceFigures:
+    total = episodes * records
+    place = rng.uniform(0.1, 1.0, (total, PLACES, SIZES["C"]))
+    # What is left grows with what is visible, as on an arm whose model is a little off.
+    left, visible = PLACE_FEATURES.index("left"), PLACE_FEATURES.index("visible")
+    place[:, :, left] = 0.5 * place[:, :, visible] + rng.uniform(0.0, 0.5, (total, 1))
+    return PlaceFigures(
+        place=place.astype(np.float16),
+        record=rng.normal(size=(total, SIZES["Q"])).astype(np.float32),
+        count=np.full(episodes, records),
+        truth=np.zeros(episodes, dtype=np.int64),
+        direction=np.zeros((episodes, 3), dtype=np.float32),
+        ratio=np.full(episodes, np.inf, dtype=np.float32),
+    )
+
+
+def verdict(problem: Problem, probabilities: np.ndarray, surprise: float, **options: float) -> str:
+    agent = BeliefAgent(
+        problem,
+        _Estimator(problem, probabilities, surprise),
+        RandomPolicy(problem),
+        Sure(probability=0.0),
+        **options,  # type: ignore[arg-type]
+    )
+    batch = EpisodeBatch(problem.arm, problem.settings, num=1, threads=1)
+    batch.start(0, seed=1, number=0)
+    batch.step([0], [problem.actions.encode(levels=np.array([1, 0]))])
+    action, _ = agent.predict(batch.observe(0))
+    return str(batch.step([0], [action])[0].info["verdict"])
+
+
+def test_a_surprised_agent_names_nothing(problem: Problem) -> None:
+    certain = np.eye(len(problem.hypotheses))[2]
+    assert verdict(problem, certain, 0.0005) == UNSURE
+    assert verdict(problem, certain, 0.5) == problem.hypotheses[2]
+    assert verdict(problem, certain, 0.0005, surprising=0.0) == problem.hypotheses[2]
+
+
+def test_an_agent_that_knows_nothing_is_unsure_too(problem: Problem) -> None:
+    count = len(problem.hypotheses)
+    assert verdict(problem, np.full(count, 1 / count), 1.0) == UNSURE
+
+
+def test_an_estimator_that_says_nothing_of_it_is_never_surprised() -> None:
+    assert surprise_of(object()) == 1.0
+
+
+def test_episodes_of_the_trained_kind_do_not_surprise_and_others_do(
+    tensors: dict[str, np.ndarray],
+) -> None:
+    rng = np.random.default_rng(1)
+    settings = NoveltySettings(components=2)
+    reference = fit_reference(
+        tensors,
+        figures(rng, 300),
+        figures(rng, 300),
+        directions=axes_grid(DIRECTIONS, 2),
+        settings=settings,
+    )
+    assert [len(scores) for scores in reference.scores] == [300, 300, 300]
+    stored = with_reference(tensors | {"reference.old": np.zeros(1)}, reference)
+    assert "reference.old" not in stored
+    assert all(stored[name] is values for name, values in tensors.items())
+    arm = planar(JOINTS)
+    problem = Problem.of(arm, DiagnosisSettings())
+
+    def posterior(reference: NoveltyReference | None) -> AmortisedPosterior:
+        return AmortisedPosterior(
+            problem.linear,
+            SensorSuite(),
+            Mismatch(),
+            SeatNetwork(tensors),
+            directions=DIRECTIONS,
+            reference=reference,
+        )
+
+    def surprises(bank: PlaceFigures, one: AmortisedPosterior) -> np.ndarray:
+        found = []
+        rows = iter(zip(bank.place.astype(float), bank.record.astype(float), strict=True))
+        one.features.of = lambda record: next(rows)  # type: ignore[method-assign]
+        for count in bank.count:
+            belief = one.start()
+            for _ in range(count):
+                belief = one.update(belief, RecordStatistics.__new__(RecordStatistics))
+            found.append(belief.surprise)
+        return np.array(found)
+
+    known = surprises(figures(rng, 200), posterior(reference))
+    assert np.mean(known < 0.1) == pytest.approx(0.1, abs=0.09)
+    assert np.mean(known < 0.5) == pytest.approx(0.5, abs=0.15)
+    far = figures(rng, 20)
+    far.place[:, :, PLACE_FEATURES.index("left")] += 2.0
+    assert (surprises(far, posterior(reference)) == 1 / 301).all()
+    assert (surprises(far, posterior(None)) == 1.0).all()
+
+
+class _Mounted:
+    """A rig that only remembers what was put on it."""
+
+    arm = planar(2)
+
+    def __init__(self) -> None:
+        self.draws: list[MismatchDraw] = []
+
+    def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
+        assert mismatch is not None
+        self.draws.append(mismatch)
+
+    def measure_many(self, jobs: Any) -> list[Any]:
+        return []
+
+
+def test_another_arm_is_off_in_every_length_and_mass_and_the_same_each_time() -> None:
+    rig, draw = _Mounted(), Mismatch().draw(planar(2), np.random.default_rng(3))
+    other = OtherArmRig(rig)
+    for _ in range(2):
+        other.mount(0, Healthy(), draw)
+    first, second = rig.draws
+    for name in ("length", "mass"):
+        factor = getattr(first, name) / getattr(draw, name)
+        assert np.abs(factor - 1) == pytest.approx(OFF)
+        assert np.array_equal(getattr(first, name), getattr(second, name))
+    assert np.array_equal(first.sensor, draw.sensor)
+
+
+def test_kinds_of_episodes_are_known_by_name() -> None:
+    with pytest.raises(UnknownName, match="several"):
+        UnlikeTask(kind="two", agent="thesis", env_id="loose_env/Planar-v0", seed=1)
