@@ -1,18 +1,19 @@
 """How few records could do: a bound for the agents of a comparison, from their own episodes.
 
 The bounds of `loose_env.diagnosis.record_bound` need the most that a record says and the most
-arms that k records allow to get right. Neither is known. Both are taken from whoever plays, the
-oracle (which is told direction and friction) among them:
+arms that k records allow to get right. Neither is known. Both are taken from whoever plays:
 
 - Information: for each player and each record, the mean rise of the log probability of the truth
-  over the arms still measured; the largest, at the upper end of its interval. Told or not, no
-  player here exceeds it.
+  over the arms still measured; the largest, at the upper end of its interval.
 - Success: the largest share of right best guesses after k records, at the upper end of its
   interval.
 
-So the bound holds for agents that get no more out of a record than the best player here. A better
-posterior or better records than anybody's here would lower it: the log score of a posterior that
-is not the exact one falls short of the information in the records.
+So the bound holds for whoever gets no more out of a record than the best player counted. Taken
+from the agents it can be beaten by a better posterior or better records than theirs: the log
+score of a posterior that is not the exact one falls short of the information in the records.
+Taken from the oracle too, which is told direction and friction, it hardly can, and is lower: both
+are drawn alike under all hypotheses, so what the records say to someone who knows them is at
+least what they say to someone who does not.
 """
 
 from __future__ import annotations
@@ -111,7 +112,9 @@ def record_bound(problem: Problem, rows: Sequence[Row]) -> RecordBound | None:
 def bound_line(problem: Problem, rows: Sequence[Row]) -> str:
     """Say how few records would do for the errors of the best agent, difficulty by difficulty.
 
-    The best agent is the one of the highest mean return among those that are told nothing.
+    The best agent is the one of the highest mean return among those that are told nothing. The
+    bound is that of the agents; where an oracle plays, what is left of it with the oracle's
+    records is said too.
     """
     parts = []
     levels = dict.fromkeys(str(row.get("difficulty", "own")) for row in rows)
@@ -121,24 +124,36 @@ def bound_line(problem: Problem, rows: Sequence[Row]) -> str:
         best = next((s for s in standings(some) if not s.agent.endswith(STAR)), None)
         if best is None:
             continue
-        bound = record_bound(problem, some)
+        own = [row for row in some if not str(row["agent"]).endswith(STAR)]
+        bound = record_bound(problem, own)
         if bound is None:
             parts.append(
-                f"Bound on records{where}: 1; more cannot be said, for nobody here keeps "
+                f"Bound on records{where}: 1; more cannot be said, for no agent here keeps "
                 f"probabilities on {FEWEST} arms or more."
             )
             continue
         error = 1 - best.success
+        told = "" if len(own) == len(some) else _told(record_bound(problem, some), error)
         parts.append(
             f"Bound on records{where}: {float(bound.records(error)):.2f} on average at the error "
             f"of {best.agent}, {100 * error:.1f} %, which took {best.records:.2f}. By information "
-            f"(Fano) {float(bound.by_information(error)):.2f}: no record says more than "
-            f"{bound.information:.2f} nat, the most seen here ({bound.teller}, record "
-            f"{bound.record}). By success {float(bound.by_success(error)):.2f}: k records allow no "
-            "more right verdicts than anybody here reached. Both with the upper ends of 95 % "
-            "intervals; a better posterior than those here could need fewer."
+            f"(Fano) {float(bound.by_information(error)):.2f}, if no record says more than "
+            f"{bound.information:.2f} nat, the most that one says to an agent here "
+            f"({bound.teller}, record {bound.record}); by success "
+            f"{float(bound.by_success(error)):.2f}, if k records allow no more right verdicts than "
+            f"the agents here reached. Both with the upper ends of 95 % intervals.{told}"
         )
     return "\n".join(parts)
+
+
+def _told(bound: RecordBound | None, error: float) -> str:
+    """What is left of the bound where the oracle counts too."""
+    if bound is None:
+        return ""
+    return (
+        f" With the oracle's records, of up to {bound.information:.2f} nat, it is "
+        f"{float(bound.records(error)):.2f}."
+    )
 
 
 def _prior(problem: Problem, level: str) -> Array:

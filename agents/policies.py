@@ -10,7 +10,7 @@ from typing import Any
 from agents.base import Problem
 from agents.belief_agent import Estimator, Policy
 from loose_env.diagnosis.amortised import AmortisedPosterior
-from loose_env.diagnosis.information import RecordInformation
+from loose_env.diagnosis.information import InformationFactors, RecordInformation
 from loose_env.diagnosis.posterior import FaultPosterior
 from loose_env.diagnosis.seat_features import SeatFeatures
 from loose_env.envs.difficulty import difficulty_named
@@ -26,7 +26,8 @@ def tuned(problem: Problem) -> dict[str, Any]:
     """Settings tuned on training episodes of an arm and difficulty; empty where there are none.
 
     ``stop`` maps agents to the probability at which they stop, ``constant`` holds the best
-    levels of one joint. Written by scripts/tune_agents.py.
+    levels of one joint, ``information`` the factors on expected information. Written by
+    scripts/tune_agents.py and scripts/fit_information.py.
     """
     path = WEIGHTS / f"{setting_name(problem)}.json"
     return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
@@ -48,8 +49,12 @@ def information_of(problem: Problem, estimator: Estimator) -> RecordInformation:
         If the estimator keeps no posterior over places and frictions.
     """
     posterior = getattr(estimator, "posterior", None)
+    fitted = tuned(problem).get("information")
+    factors = None
+    if fitted is not None:
+        factors = InformationFactors(**fitted | {"joints": tuple(fitted["joints"])})
     if isinstance(posterior, AmortisedPosterior):
-        return RecordInformation(posterior.features, posterior.frictions)
+        return RecordInformation(posterior.features, posterior.frictions, factors=factors)
     if isinstance(posterior, FaultPosterior):
         mismatch = difficulty_named(problem.settings.difficulty).mismatch
         features = SeatFeatures(
@@ -58,7 +63,7 @@ def information_of(problem: Problem, estimator: Estimator) -> RecordInformation:
             mismatch,
             directions=len(posterior.directions),
         )
-        return RecordInformation(features, posterior.frictions)
+        return RecordInformation(features, posterior.frictions, factors=factors)
     raise InvalidSetting(
         "choosing records by information needs an estimator with a posterior over places and "
         f"frictions, not {type(estimator).__name__}"

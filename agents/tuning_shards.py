@@ -24,9 +24,9 @@ from agents.registry import belief_agent
 from agents.shard_store import ArrayCodec, ShardStore
 from agents.shards import Shard, run_shards, shard_of
 from agents.tuning import Trails, play_trails
-from loose_env.errors import UnknownName
+from loose_env.errors import InvalidData, UnknownName
 
-__all__ = ["ORACLE", "Player", "agent_of", "names_of", "play_player"]
+__all__ = ["ORACLE", "Player", "agent_of", "names_of", "play_player", "trained"]
 
 ORACLE = "oracle"
 """Stands for the estimator in the name of an oracle."""
@@ -51,6 +51,9 @@ class Player:
     """Records an episode."""
     agent_seed: int = 0
     """Seed of what the agent draws."""
+    posterior: str
+    """Digest of the trained posterior, see `trained`: it must not change while episodes are
+    played."""
 
 
 def names_of(agent: str) -> tuple[str, str]:
@@ -87,6 +90,13 @@ def agent_of(player: Player, problem: Problem) -> BeliefAgent:
     return BeliefAgent(problem, made, constant, Sure(), seed=player.agent_seed)
 
 
+def trained(problem: Problem) -> str:
+    """Digest of the trained posterior of an arm and difficulty, be there one or not."""
+    folder = WEIGHTS / f"posterior-{setting_name(problem)}"
+    files = sorted(folder.iterdir()) if folder.is_dir() else []
+    return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()
+
+
 def play_player(
     player: Player,
     problem: Problem,
@@ -115,11 +125,15 @@ def play_player(
         Where shards run.
     shard : int
         Episodes a shard; no trail depends on it.
+
+    Raises
+    ------
+    ShardFailed
+        If the trained posterior is not, or no longer, the player's.
     """
     kept = {
         **asdict(player),
         "settings": problem.settings,
-        "posterior": _trained(problem),
         "version": loose_env.__version__,
     }
     store = ShardStore(folder / configuration_hash(kept)[:16], kept, ArrayCodec())
@@ -133,6 +147,11 @@ def _play(player: Player, shard: Shard) -> dict[str, Any]:
     made = _THREAD.__dict__
     if made.get("player") != player:
         problem = problem_of(player.env_id, player.arguments)
+        if trained(problem) != player.posterior:
+            raise InvalidData(
+                f"the trained posterior of {setting_name(problem)} has changed since the tuning "
+                "began: begin it again; episodes played with the other one are left alone"
+            )
         made.update(problem=problem, agent=agent_of(player, problem), player=player)
     trails = play_trails(
         made["agent"],
@@ -143,10 +162,3 @@ def _play(player: Player, shard: Shard) -> dict[str, Any]:
         records=player.records,
     )
     return vars(trails)
-
-
-def _trained(problem: Problem) -> str:
-    """Digest of the trained posterior: episodes played with another one are no use."""
-    folder = WEIGHTS / f"posterior-{setting_name(problem)}"
-    files = sorted(folder.iterdir()) if folder.is_dir() else []
-    return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()

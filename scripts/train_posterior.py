@@ -3,10 +3,10 @@
 Usage: python scripts/train_posterior.py --env loose_env/Planar-v0 --out banks/planar4
 
 The bank is built first where it is missing (see scripts/build_bank.py). A tenth of the episodes is
-held out: half of them set the tempers, the table at the end is of the others. Stopped at any moment, the same command goes on from the
-last checkpoint. Weights go to agents/weights, or to --weights. With them goes what arms of the
-trained kind leave unexplained, by which an agent knows an arm of another kind; --reference-only
-adds that to weights that were trained before.
+held out: half of them set the tempers, the table at the end is of the others. Stopped at any
+moment, the same command goes on from the last checkpoint. Weights go to agents/weights, or to
+--weights. With them goes what arms of the trained kind leave unexplained, by which an agent knows
+an arm of another kind; --reference-only adds that to weights that were trained before.
 """
 
 from __future__ import annotations

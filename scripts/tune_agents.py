@@ -42,7 +42,7 @@ from agents.tuning import (
     unseen_return,
     write_tuned,
 )
-from agents.tuning_shards import ORACLE, Player, names_of, play_player
+from agents.tuning_shards import ORACLE, Player, names_of, play_player, trained
 from loose_env.errors import InvalidSetting, LooseEnvError
 from loose_env.report.paired import bootstrap_mean
 
@@ -79,6 +79,7 @@ def tune(options: argparse.Namespace) -> None:
     problem = problem_of(options.env, json.loads(options.arguments))
     candidates = single_joints(problem, options.levels)
     records = min(options.records, problem.settings.max_records)
+    posterior = trained(problem)
     stop, lines = {}, []
 
     def play(agent: str, levels: tuple[int, ...] | None, episodes: int) -> Trails:
@@ -91,6 +92,7 @@ def tune(options: argparse.Namespace) -> None:
             seed=options.seed,
             records=records,
             agent_seed=options.agent_seed,
+            posterior=posterior,
         )
         words = agent if levels is None else f"{agent} {list(levels)}"
         print(f"{words}, {episodes} episodes", file=sys.stderr, flush=True)

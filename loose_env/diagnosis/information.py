@@ -19,7 +19,14 @@ from loose_env.diagnosis.posterior import Belief
 from loose_env.diagnosis.seat_features import SeatFeatures
 from loose_env.diagnosis.seat_prediction import predict_seats
 
-__all__ = ["Expectation", "ImaginedFaults", "InformationSettings", "RecordInformation"]
+__all__ = [
+    "USUAL_FACTORS",
+    "Expectation",
+    "ImaginedFaults",
+    "InformationFactors",
+    "InformationSettings",
+    "RecordInformation",
+]
 
 Array = NDArray[np.float64]
 
@@ -36,11 +43,31 @@ class InformationSettings:
     """Imagined faults that stand for the belief."""
     blur: float = 16.0
     """Variance of everything predicted, over what errors and sampling leave [1]."""
-    length: float = 0.06
-    """Exponent of the record's length [s] on the information; fitted on records of a bank."""
-    together: float = -0.46
-    """Logarithm of the factor on the information where all joints are shaken, which disturb each
-    other; fitted likewise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class InformationFactors:
+    """Which share of the expected information comes true, by kind of record."""
+
+    length: float = 0.0
+    """Exponent of the record's length over a second."""
+    together: float = 0.0
+    """Logarithm of the factor where all joints are shaken, none where one is."""
+    joints: tuple[float, ...] = ()
+    """Logarithm of the factor of each joint; of several that are shaken, their mean. None: 0."""
+
+    def of(self, excited: NDArray[np.bool_], seconds: float) -> float:
+        """Factor of a record that shakes some joints (n,) for some seconds.
+
+        Examples
+        --------
+        >>> InformationFactors(joints=(0.0, 0.7)).of(np.array([False, True]), 1.0)
+        2.01...
+        """
+        alone = 1 / len(excited)
+        share = (float(np.mean(excited)) - alone) / max(1 - alone, alone)
+        own = float(np.mean(np.array(self.joints)[excited])) if self.joints else 0.0
+        return float(seconds**self.length * np.exp(self.together * share + own))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,6 +96,10 @@ class Expectation:
     """Expected probability of the most probable hypothesis after it [1]."""
 
 
+USUAL_FACTORS = InformationFactors(length=0.06, together=-0.46)
+"""Fitted on records of planar4; `agents.information_fit` fits those of other arms."""
+
+
 class RecordInformation:
     """Weighs records that could be taken next.
 
@@ -80,6 +111,8 @@ class RecordInformation:
         Nodes of friction of the beliefs, over the seat drive of the top level [1].
     settings : InformationSettings, optional
         How records are imagined.
+    factors : InformationFactors, optional
+        Which share of the information comes true; the usual one by default.
     table : OpeningTable, optional
         How seats open; the shipped one by default.
     """
@@ -90,9 +123,11 @@ class RecordInformation:
         frictions: Array,
         settings: InformationSettings | None = None,
         *,
+        factors: InformationFactors | None = None,
         table: OpeningTable | None = None,
     ) -> None:
         self.features, self.frictions = features, frictions
+        self.factors = USUAL_FACTORS if factors is None else factors
         self.settings = InformationSettings() if settings is None else settings
         self.table = shipped_table() if table is None else table
         shape = (-1, len(OPENINGS) * len(LOOSE))
@@ -152,11 +187,9 @@ class RecordInformation:
         kept = after[np.arange(len(labels)), faults.hypothesis]
         score = float(faults.weight @ np.log(np.maximum(kept, 1e-12)))
         score_now = float(faults.weight @ np.log(before[faults.hypothesis]))
-        alone = 1 / len(torque)
-        share = (float(np.mean(torque > 0)) - alone) / max(1 - alone, alone)
-        factor = duration**self.settings.length * np.exp(self.settings.together * share)
+        factor = self.factors.of(torque > 0, duration)
         return Expectation(
-            information=float(factor) * (score - score_now),
+            information=factor * (score - score_now),
             sure=float(faults.weight @ after.max(1)),
         )
 

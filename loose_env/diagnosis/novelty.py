@@ -106,8 +106,8 @@ class NoveltyReference:
     ... )
     >>> reference.novelty(2.0 * np.eye(size)[:1]).round(3).tolist()
     [2.0]
-    >>> reference.surprise([0.0]), reference.surprise([5.0])
-    (0.51, 0.01)
+    >>> reference.surprise([-3.0]), reference.surprise([5.0])
+    (1.0, 0.01)
     """
 
     mean: Array
@@ -134,7 +134,7 @@ class NoveltyReference:
             Normal deviate of the chance that more is left.
         """
         log_tail = self.mixture.log_upper_tail((figures - self.mean) / self.scale)
-        return np.clip(-ndtri_exp(np.minimum(log_tail, 0.0)), -_LARGEST, _LARGEST)
+        return np.asarray(np.clip(-ndtri_exp(np.minimum(log_tail, 0.0)), -_LARGEST, _LARGEST))
 
     def surprise(self, novelty: Sequence[float] | Array) -> float:
         """p-value of an episode among those of the trained kind; one without records.

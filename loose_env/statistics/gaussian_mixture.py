@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 from scipy.special import log_ndtr, logsumexp
 
@@ -263,9 +263,7 @@ def _spread(points: FloatArray, count: int, rng: np.random.Generator) -> FloatAr
     return np.array(chosen)
 
 
-def _nearest(
-    points: FloatArray, centres: FloatArray
-) -> "np.ndarray[tuple[int], np.dtype[np.intp]]":
+def _nearest(points: FloatArray, centres: FloatArray) -> NDArray[np.intp]:
     """Which centre each point is nearest to (N,)."""
     away = np.stack([((points - one) ** 2).sum(1) for one in centres], axis=1)
     return np.asarray(np.argmin(away, axis=1))

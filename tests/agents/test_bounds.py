@@ -143,7 +143,8 @@ def test_the_line_is_about_the_best_agent_that_is_told_nothing(problem: Problem)
     ]
     line = bound_line(problem, rows)
     assert "at the error of good, 10.0 %, which took 2.00" in line
-    assert "bad" not in line and line.count("\n") == 0
+    assert "bad" not in line and line.count("\n") == 0 and "With the oracle's" in line
+    assert "oracle" not in bound_line(problem, rows[:100])
     both = [*rows, *({**r, "difficulty": "hard"} for r in rows)]
     assert bound_line(problem, both).count("Bound on records (") == 2
     silent = [row("thesis", k, trail_truth=(), trail_best=()) for k in range(50)]

@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import agents.tuning_shards as module
+from agents.backends import BackendSettings
 from agents.base import Problem
 from agents.belief_agent import BeliefAgent, Sure
 from agents.evaluation import evaluate
@@ -17,6 +19,7 @@ from agents.evaluation_shards import problem_of
 from agents.link_finding import LinkFindingAgent
 from agents.oracle import oracle_agent
 from agents.registry import belief_agent
+from agents.shards import ShardFailed
 from agents.tuning import (
     THRESHOLDS,
     Trails,
@@ -27,13 +30,14 @@ from agents.tuning import (
     unseen_return,
     write_tuned,
 )
-from agents.tuning_shards import Player, names_of, play_player
+from agents.tuning_shards import Player, names_of, play_player, trained
 from loose_env.arms import planar
 from loose_env.diagnosis.link_finding import LinkFindingSettings
 from loose_env.envs.settings import DiagnosisSettings, Prices
 from loose_env.errors import InvalidSetting, UnknownName
 
 RECORDS = 3
+HERE = BackendSettings(backend="threading", workers=1)
 SETTINGS = DiagnosisSettings(
     durations=(0.2,),
     max_records=RECORDS,
@@ -186,6 +190,7 @@ def test_settings_of_others_are_kept(tmp_path: Path) -> None:
 def test_shards_go_on_and_grow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("numba")
     arguments = {"n_links": 2, "durations": (0.2,), "max_records": 2, "engine": "reduced"}
+    problem = problem_of("loose_env/Planar-v0", arguments)
     player = Player(
         agent="posterior/constant",
         levels=(3, 0),
@@ -193,21 +198,16 @@ def test_shards_go_on_and_grow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         arguments=arguments,
         seed=9,
         records=2,
+        posterior=trained(problem),
     )
-    problem = problem_of(player.env_id, arguments)
 
-    def play(episodes: int, shard: int = 2) -> Trails:
-        from agents.backends import BackendSettings
-
-        here = BackendSettings(backend="threading", workers=1)
+    def play(episodes: int, shard: int = 2, by: Player = player) -> Trails:
         return play_player(
-            player, problem, episodes=episodes, folder=tmp_path, settings=here, shard=shard
+            by, problem, episodes=episodes, folder=tmp_path, settings=HERE, shard=shard
         )
 
     first = play(2)
     played: list[int] = []
-    import agents.tuning_shards as module
-
     real = module.play_trails
 
     def counted(*given: object, **settings: int) -> Trails:
@@ -220,6 +220,8 @@ def test_shards_go_on_and_grow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     np.testing.assert_array_equal(more.confidence[:2], first.confidence)
     np.testing.assert_array_equal(play(4, shard=3).reward, more.reward)
     assert len(list(tmp_path.iterdir())) == 1
+    with pytest.raises(ShardFailed, match="posterior of planar2-default has changed"):
+        play(2, by=replace(player, posterior="that of yesterday"))
 
 
 def test_what_cannot_be_tuned_is_told_so(problem: Problem) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,14 +17,14 @@ from agents.random_agent import RandomPolicy
 from agents.unlike_arms import OFF, OtherArmRig, UnlikeTask
 from loose_env.arms import planar
 from loose_env.arms.mismatch import Mismatch, MismatchDraw
-from loose_env.diagnosis.amortised import AmortisedPosterior
+from loose_env.diagnosis.amortised import AmortisedPosterior, read_network, write_network
 from loose_env.diagnosis.novelty import NoveltyReference
 from loose_env.diagnosis.record import RecordStatistics
 from loose_env.diagnosis.seat_features import PLACE_FEATURES, RECORD_FEATURES
 from loose_env.diagnosis.seat_network import SeatNetwork
 from loose_env.envs.episode import EpisodeBatch
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.errors import UnknownName
+from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import UNSURE, Fault, Healthy
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid
@@ -168,6 +169,34 @@ def test_episodes_of_the_trained_kind_do_not_surprise_and_others_do(
     far.place[:, :, PLACE_FEATURES.index("left")] += 2.0
     assert (surprises(far, posterior(reference)) == 1 / 301).all()
     assert (surprises(far, posterior(None)) == 1.0).all()
+
+
+def test_a_reference_is_added_to_weights_that_stay_as_they_are(
+    tensors: dict[str, np.ndarray], tmp_path: Path
+) -> None:
+    pytest.importorskip("safetensors")
+    pytest.importorskip("torch")
+    from scripts.train_posterior import add_reference
+
+    rng = np.random.default_rng(2)
+    grid = axes_grid(DIRECTIONS, 2)
+    configuration = {"arm": "planar2", "directions": DIRECTIONS, "friction": [0.02, 1.0]}
+    write_network(tmp_path, configuration, tensors)
+    problem = Problem.of(planar(JOINTS), DiagnosisSettings())
+
+    def load() -> AmortisedPosterior:
+        return AmortisedPosterior.load(tmp_path, problem.linear, SensorSuite(), Mismatch())
+
+    assert load().reference is None
+    add_reference(tmp_path, figures(rng, 60), figures(rng, 40), grid)
+    after, stored = read_network(tmp_path)
+    assert {name: after[name] for name in configuration} == configuration
+    assert all(np.array_equal(stored[name], values) for name, values in tensors.items())
+    reference = load().reference
+    assert reference is not None
+    assert len(reference.scores[0]) == 40
+    with pytest.raises(InvalidSetting, match="directions"):
+        add_reference(tmp_path, figures(rng, 60), figures(rng, 40), grid[:4])
 
 
 class _Mounted:
