@@ -87,10 +87,11 @@ def build_figures(
     return store
 
 
-def read_bank(plan: BankPlan, folder: Path) -> RecordBank:
-    """Read a whole bank."""
+def read_bank(plan: BankPlan, folder: Path, shards: tuple[Shard, ...] | None = None) -> RecordBank:
+    """Read a bank, or some of its shards."""
     store = ShardStore(folder / "records", plan.configuration, ArrayCodec())
-    return RecordBank.joined([RecordBank(**part) for part in store.read_all(plan.shards)])
+    chosen = plan.shards if shards is None else shards
+    return RecordBank.joined([RecordBank(**part) for part in store.read_all(chosen)])
 
 
 def read_figures(store: ShardStore, shards: tuple[Shard, ...]) -> PlaceFigures:

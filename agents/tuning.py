@@ -306,7 +306,11 @@ def _top_return(trails: Trails) -> float:
 
 
 def write_tuned(
-    path: Path, stop: dict[str, float], *, constant: Sequence[int] | None = None
+    path: Path,
+    stop: Mapping[str, float],
+    *,
+    constant: Sequence[int] | None = None,
+    information: Mapping[str, object] | None = None,
 ) -> None:
     """Enter what was tuned into a file of settings; what else it holds is kept.
 
@@ -320,11 +324,15 @@ def write_tuned(
         Stopping probability by ``estimator/policy``.
     constant : sequence of int, optional
         Best levels of one joint.
+    information : mapping, optional
+        Fields of `loose_env.diagnosis.information.InformationFactors`.
     """
     known = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     known["stop"] = dict(sorted({**known.get("stop", {}), **stop}.items()))
     if constant is not None:
         known["constant"] = [int(level) for level in constant]
+    if information is not None:
+        known["information"] = dict(information)
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
