@@ -106,6 +106,7 @@ def play_task(
     *,
     settings: BackendSettings | None = None,
     shard: int = 200,
+    keep: bool = False,
 ) -> list[dict[str, Any]]:
     """Play a task in shards; what an interrupted call has done is not played again.
 
@@ -116,11 +117,13 @@ def play_task(
     task : EvaluationTask
         All episodes of one agent.
     folder : Path
-        Where shards lie until the task is done; then they are removed.
+        Where shards lie until the task is done; then they are removed, unless kept.
     settings : BackendSettings, optional
         Where shards run; in this process if None.
     shard : int
         Episodes a shard; no row depends on it.
+    keep : bool
+        Whether shards stay, so that a later call finds them.
     """
     shards = shard_of(task.count, shard)
     where = folder / configuration_hash(task.configuration)[:16]
@@ -130,7 +133,8 @@ def play_task(
     else:
         run_shards(partial(_part, replace(task, threads=1)), shards, store, settings=settings)
     rows = [row for part in store.read_all(shards) for row in part]
-    shutil.rmtree(where)
+    if not keep:
+        shutil.rmtree(where)
     return rows
 
 

@@ -36,7 +36,7 @@ from agents.configuration import canonical
 from agents.estimators import ESTIMATORS
 from agents.evaluation import EVALUATION_SEED
 from agents.evaluation_shards import EvaluationTask, play_task, problem_of
-from agents.policies import POLICIES
+from agents.policies import POLICIES, WEIGHTS, setting_name
 from agents.registry import AGENTS, make_agent
 from loose_env.errors import LooseEnvError
 from loose_env.report.comparison_text import comparison_text
@@ -70,14 +70,16 @@ def arguments_of(text: str) -> dict[str, Any]:
     return found
 
 
-def names_of(options: argparse.Namespace) -> list[str]:
+def names_of(options: argparse.Namespace, problem: Problem) -> list[str]:
     """Agents to play: those named, and every estimator with every policy."""
     if bool(options.estimators) != bool(options.policies):
         raise ValueError("--estimators and --policies are crossed: give both or neither")
     crossed = [f"{e}/{p}" for p in options.policies for e in options.estimators]
     named = options.agents
     if named is None:
-        named = [] if crossed else ["random", "thesis", "ppo"]
+        trained = (WEIGHTS / f"posterior-{setting_name(problem)}").is_dir()
+        usual = ["greedy", "constant"] if trained else ["posterior/greedy"]
+        named = [] if crossed else [*usual, "random", "thesis"]
     return list(dict.fromkeys([*named, *crossed]))
 
 
@@ -129,7 +131,9 @@ def play(
                 threads=options.threads,
             )
             folder = Path(options.out) / "shards"
-            rows += play_task(task, folder, settings=settings, shard=options.shard)
+            rows += play_task(
+                task, folder, settings=settings, shard=options.shard, keep=options.keep
+            )
     return rows
 
 
@@ -239,6 +243,11 @@ def parser() -> argparse.ArgumentParser:
     add("--threads", type=int, default=0, help="simulation threads with --workers 1, 0 for all")
     add("--shard", type=int, default=200, help="episodes that a worker plays at a time")
     add("--out", default="out", help="folder of rows and page")
+    add(
+        "--keep",
+        action="store_true",
+        help="keep what was played: the same command with further agents plays only these",
+    )
     add("--rows", default="parquet", help="raw rows as parquet or json")
     add("--page", action="store_true", help="write a page with pictures too")
     add_backend_options(options)
@@ -251,12 +260,13 @@ def compare(options: argparse.Namespace) -> None:
     form = need_format(options.rows)  # whatever is wrong shows now, not after an hour of play
     if options.episodes < 1:
         raise ValueError(f"--episodes must be 1 or more, got {options.episodes}")
-    names, levels = names_of(options), levels_of(options)
+    levels = levels_of(options)
+    problems = [problem_of(options.env, arguments) for arguments in levels]
+    problem = problems[0]
+    names = names_of(options, problem)
     reference = reference_of(options, names)
     out = Path(options.out)
     out.mkdir(parents=True, exist_ok=True)
-    problems = [problem_of(options.env, arguments) for arguments in levels]
-    problem = problems[0]
     made = {name: make_agent(name, problem, seed=options.agent_seed) for name in names}
     goers = [name for name in names if hasattr(made[name], "stopping")]
     if options.curve is not None and not 1 <= options.curve <= problem.settings.max_records:

@@ -1,4 +1,4 @@
-"""The main job: three agents diagnose the same hidden faults on the VERA arm.
+"""The main job: four agents diagnose the same hidden faults on the VERA arm.
 
 Usage: python scripts/run.py [options of scripts/compare.py]
 """
@@ -13,15 +13,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import compare
 
 EPISODES = 300
+AGENTS = ("greedy", "ppo", "random", "thesis")
 
 
 def main() -> None:
-    """Compare the three agents on VERA and write the page; later options win.
+    """Compare the four agents on VERA and write the page; later options win.
 
     In this process and with rows as JSON: it needs no package beyond those of `make run`.
     """
     plain = ["--workers", "1", "--rows", "json"]
-    compare.main(["--page", "--episodes", str(EPISODES), *plain, *sys.argv[1:]])
+    agents = ["--agents", *AGENTS]
+    compare.main(["--page", "--episodes", str(EPISODES), *agents, *plain, *sys.argv[1:]])
 
 
 if __name__ == "__main__":

@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agents.base import Problem
 from agents.evaluation import EVALUATION_SEED
+from loose_env.arms import planar, vera
+from loose_env.envs.settings import DiagnosisSettings
 from loose_env.report.rows_file import read_rows
 from scripts import compare
 
@@ -99,11 +102,16 @@ def test_each_difficulty_is_played(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 def test_estimators_are_crossed_with_policies() -> None:
+    problem = Problem.of(vera(), DiagnosisSettings())
+    untrained = Problem.of(planar(3), DiagnosisSettings())
     options = compare.parser().parse_args(["--estimators", "a", "b", "--policies", "x", "y"])
-    assert compare.names_of(options) == ["a/x", "b/x", "a/y", "b/y"]
+    assert compare.names_of(options, problem) == ["a/x", "b/x", "a/y", "b/y"]
     assert compare.reference_of(options, ["a/x", "b/x"]) == "a/x"
     plain = compare.parser().parse_args([])
-    assert compare.reference_of(plain, compare.names_of(plain)) == "thesis"
+    names = compare.names_of(plain, problem)
+    assert names == ["greedy", "constant", "random", "thesis"]
+    assert compare.reference_of(plain, names) == "thesis"
+    assert compare.names_of(plain, untrained)[0] == "posterior/greedy"
     assert plain.seed == EVALUATION_SEED and plain.episodes == 4000
 
 
