@@ -84,14 +84,18 @@ def _oracle(problem: Problem, seed: int) -> Agent:
     return oracle_agent(problem, seed=seed)
 
 
-def _learned(algorithm: str, training: str = "") -> Callable[[Problem, int], Agent]:
+def _learned(name: str, training: str = "") -> Callable[[Problem, int], Agent]:
     def make(problem: Problem, seed: int) -> Agent:
         from agents.learned import LearnedAgent
 
-        folder = f"{algorithm}-{setting_name(problem)}"
-        return LearnedAgent.load(
+        folder = f"{LEARNED[name]}-{setting_name(problem)}"
+        agent = LearnedAgent.load(
             problem, WEIGHTS / (f"{folder}-{training}" if training else folder)
         )
+        stop = tuned(problem).get("stop", {}).get(name)
+        if stop is not None:  # better than its own word, by training episodes
+            agent.stopping = Sure(probability=stop)
+        return agent
 
     return make
 
@@ -117,9 +121,9 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
     "greedy": (_of("amortised", "greedy"), "the learned posterior, the most telling record next"),
     "look_ahead": (_of("amortised", "look_ahead"), "the same, two records ahead"),
     "oracle": (_oracle, "no agent: greedy, told the hidden direction and friction"),
-    "ppo": (_learned(LEARNED["ppo"]), "a policy trained by PPO on the learned posterior"),
-    "recurrent_ppo": (_learned(LEARNED["recurrent_ppo"]), "the same with a memory of its own"),
-    "maskable_ppo": (_learned(LEARNED["maskable_ppo"]), "the same, allowed choices only"),
+    "ppo": (_learned("ppo"), "a policy trained by PPO on the learned posterior"),
+    "recurrent_ppo": (_learned("recurrent_ppo"), "the same with a memory of its own"),
+    "maskable_ppo": (_learned("maskable_ppo"), "the same, allowed choices only"),
 }
 """How each agent is made, and what it is in a few words."""
 
@@ -148,7 +152,7 @@ def make_agent(name: str, problem: Problem, *, seed: int = 0) -> Agent:
         return AGENTS[name][0](problem, seed)
     plain, _, training = name.partition("#")
     if plain in LEARNED and training.isdigit():
-        return _learned(LEARNED[plain], "" if training == "1" else training)(problem, seed)
+        return _learned(plain, "" if training == "1" else training)(problem, seed)
     estimator, _, policy = name.partition("/")
     _require(name, estimator, policy)
     return belief_agent(estimator, policy, problem, seed=seed)

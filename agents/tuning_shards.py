@@ -12,15 +12,16 @@ from typing import Any
 
 import loose_env
 from agents.backends import BackendSettings
-from agents.base import Problem
+from agents.base import EpisodeAgent, Problem
 from agents.belief_agent import BeliefAgent, Sure
 from agents.configuration import configuration_hash
 from agents.constant import ConstantPolicy
 from agents.estimators import ESTIMATORS, make_estimator
 from agents.evaluation_shards import problem_of
+from agents.learned import LearnedAgent
 from agents.oracle import oracle_agent
 from agents.policies import POLICIES, WEIGHTS, setting_name
-from agents.registry import belief_agent
+from agents.registry import LEARNED, belief_agent, make_agent
 from agents.shard_store import ArrayCodec, ShardStore
 from agents.shards import Shard, run_shards, shard_of
 from agents.tuning import Trails, play_trails
@@ -57,7 +58,7 @@ class Player:
 
 
 def names_of(agent: str) -> tuple[str, str]:
-    """Estimator and policy of an agent.
+    """Estimator and policy of an agent; the name alone of a learned one.
 
     Raises
     ------
@@ -69,18 +70,25 @@ def names_of(agent: str) -> tuple[str, str]:
     >>> names_of("oracle/together")
     ('oracle', 'together')
     """
+    if agent in LEARNED:
+        return agent, ""
     estimator, _, policy = agent.partition("/")
     if estimator not in (*ESTIMATORS, ORACLE) or policy not in POLICIES:
         raise UnknownName(
             f"cannot tune {agent!r}: give an estimator of {[*ESTIMATORS, ORACLE]} and a policy of "
-            f"{list(POLICIES)}, as in amortised/greedy"
+            f"{list(POLICIES)}, as in amortised/greedy, or one of {list(LEARNED)}"
         )
     return estimator, policy
 
 
-def agent_of(player: Player, problem: Problem) -> BeliefAgent:
+def agent_of(player: Player, problem: Problem) -> EpisodeAgent:
     """Make the agent."""
     estimator, policy = names_of(player.agent)
+    if estimator in LEARNED:
+        learned = make_agent(estimator, problem, seed=player.agent_seed)
+        assert isinstance(learned, LearnedAgent)
+        learned.stopping = Sure()
+        return learned
     if estimator == ORACLE:
         return oracle_agent(problem, policy=policy, seed=player.agent_seed)
     if player.levels is None:
