@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,8 +103,11 @@ def stiffness_errors(
     """
     relative = float(np.hypot(mismatch.stiffness, mismatch.mass))
 
+    at = linear.at(pose)
+
     def transmission(sprung: LinearArm) -> Array:
-        return _transmission(sprung.at(pose).response(excited), excited)
+        # Springs change no inertia: the arm stands as it did.
+        return _transmission(replace(at, linear=sprung).response(excited), excited)
 
     arm, held = linear.arm, ~np.asarray(excited, dtype=bool)
     dofs = len(linear.flexible_dofs)
@@ -122,6 +126,7 @@ def _transmission(answer: Response, excited: NDArray[np.bool_]) -> Array:
     return np.asarray(np.linalg.solve(joint.T, answer.tool.real.mean(axis=0).T).T)
 
 
+@lru_cache(maxsize=64)
 def _sprung(linear: LinearArm, spring: int, factor: float) -> LinearArm:
     """The arm with one spring stiffer: of a bending mode or gear, then what holds a joint."""
     arm, joint = linear.arm, spring - len(linear.flexible_dofs)
