@@ -41,6 +41,8 @@ TUNING_SEED = 20_080_000
 THRESHOLDS = 1 / (1 + np.exp(-np.arange(0.0, 7.65, 0.1)))
 """Stopping probabilities that are weighed, 0.5 to 0.9995, even in log-odds."""
 
+SLACK = 0.005
+"""Difference in mean return that is taken for none: a tenth of a record's price."""
 RESAMPLES = 500
 DIVERGED = np.inf  # the confidence at which every agent stops
 
@@ -192,7 +194,9 @@ def best_threshold(
 
     The return is flat about its top and noisy, so its highest point on the episodes at hand is
     a matter of luck. Taken instead is the median of the highest points over bootstrap resamples
-    of the episodes; where several thresholds share one, the middle of these.
+    of the episodes; where several thresholds share one, the middle of these. And of two that are
+    worth the same the surer verdict is better: from there the threshold is raised as long as the
+    mean return stays within `SLACK` of what it was.
 
     Parameters
     ----------
@@ -223,7 +227,9 @@ def best_threshold(
     top = means >= means.max(1, keepdims=True) - 1e-9
     last = len(THRESHOLDS) - 1 - top[:, ::-1].argmax(1)
     middle = int(np.median(top.argmax(1) + last)) // 2
-    return round(float(THRESHOLDS[middle]), 4)
+    mean = returns.mean(0)
+    equal = np.flatnonzero(mean >= mean[middle] - SLACK)
+    return round(float(THRESHOLDS[max(middle, int(equal.max()))]), 4)
 
 
 def unseen_return(trails: Trails, rng: np.random.Generator) -> float:
