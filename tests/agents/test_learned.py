@@ -15,8 +15,9 @@ from agents.belief_agent import BeliefAgent, Sure
 from agents.evaluation import EpisodeRow, evaluate
 from agents.learned import CONFIGURATION, LearnedAgent, PolicyForm
 from agents.network import FORMAT, load_network, network_of, save_network
+from agents.policies import setting_name
 from agents.random_agent import RandomPolicy
-from agents.registry import WEIGHTS, make_agent
+from agents.registry import make_agent
 from loose_env.arms import planar, scara, vera
 from loose_env.diagnosis.record import statistics_of
 from loose_env.envs.diagnosis import DiagnosisEnv
@@ -195,7 +196,7 @@ def test_weights_choose_as_the_model_that_they_were_written_from(
     problem: Problem, tmp_path: Path, algorithm: str
 ) -> None:
     model = write_policy(problem, tmp_path, algorithm)
-    form = PolicyForm(problem)
+    form = PolicyForm(problem, Tracker(problem).feature_size)
     network = load_network(tmp_path, form)
     rng = np.random.default_rng(0)
     state, theirs, chosen = network.begin(), None, set()
@@ -222,10 +223,11 @@ def test_memory_cells_give_the_logits_of_torch(problem: Problem, activation: str
     model = untrained(problem, "ppo_lstm", kwargs)
     network = network_of(model)
     rng = np.random.default_rng(1)
+    shape = PolicyForm(problem, Tracker(problem).feature_size).observation_space.shape
     state = network.begin()
     theirs = tuple(torch.zeros(2, 1, 8) for _ in range(2))
     for _ in range(12):
-        seen = rng.normal(size=PolicyForm(problem).observation_space.shape).astype(np.float32)
+        seen = rng.normal(size=shape).astype(np.float32)
         logits, state = network.logits(seen, state)
         with torch.no_grad():
             found, theirs = model.policy.get_distribution(
@@ -316,15 +318,12 @@ def test_a_missing_policy_is_named_with_the_way_to_make_one(
 def test_the_registry_plays_the_weights_of_the_arm(
     problem: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write_policy(problem, tmp_path / problem.arm.name)
+    write_policy(problem, tmp_path / f"ppo-{setting_name(problem)}")
     monkeypatch.setattr("agents.registry.WEIGHTS", tmp_path)
     assert isinstance(make_agent("ppo", problem), LearnedAgent)
 
 
 def test_the_shipped_policy_beats_the_random_agent() -> None:
-    described = WEIGHTS / "vera" / CONFIGURATION
-    if not described.is_file() or json.loads(described.read_text())["format"] != FORMAT:
-        pytest.skip(f"no policy of format {FORMAT} ships for VERA")
     settings = DiagnosisSettings()
     problem = Problem.of(vera(), settings)
     returns = {}
@@ -332,4 +331,4 @@ def test_the_shipped_policy_beats_the_random_agent() -> None:
         agent = make_agent(name, problem)
         rows = evaluate(agent, name, problem.arm, settings, episodes=96, seed=77)
         returns[name] = float(np.mean([r.reward for r in rows]))
-    assert returns["ppo"] > returns["random"]
+    assert returns["ppo"] > returns["random"] + 0.1

@@ -142,8 +142,7 @@ def test_a_resumed_run_meets_new_faults(
     begun.clear()
     train.main(options(tmp_path, 64, *command))
     assert "at 32 steps" in capsys.readouterr().out
-    assert len(first) > 8
-    assert len(set(begun)) > 8
+    assert min(len(first), len(set(begun))) >= 4
     assert not first & set(begun)
     assert steps_of(tmp_path / algorithm / NAME / "checkpoint.zip") == 64
     begun.clear()
@@ -158,7 +157,7 @@ def test_evaluations_take_the_same_episodes_every_time_and_others_than_the_train
     train.main([*options(tmp_path, 32), "--eval-freq", "16", "--eval-episodes", "3"])
     evaluated = [entry for entry in begun if entry[0] == evaluation_seed(1)]
     assert sorted(evaluated) == sorted([(evaluation_seed(1), k) for k in range(3)] * 2)
-    assert len(set(begun) - set(evaluated)) > 8
+    assert len(set(begun) - set(evaluated)) >= 4
 
 
 def test_a_killed_run_goes_on_from_its_last_checkpoint(
