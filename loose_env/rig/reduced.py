@@ -25,7 +25,7 @@ from loose_env.rig.jobs import Job, Run, check_jobs, whole_factor
 from loose_env.rig.measurement import Measurement
 from loose_env.rig.plant import Plant, PlantShop
 from loose_env.rig.reading import read_record
-from loose_env.rig.small_motion import small_motion
+from loose_env.rig.small_motion import require_one_part, small_motion
 from loose_env.sensors import SensorSuite, decimation_filter
 
 __all__ = ["ReducedRig"]
@@ -106,9 +106,17 @@ class ReducedRig:
         return len(self.plants)
 
     def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
-        """Put a new arm into a slot."""
+        """Put a new arm into a slot.
+
+        Raises
+        ------
+        InvalidSetting
+            If the fault has several loose degrees of freedom.
+        """
         draw = MismatchDraw.none(self.arm) if mismatch is None else mismatch
-        self.plants[slot] = self.shop.build(fault, draw)
+        plant = self.shop.build(fault, draw)
+        require_one_part(plant)
+        self.plants[slot] = plant
 
     def measure(
         self,

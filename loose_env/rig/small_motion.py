@@ -25,7 +25,7 @@ from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation
 from loose_env.rig.plant import Plant
 
-__all__ = ["SeatLaw", "SmallMotion", "small_motion"]
+__all__ = ["SeatLaw", "SmallMotion", "require_one_part", "small_motion"]
 
 Array = NDArray[np.float64]
 
@@ -181,12 +181,23 @@ def small_motion(
     )
 
 
-def _require_linear(model: mujoco.MjModel, plant: Plant) -> None:
+def require_one_part(plant: Plant) -> None:
+    """Refuse an arm that is loose in more than one degree of freedom.
+
+    Raises
+    ------
+    InvalidSetting
+        If it is.
+    """
     if plant.parts != 1:
         raise InvalidSetting(
-            "the reduced engine knows seats of one degree of freedom; take the engine 'mujoco' for "
-            "compound looseness"
+            "the reduced engine knows faults of one degree of freedom; take the engine 'mujoco' "
+            "for compound looseness and for several faults at once"
         )
+
+
+def _require_linear(model: mujoco.MjModel, plant: Plant) -> None:
+    require_one_part(plant)
     if plant.shaker is not None:
         raise InvalidSetting("the reduced engine knows no shaker; take the engine 'mujoco'")
     seat = int(model.joint("seat").dofadr[0])
