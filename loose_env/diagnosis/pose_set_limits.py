@@ -59,7 +59,7 @@ def bingham_width(sd: float, dimension: int) -> float:
     Examples
     --------
     >>> round(float(np.degrees(bingham_width(np.radians(5.0), 2))), 2)
-    4.94
+    4.96
     """
     if dimension not in (2, 3):
         raise InvalidSetting(f"axes lie in the plane (2) or in space (3), got {dimension!r}")

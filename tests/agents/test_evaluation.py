@@ -167,5 +167,5 @@ def test_tuned_link_finding_beats_the_best_blind_guess_on_vera() -> None:
 
 def test_an_unknown_agent_is_refused_with_the_known_ones(problem: Problem) -> None:
     with pytest.raises(UnknownName, match="thesis"):
-        make_agent("oracle", problem)
+        make_agent("fortune_teller", problem)
     assert {"random", "thesis", "bisection", "ppo"} <= set(AGENTS)

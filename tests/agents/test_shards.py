@@ -386,6 +386,7 @@ def test_a_stopped_command_keeps_what_is_done_and_ends_its_workers(
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        preexec_fn=heed_interrupts,
     )
     wait_for((tmp_path / "pid").exists)
     if name == "SIGINT":
@@ -423,6 +424,11 @@ if __name__ == "__main__":
     except KeyboardInterrupt:
         print("stopped")
 """
+
+
+def heed_interrupts() -> None:
+    """Undo that tests started in a shell's background ignore the interrupts of a terminal."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def wait_for(condition: Callable[[], bool]) -> None:
