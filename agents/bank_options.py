@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import json
 
 from agents.banks import BankPlan
+from agents.env_arguments import arguments_of
 from agents.record_bank import BANK_SEED
 from loose_env.errors import InvalidSetting
 
@@ -36,19 +36,11 @@ def plan_of(options: argparse.Namespace) -> BankPlan:
     InvalidSetting
         If the arguments are no JSON object or there are no episodes.
     """
-    try:
-        arguments = json.loads(options.arguments)
-    except json.JSONDecodeError as error:
-        raise InvalidSetting(
-            f"--arguments must be JSON such as '{{\"n_links\": 3}}': {error}"
-        ) from error
-    if not isinstance(arguments, dict):
-        raise InvalidSetting(f"--arguments must be a JSON object, got {options.arguments!r}")
     if options.episodes < 1:
         raise InvalidSetting(f"--episodes must be 1 or more, got {options.episodes}")
     return BankPlan(
         env_id=options.env,
-        arguments=arguments,
+        arguments=arguments_of(options.arguments),
         episodes=options.episodes,
         seed=options.seed,
         directions=options.directions,

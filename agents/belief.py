@@ -23,7 +23,6 @@ __all__ = [
     "analytic_posterior",
     "belief_of",
     "record_from",
-    "tracker_features",
 ]
 
 
@@ -195,12 +194,3 @@ def analytic_posterior(problem: Problem) -> FaultPosterior:
             kinds=difficulty.probabilities(problem.settings.kinds),
         ),
     )
-
-
-def tracker_features(problem: Problem, observation: Any, probabilities: Any) -> NDArray[np.float32]:
-    """Lay out what a learned policy sees: probabilities, their logs, pose and spending."""
-    p = np.asarray(probabilities, dtype=float)
-    start = observation[: len(problem.layout.global_elements)]
-    entropy = -np.sum(p * np.log(np.maximum(p, 1e-12)))
-    logs = np.clip(np.log(np.maximum(p, 1e-6)), -14.0, 0.0) / 7.0
-    return np.concatenate([p, logs, [p.max(), entropy], start]).astype(np.float32)

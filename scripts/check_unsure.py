@@ -13,7 +13,6 @@ folder after training anew: rows are known by the agent's name, not by its weigh
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 from collections.abc import Sequence
@@ -28,6 +27,7 @@ import gymnasium
 import numpy as np
 
 from agents.backends import BackendSettings, add_backend_options
+from agents.env_arguments import arguments_of
 from agents.evaluation import EVALUATION_SEED
 from agents.shard_store import RowCodec, ShardStore
 from agents.shards import run_shards, shard_of
@@ -70,7 +70,7 @@ def line_of(kind: str, rows: Sequence[dict[str, Any]]) -> str:
 
 def check(options: argparse.Namespace) -> None:
     """Play what is missing, print the table."""
-    arguments = json.loads(options.arguments)
+    arguments = arguments_of(options.arguments)
     heads = (f"{name} %, 95 %" for name in ("right", "wrong", "place", "unsure"))
     lines = []
     for kind in options.kinds:

@@ -10,7 +10,6 @@ agent with several seeds.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import shlex
 import sys
@@ -33,6 +32,7 @@ from agents.backends import BackendSettings, add_backend_options
 from agents.base import Problem
 from agents.bounds import bound_line
 from agents.configuration import canonical
+from agents.env_arguments import arguments_of
 from agents.estimators import ESTIMATORS
 from agents.evaluation import EVALUATION_SEED
 from agents.evaluation_shards import EvaluationTask, play_task, problem_of
@@ -55,19 +55,6 @@ LINES: list[Callable[[Problem, Sequence[Row]], str]] = [bound_line]
 
 BOOTSTRAP_SEED = 0
 """Seed of the resamples behind the intervals."""
-
-
-def arguments_of(text: str) -> dict[str, Any]:
-    """Read the environment's arguments."""
-    try:
-        found = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise ValueError(
-            f"--arguments must be JSON such as '{{\"n_links\": 3}}': {error}"
-        ) from error
-    if not isinstance(found, dict):
-        raise ValueError(f"--arguments must be a JSON object, got {text!r}")
-    return found
 
 
 def names_of(options: argparse.Namespace, problem: Problem) -> list[str]:

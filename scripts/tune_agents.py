@@ -13,7 +13,6 @@ command goes on after an interruption; no result depends on the backend.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import time
@@ -29,6 +28,7 @@ import gymnasium
 import numpy as np
 
 from agents.backends import BackendSettings, add_backend_options
+from agents.env_arguments import arguments_of
 from agents.evaluation import check_training_seed
 from agents.evaluation_shards import problem_of
 from agents.policies import WEIGHTS, setting_name
@@ -76,7 +76,8 @@ def tune(options: argparse.Namespace) -> None:
     agents = list(dict.fromkeys(options.agents))
     for agent in agents:  # whatever is wrong shows now, not after an hour of play
         names_of(agent)
-    problem = problem_of(options.env, json.loads(options.arguments))
+    arguments = arguments_of(options.arguments)
+    problem = problem_of(options.env, arguments)
     candidates = single_joints(problem, options.levels)
     records = min(options.records, problem.settings.max_records)
     posterior = trained(problem)
@@ -88,7 +89,7 @@ def tune(options: argparse.Namespace) -> None:
             agent=agent,
             levels=levels,
             env_id=options.env,
-            arguments=json.loads(options.arguments),
+            arguments=arguments,
             seed=options.seed,
             records=records,
             agent_seed=options.agent_seed,

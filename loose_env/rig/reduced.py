@@ -18,13 +18,13 @@ from loose_env.arms.arm import Arm
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import MismatchDraw
 from loose_env.errors import InvalidSetting
-from loose_env.excitation import Excitation
 from loose_env.faults import Fault, Healthy
 from loose_env.rig.controls import controls
 from loose_env.rig.jobs import Job, Run, check_jobs, whole_factor
 from loose_env.rig.measurement import Measurement
 from loose_env.rig.plant import Plant, PlantShop
 from loose_env.rig.reading import read_record
+from loose_env.rig.slots import SlotRig
 from loose_env.rig.small_motion import require_one_part, small_motion
 from loose_env.sensors import SensorSuite, decimation_filter
 
@@ -33,7 +33,7 @@ __all__ = ["ReducedRig"]
 Array = NDArray[np.float64]
 
 
-class ReducedRig:
+class ReducedRig(SlotRig):
     """Measures simulated arms by their equations of small motion.
 
     For arms whose joints are held by brakes, servos or elastic gears, and for faults of one
@@ -100,11 +100,6 @@ class ReducedRig:
         self._data = mujoco.MjData(healthy.model)
         self._rooms: dict[int, Array] = {}
 
-    @property
-    def slots(self) -> int:
-        """Number of arms on the rig."""
-        return len(self.plants)
-
     def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
         """Put a new arm into a slot.
 
@@ -117,31 +112,6 @@ class ReducedRig:
         plant = self.shop.build(fault, draw)
         require_one_part(plant)
         self.plants[slot] = plant
-
-    def measure(
-        self,
-        pose: Array,
-        excitation: Excitation,
-        *,
-        rng: np.random.Generator | None = None,
-        slot: int = 0,
-    ) -> Measurement:
-        """Measure one arm (the first seam: any rig answers this call)."""
-        generator = np.random.default_rng(0) if rng is None else rng
-        job = Job(
-            slot=slot, pose=np.asarray(pose, dtype=float), excitation=excitation, rng=generator
-        )
-        return self.measure_many([job])[0]
-
-    def measure_many(self, jobs: Sequence[Job]) -> list[Measurement]:
-        """Take measurements on different slots; results in the order of the jobs.
-
-        Raises
-        ------
-        InvalidSetting
-            If a slot is named twice, or a pose or excitation does not fit the arm.
-        """
-        return [measured for _, measured in self.measure_each(jobs)]
 
     def measure_each(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Measurement]]:
         """Take measurements one by one; yield the index of each job with its measurement."""

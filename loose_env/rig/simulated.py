@@ -15,7 +15,6 @@ from loose_env.arms.arm import Arm
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import MismatchDraw
 from loose_env.errors import InvalidSetting
-from loose_env.excitation import Excitation
 from loose_env.faults import Fault, Healthy
 from loose_env.rig.controls import controls
 from loose_env.rig.engines import Engine, Engines
@@ -24,6 +23,7 @@ from loose_env.rig.measurement import Measurement
 from loose_env.rig.plant import Plant, PlantShop
 from loose_env.rig.quiet import quiet
 from loose_env.rig.reading import read_record
+from loose_env.rig.slots import SlotRig
 from loose_env.sensors import SensorSuite, decimation_filter
 
 __all__ = ["Job", "SimulatedRig"]
@@ -39,7 +39,7 @@ class _EngineRun(Run):
     engine: Engine
 
 
-class SimulatedRig:
+class SimulatedRig(SlotRig):
     """Measures simulated arms, many at once, on MuJoCo's batched engine.
 
     Each slot holds one true arm: a fault and a draw of the mismatch. A slot's readings depend
@@ -102,11 +102,6 @@ class SimulatedRig:
         self._rooms = [np.empty(0), np.empty(0)]
 
     @property
-    def slots(self) -> int:
-        """Number of arms on the rig."""
-        return len(self.plants)
-
-    @property
     def _batch(self) -> Batch:
         """The engine of all arms whose seat has one degree of freedom."""
         return self._engines.of(1).batch
@@ -116,32 +111,6 @@ class SimulatedRig:
         draw = MismatchDraw.none(self.arm) if mismatch is None else mismatch
         self.plants[slot] = self.shop.build(fault, draw)
         self._models_changed = True
-
-    def measure(
-        self,
-        pose: Array,
-        excitation: Excitation,
-        *,
-        rng: np.random.Generator | None = None,
-        slot: int = 0,
-    ) -> Measurement:
-        """Measure one arm (the first seam: any rig answers this call)."""
-        generator = np.random.default_rng(0) if rng is None else rng
-        job = Job(
-            slot=slot, pose=np.asarray(pose, dtype=float), excitation=excitation, rng=generator
-        )
-        return self.measure_many([job])[0]
-
-    def measure_many(self, jobs: Sequence[Job]) -> list[Measurement]:
-        """Take measurements on different slots at once; results in the order of the jobs.
-
-        Raises
-        ------
-        InvalidSetting
-            If a slot is named twice, or a pose or excitation does not fit the arm.
-        """
-        results = dict(self.measure_each(jobs))
-        return [results[k] for k in range(len(jobs))]
 
     def measure_each(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Measurement]]:
         """Take measurements as `measure_many`, and give each out as soon as it is there.

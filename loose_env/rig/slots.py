@@ -1,0 +1,60 @@
+"""What simulated rigs have in common: arms in slots, measured one or many at once."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.excitation import Excitation
+from loose_env.rig.jobs import Job
+from loose_env.rig.measurement import Measurement
+from loose_env.rig.plant import Plant
+
+__all__ = ["SlotRig"]
+
+Array = NDArray[np.float64]
+
+
+class SlotRig(ABC):
+    """A rig with one true arm in each slot; subclasses say how several are measured."""
+
+    plants: list[Plant]
+    """The arm of every slot."""
+
+    @property
+    def slots(self) -> int:
+        """Number of arms."""
+        return len(self.plants)
+
+    @abstractmethod
+    def measure_each(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Measurement]]:
+        """Take measurements; yield the index of each job with its measurement."""
+
+    def measure(
+        self,
+        pose: Array,
+        excitation: Excitation,
+        *,
+        rng: np.random.Generator | None = None,
+        slot: int = 0,
+    ) -> Measurement:
+        """Measure one arm (the first seam: any rig answers this call)."""
+        generator = np.random.default_rng(0) if rng is None else rng
+        job = Job(
+            slot=slot, pose=np.asarray(pose, dtype=float), excitation=excitation, rng=generator
+        )
+        return self.measure_many([job])[0]
+
+    def measure_many(self, jobs: Sequence[Job]) -> list[Measurement]:
+        """Take measurements on different slots at once; results in the order of the jobs.
+
+        Raises
+        ------
+        InvalidSetting
+            If a slot is named twice, or a pose or excitation does not fit the arm.
+        """
+        results = dict(self.measure_each(jobs))
+        return [results[k] for k in range(len(jobs))]
