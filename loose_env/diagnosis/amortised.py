@@ -273,10 +273,17 @@ def read_network(folder: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
         ) from error
     except (json.JSONDecodeError, SafetensorError) as error:
         raise InvalidData(f"the trained posterior in {where} cannot be read: {error}") from error
-    if configuration.get("format") != FORMAT:
+    found = configuration.get("format") if isinstance(configuration, dict) else None
+    if found != FORMAT:
         raise InvalidData(
-            f"the posterior in {where} has format {configuration.get('format')!r}, not {FORMAT!r}; "
-            "train it again with scripts/train_posterior.py"
+            f"the posterior in {where} has format {found!r}, not {FORMAT!r}; train it again with "
+            "scripts/train_posterior.py"
+        )
+    missing = [name for name in ("arm", "directions", "friction") if name not in configuration]
+    if missing:
+        raise InvalidData(
+            f"{where / CONFIGURATION} says nothing of {missing}; train the posterior again with "
+            "scripts/train_posterior.py"
         )
     return configuration, tensors
 

@@ -53,7 +53,7 @@ class SeatNetwork:
     Raises
     ------
     InvalidData
-        If a tensor is missing or its shape does not fit the others.
+        If a tensor is missing, its shape does not fit the others, or it is not finite.
     """
 
     shapes = _SHAPES
@@ -70,6 +70,11 @@ class SeatNetwork:
                 raise InvalidData(
                     f"tensor {name!r} of the network has shape {shape}, which does not fit "
                     f"{letters} with {sizes}"
+                )
+            if not np.isfinite(tensors[name]).all():
+                raise InvalidData(
+                    f"tensor {name!r} of the network holds values that are not finite; train it "
+                    "again with scripts/train_posterior.py"
                 )
         self.sizes = sizes
         self.tensors = {name: np.asarray(tensors[name], dtype=np.float32) for name in _SHAPES}

@@ -130,6 +130,17 @@ def test_files_come_back_and_other_arms_are_refused(tmp_path):
     described.write_text(json.dumps({**read, "format": "loose-posterior/0"}))
     with pytest.raises(InvalidData, match="format"):
         read_network(tmp_path)
+    for broken, words in (
+        ({"format": "loose-posterior/1"}, "says nothing of"),
+        ([], "format None"),
+    ):
+        described.write_text(json.dumps(broken))
+        with pytest.raises(InvalidData, match=words):
+            read_network(tmp_path)
+    weights = tmp_path / "posterior.safetensors"
+    weights.write_bytes(weights.read_bytes()[:500])
+    with pytest.raises(InvalidData, match="cannot be read"):
+        read_network(tmp_path)
 
 
 def test_tensors_that_do_not_fit_are_refused():
@@ -138,6 +149,8 @@ def test_tensors_that_do_not_fit_are_refused():
         SeatNetwork({k: v for k, v in tensors.items() if k != "temper"})
     with pytest.raises(InvalidData, match="does not fit"):
         SeatNetwork(tensors | {"out.bias": np.zeros(7, dtype=np.float32)})
+    with pytest.raises(InvalidData, match="not finite"):
+        SeatNetwork(tensors | {"out.bias": np.full(3, np.nan, dtype=np.float32)})
     with pytest.raises(InvalidData, match="4 faults; arm 'planar3' has"):
         AmortisedPosterior(
             LinearArm(planar(3)), SensorSuite(), Mismatch(), SeatNetwork(tensors), directions=6
