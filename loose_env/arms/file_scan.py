@@ -8,7 +8,7 @@ from pathlib import Path
 
 from loose_env.errors import InvalidData
 
-__all__ = ["scan"]
+__all__ = ["files_of", "scan"]
 
 _INCLUDED = ("include", "model")  # elements whose file is XML of its own
 
@@ -22,10 +22,21 @@ def scan(file: Path) -> ET.Element:
         If one of them is not XML, is a xacro, declares entities, or refers to anything
         outside the folder of the first.
     """
-    return _scan(file, file.parent, set())
+    return _scan(file, file.parent, set(), set())
 
 
-def _scan(file: Path, folder: Path, seen: set[Path]) -> ET.Element:
+def files_of(file: Path) -> set[Path]:
+    """Files that stand for a model: the file, those it includes, and the assets that are there.
+
+    Raises as `scan`. ``file`` has to be resolved, as there.
+    """
+    seen: set[Path] = set()
+    assets: set[Path] = set()
+    _scan(file, file.parent, seen, assets)
+    return seen | assets
+
+
+def _scan(file: Path, folder: Path, seen: set[Path], assets: set[Path]) -> ET.Element:
     """Parse a file and those it includes; refuse whatever points outside ``folder``."""
     seen.add(file)
     raw = file.read_bytes()
@@ -52,8 +63,9 @@ def _scan(file: Path, folder: Path, seen: set[Path]) -> ET.Element:
                 continue
             for place in set(places.values()) | {file.parent}:
                 found = _inside(given, place, folder, file, element.tag, key)
+                assets |= {f for f in (found, place / found.name) if f.is_file()}
                 if element.tag in _INCLUDED and found.is_file() and found not in seen:
-                    _scan(found, folder, seen)
+                    _scan(found, folder, seen, assets)
     return root
 
 

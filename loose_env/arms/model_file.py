@@ -13,7 +13,15 @@ import numpy as np
 from loose_env.arms.file_scan import scan
 from loose_env.errors import InvalidData, InvalidSetting
 
-__all__ = ["Drive", "ModelFile", "Tie", "read_model_file"]
+__all__ = [
+    "Drive",
+    "ModelFile",
+    "Tie",
+    "compile_spec",
+    "load_spec",
+    "read_model_file",
+    "require_numbers",
+]
 
 _TYPES = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
 
@@ -54,6 +62,67 @@ class ModelFile:
     warnings: tuple[str, ...]
 
 
+def load_spec(path: str | Path) -> tuple[Path, str, mujoco.MjSpec]:
+    """Look over a file and those it includes from its own folder, and read it.
+
+    Returns
+    -------
+    tuple
+        The file's full path; its outermost element, ``mujoco`` or ``robot``; and the
+        specification, not compiled.
+
+    Raises
+    ------
+    InvalidSetting
+        If there is no such file.
+    InvalidData
+        If it is no MJCF or URDF, refers to anything outside its folder, or cannot be read.
+    """
+    if not isinstance(path, (str, PathLike)):
+        raise InvalidSetting(f"a model is the path of an MJCF or URDF file, got {path!r}")
+    file = Path(path)
+    if not file.is_file():
+        looked = "" if file.is_absolute() else f" in {Path.cwd()}"
+        raise InvalidSetting(
+            f"there is no file {str(file)!r}{looked}; give the path of an MJCF or URDF"
+        )
+    file = file.resolve()
+    root = scan(file).tag
+    if root not in ("mujoco", "robot"):
+        raise InvalidData(
+            f"{file.name}: the outermost element is <{root}>; it is <mujoco> in an MJCF and "
+            "<robot> in a URDF"
+        )
+    try:
+        spec = mujoco.MjSpec.from_file(str(file))
+    except Exception as error:  # MuJoCo raises ValueError and mujoco.FatalError alike
+        raise InvalidData(f"{file.name}: MuJoCo cannot read it: {_one_line(error)}") from error
+    return file, root, spec
+
+
+def compile_spec(spec: mujoco.MjSpec, file: Path) -> mujoco.MjModel:
+    """Compile what `load_spec` read from a file.
+
+    Raises
+    ------
+    InvalidData
+        If it does not compile; the message says what to change where that is known.
+    """
+    try:
+        return spec.compile()
+    except Exception as error:
+        message = _one_line(error)
+        hint = ""
+        if "mjMINVAL" in message:
+            hint = (
+                "; a body that moves needs mass: give it an inertia, or put its joint on the "
+                "body that has one"
+            )
+        elif "free joint" in message:
+            hint = "; an arm stands on the ground: fix its base, without a free or floating joint"
+        raise InvalidData(f"{file.name}: MuJoCo cannot build it: {message}{hint}") from error
+
+
 def read_model_file(path: str | Path) -> ModelFile:
     """Read a file and everything it includes from its own folder.
 
@@ -66,48 +135,18 @@ def read_model_file(path: str | Path) -> ModelFile:
     InvalidData
         If it is no MJCF or URDF, refers to anything outside its folder, or cannot be built.
     """
-    if not isinstance(path, (str, PathLike)):
-        raise InvalidSetting(f"a model is the path of an MJCF or URDF file, got {path!r}")
-    file = Path(path)
-    if not file.is_file():
-        looked = "" if file.is_absolute() else f" in {Path.cwd()}"
-        raise InvalidSetting(
-            f"there is no file {str(file)!r}{looked}; give the path of an MJCF or URDF"
-        )
-    file = file.resolve()
-    root = scan(file)
-    if root.tag not in ("mujoco", "robot"):
-        raise InvalidData(
-            f"{file.name}: the outermost element is <{root.tag}>; it is <mujoco> in an MJCF and "
-            "<robot> in a URDF"
-        )
-    try:
-        spec = mujoco.MjSpec.from_file(str(file))
-    except Exception as error:  # MuJoCo raises ValueError and mujoco.FatalError alike
-        raise InvalidData(f"{file.name}: MuJoCo cannot read it: {_one_line(error)}") from error
+    file, root, spec = load_spec(path)
     spec.compiler.fusestatic = False  # a tool may be named after a link that is fixed to the last
     _name_all(spec)
     drives, ties, warnings = _drives(spec), *_ties(spec)
     if any(np.ravel(t.stiffness)[0] > 0 for t in spec.tendons):
         warnings.append("springs along tendons are left out")
     _strip(spec, file)
-    try:
-        model = spec.compile()
-    except Exception as error:
-        message = _one_line(error)
-        hint = ""
-        if "mjMINVAL" in message:
-            hint = (
-                "; a body that moves needs mass: give it an inertia, or put its joint on the "
-                "body that has one"
-            )
-        elif "free joint" in message:
-            hint = "; an arm stands on the ground: fix its base, without a free or floating joint"
-        raise InvalidData(f"{file.name}: MuJoCo cannot build it: {message}{hint}") from error
-    _require_numbers(model, drives, file)
+    model = compile_spec(spec, file)
+    require_numbers(model, drives, file)
     return ModelFile(
         path=file,
-        format="URDF" if root.tag == "robot" else "MJCF",
+        format="URDF" if root == "robot" else "MJCF",
         name=file.stem,
         model=model,
         drives=drives,
@@ -116,8 +155,14 @@ def read_model_file(path: str | Path) -> ModelFile:
     )
 
 
-def _require_numbers(model: mujoco.MjModel, drives: tuple[Drive, ...], file: Path) -> None:
-    """MuJoCo takes NaN with a warning, and dampers that drive."""
+def require_numbers(model: mujoco.MjModel, drives: tuple[Drive, ...], file: Path) -> None:
+    """Refuse a model with NaN, which MuJoCo takes with a warning, and with dampers that drive.
+
+    Raises
+    ------
+    InvalidData
+        If a figure is not finite, or one that has to be positive is negative.
+    """
     bodies = "body_pos body_quat body_mass body_inertia body_ipos body_iquat"
     places = "qpos0 jnt_pos jnt_axis jnt_range site_pos site_quat"
     positive = "dof_damping dof_armature jnt_stiffness"

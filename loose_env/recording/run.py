@@ -1,0 +1,111 @@
+"""One measured run: what was commanded, what was read, when."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData
+
+__all__ = ["Comparison", "Condition", "Run"]
+
+Array = NDArray[np.float64]
+
+Condition = Literal["suspect", "healthy"]
+"""Whether the arm was as it is judged, or is known to have been sound."""
+
+Comparison = Literal["forward", "inverse", "free"]
+"""How a run is compared with a model.
+
+``"forward"``: the controls are given to the model and its sensors compared. ``"inverse"``: the
+torque that the model needs for the measured motion is compared with the torque measured.
+``"free"``: the model is let go from the measured initial state.
+"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """One run of a recording, in SI units; a missing sample is NaN.
+
+    Arrays are taken over as float64 that cannot be written to, mappings as dictionaries.
+
+    Raises
+    ------
+    InvalidData
+        If a column has not one value a sample, or the condition is none of the two.
+
+    Examples
+    --------
+    >>> time = np.arange(10) / 100
+    >>> run = Run(name="run-01.parquet", time=time, sensors={"encoder": np.sin(time)})
+    >>> run.samples, run.comparison
+    (10, 'free')
+    """
+
+    name: str
+    """File of the run, from the recording's folder."""
+    time: Array
+    """Times of the samples [s], shape (T,)."""
+    controls: Mapping[str, Array] = field(default_factory=dict)
+    """Input of each actuator, in its own unit, shape (T,)."""
+    sensors: Mapping[str, Array] = field(default_factory=dict)
+    """Reading of each sensor, in its own unit, shape (T,), or (T, 3) of a 3-vector."""
+    torques: Mapping[str, Array] = field(default_factory=dict)
+    """Measured torque of each joint [N·m, or N where it slides], shape (T,)."""
+    excited: tuple[str, ...] = ()
+    """Joints driven with random noise."""
+    pose: Mapping[str, float] | None = None
+    """Joint positions held in this run [rad or m], where that was noted."""
+    condition: Condition = "suspect"
+    """``"healthy"`` where the run is a reference taken before the fault."""
+
+    def __post_init__(self) -> None:
+        if self.condition not in get_args(Condition):
+            raise InvalidData(
+                f"{self.name}: condition is {self.condition!r}; it is one of "
+                f"{list(get_args(Condition))}"
+            )
+        time = _taken(self.name, "time", self.time)
+        if time.ndim != 1:
+            raise InvalidData(f"{self.name}: time has shape (samples,), got {time.shape}")
+        object.__setattr__(self, "time", time)
+        for group, prefix in (("controls", "ctrl"), ("sensors", "sensor"), ("torques", "torque")):
+            columns = {}
+            for name, values in getattr(self, group).items():
+                column = _taken(self.name, f"{prefix}.{name}", values)
+                allowed = [time.shape] + [(len(time), 3)] * (group == "sensors")
+                if column.shape not in allowed:
+                    raise InvalidData(
+                        f"{self.name}: column '{prefix}.{name}' has shape {column.shape}; with "
+                        f"{len(time)} samples it is {' or '.join(map(str, allowed))}"
+                    )
+                columns[name] = column
+            object.__setattr__(self, group, columns)
+        object.__setattr__(self, "excited", tuple(self.excited))
+        if self.pose is not None:
+            object.__setattr__(self, "pose", {j: float(q) for j, q in self.pose.items()})
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return len(self.time)
+
+    @property
+    def comparison(self) -> Comparison:
+        """How the run is compared with a model; its columns decide."""
+        if self.controls:
+            return "forward"
+        return "inverse" if self.torques else "free"
+
+
+def _taken(run: str, column: str, values: object) -> Array:
+    try:
+        array = np.asarray(values, dtype=np.float64).view()
+    except (TypeError, ValueError):
+        raise InvalidData(f"{run}: column {column!r} does not hold numbers alone") from None
+    array.flags.writeable = False
+    return array

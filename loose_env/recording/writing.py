@@ -1,0 +1,170 @@
+"""Writing a recording: beside its place, read back, and only then renamed into it."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+from posixpath import normpath
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.file_scan import files_of
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.recording.csv_file import write_csv
+from loose_env.recording.description import DESCRIPTION, FORMAT
+from loose_env.recording.folder import inside
+from loose_env.recording.parquet_file import write_parquet
+from loose_env.recording.recording import ENDINGS, Recording, read_recording
+from loose_env.recording.run import Run
+
+__all__ = ["FileFormat", "write_recording"]
+
+FileFormat = Literal["parquet", "csv"]
+"""How the tables of runs are kept."""
+
+_WRITERS = {"parquet": write_parquet, "csv": write_csv}
+
+
+def write_recording(
+    folder: str | Path,
+    *,
+    model_xml: str | Path,
+    runs: Iterable[Run],
+    file_format: FileFormat = "parquet",
+    overwrite: bool = False,
+) -> Recording:
+    """Write runs and their model as a recording.
+
+    All is written beside the folder, read back and checked, and renamed into place: what is
+    there is a recording that reads, or was not touched.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The folder to write; new or empty.
+    model_xml : str or Path
+        Text of an MJCF model, written as ``model.xml``; or the path of one, copied under its own
+        name with all it refers to. A string without ``<`` is a path.
+    runs : iterable of Run
+        The runs. A name gets the ending of the format in the place of another one.
+    file_format : {"parquet", "csv"}
+        Format of the runs' tables. Both keep every number to the last bit.
+    overwrite : bool
+        Whether a recording that is there is replaced, the whole of its folder.
+
+    Returns
+    -------
+    Recording
+        The recording as it reads from the folder.
+
+    Raises
+    ------
+    InvalidData
+        If the runs and the model make no recording, as `read_recording`.
+    InvalidSetting
+        If the folder holds something, or there is no such model file.
+    UnknownName
+        If there is no such format.
+    """
+    if file_format not in get_args(FileFormat):
+        raise UnknownName(f"runs are kept as {list(get_args(FileFormat))}, not {file_format!r}")
+    target = Path(folder).resolve()
+    _check_target(target, overwrite)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    beside = target.with_name(f".{target.name}.{os.getpid()}.part")
+    old = target.with_name(f".{target.name}.{os.getpid()}.old")
+    shutil.rmtree(beside, ignore_errors=True)
+    try:
+        beside.mkdir()
+        beside.joinpath(DESCRIPTION).touch()  # its name is taken: no run may have it
+        model = _write_model(beside, model_xml)
+        entries = [_write_run(beside, run, file_format) for run in runs]
+        whole = {"format": FORMAT, "model": model, "runs": entries}
+        text = json.dumps(whole, indent=1, ensure_ascii=False) + "\n"
+        beside.joinpath(DESCRIPTION).write_text(text, encoding="utf-8")
+        recording = read_recording(beside)
+        if target.exists():
+            target.rename(old)
+        try:
+            beside.rename(target)
+        except BaseException:  # an interrupt too: what was there goes back
+            if old.exists():
+                old.rename(target)
+            raise
+        shutil.rmtree(old, ignore_errors=True)
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+    return replace(recording, folder=target, model_path=target / model)
+
+
+def _check_target(target: Path, overwrite: bool) -> None:
+    if not target.exists():
+        return
+    if not target.is_dir():
+        raise InvalidSetting(f"{target} is a file; a recording is written as a folder")
+    if not any(target.iterdir()):
+        return
+    if not overwrite:
+        raise InvalidSetting(
+            f"{target} is not empty; give a new folder, or overwrite=True to replace a recording"
+        )
+    # Nobody's other folder is deleted by a slip.
+    if not target.joinpath(DESCRIPTION).is_file():
+        raise InvalidSetting(
+            f"{target} holds no {DESCRIPTION} and is no recording; it is not overwritten"
+        )
+
+
+def _write_model(folder: Path, model_xml: str | Path) -> str:
+    if isinstance(model_xml, str) and "<" in model_xml:
+        folder.joinpath("model.xml").write_text(model_xml, encoding="utf-8")
+        return "model.xml"
+    file = Path(model_xml).resolve()
+    if not file.is_file():
+        raise InvalidSetting(f"there is no model {str(model_xml)!r}; give MJCF text or its path")
+    for source in files_of(file):
+        copy = folder / source.relative_to(file.parent)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(source, copy)
+    return file.name
+
+
+def _write_run(folder: Path, run: Run, file_format: FileFormat) -> dict[str, Any]:
+    name = PurePosixPath(run.name)
+    if name.suffix.lower() in ENDINGS:
+        name = name.with_suffix("")
+    given = normpath(f"{name}.{file_format}")
+    path = inside(folder, given, f"run {run.name!r}")
+    if path.exists():
+        raise InvalidData(f"run {run.name!r}: there are two files {given!r}; rename the run")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise InvalidData(
+            f"run {run.name!r}: {str(PurePosixPath(given).parent)!r} is a file of the recording "
+            "and no folder; rename the run"
+        ) from None
+    _WRITERS[file_format](path, _columns(run))
+    entry: dict[str, Any] = {"file": given}
+    if run.excited:
+        entry["excited"] = list(run.excited)
+    if run.pose is not None:
+        entry["pose"] = dict(run.pose)
+    return entry | {"condition": run.condition}
+
+
+def _columns(run: Run) -> dict[str, NDArray[np.float64]]:
+    columns = {"time": run.time}
+    columns |= {f"ctrl.{name}": values for name, values in run.controls.items()}
+    for name, values in run.sensors.items():
+        if values.ndim == 1:
+            columns[f"sensor.{name}"] = values
+        else:
+            columns |= {f"sensor.{name}.{a}": values[:, i] for i, a in enumerate("xyz")}
+    return columns | {f"torque.{name}": values for name, values in run.torques.items()}
