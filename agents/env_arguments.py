@@ -1,13 +1,20 @@
-"""The environment's arguments as scripts take them."""
+"""The environment and its arguments as scripts take them."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
-from loose_env.errors import InvalidSetting
+import gymnasium
 
-__all__ = ["arguments_of"]
+import loose_env  # noqa: F401  (registers the ids)
+from loose_env.envs.diagnosis import DiagnosisEnv
+from loose_env.envs.registration import IDS
+from loose_env.errors import InvalidSetting, UnknownName
+
+__all__ = ["arguments_of", "diagnosis_env", "refused_in_words"]
 
 
 def arguments_of(text: str) -> dict[str, Any]:
@@ -25,10 +32,72 @@ def arguments_of(text: str) -> dict[str, Any]:
     """
     try:
         found = json.loads(text)
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise InvalidSetting(
             f"--arguments must be JSON such as '{{\"n_links\": 3}}': {error}"
         ) from error
     if not isinstance(found, dict):
         raise InvalidSetting(f"--arguments must be a JSON object, got {text!r}")
     return found
+
+
+def diagnosis_env(
+    env_id: str, arguments: Mapping[str, Any], *, render_mode: str | None = None
+) -> DiagnosisEnv:
+    """Make an environment without the wrappers: what scripts do with it is checked by tests.
+
+    Parameters
+    ----------
+    env_id : str
+        Its id.
+    arguments : mapping
+        Its arguments.
+    render_mode : str, optional
+        How it draws itself.
+
+    Raises
+    ------
+    UnknownName
+        If it is no diagnosis environment.
+    InvalidSetting
+        If it does not take the arguments.
+    gymnasium.error.Error
+        If there is no such id.
+
+    Examples
+    --------
+    >>> diagnosis_env("loose_env/Planar-v0", {"n_links": 3}).arm.n
+    3
+    """
+    drawn = {} if render_mode is None else {"render_mode": render_mode}
+    with refused_in_words(env_id, arguments):
+        env = gymnasium.make(env_id, **drawn, **arguments).unwrapped
+    if not isinstance(env, DiagnosisEnv):
+        raise UnknownName(f"{env_id} is no diagnosis environment; those are {', '.join(IDS)}")
+    return env
+
+
+@contextmanager
+def refused_in_words(env_id: str, arguments: Mapping[str, Any]) -> Iterator[None]:
+    """Say which arguments an environment does not take, where Python only names a type.
+
+    Raises
+    ------
+    InvalidSetting
+        In place of a TypeError.
+
+    Examples
+    --------
+    >>> with refused_in_words("loose_env/Vera-v0", {"durations": 0.2}):
+    ...     tuple(0.2)
+    Traceback (most recent call last):
+        ...
+    loose_env.errors.InvalidSetting: loose_env/Vera-v0 does not take {'durations': 0.2}: 'float'
+    object is not iterable
+    """
+    try:
+        yield
+    except TypeError as error:
+        # Gymnasium adds the arguments once more.
+        reason = " ".join(str(error).split()).partition(" was raised from the environment")[0]
+        raise InvalidSetting(f"{env_id} does not take {dict(arguments)}: {reason}") from error

@@ -11,20 +11,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import gymnasium
-
 import loose_env
 from agents.backends import BackendSettings
 from agents.base import Agent, Problem
 from agents.configuration import configuration_hash
+from agents.env_arguments import diagnosis_env
 from agents.evaluation import evaluate
 from agents.progress_line import ProgressLine
 from agents.registry import make_agent
 from agents.shard_store import RowCodec, ShardStore
 from agents.shards import Shard, run_shards, shard_of
-from loose_env.envs.diagnosis import DiagnosisEnv
-from loose_env.envs.registration import IDS
-from loose_env.errors import InvalidSetting
 
 __all__ = ["EvaluationTask", "evaluate_shard", "play_task", "problem_of"]
 
@@ -70,12 +66,10 @@ def problem_of(env_id: str, arguments: Mapping[str, Any]) -> Problem:
 
     Raises
     ------
-    InvalidSetting
-        If it is no diagnosis environment.
+    UnknownName, InvalidSetting, gymnasium.error.Error
+        As `diagnosis_env` does.
     """
-    env = gymnasium.make(env_id, **arguments).unwrapped
-    if not isinstance(env, DiagnosisEnv):
-        raise InvalidSetting(f"{env_id} is no diagnosis environment; those are {', '.join(IDS)}")
+    env = diagnosis_env(env_id, arguments)
     return Problem.of(env.arm, env.settings)
 
 

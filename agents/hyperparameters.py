@@ -108,7 +108,7 @@ def value_of(text: str) -> Any:
     try:
         tree = ast.parse(text.strip(), mode="eval").body
         return tree.id if isinstance(tree, ast.Name) else _value(tree)
-    except (SyntaxError, ValueError, TypeError) as error:
+    except (SyntaxError, ValueError, TypeError, RecursionError, MemoryError) as error:
         raise InvalidSetting(
             f"cannot read {text!r}: a value is a number, a string, a list, a dict or "
             "dict(name=value)"
@@ -119,6 +119,8 @@ def _value(node: ast.expr) -> Any:
     if isinstance(node, ast.Call):
         if not isinstance(node.func, ast.Name) or node.func.id != "dict" or node.args:
             raise ValueError("a call other than dict(name=value)")
+        if any(word.arg is None for word in node.keywords):
+            raise ValueError("an unpacked dict")
         return {word.arg: _value(word.value) for word in node.keywords}
     if isinstance(node, ast.Dict):
         if None in node.keys:

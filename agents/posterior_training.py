@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 import torch
@@ -19,6 +19,7 @@ from scipy.optimize import minimize_scalar
 from torch import Tensor, nn
 
 from agents.place_figures import PlaceFigures
+from agents.progress_line import ProgressLine
 from loose_env.diagnosis.seat_network import SeatNetwork
 
 __all__ = ["PosteriorTraining", "TrainingSettings"]
@@ -154,8 +155,20 @@ class PosteriorTraining:
         self,
         folder: Path | None = None,
         report: Callable[[int, float], None] | None = None,
+        *,
+        stream: TextIO | None = None,
     ) -> None:
-        """Go on to the last step; keep checkpoints in a folder and start from the one there."""
+        """Go on to the last step; keep checkpoints in a folder and start from the one there.
+
+        Parameters
+        ----------
+        folder : path, optional
+            Where the checkpoint lies; None keeps none.
+        report : callable, optional
+            Called after every checkpoint with the step and its loss [nat].
+        stream : text file, optional
+            Where the progress line goes; standard error if None.
+        """
         s = self.settings
         checkpoint = None if folder is None else folder / "checkpoint.pt"
         if checkpoint is not None and checkpoint.is_file():
@@ -164,24 +177,27 @@ class PosteriorTraining:
         groups = [np.flatnonzero(self.figures.count == c) for c in counts]
         # Lengths take turns by how many records they hold.
         shares = np.array([len(g) * c for g, c in zip(groups, counts, strict=True)], dtype=float)
-        while self.step < s.steps:
-            rng = np.random.default_rng([s.seed, self.step])
-            which = int(rng.choice(len(groups), p=shares / shares.sum()))
-            records = int(counts[which])
-            size = max(8, s.batch * int(counts.min()) // records)
-            loss = self._loss(rng.choice(groups[which], size), records, rng)
-            for group in self.optimiser.param_groups:
-                group["lr"] = self._rate()
-            self.optimiser.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
-            nn.utils.clip_grad_norm_(self.layers.parameters(), 1.0)
-            self.optimiser.step()
-            self.step += 1
-            if self.step % s.checkpoint == 0 or self.step == s.steps:
-                if checkpoint is not None:
-                    self._keep(checkpoint)
-                if report is not None:
-                    report(self.step, float(loss.detach()))
+        with ProgressLine(s.steps, done=self.step, unit="steps", stream=stream) as line:
+            while self.step < s.steps:
+                rng = np.random.default_rng([s.seed, self.step])
+                which = int(rng.choice(len(groups), p=shares / shares.sum()))
+                records = int(counts[which])
+                size = max(8, s.batch * int(counts.min()) // records)
+                loss = self._loss(rng.choice(groups[which], size), records, rng)
+                for group in self.optimiser.param_groups:
+                    group["lr"] = self._rate()
+                self.optimiser.zero_grad()
+                loss.backward()  # type: ignore[no-untyped-call]
+                nn.utils.clip_grad_norm_(self.layers.parameters(), 1.0)
+                self.optimiser.step()
+                self.step += 1
+                score = float(loss.detach())
+                line.advance(1, f"loss {score:.3f}")
+                if self.step % s.checkpoint == 0 or self.step == s.steps:
+                    if checkpoint is not None:
+                        self._keep(checkpoint)
+                    if report is not None:
+                        report(self.step, score)
 
     def _rate(self) -> float:
         s = self.settings

@@ -68,8 +68,16 @@ class ProgressLine:
             self._stream.write("\n")
             self._stream.flush()
 
-    def advance(self, units: int) -> None:
-        """Count units that were done, and say so where it is time."""
+    def advance(self, units: int, words: str = "") -> None:
+        """Count units that were done, and say so where it is time.
+
+        Parameters
+        ----------
+        units : int
+            How many.
+        words : str
+            How the work stands, written at the end of the line.
+        """
         self._done += units
         now = self._clock()
         whole = self._done >= self._total
@@ -82,7 +90,7 @@ class ProgressLine:
                 return
             self._step = step
         self._last = now
-        self._write(self._words(now - self._begin))
+        self._write("  ".join(filter(None, (self._words(now - self._begin), words))))
 
     def _words(self, spent: float) -> str:
         share = self._done / self._total

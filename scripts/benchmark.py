@@ -24,6 +24,7 @@ from gymnasium.vector import AsyncVectorEnv
 import loose_env  # noqa: F401  (registers the ids)
 from loose_env.envs.diagnosis import DiagnosisEnv
 from loose_env.envs.episode import EpisodeBatch
+from loose_env.errors import InvalidSetting
 from loose_env.rig.jobs import Run
 from loose_env.rig.simulated import SimulatedRig
 
@@ -97,12 +98,19 @@ def actions_of(batch: EpisodeBatch, rng: np.random.Generator, duration: int | No
     return chosen
 
 
-def new_batch(env_id: str, arms: int, rig: type[SimulatedRig] | None = None) -> EpisodeBatch:
+def new_batch(
+    env_id: str,
+    arms: int,
+    rig: type[SimulatedRig] | None = None,
+    *,
+    engine: str = "mujoco",
+    threads: int = 0,
+) -> EpisodeBatch:
     """Make the episodes behind an id, on a rival rig if one is given."""
-    env = gymnasium.make(env_id).unwrapped
+    env = gymnasium.make(env_id, engine=engine).unwrapped
     arm, settings = env.arm, env.settings  # type: ignore[attr-defined]
     made = None if rig is None else rig(arm, slots=arms, sensors=settings.sensors)
-    batch = EpisodeBatch(arm, settings, num=arms, rig=made)
+    batch = EpisodeBatch(arm, settings, num=arms, rig=made, threads=threads)
     for slot in range(arms):
         batch.start(slot, seed=slot, number=0)
     return batch
@@ -154,6 +162,45 @@ def bare_seconds_per_record(env_id: str, arms: int, rounds: int, duration: int |
         if k > 0:  # the first one warms up
             spent += time.perf_counter() - begin
     return spent / (rounds * arms)
+
+
+def engine_times(env_id: str, arms: int, rounds: int) -> tuple[float, float, float]:
+    """Time the longest records on both engines, in turn, twice each [s a record].
+
+    Returns
+    -------
+    tuple of 3 floats
+        MuJoCo on all threads; on one; the reduced engine, which has one.
+    """
+    found = []
+    for _ in range(2):
+        batches = (
+            new_batch(env_id, arms),
+            new_batch(env_id, arms, threads=1),
+            new_batch(env_id, arms, engine="reduced"),
+        )
+        last = len(batches[0].settings.durations) - 1
+        found.append([seconds_per_record(batch, rounds, last) for batch in batches])
+    every, one, reduced = np.min(found, axis=0)
+    return float(every), float(one), float(reduced)
+
+
+def print_engines(ids: Sequence[str], arms: int, rounds: int) -> None:
+    """Print the reduced engine beside MuJoCo's."""
+    head = f"\n{'environment':22}{'record':>8}{'reduced':>10}{'records/s':>11}"
+    print(head + f"{'vs mujoco':>15}{'vs mujoco on one thread':>28}")
+    for env_id in ids:
+        duration = new_batch(env_id, 1).settings.durations[-1]
+        try:
+            every, one, reduced = engine_times(env_id, arms, rounds)
+        except InvalidSetting as error:  # numba is missing, or the arm stands at a shaker
+            print(f"{env_id:22}{error}")
+            continue
+        print(
+            f"{env_id:22}{f'{duration} s':>8}{1e3 * reduced:>7.1f} ms{1 / reduced:>11.1f}"
+            f"{every / reduced:>15.2f}{one / reduced:>28.2f}",
+            flush=True,
+        )
 
 
 def make_rival(env_id: str) -> gymnasium.Env[Any, Any]:
@@ -264,6 +311,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 f"{min(bare) / mine:>15.2f}{loop / mine:>16.2f}{min(rollout) / mine:>12.2f}",
                 flush=True,
             )
+    print_engines(options.ids, arms, rounds)
     many = 4 * arms
     for env_id in options.ids:
         print(

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,12 +19,11 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import gymnasium
-
 from agents.backends import BackendSettings, add_backend_options
 from agents.bank_options import add_bank_options, plan_of
-from agents.banks import build_bank, build_figures
-from loose_env.errors import LooseEnvError
+from agents.banks import BankPlan, build_bank, build_figures
+from agents.one_line_errors import errors_in_one_line
+from agents.shard_store import ShardStore
 
 
 def parser() -> argparse.ArgumentParser:
@@ -47,26 +45,30 @@ def build(options: argparse.Namespace) -> None:
     store = build_bank(plan, folder, settings)
     made = time.perf_counter() - begin
     records = sum(int((part["slots"][:, :, 0] > 0.5).sum()) for part in store.read_all(plan.shards))
-    size = sum(file.stat().st_size for file in (folder / "records").iterdir())
     print(
-        f"{plan.episodes} episodes, {records} records, {size / 1e6:.0f} MB in {folder / 'records'}"
-        f"; this run took {made:.0f} s"
+        f"{plan.episodes} episodes, {records} records, {megabytes(store, plan):.1f} MB in "
+        f"{store.folder}; this run took {made:.1f} s"
     )
     if not options.records_only:
         begin = time.perf_counter()
-        build_figures(plan, folder, settings)
-        print(f"Figures in {folder / 'figures'}; this run took {time.perf_counter() - begin:.0f} s")
+        store = build_figures(plan, folder, settings)
+        made = time.perf_counter() - begin
+        print(
+            f"Figures of {records} records, {megabytes(store, plan):.1f} MB in {store.folder}; "
+            f"this run took {made:.1f} s"
+        )
+
+
+def megabytes(store: ShardStore, plan: BankPlan) -> float:
+    """Size of a bank's files in a folder [MB]; other episodes may lie there too."""
+    return sum(store.path(shard).stat().st_size for shard in plan.shards) / 1e6
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Build, with errors in one line."""
     options = parser().parse_args(arguments)
-    try:
+    with errors_in_one_line("build_bank", interrupted="run the same command again to go on"):
         build(options)
-    except KeyboardInterrupt:
-        sys.exit("build_bank: interrupted; run the same command again to go on")
-    except (LooseEnvError, gymnasium.error.Error, ValueError, OSError) as error:
-        sys.exit(f"build_bank: {error}")
 
 
 if __name__ == "__main__":

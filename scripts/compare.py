@@ -24,7 +24,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("MKL_NUM_THREADS", "1")
 
-import gymnasium
 import numpy as np
 
 import loose_env
@@ -36,9 +35,9 @@ from agents.env_arguments import arguments_of
 from agents.estimators import ESTIMATORS
 from agents.evaluation import EVALUATION_SEED
 from agents.evaluation_shards import EvaluationTask, play_task, problem_of
+from agents.one_line_errors import errors_in_one_line
 from agents.policies import POLICIES, WEIGHTS, setting_name
 from agents.registry import AGENTS, make_agent
-from loose_env.errors import LooseEnvError
 from loose_env.report.comparison_text import comparison_text
 from loose_env.report.rows_file import configuration_hash, need_format, write_rows
 from loose_env.report.standings import Row, by_agent, standings
@@ -328,12 +327,9 @@ def command(options: argparse.Namespace) -> str:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Compare, with errors in one line."""
     options = parser().parse_args(arguments)
-    try:
+    going_on = "the same command goes on from what was played"
+    with errors_in_one_line("compare", interrupted=going_on):
         compare(options)
-    except KeyboardInterrupt:
-        sys.exit("compare: interrupted; the same command goes on from what was played")
-    except (LooseEnvError, gymnasium.error.Error, ValueError, OSError) as error:
-        sys.exit(f"compare: {error}")
 
 
 if __name__ == "__main__":

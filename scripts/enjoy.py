@@ -12,7 +12,6 @@ import argparse
 import importlib
 import io
 import re
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -21,13 +20,15 @@ import gymnasium
 import numpy as np
 
 from agents.base import Problem
+from agents.env_arguments import diagnosis_env
 from agents.hyperparameters import ALGORITHMS, key_values
 from agents.learned import CONFIGURATION, LearnedAgent
+from agents.one_line_errors import errors_in_one_line
 from agents.training_options import OneLineParser
 from loose_env.envs.actions import Action
 from loose_env.envs.diagnosis import DiagnosisEnv
 from loose_env.envs.registration import IDS
-from loose_env.errors import InvalidData, InvalidSetting, LooseEnvError, UnknownName
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 
 
 def parser() -> OneLineParser:
@@ -101,11 +102,7 @@ def environment_of(
     arguments = {**described.get("env_kwargs", {})}
     arguments |= key_values(options.env_kwargs, "--env-kwargs")
     mode = "rgb_array" if options.render else None
-    # Without the wrappers: what is played is checked by tests, not here.
-    env = gymnasium.make(options.env, render_mode=mode, **arguments).unwrapped
-    if not isinstance(env, DiagnosisEnv):
-        raise UnknownName(f"{options.env} is no diagnosis environment; they are {', '.join(IDS)}")
-    return env, arguments
+    return diagnosis_env(options.env, arguments, render_mode=mode), arguments
 
 
 def shaken(env: DiagnosisEnv, action: Action) -> str:
@@ -212,12 +209,8 @@ def enjoy(options: argparse.Namespace) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Read the options and play, with errors in one line."""
     options = parser().parse_args(arguments)
-    try:
+    with errors_in_one_line("enjoy"):
         enjoy(options)
-    except (LooseEnvError, gymnasium.error.Error, ImportError, ValueError, OSError) as error:
-        sys.exit(f"enjoy: {error}")
-    except KeyboardInterrupt:
-        sys.exit("enjoy: interrupted")
 
 
 if __name__ == "__main__":

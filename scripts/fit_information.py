@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -19,16 +18,15 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import gymnasium
 import numpy as np
 
 from agents.bank_options import add_bank_options, plan_of
 from agents.banks import read_bank
 from agents.estimators import make_estimator
 from agents.information_fit import fit_factors, transitions_of
+from agents.one_line_errors import errors_in_one_line
 from agents.policies import WEIGHTS, setting_name
 from agents.tuning import write_tuned
-from loose_env.errors import LooseEnvError
 
 SHARDS = 4
 """Shards of the bank that are read; the posterior was not trained on the first ones."""
@@ -68,10 +66,8 @@ def fit(options: argparse.Namespace) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Fit, with errors in one line."""
     options = parser().parse_args(arguments)
-    try:
+    with errors_in_one_line("fit_information"):
         fit(options)
-    except (LooseEnvError, gymnasium.error.Error, ValueError, OSError) as error:
-        sys.exit(f"fit_information: {error}")
 
 
 if __name__ == "__main__":

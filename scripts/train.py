@@ -25,6 +25,7 @@ import gymnasium
 import numpy as np
 
 from agents.base import Problem
+from agents.env_arguments import refused_in_words
 from agents.estimators import feature_size, make_estimator
 from agents.evaluation import check_training_seed, evaluate
 from agents.hyperparameters import (
@@ -35,10 +36,11 @@ from agents.hyperparameters import (
     read_hyperparameters,
     shipped_file,
 )
+from agents.one_line_errors import errors_in_one_line
 from agents.training_options import check_training, training_parser
 from loose_env.envs.registration import IDS
 from loose_env.envs.vector import DiagnosisVectorEnv
-from loose_env.errors import InvalidData, InvalidSetting, LooseEnvError, MissingExtra, UnknownName
+from loose_env.errors import InvalidData, InvalidSetting, MissingExtra, UnknownName
 
 ROOT = Path(__file__).resolve().parents[1]
 STOP_BIAS = -1.5
@@ -59,11 +61,8 @@ def make_environments(env_id: str, num_envs: int, arguments: dict[str, Any]) -> 
     """
     if env_id not in gymnasium.registry:
         raise UnknownName(f"unknown environment {env_id!r}; environments are {', '.join(IDS)}")
-    try:
+    with refused_in_words(env_id, arguments):
         env = gymnasium.make_vec(env_id, num_envs=num_envs, **arguments)
-    except TypeError as error:
-        reason = " ".join(str(error).split())
-        raise InvalidSetting(f"{env_id} does not take {arguments}: {reason}") from error
     if not isinstance(env, DiagnosisVectorEnv):
         raise UnknownName(f"{env_id} is no diagnosis environment; those are {', '.join(IDS)}")
     if env.settings.raw:
@@ -81,6 +80,7 @@ def configuration_of(
 ) -> dict[str, Any]:
     """Everything that the result depends on."""
     from agents.network import FORMAT
+    from agents.training_run import git_commit
 
     modules = ("loose_env", "gymnasium", "mujoco", "numpy", "stable_baselines3", "torch")
     own = {key: value for key, value in hyperparameters.items() if key != "n_timesteps"}
@@ -110,17 +110,10 @@ def configuration_of(
             "python": sys.version.split()[0],
             **{name: importlib.import_module(name).__version__ for name in modules},
         },
-        "git_commit": git_commit_here(),
+        "git_commit": git_commit(ROOT),  # None outside a repository of its own
     }
     plain: dict[str, Any] = json.loads(json.dumps(found, default=str))
     return plain
-
-
-def git_commit_here() -> str | None:
-    """Commit of this repository, if it is one."""
-    from agents.training_run import git_commit
-
-    return git_commit(ROOT)
 
 
 def train(options: argparse.Namespace) -> Path:
@@ -133,7 +126,7 @@ def train(options: argparse.Namespace) -> Path:
         options.conf_file or shipped_file(options.algo), options.env
     ) | key_values(options.hyperparams, "--hyperparams")
     own = hyperparameters.pop("env_kwargs", {})
-    if isinstance(own, str):
+    if not isinstance(own, dict):
         raise InvalidSetting(f"env_kwargs in a hyperparameter file is a mapping, got {own!r}")
     arguments = own | key_values(options.env_kwargs, "--env-kwargs")
     model_class = algorithm_named(algorithm)
@@ -394,12 +387,9 @@ def say(options: argparse.Namespace, words: str) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Read the options and train, with errors in one line."""
     options = training_parser(__doc__).parse_args(arguments)
-    try:
+    going_on = "the same command goes on from the last checkpoint"
+    with errors_in_one_line("train", interrupted=going_on):
         train(options)
-    except (LooseEnvError, gymnasium.error.Error, ImportError, ValueError, OSError) as error:
-        sys.exit(f"train: {error}")
-    except KeyboardInterrupt:
-        sys.exit("train: interrupted; the same command goes on from the last checkpoint")
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -22,7 +21,6 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,12 +28,13 @@ from agents.backends import BackendSettings, add_backend_options
 from agents.bank_options import add_bank_options, plan_of
 from agents.banks import BankPlan, build_bank, build_figures, directions_of, read_figures
 from agents.novelty_training import fit_reference, with_reference
+from agents.one_line_errors import errors_in_one_line
 from agents.place_figures import PlaceFigures
 from agents.policies import WEIGHTS, setting_name
 from agents.posterior_training import PosteriorTraining, TrainingSettings
 from loose_env.diagnosis.amortised import read_network, write_network
 from loose_env.envs.difficulty import difficulty_named
-from loose_env.errors import InvalidSetting, LooseEnvError
+from loose_env.errors import InvalidSetting
 from loose_env.faults import DEFAULT_KINDS, hypotheses
 from loose_env.statistics import axes_grid
 
@@ -104,14 +103,7 @@ def train(options: argparse.Namespace) -> None:
         ),
     )
     begin = time.perf_counter()
-
-    def report(step: int, loss: float) -> None:
-        spent = time.perf_counter() - begin
-        line = f"\rstep {step} of {options.steps}, {spent:.0f} s, loss {loss:.3f}"
-        print(line, end="", file=sys.stderr, flush=True)
-
-    training.train(folder / f"training-{options.training_seed}", report)
-    print(file=sys.stderr)
+    training.train(folder / f"training-{options.training_seed}")
     seconds = time.perf_counter() - begin
     half = held // 2  # one part sets the tempers, the other judges
     if half:
@@ -170,12 +162,8 @@ def _described(plan: BankPlan) -> dict[str, object]:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Train, with errors in one line."""
     options = parser().parse_args(arguments)
-    try:
+    with errors_in_one_line("train_posterior", interrupted="run the same command again to go on"):
         train(options)
-    except KeyboardInterrupt:
-        sys.exit("train_posterior: interrupted; run the same command again to go on")
-    except (LooseEnvError, gymnasium.error.Error, ValueError, OSError) as error:
-        sys.exit(f"train_posterior: {error}")
 
 
 if __name__ == "__main__":

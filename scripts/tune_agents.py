@@ -24,13 +24,13 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import gymnasium
 import numpy as np
 
 from agents.backends import BackendSettings, add_backend_options
 from agents.env_arguments import arguments_of
 from agents.evaluation import check_training_seed
 from agents.evaluation_shards import problem_of
+from agents.one_line_errors import errors_in_one_line
 from agents.policies import WEIGHTS, setting_name
 from agents.record_bank import BANK_SEED
 from agents.tuning import (
@@ -43,7 +43,7 @@ from agents.tuning import (
     write_tuned,
 )
 from agents.tuning_shards import ORACLE, Player, names_of, play_player, trained
-from loose_env.errors import InvalidSetting, LooseEnvError
+from loose_env.errors import InvalidSetting
 from loose_env.report.paired import bootstrap_mean
 
 BOOTSTRAP_SEED = 0
@@ -159,12 +159,9 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Tune, with errors in one line."""
     options = parser().parse_args(arguments)
-    try:
+    going_on = "the same command goes on from what was played"
+    with errors_in_one_line("tune_agents", interrupted=going_on):
         tune(options)
-    except KeyboardInterrupt:
-        sys.exit("tune_agents: interrupted; the same command goes on from what was played")
-    except (LooseEnvError, gymnasium.error.Error, ValueError, OSError) as error:
-        sys.exit(f"tune_agents: {error}")
 
 
 if __name__ == "__main__":

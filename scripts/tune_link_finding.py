@@ -14,18 +14,23 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import get_args
 
-import gymnasium
 import numpy as np
 
-import loose_env  # noqa: F401  (registers the ids)
 from agents.base import Problem
+from agents.env_arguments import arguments_of
 from agents.evaluation import evaluate
+from agents.evaluation_shards import problem_of
 from agents.link_finding import LinkFindingAgent
+from agents.one_line_errors import errors_in_one_line
+from agents.progress_line import ProgressLine
 from loose_env.arms.mismatch import MismatchDraw
 from loose_env.diagnosis.link_finding import LinkFindingSettings, Order
+from loose_env.envs.episode import BatchRig, EpisodeBatch
+from loose_env.errors import InvalidSetting
 from loose_env.faults import Fault
-from loose_env.rig import Job, Measurement, SimulatedRig
+from loose_env.rig import Job, Measurement
 
 TRAINING_SEED = 1
 WIDTH = 64
@@ -38,7 +43,7 @@ class RememberingRig:
     depends on its arm, pose, excitation and generator alone.
     """
 
-    def __init__(self, rig: SimulatedRig) -> None:
+    def __init__(self, rig: BatchRig) -> None:
         self.rig = rig
         self._arms: dict[int, tuple[str, bytes]] = {}
         self._pending: dict[int, tuple[Fault, MismatchDraw | None]] = {}
@@ -94,40 +99,47 @@ def candidate(
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def parser() -> argparse.ArgumentParser:
+    """Options of the search."""
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add = options.add_argument
+    orders = list(get_args(Order))
+    add("--env", default="loose_env/Vera-v0", help="environment id")
+    add("--arguments", default="{}", help="its arguments, as JSON")
+    add("--orders", nargs="+", choices=orders, default=orders, help="orders of search to tune")
+    add("--candidates", type=int, default=300, help="settings to try an order")
+    add("--episodes", type=int, default=96, help="episodes each")
+    add("--out", default="agents/weights", help="folder of the results")
+    return options
+
+
+def tune(options: argparse.Namespace) -> None:
     """Search, print the best settings of each order and write them."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--env", default="loose_env/Vera-v0", help="environment id")
-    parser.add_argument("--arguments", default="{}", help="its arguments, as JSON")
-    parser.add_argument("--orders", nargs="*", default=["outward", "inward", "bisection"])
-    parser.add_argument("--candidates", type=int, default=300, help="settings to try an order")
-    parser.add_argument("--episodes", type=int, default=96, help="episodes each")
-    parser.add_argument("--out", default="agents/weights", help="folder of the results")
-    options = parser.parse_args(arguments)
-    env = gymnasium.make(options.env, **json.loads(options.arguments)).unwrapped
-    arm, settings = env.arm, env.settings  # type: ignore[attr-defined]
-    problem = Problem.of(arm, settings)
-    rig = RememberingRig(SimulatedRig(arm, slots=WIDTH, sensors=settings.sensors))
+    for name in ("candidates", "episodes"):
+        if getattr(options, name) < 1:
+            raise InvalidSetting(f"--{name} must be 1 or more, got {getattr(options, name)}")
+    problem = problem_of(options.env, arguments_of(options.arguments))
+    arm = problem.arm
+    # The rig of the engine that the arguments name.
+    rig = RememberingRig(EpisodeBatch(arm, problem.settings, num=WIDTH).rig)
     for order in options.orders:
         rng = np.random.default_rng([TRAINING_SEED, len(order)])
         tried: list[tuple[float, LinkFindingSettings]] = []
-        for k in range(options.candidates):
-            found = candidate(order, arm.n, len(arm.levels), rng)
-            tried.append((_score(problem, found, options.episodes, rig), found))
-            best = max(tried, key=lambda t: t[0])
-            print(
-                f"\r{order}: {k + 1} of {options.candidates}, best return {best[0]:+.3f}",
-                end="",
-                file=sys.stderr,
-                flush=True,
-            )
+        print(order, file=sys.stderr, flush=True)
+        with ProgressLine(options.candidates, unit="candidates") as line:
+            for _ in range(options.candidates):
+                found = candidate(order, arm.n, len(arm.levels), rng)
+                tried.append((_score(problem, found, options.episodes, rig), found))
+                line.advance(1, f"best return {max(t[0] for t in tried):+.3f}")
         finalists = sorted(tried, key=lambda t: -t[0])[: max(options.candidates // 10, 2)]
         score, winner = max(
             ((_score(problem, f, 4 * options.episodes, rig), f) for _, f in finalists),
             key=lambda t: t[0],
         )
         print(
-            f"\n{arm.name} {order}: return {score:+.3f} on {4 * options.episodes} training episodes"
+            f"{arm.name} {order}: return {score:+.3f} on {4 * options.episodes} training episodes"
         )
         path = Path(options.out) / f"{arm.name}-{order}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -151,6 +163,13 @@ def _score(
         rig=rig,
     )
     return float(np.mean([row.reward for row in rows]))
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Tune, with errors in one line."""
+    options = parser().parse_args(arguments)
+    with errors_in_one_line("tune_link_finding"):
+        tune(options)
 
 
 if __name__ == "__main__":

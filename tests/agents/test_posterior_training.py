@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+
 import numpy as np
 import pytest
 import torch
@@ -111,8 +113,12 @@ def test_training_learns_and_resumes_to_the_same_weights(figures, tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         first.train(tmp_path, stop)
-    second = training(figures)
-    second.train(tmp_path)
+    second, log = training(figures), io.StringIO()
+    second.train(tmp_path, stream=log)
+    # A log gets whole lines, from where the first one was stopped.
+    lines = log.getvalue().splitlines()
+    assert [line.split()[0] for line in lines] == ["105/150", "120/150", "135/150", "150/150"]
+    assert all(" loss " in line for line in lines)
     assert second.step == 150
     for name, tensor in whole.tensors().items():
         assert np.allclose(second.tensors()[name], tensor, atol=1e-6), name

@@ -99,6 +99,8 @@ def test_a_run_leaves_a_policy_that_plays(
     assert len(re.findall(r"verdict \S+, truth \S+: (right|wrong), return", words)) == 2
     enjoy.main([*play, "--weights", str(export), "--n-timesteps", "1"])
     assert "\n1 episodes: success" in capsys.readouterr().out
+    with pytest.raises(SystemExit, match=r"enjoy: .* does not take .*'durations': 0\.2"):
+        enjoy.main([*play, "--weights", str(export), "--env-kwargs", "durations:0.2"])
 
 
 def test_enjoy_writes_a_picture_of_each_record(
@@ -270,6 +272,7 @@ def test_a_model_is_continued_in_a_new_run(train: ModuleType, tmp_path: Path) ->
         (["--env-kwargs", "n_links:2", "colour:1"], "unknown arguments"),
         (["--env-kwargs", "n_links:__import__('os')"], "--env-kwargs n_links: cannot read"),
         (["--env-kwargs", "raw:True"], "leave raw out"),
+        (["--env-kwargs", "durations:0.2"], "does not take {'durations': 0.2}"),
         (["-params", "gama:0.9"], "gama"),
         (["-params", "normalize:True"], "normalize"),
         (["-params", "policy:CnnPolicy"], "MlpPolicy"),
@@ -295,6 +298,17 @@ def test_bad_options_of_training_are_refused_in_one_line(
     assert message.startswith("train: ")
     assert says in message
     assert "\n" not in message
+
+
+@pytest.mark.parametrize("own", ["3", "[n_links]", "n_links", ""])
+def test_env_kwargs_of_a_file_that_are_no_mapping_are_refused_in_one_line(
+    train: ModuleType, tmp_path: Path, own: str
+) -> None:
+    file = tmp_path / "my.yml"
+    file.write_text(f"default:\n  n_envs: 2\n  env_kwargs: {own}\n")
+    with pytest.raises(SystemExit, match="train: env_kwargs in a hyperparameter file") as caught:
+        train.main(options(tmp_path, 16, "--conf-file", str(file)))
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("words", [["--algo", "sac"], ["--n-timestep", "x"], ["--colour"]])
