@@ -25,6 +25,7 @@ __all__ = [
     "best_verdict",
     "records_taken",
     "surprise_of",
+    "verdict_of",
 ]
 
 SURPRISING = 0.003
@@ -156,9 +157,7 @@ class BeliefAgent(EpisodeAgent):
         )
         done = situation.records >= problem.settings.max_records
         if situation.records > 0 and (done or self.stopping.stop(situation)):
-            if surprise_of(memory.estimate) < self.surprising:
-                return problem.verdict(UNSURE)
-            return problem.verdict(best_verdict(problem, probabilities))
+            return problem.verdict(verdict_of(problem, situation, self.surprising))
         return self.policy.choose(situation)
 
 
@@ -175,6 +174,23 @@ def surprise_of(memory: Any) -> float:
     say nothing.
     """
     return float(getattr(getattr(memory, "belief", None), "surprise", 1.0))
+
+
+def verdict_of(problem: Problem, situation: Situation, surprising: float = SURPRISING) -> str:
+    """Verdict that is worth most; "unsure" where the episode is unlike all that is known.
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal arm and the rules.
+    situation : Situation
+        What is known.
+    surprising : float
+        p-value below which nothing is named, see `surprise_of`.
+    """
+    if surprise_of(situation.memory) < surprising:
+        return UNSURE
+    return best_verdict(problem, situation.probabilities)
 
 
 def best_verdict(problem: Problem, probabilities: NDArray[np.float64]) -> str:

@@ -1,7 +1,8 @@
 """A policy trained by reinforcement learning on top of a posterior.
 
 The policy chooses a move and a level for every joint, the record length, and when to stop. What
-it names then is the verdict that is worth most under the posterior.
+it names then is the verdict that is worth most under the posterior, or nothing where the records
+are unlike all that the posterior was made for.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from agents.belief_agent import (
     StoppingRule,
     best_verdict,
     records_taken,
+    verdict_of,
 )
 from agents.estimators import feature_size, further_features, make_estimator
 from agents.network import FORMAT, PolicyNetwork, load_network
@@ -258,8 +260,6 @@ class LearnedAgent(EpisodeAgent):
             memory.state,
             form.mask(pose, records),
         )
-        if self.stopping is None:
-            return form.action(choice, probabilities, records)
         situation = Situation(
             observation=observation,
             pose=pose,
@@ -268,7 +268,12 @@ class LearnedAgent(EpisodeAgent):
             memory=memory.estimate,
             rng=memory.rng,
         )
-        done = records >= problem.settings.max_records
-        if records > 0 and (done or self.stopping.stop(situation)):
-            return problem.verdict(best_verdict(problem, probabilities))
+        if self.stopping is None:
+            done = form.stops(choice, records)
+        else:
+            done = records > 0 and (
+                records >= problem.settings.max_records or self.stopping.stop(situation)
+            )
+        if done:
+            return problem.verdict(verdict_of(problem, situation))
         return form.measuring(choice)
