@@ -1,0 +1,172 @@
+"""The arms in numbers: a serial chain of hinges and slides, its drives and its tool."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+GRAVITY = 9.81
+"""Acceleration of free fall [m/s²]; the world's z axis points up."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Link:
+    """A joint, the rigid body it moves and the drive of the joint."""
+
+    kind: str = "hinge"
+    """`hinge` or `slide`."""
+    axis: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    """Axis of the joint, a unit vector in the link's frame."""
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Origin of the link's frame in the frame of the link before [m]."""
+    end: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Distal end of the link, in its own frame [m]."""
+    mass: float
+    """Mass [kg]."""
+    com: tuple[float, float, float]
+    """Centre of mass in the link's frame [m]."""
+    inertia: tuple[float, float, float]
+    """Moments of inertia about the centre of mass, along the link's frame [kg m²]."""
+    armature: float
+    """Inertia of the rotor, seen at the joint [kg m²; slide: kg]."""
+    damping: float
+    """Viscous damping of the joint [N m s/rad; slide: N s/m]."""
+    kp: float
+    """Position gain of the servo [N m/rad; slide: N/m]."""
+    kv: float
+    """Velocity gain of the servo [N m s/rad; slide: N s/m]."""
+    limit: float
+    """Largest torque of the servo [N m; slide: N]."""
+    home: float
+    """Middle of the joint's range of motion [rad; slide: m]."""
+    reach: float
+    """Half of the joint's range of motion [rad; slide: m]."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Figures:
+    """A nominal arm: what its model.xml says."""
+
+    name: str
+    """A word for the arm; never written into a recording."""
+    links: tuple[Link, ...]
+    """The links from the base."""
+    hanging: tuple[float, ...] | None = None
+    """Joint positions in which the arm hangs at rest with its drives off, if there are any."""
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return len(self.links)
+
+    @property
+    def home(self) -> Array:
+        """Middles of the ranges of motion, of shape (n,) [rad or m]."""
+        return np.array([link.home for link in self.links])
+
+    @property
+    def reach(self) -> Array:
+        """Half ranges of motion, of shape (n,) [rad or m]."""
+        return np.array([link.reach for link in self.links])
+
+
+def rod(mass: float, length: float, radius: float) -> tuple[float, float, float]:
+    """Moments of inertia of a round bar along x about its middle [kg m²].
+
+    Examples
+    --------
+    >>> rod(12.0, 1.0, 0.0)
+    (0.0, 1.0, 1.0)
+    """
+    across = mass * (length**2 / 12 + radius**2 / 4)
+    return (mass * radius**2 / 2, across, across)
+
+
+def _bar(mass: float, length: float, radius: float, **rest: object) -> Link:
+    """A link along its x axis with its mass around the middle."""
+    return Link(
+        mass=mass,
+        com=(0.48 * length, 0.0, 0.0),
+        inertia=rod(mass, length, radius),
+        end=(length, 0.0, 0.0),
+        **rest,  # type: ignore[arg-type]
+    )
+
+
+def planar3() -> Figures:
+    """Three hinges in a vertical plane."""
+    return Figures(
+        name="planar3",
+        links=(
+            _bar(4.0, 0.40, 0.05, armature=0.40, damping=3.0, kp=4000.0, kv=160.0, limit=160.0,
+                 home=-0.6, reach=0.6),
+            _bar(2.5, 0.35, 0.04, offset=(0.40, 0.0, 0.0), armature=0.18, damping=1.5, kp=2000.0,
+                 kv=70.0, limit=80.0, home=0.9, reach=0.7),
+            _bar(1.4, 0.25, 0.03, offset=(0.35, 0.0, 0.0), armature=0.05, damping=0.5, kp=500.0,
+                 kv=14.0, limit=25.0, home=0.4, reach=0.9),
+        ),
+        hanging=(np.pi / 2, 0.0, 0.0),
+    )  # fmt: skip
+
+
+def spatial3() -> Figures:
+    """Waist, shoulder and elbow."""
+    return Figures(
+        name="spatial3",
+        links=(
+            Link(axis=(0.0, 0.0, 1.0), offset=(0.0, 0.0, 0.3), end=(0.0, 0.0, 0.12), mass=6.0,
+                 com=(0.01, 0.0, 0.05), inertia=(0.035, 0.035, 0.028), armature=0.35, damping=2.5,
+                 kp=3500.0, kv=140.0, limit=140.0, home=0.0, reach=0.9),
+            _bar(3.2, 0.42, 0.05, offset=(0.0, 0.0, 0.12), armature=0.30, damping=2.0, kp=3500.0,
+                 kv=130.0, limit=140.0, home=-0.7, reach=0.5),
+            _bar(1.8, 0.38, 0.035, offset=(0.42, 0.0, 0.0), armature=0.10, damping=0.8, kp=1200.0,
+                 kv=40.0, limit=50.0, home=1.0, reach=0.7),
+        ),
+        hanging=(0.0, np.pi / 2, 0.0),
+    )  # fmt: skip
+
+
+def scara4() -> Figures:
+    """Two hinges about the vertical, a vertical slide and a turning wrist."""
+    up = (0.0, 0.0, 1.0)
+    return Figures(
+        name="scara4",
+        links=(
+            _bar(5.0, 0.35, 0.06, axis=up, offset=(0.0, 0.0, 0.4), armature=0.30, damping=2.0,
+                 kp=3000.0, kv=110.0, limit=100.0, home=0.2, reach=0.9),
+            _bar(3.0, 0.30, 0.05, axis=up, offset=(0.35, 0.0, 0.0), armature=0.12, damping=1.0,
+                 kp=1200.0, kv=40.0, limit=50.0, home=0.7, reach=0.9),
+            Link(kind="slide", axis=up, offset=(0.30, 0.0, 0.0), end=(0.0, 0.0, -0.2), mass=1.5,
+                 com=(0.01, 0.0, -0.1), inertia=(0.006, 0.006, 0.001), armature=2.0, damping=30.0,
+                 kp=12000.0, kv=350.0, limit=180.0, home=0.05, reach=0.08),
+            Link(axis=up, offset=(0.0, 0.0, -0.2), end=(0.10, 0.0, -0.05), mass=0.8,
+                 com=(0.04, 0.01, -0.02), inertia=(0.0008, 0.0015, 0.0016), armature=0.02,
+                 damping=0.15, kp=80.0, kv=2.2, limit=8.0, home=0.0, reach=1.4),
+        ),
+    )  # fmt: skip
+
+
+def elbow4() -> Figures:
+    """Waist, shoulder, elbow and a pitching wrist."""
+    return Figures(
+        name="elbow4",
+        links=(
+            Link(axis=(0.0, 0.0, 1.0), offset=(0.0, 0.0, 0.25), end=(0.0, 0.0, 0.10), mass=5.0,
+                 com=(0.0, 0.01, 0.04), inertia=(0.03, 0.03, 0.02), armature=0.30, damping=2.0,
+                 kp=3000.0, kv=120.0, limit=120.0, home=0.1, reach=0.8),
+            _bar(3.0, 0.36, 0.05, offset=(0.0, 0.0, 0.10), armature=0.28, damping=1.8, kp=3200.0,
+                 kv=120.0, limit=130.0, home=-0.8, reach=0.5),
+            _bar(1.8, 0.32, 0.04, offset=(0.36, 0.0, 0.0), armature=0.12, damping=0.8, kp=1200.0,
+                 kv=40.0, limit=50.0, home=1.1, reach=0.6),
+            _bar(0.9, 0.16, 0.03, offset=(0.32, 0.0, 0.0), armature=0.03, damping=0.25, kp=250.0,
+                 kv=6.0, limit=15.0, home=0.2, reach=0.9),
+        ),
+    )  # fmt: skip
+
+
+ARMS = {"planar3": planar3, "spatial3": spatial3, "scara4": scara4, "elbow4": elbow4}
+"""Makers of the nominal arms by name."""

@@ -1,0 +1,257 @@
+"""Marks for a result: pure functions of result.json, truth.json and what cannot be told apart."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+Named = tuple[str, str]
+"""Kind and place."""
+Separable = Callable[[int, Named], bool]
+"""Whether the effect of a case (its position in the truth) can be told from another one."""
+
+NO_GAP, UNEXPLAINED, NAMED = "no_gap", "unexplained", "named"
+
+PARAMETERS: Mapping[str, tuple[str, ...]] = {
+    "viscous_friction": ("damping",),
+    "coulomb_friction": ("torque",),
+    "stribeck_friction": ("torque",),
+    "quadratic_drag": ("drag",),
+    "joint_compliance": ("stiffness",),
+    "backlash": ("gap",),
+    "structural_looseness": ("gap",),
+    "link_flexibility": ("stiffness",),
+    "link_mass": ("mass",),
+    "link_com": ("x", "y", "z"),
+    "payload": ("mass",),
+    "rotor_inertia": ("inertia",),
+    "actuator_gain": ("gain",),
+    "actuator_lag": ("time",),
+    "command_delay": ("delay",),
+    "encoder_offset": ("offset",),
+    "sensor_misalignment": ("x", "y", "z"),
+    "sensor_gain": ("gain",),
+    "sensor_bias": ("bias", "x", "y", "z"),
+    "sensor_delay": ("delay",),
+    "base_tilt": ("x", "y"),
+    "torque_ripple": ("amplitude",),
+    "joint_spring": ("stiffness",),
+}
+"""Parameters by which an effect is judged; those of a kind make one vector."""
+NEUTRAL = {"gain": 1.0}
+"""Values that change nothing; an error is judged against the distance from them."""
+LISTED: frozenset[frozenset[str]] = frozenset(
+    frozenset(pair)
+    for pair in (
+        ("command_delay", "joint_compliance"),
+        ("payload", "link_mass"),
+        ("payload", "actuator_gain"),
+        ("coulomb_friction", "backlash"),
+        ("sensor_bias", "base_tilt"),
+        ("link_mass", "joint_spring"),
+        ("link_com", "joint_spring"),
+        ("payload", "joint_spring"),
+        ("base_tilt", "joint_spring"),
+        ("viscous_friction", "actuator_gain"),
+        ("base_tilt", "encoder_offset"),
+        ("sensor_delay", "command_delay"),
+        ("joint_compliance", "link_flexibility"),
+        ("actuator_lag", "command_delay"),
+    )
+)
+"""Pairs of kinds that data may not separate; for these the alternative is fitted and judged."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Grade:
+    """Marks of one case."""
+
+    case: str
+    role: str
+    """`none`, `single`, `pair` or `outside`."""
+    form: str
+    truth: tuple[Named, ...]
+    """True kinds and places."""
+    said: tuple[Named, ...]
+    """Named kinds and places."""
+    verdict: str
+    right: bool
+    """Kinds and places all right, none too many; or the verdict where nothing is to be named."""
+    found: int
+    """How many of the true effects were named."""
+    by_alternative: bool
+    """Whether an effect counted that cannot be told from the true one."""
+    ratio: float
+    """Smallest size of the effects over the size that is just visible; NaN without effects."""
+    parameter_error: tuple[float, ...]
+    """Relative error of the parameters of every effect named by its own name."""
+    covered: tuple[bool, ...]
+    """Whether each 95 % interval given holds the truth."""
+    gap_before: float
+    """Held-out gap of the nominal model, in noise standard deviations."""
+    gap_after: float
+    """Held-out gap of the corrected model, in noise standard deviations."""
+    seconds: float
+    """Time the tool took, NaN if not given [s]."""
+
+
+def grade(
+    result: Mapping[str, Any],
+    truth: Mapping[str, Any],
+    *,
+    separable: Separable = lambda effect, named: True,
+    seconds: float = float("nan"),
+) -> Grade:
+    """Mark a result.
+
+    Parameters
+    ----------
+    result : mapping
+        A result of format `loose-gap/1`.
+    truth : mapping
+        A truth of format `gap-truth/1`.
+    separable : callable
+        Asked only about pairs of `LISTED`: whether the data tell effect i of the truth from a
+        named kind and place. By default all do.
+    seconds : float
+        Time the tool took [s].
+
+    Returns
+    -------
+    Grade
+
+    Raises
+    ------
+    ValueError
+        If the format of either is another one.
+
+    Examples
+    --------
+    >>> truth = {
+    ...     "format": "gap-truth/1",
+    ...     "case": "case-0001",
+    ...     "role": "single",
+    ...     "form": "forward",
+    ...     "effects": [
+    ...         {
+    ...             "kind": "payload",
+    ...             "where": "tool",
+    ...             "parameters": {"mass": 1.0},
+    ...             "size": {"ratio": 3.0},
+    ...         }
+    ...     ],
+    ... }
+    >>> result = {
+    ...     "format": "loose-gap/1",
+    ...     "verdict": "named",
+    ...     "gap": {"before": 4, "after": 1},
+    ...     "effects": [
+    ...         {
+    ...             "kind": "payload",
+    ...             "where": "tool",
+    ...             "parameters": {"mass": 1.1},
+    ...             "interval_95": {"mass": [0.9, 1.2]},
+    ...         }
+    ...     ],
+    ... }
+    >>> marks = grade(result, truth)
+    >>> marks.right, round(marks.parameter_error[0], 3), marks.covered
+    (True, 0.1, (True,))
+    """
+    for name, given, wanted in (
+        ("result", result.get("format"), "loose-gap/1"),
+        ("truth", truth.get("format"), "gap-truth/1"),
+    ):
+        if given != wanted:
+            raise ValueError(f"the {name} has format {given!r}; {wanted!r} is graded")
+    verdict = str(result["verdict"])
+    effects = list(result.get("effects", ())) if verdict == NAMED else []
+    true = [(str(e["kind"]), str(e["where"])) for e in truth["effects"]]
+    said = [(str(e["kind"]), str(e["where"])) for e in effects]
+    match = _matched(true, said, separable)
+    role = str(truth["role"])
+    if role == "none":
+        right = verdict == NO_GAP
+    elif role == "outside":
+        right = verdict == UNEXPLAINED
+    else:
+        right = len(match) == len(true) == len(said)
+    errors, covered = [], []
+    if role in ("single", "pair"):
+        for i, j in match.items():
+            if true[i] != said[j]:
+                continue
+            errors.append(_error(true[i][0], truth["effects"][i], effects[j]))
+            covered += _covered(true[i][0], truth["effects"][i], effects[j])
+    gap = result.get("gap") or {}
+    return Grade(
+        case=str(truth["case"]),
+        role=role,
+        form=str(truth["form"]),
+        truth=tuple(true),
+        said=tuple(said),
+        verdict=verdict,
+        right=right,
+        found=len(match),
+        by_alternative=any(true[i] != said[j] for i, j in match.items()),
+        ratio=min((e["size"]["ratio"] for e in truth["effects"]), default=float("nan")),
+        parameter_error=tuple(error for error in errors if np.isfinite(error)),
+        covered=tuple(covered),
+        gap_before=_number(gap.get("before")),
+        gap_after=_number(gap.get("after")),
+        seconds=seconds,
+    )
+
+
+def _number(value: Any) -> float:
+    return float("nan") if value is None else float(value)
+
+
+def _matched(true: Sequence[Named], said: Sequence[Named], separable: Separable) -> dict[int, int]:
+    """Position of the named effect for every true one that was found."""
+    match = {i: said.index(effect) for i, effect in enumerate(true) if effect in said}
+    # asking is costly: only where the number of effects is right can an alternative change marks
+    if len(said) != len(true) or len(match) == len(true):
+        return match
+    left = [j for j in range(len(said)) if j not in match.values()]
+    for i, effect in enumerate(true):
+        if i in match:
+            continue
+        for j in left:
+            if frozenset((effect[0], said[j][0])) in LISTED and not separable(i, said[j]):
+                match[i] = j
+                left.remove(j)
+                break
+    return match
+
+
+def _values(kind: str, effect: Mapping[str, Any], names: Sequence[str]) -> np.ndarray:
+    given = effect.get("parameters", {})
+    return np.array([float(given.get(name, 0.0)) - NEUTRAL.get(name, 0.0) for name in names])
+
+
+def _names(kind: str, truth: Mapping[str, Any], effect: Mapping[str, Any]) -> list[str]:
+    given = effect.get("parameters", {})
+    names = [name for name in PARAMETERS.get(kind, ()) if name in truth["parameters"]]
+    return names if any(name in given for name in names) else []
+
+
+def _error(kind: str, truth: Mapping[str, Any], effect: Mapping[str, Any]) -> float:
+    names = _names(kind, truth, effect)
+    if not names:
+        return float("nan")
+    want, have = _values(kind, truth, names), _values(kind, effect, names)
+    return float(np.linalg.norm(have - want) / np.linalg.norm(want))
+
+
+def _covered(kind: str, truth: Mapping[str, Any], effect: Mapping[str, Any]) -> list[bool]:
+    intervals = effect.get("interval_95") or {}
+    held = []
+    for name in _names(kind, truth, effect):
+        if name in intervals:
+            low, high = intervals[name]
+            held.append(bool(low <= truth["parameters"][name] <= high))
+    return held

@@ -1,0 +1,145 @@
+"""What a suite prints: the table of targets and the confusion matrix, as text and as markdown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from .effects import CATALOGUE, OUTSIDE
+from .grade import NO_GAP, UNEXPLAINED, Grade
+
+SEVERAL = "several"
+"""Column of the confusion matrix for results that name more than one effect."""
+PLACE = "elsewhere"
+"""Column for the right kind at a wrong place."""
+
+
+def share(hits: int, count: int) -> str:
+    """A share in per cent with Wilson's 95 % interval.
+
+    Examples
+    --------
+    >>> share(9, 10)
+    '9/10 = 90 % (60 to 98)'
+    >>> share(0, 0)
+    'no cases'
+    """
+    if count == 0:
+        return "no cases"
+    z = 1.96
+    p = hits / count
+    middle = (p + z * z / (2 * count)) / (1 + z * z / count)
+    half = z * math.sqrt(p * (1 - p) / count + z * z / (4 * count * count)) / (1 + z * z / count)
+    low, high = max(0.0, middle - half), min(1.0, middle + half)
+    return f"{hits}/{count} = {100 * p:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
+
+
+def summary(grades: Sequence[Grade]) -> list[tuple[str, str, str]]:
+    """Rows of the table of targets: what, target, measured."""
+    by = {role: [g for g in grades if g.role == role] for role in ("none", "single", "pair")}
+    outside = [g for g in grades if g.role == "outside"]
+    missing = by["single"] + by["pair"]
+    after = [g.gap_after for g in missing if np.isfinite(g.gap_after)]
+    before = [g.gap_before for g in missing if np.isfinite(g.gap_before)]
+    errors = [error for g in missing for error in g.parameter_error]
+    covered = [held for g in missing for held in g.covered]
+    found = sum(g.found for g in by["pair"])
+    seconds = [g.seconds for g in grades if np.isfinite(g.seconds)]
+    rows = [
+        ("single effects, kind and place right", "at least 90 %", _right(by["single"])),
+        ("pairs, both right", "at least 75 %", _right(by["pair"])),
+        ("effects of pairs found", "", share(found, 2 * len(by["pair"]))),
+        ("false alarms with nothing missing", "at most 5 %",
+         share(sum(not g.right for g in by["none"]), len(by["none"]))),
+        ("outside the catalogue, said to be unexplained", "at least 80 %", _right(outside)),
+        ("held-out gap before, median [noise sd]", "", _median(before)),
+        ("held-out gap after, median [noise sd]", "at most 1.25", _median(after)),
+        ("error of parameters, median", "at most 10 %",
+         f"{100 * np.median(errors):.1f} %" if errors else "none"),
+        ("95 % intervals that hold the truth", "85 to 99 %", share(sum(covered), len(covered))),
+        ("time of one run, median and largest [s]", "at most 300",
+         f"{np.median(seconds):.0f}, {max(seconds):.0f}" if seconds else "none"),
+    ]  # fmt: skip
+    return rows
+
+
+def _right(grades: Sequence[Grade]) -> str:
+    return share(sum(g.right for g in grades), len(grades))
+
+
+def _median(values: Sequence[float]) -> str:
+    return f"{np.median(values):.2f}" if values else "none"
+
+
+def confusion(grades: Sequence[Grade]) -> tuple[list[str], list[str], np.ndarray]:
+    """Confusion matrix over cases with at most one effect.
+
+    Returns
+    -------
+    rows : list of str
+        What is true: kinds, and `no_gap`.
+    columns : list of str
+        What was said: kinds, `no_gap`, `unexplained`, `several`, `elsewhere`.
+    counts : ndarray
+        Of shape (rows, columns).
+    """
+    rows = [*CATALOGUE, NO_GAP, *OUTSIDE]
+    columns = [*CATALOGUE, NO_GAP, UNEXPLAINED, SEVERAL, PLACE]
+    counts = np.zeros((len(rows), len(columns)), dtype=np.int64)
+    for g in grades:
+        if g.role == "pair":
+            continue
+        row = rows.index(g.truth[0][0]) if g.truth else rows.index(NO_GAP)
+        counts[row, columns.index(_said(g))] += 1
+    return rows, columns, counts
+
+
+def _said(g: Grade) -> str:
+    if g.verdict in (NO_GAP, UNEXPLAINED):
+        return g.verdict
+    if len(g.said) != 1:
+        return SEVERAL
+    kind = g.said[0][0]
+    if g.truth and kind == g.truth[0][0] and g.said[0] != g.truth[0] and not g.right:
+        return PLACE
+    return kind if kind in CATALOGUE else SEVERAL
+
+
+def markdown(grades: Sequence[Grade]) -> str:
+    """The table of targets, the confusion matrix and the marks by size, as markdown."""
+    parts = ["| | to reach | measured |", "| --- | --- | --- |"]
+    parts += [f"| {what} | {target} | {got} |" for what, target, got in summary(grades)]
+    rows, columns, counts = confusion(grades)
+    used = [c for c in range(len(columns)) if counts[:, c].any()]
+    parts += ["", "| true \\ said | " + " | ".join(columns[c] for c in used) + " |"]
+    parts += ["| --- |" + " --- |" * len(used)]
+    for r, row in enumerate(rows):
+        if counts[r].any():
+            cells = [str(counts[r, c]) if counts[r, c] else "" for c in used]
+            parts.append(f"| {row} | " + " | ".join(cells) + " |")
+    parts += ["", "| size over just visible | single effects right |", "| --- | --- |"]
+    singles = [g for g in grades if g.role == "single"]
+    for low, high in ((0.0, 2.0), (2.0, 5.0), (5.0, 12.0), (12.0, np.inf)):
+        within = [g for g in singles if low <= g.ratio < high]
+        label = f"{low:.0f} to {high:.0f}" if np.isfinite(high) else f"over {low:.0f}"
+        parts.append(f"| {label} | {_right(within)} |")
+    return "\n".join(parts) + "\n"
+
+
+def text(grades: Sequence[Grade]) -> str:
+    """The same for a terminal; the columns of the matrix are numbered."""
+    rows_of_summary = summary(grades)
+    width = max(len(what) for what, _, _ in rows_of_summary)
+    lines = [f"{what:<{width}}  {target:<14} {got}" for what, target, got in rows_of_summary]
+    rows, columns, counts = confusion(grades)
+    used = [c for c in range(len(columns)) if counts[:, c].any()]
+    lines += ["", "confusion: rows true, columns said"]
+    lines += [f"  [{i + 1}] {columns[c]}" for i, c in enumerate(used)]
+    lines.append(" " * 22 + "".join(f"{f'[{i + 1}]':>5}" for i in range(len(used))))
+    for r, row in enumerate(rows):
+        if counts[r].any():
+            cells = "".join(f"{counts[r, c] or '.':>5}" for c in used)
+            lines.append(f"{row:<22}{cells}")
+    return "\n".join(lines) + "\n"
