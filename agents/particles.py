@@ -1,7 +1,9 @@
 """The posterior by particles on records of the environment: arms drawn as it draws them.
 
 It is no agent's estimator, being slow, but the yardstick for those that are fast: it asks nothing
-of the physics but the simulation itself (see `loose_env.diagnosis.particles`).
+of the physics but the simulation itself (see `loose_env.diagnosis.particles`). A particle is one
+fault; the mismatch belongs to a realisation, with excitation and noise. It has some fifty numbers
+of which each does little, so that it is averaged over, and not searched.
 """
 
 from __future__ import annotations
@@ -23,8 +25,9 @@ from loose_env.diagnosis.synthetic_likelihood import summaries_of
 from loose_env.envs.difficulty import FaultSampler, difficulty_named
 from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation
-from loose_env.faults import Fault
+from loose_env.faults import Fault, Healthy
 from loose_env.rig.jobs import Job
+from loose_env.rig.measurement import Measurement
 from loose_env.rig.reduced import ReducedRig
 from loose_env.rig.simulated import SimulatedRig
 
@@ -71,7 +74,7 @@ class SimulatedRecords:
     records : sequence of RecordStatistics
         What was measured.
     seed : int
-        Seed of excitations and noise.
+        Seed of mismatch, excitations and noise.
     """
 
     def __init__(
@@ -86,15 +89,12 @@ class SimulatedRecords:
         self.problem, self.sampler, self.rig, self.seed = problem, sampler, rig, seed
         self.records = tuple(records)
         self.mismatch = sampler.difficulty.mismatch
+        self._nominal = MismatchDraw.none(problem.arm)
         self.prior = _prior(problem, sampler)
-        self.variates = []
-        for name in problem.hypotheses:
-            counter = _Given()
-            self._draw_from(name, counter)
-            self.variates.append(counter.taken)
+        self.variates = [self._variates_of(name) for name in problem.hypotheses]
         shown = [summaries_of(record) for record in self.records]
         self.measured = np.concatenate([np.zeros(0), *shown])
-        self.blocks = np.repeat(np.arange(len(shown)), [len(s) for s in shown])
+        self._blocks = np.repeat(np.arange(len(shown)), [len(s) for s in shown])
         self._excitations = [
             Excitation(
                 torque_rms=tuple(float(t) for t in record.torque),
@@ -104,28 +104,43 @@ class SimulatedRecords:
             for record in self.records
         ]
 
-    def draw(self, hypothesis: str, variates: Array) -> tuple[MismatchDraw, Fault]:
-        """Make the arm and the fault that standard normal variates (V,) stand for."""
-        return self._draw_from(hypothesis, _Given(variates))
+    def _variates_of(self, hypothesis: str) -> int:
+        counter = _Given()
+        fault = self.sampler.draw(cast(np.random.Generator, counter), hypothesis=hypothesis)
+        return 0 if isinstance(fault, Healthy) else counter.taken
 
-    def _draw_from(self, hypothesis: str, given: _Given) -> tuple[MismatchDraw, Fault]:
-        rng = cast(np.random.Generator, given)
-        mismatch = self.mismatch.draw(self.problem.arm, rng)
-        return mismatch, self.sampler.draw(rng, hypothesis=hypothesis)
+    def fault(self, hypothesis: str, variates: Array) -> Fault:
+        """Make the fault that standard normal variates (V,) stand for."""
+        if not len(variates):
+            return Healthy()
+        given = cast(np.random.Generator, _Given(variates))
+        return self.sampler.draw(given, hypothesis=hypothesis)
 
-    def _generator(self, record: int, realisation: int) -> np.random.Generator:
-        key = (record, realisation)
+    def true_arm(self, realisation: int) -> MismatchDraw:
+        """Draw the arm of a realisation; that of realisation 0 is the nominal one."""
+        if realisation == 0:
+            return self._nominal
+        return self.mismatch.draw(self.problem.arm, self._generator(len(self.records), realisation))
+
+    def _generator(self, stream: int, realisation: int) -> np.random.Generator:
+        key = (stream, realisation)
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
 
-    def simulate(self, hypothesis: int, variates: Array, realisations: NDArray[np.intp]) -> Array:
-        """Simulate particles (N, V) with numbered realisations (N,); their summaries (N, D)."""
+    def statistics(
+        self, hypothesis: int, variates: Array, realisations: NDArray[np.intp]
+    ) -> list[list[RecordStatistics | None]]:
+        """Simulate particles (N, V) with numbered realisations (N,).
+
+        Returns the statistics of each one's records; None where a simulation failed.
+        """
         name = self.problem.hypotheses[hypothesis]
-        summaries = np.full((len(variates), len(self.measured)), np.nan)
+        found: list[list[RecordStatistics | None]] = []
         for first in range(0, len(variates), self.rig.slots):
             chunk = range(first, min(first + self.rig.slots, len(variates)))
             for slot, k in enumerate(chunk):
-                mismatch, fault = self.draw(name, variates[k])
-                self.rig.mount(slot, fault, mismatch)
+                fault = self.fault(name, variates[k])
+                self.rig.mount(slot, fault, self.true_arm(int(realisations[k])))
+            shown: list[list[RecordStatistics | None]] = [[] for _ in chunk]
             for r, (record, excitation) in enumerate(
                 zip(self.records, self._excitations, strict=True)
             ):
@@ -138,15 +153,29 @@ class SimulatedRecords:
                     )
                     for slot, k in enumerate(chunk)
                 ]
-                own = np.flatnonzero(self.blocks == r)
-                for k, measurement in zip(chunk, self.rig.measure_many(jobs), strict=True):
-                    if measurement.failure is not None:
-                        continue
-                    try:
-                        summaries[k, own] = summaries_of(statistics_of(measurement))
-                    except InvalidData:  # the readings make no statistics: as a failure
-                        continue
+                for own, measurement in zip(shown, self.rig.measure_many(jobs), strict=True):
+                    own.append(_statistics_if_any(measurement))
+            found.extend(shown)
+        return found
+
+    def simulate(self, hypothesis: int, variates: Array, realisations: NDArray[np.intp]) -> Array:
+        """Simulate particles (N, V) with numbered realisations (N,); their summaries (N, D)."""
+        summaries = np.full((len(variates), len(self.measured)), np.nan)
+        for k, shown in enumerate(self.statistics(hypothesis, variates, realisations)):
+            for r, statistics in enumerate(shown):
+                if statistics is not None:
+                    summaries[k, self._blocks == r] = summaries_of(statistics)
         return summaries
+
+
+def _statistics_if_any(measurement: Measurement) -> RecordStatistics | None:
+    """Statistics of a measurement; None where it failed or its readings make none."""
+    if measurement.failure is not None:
+        return None
+    try:
+        return statistics_of(measurement)
+    except InvalidData:
+        return None
 
 
 def _prior(problem: Problem, sampler: FaultSampler) -> Array:
@@ -179,9 +208,10 @@ class ParticleBelief:
 class ParticlePosterior:
     """Bayes' rule over faults by simulating thousands of arms for every set of records.
 
-    Can stand where the other posteriors stand, as in `agents.belief.Tracker`, at a minute or so
-    for each set of records. Direction, gap, friction, stops and mismatch are drawn as the
-    environment draws them, and shared by the records of an arm.
+    Can stand where the other posteriors stand, as in `agents.belief.Tracker`, at seconds to
+    minutes for each set of records. Direction, gap, friction, stops and mismatch are drawn as
+    the environment draws them, and shared by the records of an arm. Records should be
+    `statistics_of` measurements: what an observation shows is clipped where a ratio grows large.
 
     Parameters
     ----------
@@ -218,11 +248,11 @@ class ParticlePosterior:
         self.sampler = sampler or FaultSampler(
             problem.linear, difficulty_named(rules.difficulty), rules.kinds
         )
-        self._rig: ReducedRig | SimulatedRig
+        self.rig: ReducedRig | SimulatedRig
         if rules.engine == "reduced":
-            self._rig = ReducedRig(problem.arm, sensors=rules.sensors)
+            self.rig = ReducedRig(problem.arm, sensors=rules.sensors)
         else:
-            self._rig = SimulatedRig(problem.arm, slots=_SLOTS, sensors=rules.sensors, threads=1)
+            self.rig = SimulatedRig(problem.arm, slots=_SLOTS, sensors=rules.sensors, threads=1)
 
     def start(self) -> ParticleBelief:
         """Return the prior."""
@@ -234,7 +264,7 @@ class ParticlePosterior:
 
     def evidence(self, records: Sequence[RecordStatistics]) -> Evidence:
         """Weigh the hypotheses by all the records of one arm."""
-        model = SimulatedRecords(self.problem, self.sampler, self._rig, records, seed=self.seed)
+        model = SimulatedRecords(self.problem, self.sampler, self.rig, records, seed=self.seed)
         # A branch of its own beside those of the records' realisations.
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(len(records),)))
         return evidence_by_particles(model, self.settings, rng)

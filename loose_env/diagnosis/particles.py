@@ -1,11 +1,12 @@
 """A posterior by particles: hypotheses weighed by simulating them, without a model of the data.
 
-The likelihood of what was measured is synthetic: a particle (one arm with one fault) is
-simulated in the poses of the records, and what it shows is set against what was measured, in a
-vector of summaries, with the sampling covariance that repeated simulations have. All particles
-are shaken by the same realisation of excitation and noise; what that realisation adds to the
-summaries is estimated by repeating some of the particles with others, and taken off. So one
-simulation a particle stands for the mean over many.
+The likelihood of what was measured is synthetic. A particle is one fault; all else (the arm's
+mismatch, the excitation, the noise) is left to chance, and shared out among numbered
+realisations. Every particle is simulated with the same realisation, in the poses of the records.
+What it shows is set against what was measured, in a vector of summaries; how the summaries
+scatter from realisation to realisation, and what the common one adds to them, is seen on some
+particles that are repeated with others (`loose_env.diagnosis.synthetic_likelihood`). So one
+simulation a particle stands for the law of many.
 
 From the prior to that likelihood goes a ladder of powers 0 < p1 < ... < 1 of it. Each step
 leaves a given share of effective particles, then draws them anew and moves them by a Markov
@@ -30,14 +31,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from loose_env.diagnosis.synthetic_likelihood import ParticleModel, Repeated, SyntheticLikelihood
+from loose_env.diagnosis.synthetic_likelihood import (
+    ParticleModel,
+    Repeated,
+    SyntheticLikelihood,
+    nearness,
+)
+from loose_env.diagnosis.tempering import next_power, resampled
 from loose_env.errors import InvalidSetting
 
-__all__ = ["Evidence", "ParticleSettings", "evidence_by_particles"]
+__all__ = ["Evidence", "ParticleSettings", "evidence_by_particles", "probabilities_from"]
 
 Array = NDArray[np.float64]
-_TINY_STEP = 1e-9
-"""Least step of the power: particles so far apart that none is left are told apart anyway."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,10 +57,12 @@ class ParticleSettings:
     """Effective share of the particles that a step of the ladder leaves."""
     moves: int = 2
     """Times that every particle tries to move after a step."""
-    repeated: int = 24
-    """Particles that are repeated to estimate the sampling covariance."""
+    repeated: int = 60
+    """Anchors: particles of all hypotheses that are repeated to see how summaries scatter."""
     repeats: int = 8
-    """Realisations of excitation and noise for each of them."""
+    """Realisations of all that is left to chance for each of them."""
+    neighbours: int = 8
+    """Anchors from which a particle takes its scatter, half of them at most."""
     freedom: float = 10.0
     """Degrees of freedom of the likelihood; infinite ones make it normal."""
     negligible: float = 1e-3
@@ -68,8 +75,9 @@ class ParticleSettings:
             ("particles", 1),
             ("islands", 2),
             ("moves", 1),
-            ("repeated", 2),
+            ("repeated", 4),
             ("repeats", 2),
+            ("neighbours", 1),
             ("steps", 1),
         ):
             value = getattr(self, name)
@@ -115,13 +123,14 @@ class Evidence:
     accepted: float
     """Share of the moves that were accepted."""
     interaction: float
-    """Variance that a realisation adds beyond what it adds to all particles alike, over the
-    sampling variance, mean over the summaries. The likelihood is too wide by as much."""
+    """Variance over the repeated particles of what the common realisation adds to them, beyond
+    that by chance, over the scatter's variance, mean over the summaries. The likelihood is too
+    wide by what of it neighbours do not share."""
 
     @property
     def probabilities(self) -> Array:
         """Probability of each hypothesis (H,)."""
-        return _probabilities(self.prior, self.log_evidence)
+        return probabilities_from(self.prior, self.log_evidence)
 
     @property
     def standard_error(self) -> Array:
@@ -129,7 +138,7 @@ class Evidence:
         islands = len(self.log_evidence)
         without = np.array(
             [
-                _probabilities(self.prior, np.delete(self.log_evidence, b, axis=0))
+                probabilities_from(self.prior, np.delete(self.log_evidence, b, axis=0))
                 for b in range(islands)
             ]
         )
@@ -137,7 +146,25 @@ class Evidence:
         return np.asarray(np.sqrt((islands - 1) / islands * (deviations**2).sum(axis=0)))
 
 
-def _probabilities(prior: Array, log_evidence: Array) -> Array:
+def probabilities_from(prior: Array, log_evidence: Array) -> Array:
+    """Probabilities of hypotheses by the mean evidence of islands.
+
+    Parameters
+    ----------
+    prior : ndarray (H,)
+        Probability of each hypothesis beforehand.
+    log_evidence : ndarray (B, H)
+        Log evidence of each island, up to one constant.
+
+    Returns
+    -------
+    ndarray (H,)
+
+    Examples
+    --------
+    >>> probabilities_from(np.array([0.5, 0.5]), np.log([[1.0, 2.0], [1.0, 4.0]])).tolist()
+    [0.25, 0.75]
+    """
     with np.errstate(divide="ignore"):
         total = np.log(prior) + logsumexp(log_evidence, axis=0)
     return np.asarray(np.exp(total - logsumexp(total)))
@@ -198,7 +225,7 @@ def evidence_by_particles(
         if bounds[first] < found + np.log(settings.negligible):
             break
         ladder = ladders[first]
-        ladder.climb(likelihood)
+        ladder.climb()
         if ladder.power == 1:
             found = max(found, float(np.log(model.prior[first])) + ladder.bound)
     for h, ladder in ladders.items():
@@ -232,28 +259,34 @@ class _Counted:
 def _likelihood(
     counted: _Counted, settings: ParticleSettings, ladders: dict[int, _Ladder]
 ) -> SyntheticLikelihood:
-    """Build the likelihood by repeating the particles nearest to what was measured.
+    """Build the likelihood by repeating particles near to what was measured.
 
-    Twice: first nearest in units of the prior's spread, then of the sampling covariance found.
+    Half of the anchors are near in units of the particles' spread, the other half in those of
+    the likelihood that the first ones give.
     """
-    model = counted.model
+    measured = counted.model.measured
     summaries = np.concatenate([ladder.summaries for ladder in ladders.values()])
     owner = np.concatenate([np.full(len(x.summaries), h) for h, x in ladders.items()])
     index = np.concatenate([np.arange(len(x.summaries)) for x in ladders.values()])
-    likelihood = SyntheticLikelihood.by_spread(model.measured, summaries)
-    first = 1  # realisation 0 is that of all particles
-    for _ in range(2):
-        nearest = likelihood.nearest(summaries, settings.repeated)
-        shown = []
-        for k in nearest:
-            one = ladders[int(owner[k])].variates[index[k]]
-            numbers = np.arange(first, first + settings.repeats)
-            first += settings.repeats
-            again = counted.simulate(int(owner[k]), np.tile(one, (settings.repeats, 1)), numbers)
-            shown.append(Repeated(common=summaries[k], again=again))
+    values = nearness(measured, summaries)
+    repeated: list[Repeated] = []
+    rng = next(iter(ladders.values())).rng
+    number = 1  # realisation 0 is that of all particles
+    for wanted in (settings.repeated // 2, settings.repeated - settings.repeated // 2):
+        share = max(0.05, min(0.5, 2 * wanted / len(values)))
+        weights = np.exp(next_power(values, 0.0, share) * (values - values.max()))
+        for k in rng.permutation(resampled(weights, rng))[:wanted]:
+            h = int(owner[k])
+            again = np.tile(ladders[h].variates[index[k]], (settings.repeats, 1))
+            numbers = np.arange(number, number + settings.repeats)
+            number += settings.repeats
+            repeated.append(
+                Repeated(common=summaries[k], again=counted.simulate(h, again, numbers))
+            )
         likelihood = SyntheticLikelihood.by_repeats(
-            model.measured, shown, model.blocks, freedom=settings.freedom
+            measured, repeated, freedom=settings.freedom, neighbours=settings.neighbours
         )
+        values = likelihood.log(summaries)
     return likelihood
 
 
@@ -271,8 +304,13 @@ class _Ladder:
         self.counted, self.hypothesis, self.settings, self.rng = counted, hypothesis, settings, rng
         islands = settings.islands
         count = islands * each
-        self.variates = rng.standard_normal((count, counted.model.variates[hypothesis]))
-        self.summaries = self._simulate(self.variates)
+        size = counted.model.variates[hypothesis]
+        self.variates = rng.standard_normal((count, size))
+        alike = size == 0  # nothing tells particles apart: one stands for all
+        self.summaries = self._simulate(self.variates[:1] if alike else self.variates)
+        self.summaries = np.resize(self.summaries, (count, self.summaries.shape[1]))
+        self.likelihood: SyntheticLikelihood | None = None
+        self.highest = 0.0
         self.values = np.zeros(count)
         self.power, self.steps = 0.0, 0
         self.log_evidence = np.zeros(islands)
@@ -284,14 +322,23 @@ class _Ladder:
         return float(logsumexp(self.log_evidence) - np.log(len(self.log_evidence)))
 
     def weigh(self, likelihood: SyntheticLikelihood) -> None:
-        """Work out the likelihood of all particles."""
-        self.values = likelihood.log(self.summaries)
+        """Work out the likelihood of all particles.
 
-    def climb(self, likelihood: SyntheticLikelihood) -> None:
+        The highest density is taken off. What is left is hardly above zero, so that the evidence
+        falls from step to step.
+        """
+        self.likelihood, self.highest = likelihood, likelihood.highest
+        self.values = self._values(self.summaries)
+
+    def _values(self, summaries: Array) -> Array:
+        assert self.likelihood is not None  # it was weighed
+        return self.likelihood.log(summaries) - self.highest
+
+    def climb(self) -> None:
         """Go one step up: reweigh, resample within islands, move."""
         self.steps += 1
         last = self.steps >= self.settings.steps
-        after = 1.0 if last else _next_power(self.values, self.power, self.settings.share)
+        after = 1.0 if last else next_power(self.values, self.power, self.settings.share)
         with np.errstate(invalid="ignore"):
             weights = (after - self.power) * self.values
         chosen = []
@@ -300,16 +347,16 @@ class _Ladder:
             total = logsumexp(weights[island])
             self.log_evidence[b] += total - np.log(len(island))
             if np.isfinite(total):
-                island = island[_resampled(np.exp(weights[island] - total), self.rng)]
+                island = island[resampled(np.exp(weights[island] - total), self.rng)]
             chosen.append(island)
         at = np.concatenate(chosen)
         self.variates, self.summaries = self.variates[at], self.summaries[at]
         self.values, self.power = self.values[at], after
         if after < 1:
             for _ in range(self.settings.moves):
-                self._move(likelihood)
+                self._move()
 
-    def _move(self, likelihood: SyntheticLikelihood) -> None:
+    def _move(self) -> None:
         """Let every particle try a move that keeps the target.
 
         The proposal keeps a normal law fitted to the particles, whatever its length; lengths are
@@ -326,7 +373,7 @@ class _Ladder:
         there = middle + np.sqrt(1 - length**2) * (here - middle)
         there = there + length * (rng.standard_normal(here.shape) @ root.T)
         shown = self._simulate(there)
-        values = likelihood.log(shown)
+        values = self._values(shown)
 
         def against(variates: Array) -> Array:
             """Log prior over the law that the proposal keeps."""
@@ -345,31 +392,3 @@ class _Ladder:
     def _simulate(self, variates: Array) -> Array:
         common = np.zeros(len(variates), dtype=np.intp)
         return self.counted.simulate(self.hypothesis, variates, common)
-
-
-def _next_power(values: Array, power: float, share: float) -> float:
-    """Power at which a share of the particles that have any likelihood is left."""
-    alive = values[np.isfinite(values)]
-    if not len(alive):
-        return 1.0
-    offsets = alive - alive.max()
-
-    def left(step: float) -> float:
-        weights = np.exp(step * offsets)
-        return float(weights.sum() ** 2 / (weights**2).sum())
-
-    low, high = 0.0, 1.0 - power
-    if left(high) >= share * len(alive):
-        return 1.0
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if left(middle) >= share * len(alive) else (low, middle)
-    return min(1.0, power + max(low, _TINY_STEP))
-
-
-def _resampled(weights: Array, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Systematic resampling: indices, each about as often as its weight says."""
-    count = len(weights)
-    edges = np.cumsum(weights)
-    at = (rng.random() + np.arange(count)) / count * edges[-1]
-    return np.asarray(np.minimum(np.searchsorted(edges, at, side="right"), count - 1))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 
 from loose_env.diagnosis.particles import Evidence, ParticleSettings, evidence_by_particles
-from loose_env.diagnosis.synthetic_likelihood import Repeated, SyntheticLikelihood
+from loose_env.diagnosis.synthetic_likelihood import Repeated, SyntheticLikelihood, nearness
 from loose_env.errors import InvalidData, InvalidSetting
 
 Array = NDArray[np.float64]
@@ -22,7 +22,6 @@ class LinearModel:
 
     prior = np.array([0.5, 0.3, 0.2])
     variates = (3, 8, 8)
-    blocks = np.array([0, 0, 1])
     noise = np.array([0.1, 0.2, 0.15])
 
     def __init__(self, measured: Array) -> None:
@@ -115,19 +114,98 @@ def test_particles_that_fail_count_as_impossible() -> None:
     assert found(failing, many).probabilities == pytest.approx(model.exact, abs=0.08)
 
 
+class SeatModel:
+    """A sound arm, and a loose one that sticks for half of its variates and else strikes.
+
+    One that strikes shows another mean, and scatters more the farther it is thrown.
+    """
+
+    prior = np.array([0.5, 0.5])
+    variates = (0, 1)
+    still = 0.1
+
+    def __init__(self, measured: Array) -> None:
+        self.measured = measured
+
+    def simulate(self, hypothesis: int, variates: Array, realisations: NDArray[np.intp]) -> Array:
+        thrown = np.maximum(variates[:, :1], 0.0) if hypothesis else np.zeros((len(variates), 1))
+        return thrown + (self.still + 0.6 * thrown) * NOISE[realisations]
+
+    @property
+    def exact(self) -> Array:
+        def density(thrown: float) -> float:
+            width = (self.still + 0.6 * thrown) ** 2
+            return float(multivariate_normal.pdf(self.measured, np.full(3, thrown), width))
+
+        thrown = np.linspace(0.0, 6.0, 6001)
+        weight = np.exp(-0.5 * thrown**2) / np.sqrt(2 * np.pi)
+        strikes = float(np.sum([w * density(t) for w, t in zip(weight, thrown, strict=True)]))
+        sound = density(0.0)
+        loose = 0.5 * sound + strikes * (thrown[1] - thrown[0])
+        return np.array([sound, loose]) / (sound + loose)
+
+
+@pytest.mark.parametrize("thrown", [0.0, 0.2, 1.0])
+def test_a_seat_that_sticks_scatters_as_a_sound_arm_does(thrown: float) -> None:
+    """One covariance for all particles of the loose arm would rule out that it sticks."""
+    rng = np.random.default_rng(3)
+    settings = ParticleSettings(particles=800, freedom=np.inf, repeated=80)
+    for _ in range(2):
+        shown = thrown + (0.1 + 0.6 * thrown) * rng.standard_normal(3)
+        model = SeatModel(shown)
+        evidence = evidence_by_particles(model, settings, np.random.default_rng(0))
+        assert evidence.probabilities == pytest.approx(model.exact, abs=0.12)
+
+
+def test_probabilities_are_calibrated_on_cases_drawn_from_the_prior() -> None:
+    """The exact posterior gives the truth, on average, the mean of its squares summed."""
+    rng = np.random.default_rng(11)
+    truth, given, promised = [], [], []
+    for _ in range(40):
+        h = int(rng.choice(3, p=LinearModel.prior))
+        model = LinearModel(np.zeros(3))
+        noise = model.noise * rng.standard_normal(3)
+        model.measured = model.offsets[h] + model.slopes[h] @ rng.standard_normal(model.variates[h])
+        model.measured = model.measured + noise
+        settings = ParticleSettings(particles=800, repeated=40, freedom=np.inf)
+        p = found(model, settings).probabilities
+        truth.append(p[h])
+        promised.append(float((p**2).sum()))
+        given.append(float(abs(p - model.exact).sum() / 2))
+    spread = float(np.std(np.subtract(truth, promised)) / np.sqrt(len(truth)))
+    assert abs(np.mean(truth) - np.mean(promised)) < 3 * spread
+    assert np.mean(given) < 0.1
+
+
 def test_what_the_common_realisation_adds_is_taken_off() -> None:
     common = np.array([0.3, -0.2])
     rng = np.random.default_rng(0)
     repeated = [
         Repeated(common=mean + common, again=mean + 0.1 * rng.standard_normal((200, 2)))
-        for mean in rng.standard_normal((6, 2))
+        for mean in 0.05 * rng.standard_normal((6, 2))
     ]
-    likelihood = SyntheticLikelihood.by_repeats(
-        np.zeros(2), repeated, np.array([0, 1]), freedom=np.inf
-    )
-    assert likelihood.centre == pytest.approx(common, abs=0.02)
-    assert 1 / np.diag(likelihood.white) == pytest.approx([0.1, 0.1], rel=0.1)
+    likelihood = SyntheticLikelihood.by_repeats(np.zeros(2), repeated, freedom=np.inf)
+    shown = common + np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1], [np.nan, 0.0]])
+    values = likelihood.log(shown)
+    assert values[:3] - values[0] == pytest.approx([0.0, -0.5, -0.5], abs=0.15)
+    assert values[0] == pytest.approx(-2 * np.log(0.1), abs=0.15)
+    assert values[3] == -np.inf
     assert likelihood.interaction < 0.1
+
+
+def test_what_is_far_apart_keeps_its_own_scatter() -> None:
+    rng = np.random.default_rng(0)
+    repeated = [
+        Repeated(common=np.full(2, at), again=at + sd * rng.standard_normal((40, 2)))
+        for at, sd in [(0.0, 0.1)] * 8 + [(20.0, 2.0)] * 8
+    ]
+    densities = [
+        SyntheticLikelihood.by_repeats(np.full(2, at), repeated, freedom=np.inf).log(
+            np.full((1, 2), at)
+        )[0]
+        for at in (0.0, 20.0)
+    ]
+    assert densities[0] - densities[1] == pytest.approx(2 * np.log(20.0), abs=0.5)
 
 
 def test_too_few_particles_or_successes_are_refused_with_words() -> None:
@@ -138,11 +216,10 @@ def test_too_few_particles_or_successes_are_refused_with_words() -> None:
     with pytest.raises(InvalidSetting, match="share"):
         ParticleSettings(share=1.0)
     with pytest.raises(InvalidData, match="all particles failed"):
-        SyntheticLikelihood.by_spread(np.zeros(1), np.full((4, 1), np.nan))
+        nearness(np.zeros(1), np.full((4, 1), np.nan))
     with pytest.raises(InvalidData, match="at least 2"):
         SyntheticLikelihood.by_repeats(
             np.zeros(1),
             [Repeated(common=np.zeros(1), again=np.zeros((3, 1)))],
-            np.zeros(1),
             freedom=5,
         )
