@@ -30,6 +30,8 @@ __all__ = [
 
 SURPRISING = 0.003
 """p-value of an episode among those of the trained kind, below which nothing is named."""
+DECISIVE = 0.3
+"""Share of that p-value below which further records are not waited for."""
 
 
 class Estimator(Protocol):
@@ -156,7 +158,11 @@ class BeliefAgent(EpisodeAgent):
             rng=memory.rng,
         )
         done = situation.records >= problem.settings.max_records
-        if situation.records > 0 and (done or self.stopping.stop(situation)):
+        if situation.records > 0 and (
+            done
+            or self.stopping.stop(situation)
+            or surprise_of(situation.memory) < DECISIVE * self.surprising
+        ):
             return problem.verdict(verdict_of(problem, situation, self.surprising))
         return self.policy.choose(situation)
 

@@ -14,25 +14,34 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import numpy as np
 from numpy.typing import NDArray
 
 from agents.backends import BackendSettings, add_backend_options
 from agents.bank_options import add_bank_options, plan_of
-from agents.banks import BankPlan, build_bank, build_figures, directions_of, read_figures
-from agents.novelty_training import fit_reference, with_reference
+from agents.banks import (
+    BankPlan,
+    build_bank,
+    build_figures,
+    directions_of,
+    read_bank,
+    read_figures,
+    seat_features,
+)
+from agents.novelty_training import fit_reference, seen_episodes, with_reference
 from agents.one_line_errors import errors_in_one_line
-from agents.place_figures import PlaceFigures
 from agents.policies import WEIGHTS, setting_name
 from agents.posterior_training import PosteriorTraining, TrainingSettings
+from agents.shards import Shard
 from loose_env.diagnosis.amortised import read_network, write_network
+from loose_env.diagnosis.novelty import NoveltyReference, Seen
 from loose_env.envs.difficulty import difficulty_named
 from loose_env.errors import InvalidSetting
 from loose_env.faults import DEFAULT_KINDS, hypotheses
@@ -84,12 +93,8 @@ def train(options: argparse.Namespace) -> None:
         )
     out = Path(options.weights or WEIGHTS / f"posterior-{setting_name(problem)}")
     directions = axes_grid(directions_of(plan), len(problem.arm.axes))
-    unseen = read_figures(store, plan.shards[:held])
     if options.reference_only:
-        # A part of the bank is enough here, and all of it may be large.
-        add_reference(
-            out, read_figures(store, plan.shards[held : 2 * held + 8]), unseen, directions
-        )
+        add_reference(out, plan, folder, held)
         return
     difficulty = difficulty_named(problem.settings.difficulty)
     seen = read_figures(store, plan.shards[held:])
@@ -110,7 +115,7 @@ def train(options: argparse.Namespace) -> None:
         training.calibrate(read_figures(store, plan.shards[:half]))
     found = training.scores(read_figures(store, plan.shards[half:held]))
     tensors = training.tensors()
-    reference = fit_reference(tensors, seen, unseen, directions=directions)
+    reference = reference_of(tensors, plan, folder, held)
     write_network(
         out,
         {
@@ -133,17 +138,34 @@ def train(options: argparse.Namespace) -> None:
         )
 
 
-def add_reference(
-    folder: Path, seen: PlaceFigures, unseen: PlaceFigures, directions: NDArray[np.float64]
-) -> None:
+def reference_of(
+    tensors: Mapping[str, NDArray[Any]], plan: BankPlan, folder: Path, held: int
+) -> NoveltyReference:
+    """Work the reference out from the bank's records; its first shards are the held-out ones."""
+    problem, directions = plan.problem(), directions_of(plan)
+    features = seat_features(problem, directions)
+
+    def episodes(shards: tuple[Shard, ...]) -> Iterator[list[Seen]]:
+        for shard in shards:  # one after the other: what all of them show is large
+            yield from seen_episodes(problem, features, read_bank(plan, folder, (shard,)))
+
+    return fit_reference(
+        tensors,
+        episodes(plan.shards[held:]),
+        episodes(plan.shards[:held]),
+        directions=axes_grid(directions, len(problem.arm.axes)),
+    )
+
+
+def add_reference(folder: Path, plan: BankPlan, bank: Path, held: int) -> None:
     """Work the reference of trained weights out and store it beside them."""
     configuration, tensors = read_network(folder)
-    if configuration["directions"] != len(directions):
+    if configuration["directions"] != directions_of(plan):
         raise InvalidSetting(
             f"the weights in {folder} have {configuration['directions']} directions a link, the "
-            f"bank's figures {len(directions)}; give --directions"
+            f"bank's figures {directions_of(plan)}; give --directions"
         )
-    reference = fit_reference(tensors, seen, unseen, directions=directions)
+    reference = reference_of(tensors, plan, bank, held)
     write_network(folder, configuration, with_reference(tensors, reference))
     ranked = ", ".join(str(len(scores)) for scores in reference.scores)
     print(f"Reference added to {folder}; held-out episodes after 1, 2, ... records: {ranked}")

@@ -22,7 +22,7 @@ from scipy.special import logsumexp
 
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch
-from loose_env.diagnosis.novelty import NoveltyReference, left_over
+from loose_env.diagnosis.novelty import FIGURES, NoveltyReference, Seen, sights
 from loose_env.diagnosis.posterior import Belief
 from loose_env.diagnosis.record import RecordStatistics
 from loose_env.diagnosis.seat_features import PLACE_FEATURES, RECORD_FEATURES, SeatFeatures
@@ -63,10 +63,12 @@ class AmortisedBelief:
     """Log-probability of the hypotheses beforehand, the healthy one first (1 + 2 n,)."""
     directions: Array
     """Sliding directions in a link's frame (A, axes)."""
-    figures: tuple[tuple[Array, Array], ...] = ()
-    """Figures of each record, by place (P, C) and as a whole (Q,)."""
+    hypothesis: NDArray[np.intp]
+    """Which hypothesis with a fault each place belongs to (P,)."""
+    seen: tuple[Seen, ...] = ()
+    """What each record showed."""
     reference: NoveltyReference | None = None
-    """What arms of the trained kind leave unexplained, if that is known."""
+    """How that is on arms of the trained kind, if it is known."""
 
     @cached_property
     def belief(self) -> Belief:
@@ -93,23 +95,24 @@ class AmortisedBelief:
         return self.belief.probabilities
 
     @cached_property
-    def novelty(self) -> tuple[float, ...]:
-        """By how much more each record leaves unexplained than is usual for it [1].
+    def sights(self) -> Array:
+        """What may give an arm of another kind away, by record (R, columns).
 
-        Under the belief after all of them, in standard deviations of a normal variable; empty
-        without a reference.
+        Under the belief after all of them; see `loose_env.diagnosis.novelty.sights`.
         """
-        if self.reference is None or not self.figures:
-            return ()
         log = np.asarray(logsumexp(self.belief.loose[0], axis=1))
         loose = float(logsumexp(log))
-        figures = left_over(
-            np.stack([place for place, _ in self.figures]),
-            np.stack([whole for _, whole in self.figures]),
-            np.exp(log - loose),
-            float(self.prior[0]) - loose,
-        )
-        return tuple(self.reference.novelty(figures).tolist())
+        return sights(self.seen, np.exp(log - loose), float(self.prior[0]) - loose, self.hypothesis)
+
+    @cached_property
+    def novelty(self) -> Array:
+        """By how much more of each figure there is than is usual, by record [1] (R, figures).
+
+        In standard deviations of a normal variable; empty without a reference or records.
+        """
+        if self.reference is None or not self.seen:
+            return np.zeros((0, len(FIGURES)))
+        return self.reference.novelty(self.sights)
 
     @property
     def surprise(self) -> float:
@@ -137,7 +140,7 @@ class AmortisedPosterior:
     kinds : mapping of str to float, optional
         Prior probability of each kind of fault; a third each by default.
     reference : NoveltyReference, optional
-        What is left unexplained on arms like those of its training, for the novelty.
+        How records are on arms like those of its training, for the novelty.
 
     Raises
     ------
@@ -189,13 +192,14 @@ class AmortisedPosterior:
             temper=1.0,
             prior=self._prior,
             directions=self.features.directions,
+            hypothesis=self.features.hypothesis,
             reference=self.reference,
         )
 
     def update(self, belief: AmortisedBelief, record: RecordStatistics) -> AmortisedBelief:
         """Take in one record; the order of records does not matter."""
-        place, whole = self.features.of(record)
-        likelihood = self.network.likelihood(place, whole, self.features.hypothesis)
+        seen = Seen(*self.features.with_change(record))
+        likelihood = self.network.likelihood(seen.place, seen.record, belief.hypothesis)
         records = belief.records + 1
         return AmortisedBelief(
             total=belief.total + likelihood,
@@ -203,7 +207,8 @@ class AmortisedPosterior:
             temper=self.network.temper(records),
             prior=self._prior,
             directions=belief.directions,
-            figures=(*belief.figures, (place, whole)),
+            hypothesis=belief.hypothesis,
+            seen=(*belief.seen, seen),
             reference=self.reference,
         )
 

@@ -23,7 +23,7 @@ from loose_env.excitation import SeatDrive
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid
 
-__all__ = ["PLACE_FEATURES", "RECORD_FEATURES", "SeatFeatures"]
+__all__ = ["PLACE_FEATURES", "RECORD_FEATURES", "SeatFeatures", "TransmissionChange"]
 
 Array = NDArray[np.float64]
 
@@ -67,11 +67,26 @@ _TINY = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class TransmissionChange:
+    """Change of the tool's in-step motion per command, as far as the transmission makes it."""
+
+    measured: Array
+    """As measured [m/s²] (d m,)."""
+    open: Array
+    """As each seat would make it by floating [m/s²] (P, d m)."""
+    nominal: Array
+    """The motion itself in the nominal arm [m/s²] (d m,)."""
+    covariance: Array
+    """What model and sampling leave open, to first order [m²/s⁴] (d m, d m)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Change:
-    """Change of the in-step motion, measured and by place, in standard deviations."""
+    """The same in standard deviations, beside the change itself."""
 
     measured: Array
     open: Array
+    change: TransmissionChange
 
 
 class SeatFeatures:
@@ -149,6 +164,17 @@ class SeatFeatures:
         ndarray (12,)
             Of the record, `RECORD_FEATURES`.
         """
+        place, whole, _ = self.with_change(record)
+        return place, whole
+
+    def with_change(self, record: RecordStatistics) -> tuple[Array, Array, TransmissionChange]:
+        """Work out the figures of one record, and give the change behind them too.
+
+        Parameters
+        ----------
+        record : RecordStatistics
+            What was measured, with at least one joint excited.
+        """
         arm = self.linear.arm
         on = np.flatnonzero(record.excited)
         m, d = len(on), len(record.tool_covariance)
@@ -216,7 +242,7 @@ class SeatFeatures:
                 record.lowest_coherence,
             ]
         )
-        return place, whole
+        return place, whole, change.change
 
     def _change(
         self,
@@ -230,10 +256,16 @@ class SeatFeatures:
         m = len(on)
         x = seats.in_step[:m]
         nominal = seats.in_step[m:] @ np.linalg.inv(x)
-        white = self.whitening(record.pose, record.excited, b, residual, x, record.duration)
-        return _Change(
-            measured=white @ ((b - nominal) @ x).ravel(), open=self.open_change(seats) @ white.T
+        change = TransmissionChange(
+            measured=((b - nominal) @ x).ravel(),
+            open=self.open_change(seats),
+            nominal=(nominal @ x).ravel(),
+            covariance=self.covariance(
+                record.pose, record.excited, b, residual, x, record.duration
+            ),
         )
+        white = _whitening(change.covariance)
+        return _Change(measured=white @ change.measured, open=change.open @ white.T, change=change)
 
     def open_change(self, seats: SeatPrediction) -> Array:
         """Change of the tool's in-step motion if each seat floats, per command (P, d m).
@@ -257,6 +289,21 @@ class SeatFeatures:
         duration: float,
     ) -> Array:
         """Matrix that brings changes of in-step motion to standard deviations (d m, d m).
+
+        Its parameters are those of `covariance`.
+        """
+        return _whitening(self.covariance(pose, excited, b, residual, x, duration))
+
+    def covariance(
+        self,
+        pose: Array,
+        excited: NDArray[np.bool_],
+        b: Array,
+        residual: Array,
+        x: Array,
+        duration: float,
+    ) -> Array:
+        """What model and sampling leave open of in-step motion [m²/s⁴] (d m, d m).
 
         Parameters
         ----------
@@ -284,7 +331,7 @@ class SeatFeatures:
         samples = 2 * (self.linear.arm.band[1] - self.linear.arm.band[0]) * duration
         covariance = uncertain.T @ uncertain + np.kron(residual, np.eye(m)) / samples
         covariance += 1e-6 * np.trace(covariance) / (d * m) * np.eye(d * m)
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+        return np.asarray(covariance)
 
     def _inertias(
         self, record: RecordStatistics, on: NDArray[np.intp], seats: SeatPrediction
@@ -301,3 +348,7 @@ class SeatFeatures:
         measured = np.clip(found / nominal - 1, -3.0, 3.0) / error
         opened = np.diagonal(seats.in_step_open[:, :m], axis1=1, axis2=2) / nominal / error
         return measured, np.clip(opened, -100.0, 100.0)
+
+
+def _whitening(covariance: Array) -> Array:
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))

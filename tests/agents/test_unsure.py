@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from agents.banks import BankPlan
 from agents.base import Problem
 from agents.belief_agent import BeliefAgent, Sure, surprise_of
 from agents.novelty_training import NoveltySettings, fit_reference, with_reference
-from agents.place_figures import PlaceFigures
 from agents.random_agent import RandomPolicy
+from agents.record_bank import BankSettings, play_episodes
+from agents.shard_store import ArrayCodec, ShardStore
 from agents.unlike_arms import OFF, OtherArmRig, UnlikeTask
 from loose_env.arms import planar
 from loose_env.arms.mismatch import Mismatch, MismatchDraw
 from loose_env.diagnosis.amortised import AmortisedPosterior, read_network, write_network
-from loose_env.diagnosis.novelty import NoveltyReference
+from loose_env.diagnosis.novelty import NoveltyReference, Seen
 from loose_env.diagnosis.record import RecordStatistics
-from loose_env.diagnosis.seat_features import PLACE_FEATURES, RECORD_FEATURES
+from loose_env.diagnosis.seat_features import PLACE_FEATURES, RECORD_FEATURES, TransmissionChange
 from loose_env.diagnosis.seat_network import SeatNetwork
 from loose_env.envs.episode import EpisodeBatch
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.faults import UNSURE, Fault, Healthy
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid
@@ -75,20 +77,24 @@ def tensors() -> dict[str, np.ndarray]:
     return made | {"temper": np.zeros(SIZES["R"])}
 
 
-def figures(rng: np.random.Generator, episodes: int, *, records: int = 3) -> PlaceFigures:
-    total = episodes * records
-    place = rng.uniform(0.1, 1.0, (total, PLACES, SIZES["C"]))
-    # What is left grows with what is visible, as on an arm whose model is a little off.
-    left, visible = PLACE_FEATURES.index("left"), PLACE_FEATURES.index("visible")
-    place[:, :, left] = 0.5 * place[:, :, visible] + rng.uniform(0.0, 0.5, (total, 1))
-    return PlaceFigures(
-        place=place.astype(np.float16),
-        record=rng.normal(size=(total, SIZES["Q"])).astype(np.float32),
-        count=np.full(episodes, records),
-        truth=np.zeros(episodes, dtype=np.int64),
-        direction=np.zeros((episodes, 3), dtype=np.float32),
-        ratio=np.full(episodes, np.inf, dtype=np.float32),
-    )
+def episodes(
+    rng: np.random.Generator, count: int, *, records: int = 3, size: float = 1.0
+) -> list[list[Seen]]:
+    """Episodes of records with a change that no place explains, of some size."""
+
+    def one() -> Seen:
+        return Seen(
+            rng.uniform(0.1, 1.0, (PLACES, SIZES["C"])),
+            rng.normal(size=SIZES["Q"]),
+            TransmissionChange(
+                measured=size * rng.normal(size=4),
+                open=rng.normal(size=(PLACES, 4)),
+                nominal=np.ones(4),
+                covariance=np.eye(4),
+            ),
+        )
+
+    return [[one() for _ in range(records)] for _ in range(count)]
 
 
 def verdict(problem: Problem, probabilities: np.ndarray, surprise: float, **options: float) -> str:
@@ -126,20 +132,18 @@ def test_episodes_of_the_trained_kind_do_not_surprise_and_others_do(
     tensors: dict[str, np.ndarray],
 ) -> None:
     rng = np.random.default_rng(1)
-    settings = NoveltySettings(components=2)
     reference = fit_reference(
         tensors,
-        figures(rng, 300),
-        figures(rng, 300),
+        episodes(rng, 150),
+        episodes(rng, 200),
         directions=axes_grid(DIRECTIONS, 2),
-        settings=settings,
+        settings=NoveltySettings(components=1),
     )
-    assert [len(scores) for scores in reference.scores] == [300, 300, 300]
+    assert [len(scores) for scores in reference.scores] == [200, 200, 200]
     stored = with_reference(tensors | {"reference.old": np.zeros(1)}, reference)
     assert "reference.old" not in stored
     assert all(stored[name] is values for name, values in tensors.items())
-    arm = planar(JOINTS)
-    problem = Problem.of(arm, DiagnosisSettings())
+    problem = Problem.of(planar(JOINTS), DiagnosisSettings())
 
     def posterior(reference: NoveltyReference | None) -> AmortisedPosterior:
         return AmortisedPosterior(
@@ -151,24 +155,31 @@ def test_episodes_of_the_trained_kind_do_not_surprise_and_others_do(
             reference=reference,
         )
 
-    def surprises(bank: PlaceFigures, one: AmortisedPosterior) -> np.ndarray:
+    def surprises(played: list[list[Seen]], one: AmortisedPosterior) -> np.ndarray:
         found = []
-        rows = iter(zip(bank.place.astype(float), bank.record.astype(float), strict=True))
-        one.features.of = lambda record: next(rows)  # type: ignore[method-assign]
-        for count in bank.count:
+        rows = iter([(s.place, s.record, s.change) for seen in played for s in seen])
+        one.features.with_change = lambda record: next(rows)  # type: ignore[method-assign]
+        for seen in played:
             belief = one.start()
-            for _ in range(count):
+            assert belief.surprise == 1.0
+            for _ in seen:
                 belief = one.update(belief, RecordStatistics.__new__(RecordStatistics))
             found.append(belief.surprise)
         return np.array(found)
 
-    known = surprises(figures(rng, 200), posterior(reference))
-    assert np.mean(known < 0.1) == pytest.approx(0.1, abs=0.09)
-    assert np.mean(known < 0.5) == pytest.approx(0.5, abs=0.15)
-    far = figures(rng, 20)
-    far.place[:, :, PLACE_FEATURES.index("left")] += 2.0
-    assert (surprises(far, posterior(reference)) == 1 / 301).all()
+    known = surprises(episodes(rng, 150), posterior(reference))
+    assert np.mean(known < 0.1) == pytest.approx(0.1, abs=0.1)
+    assert np.mean(known < 0.5) == pytest.approx(0.5, abs=0.18)
+    far = episodes(rng, 10, size=30.0)
+    assert (surprises(far, posterior(reference)) == 1 / 201).all()
     assert (surprises(far, posterior(None)) == 1.0).all()
+
+
+def test_without_records_there_is_no_reference(tensors: dict[str, np.ndarray]) -> None:
+    some = episodes(np.random.default_rng(1), 5)
+    for trained, held in (([], some), (some, [])):
+        with pytest.raises(InvalidData, match="no episode has a record"):
+            fit_reference(tensors, trained, held, directions=axes_grid(DIRECTIONS, 2))
 
 
 def test_a_reference_is_added_to_weights_that_stay_as_they_are(
@@ -178,25 +189,37 @@ def test_a_reference_is_added_to_weights_that_stay_as_they_are(
     pytest.importorskip("torch")
     from scripts.train_posterior import add_reference
 
-    rng = np.random.default_rng(2)
-    grid = axes_grid(DIRECTIONS, 2)
+    plan = BankPlan(
+        env_id="loose_env/Planar-v0",
+        arguments={"engine": "reduced", "n_links": JOINTS},
+        episodes=501,
+        directions=DIRECTIONS,
+        records=BankSettings(records=1, long_every=0),
+    )
+    problem = plan.problem()
+    store = ShardStore(tmp_path / "bank" / "records", plan.configuration, ArrayCodec())
+    for shard in plan.shards:  # a few episodes stand for each shard
+        bank = play_episodes(
+            problem, plan.records, seed=plan.seed, start=shard.start, stop=shard.start + 20
+        )
+        store.write(shard, vars(bank))
     configuration = {"arm": "planar2", "directions": DIRECTIONS, "friction": [0.02, 1.0]}
-    write_network(tmp_path, configuration, tensors)
-    problem = Problem.of(planar(JOINTS), DiagnosisSettings())
+    weights = tmp_path / "weights"
+    write_network(weights, configuration, tensors)
 
     def load() -> AmortisedPosterior:
-        return AmortisedPosterior.load(tmp_path, problem.linear, SensorSuite(), Mismatch())
+        return AmortisedPosterior.load(weights, problem.linear, SensorSuite(), Mismatch())
 
     assert load().reference is None
-    add_reference(tmp_path, figures(rng, 60), figures(rng, 40), grid)
-    after, stored = read_network(tmp_path)
+    add_reference(weights, plan, tmp_path / "bank", 1)
+    after, stored = read_network(weights)
     assert {name: after[name] for name in configuration} == configuration
     assert all(np.array_equal(stored[name], values) for name, values in tensors.items())
     reference = load().reference
     assert reference is not None
-    assert len(reference.scores[0]) == 40
+    assert len(reference.scores[0]) == 20
     with pytest.raises(InvalidSetting, match="directions"):
-        add_reference(tmp_path, figures(rng, 60), figures(rng, 40), grid[:4])
+        add_reference(weights, replace(plan, directions=4), tmp_path / "bank", 1)
 
 
 class _Mounted:

@@ -2,36 +2,54 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from loose_env.diagnosis.novelty import CONTEXT, NoveltyReference, conformal_p, left_over
-from loose_env.diagnosis.seat_features import PLACE_FEATURES, RECORD_FEATURES
+from loose_env.diagnosis.novelty import (
+    COLUMNS,
+    CONTEXT,
+    FIGURES,
+    NoveltyReference,
+    Seen,
+    conformal_p,
+    sights,
+    used_columns,
+)
+from loose_env.diagnosis.seat_features import PLACE_FEATURES, RECORD_FEATURES, TransmissionChange
 from loose_env.errors import InvalidData
 from loose_env.statistics.gaussian_mixture import fit_gaussian_mixture
 
-SIZE = 1 + len(CONTEXT)
+SIZE = len(COLUMNS)
+FIRST = len(FIGURES)  # where the context begins
+HYPOTHESIS = np.array([0, 0, 1, 1, 2])
 
 
 def made(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Figures of records whose left-over grows with their context."""
-    context = rng.normal(size=(count, SIZE - 1))
-    left = 2.0 * context[:, 0] - context[:, 3] + 0.5 * rng.normal(size=count)
-    return np.column_stack([left, context])
+    """Columns of records in which every figure grows with the context."""
+    rest = rng.normal(size=(count, SIZE - FIRST))
+    figures = 2.0 * rest[:, :1] - rest[:, 3:4] + 0.5 * rng.normal(size=(count, FIRST))
+    return np.column_stack([figures, rest])
 
 
 @pytest.fixture(scope="module")
 def reference() -> NoveltyReference:
     rng = np.random.default_rng(0)
     points = made(rng, 3000)
-    mixture = fit_gaussian_mixture(points, 2, rng)
     first = NoveltyReference(
-        mean=np.zeros(SIZE), scale=np.ones(SIZE), mixture=mixture, scores=(np.zeros(1),)
+        mean=np.zeros(SIZE),
+        scale=np.ones(SIZE),
+        mixtures=tuple(
+            fit_gaussian_mixture(points[:, used_columns(name)], 2, rng) for name in FIGURES
+        ),
+        usual=np.zeros((2, FIRST)),
+        spread=np.ones((2, FIRST)),
     )
     tables = tuple(
-        np.sort([first.novelty(made(rng, k)).mean() for _ in range(999)]) for k in (1, 2)
+        np.sort([first.score(first.novelty(made(rng, k))) for _ in range(999)]) for k in (1, 2)
     )
-    return NoveltyReference(mean=first.mean, scale=first.scale, mixture=mixture, scores=tables)
+    return replace(first, scores=tables)
 
 
 @pytest.mark.parametrize("records", [1, 2])
@@ -45,32 +63,44 @@ def test_p_values_of_the_trained_kind_are_uniform(
         assert np.mean(np.array(found) <= level) == pytest.approx(level, abs=spread)
 
 
-def test_what_is_left_is_judged_by_its_context(reference: NoveltyReference) -> None:
-    rng = np.random.default_rng(2)
-    usual = made(rng, 1)
-    usual[0, 1], usual[0, 4] = 3.0, 0.0
-    usual[0, 0] = 6.0  # large, and no more than such a context explains
-    assert abs(reference.novelty(usual)[0]) < 1.0
-    usual[0, 1] = 0.0
-    assert reference.novelty(usual)[0] > 5.0
-    assert reference.surprise(reference.novelty(usual)) == 1 / 1000
+@pytest.mark.parametrize("figure", range(FIRST))
+def test_each_figure_is_judged_by_its_context(reference: NoveltyReference, figure: int) -> None:
+    usual = made(np.random.default_rng(2), 1)
+    usual[0, FIRST], usual[0, FIRST + 3] = 3.0, 0.0
+    usual[0, :FIRST] = 6.0  # large, and no more than such a context explains
+    assert np.abs(reference.novelty(usual)).max() < 1.0
+    assert reference.surprise(reference.novelty(usual)) > 0.1
+    usual[0, figure] += 6.0
+    novelty = reference.novelty(usual)[0]
+    assert novelty[figure] > 5.0
+    assert np.abs(np.delete(novelty, figure)).max() < 1.0
+    assert reference.surprise(novelty[None]) == 1 / 1000
+
+
+def test_figures_are_weighed_by_how_much_they_spread(reference: NoveltyReference) -> None:
+    wide = replace(reference, spread=np.array([[1.0, 100.0, 1.0]] * 2))
+    assert wide.score(np.array([[1.0, 50.0, 0.0]])) == 1.0
+    shifted = replace(reference, usual=np.array([[0.0, 49.5, 0.0]] * 2))
+    assert shifted.score(np.array([[0.0, 50.0, 0.0]])) == 0.5
 
 
 def test_the_last_table_serves_longer_episodes(reference: NoveltyReference) -> None:
-    assert reference.surprise([1.0] * 7) == reference.surprise([1.0] * 2)
-    assert reference.surprise([]) == 1.0
+    assert reference.surprise(np.ones((7, FIRST))) == reference.surprise(np.ones((2, FIRST)))
+    assert reference.surprise(np.zeros((0, FIRST))) == 1.0
 
 
 def test_it_is_stored_and_read_again(reference: NoveltyReference) -> None:
     again = NoveltyReference.of(reference.tensors())
     points = made(np.random.default_rng(3), 5)
     assert again.novelty(points) == pytest.approx(reference.novelty(points))
-    assert again.surprise([0.4]) == reference.surprise([0.4])
-    some = {k: v for k, v in reference.tensors().items() if k != "means"}
-    with pytest.raises(InvalidData, match=r"lacks.*means"):
+    one = np.full((1, FIRST), 0.4)
+    assert again.surprise(one) == reference.surprise(one)
+    some = {k: v for k, v in reference.tensors().items() if k != "second.means"}
+    with pytest.raises(InvalidData, match=r"lacks.*second.means"):
         NoveltyReference.of(some)
-    with pytest.raises(InvalidData, match="another version"):
-        NoveltyReference.of(reference.tensors() | {"mean": np.zeros(3)})
+    for name in ("mean", "spread"):
+        with pytest.raises(InvalidData, match="another version"):
+            NoveltyReference.of(reference.tensors() | {name: np.zeros(4)})
 
 
 def test_conformal_p_counts_those_as_large() -> None:
@@ -78,16 +108,60 @@ def test_conformal_p_counts_those_as_large() -> None:
     assert [conformal_p(s, table) for s in (-1.0, 1.0, 1.5, 3.0)] == [1.0, 0.8, 0.4, 0.2]
 
 
+def seen(rng: np.random.Generator, measured: np.ndarray, opened: np.ndarray) -> Seen:
+    size = len(measured)
+    return Seen(
+        rng.uniform(0.1, 2.0, (len(opened), len(PLACE_FEATURES))),
+        rng.normal(size=len(RECORD_FEATURES)),
+        TransmissionChange(
+            measured=measured, open=opened, nominal=np.ones(size), covariance=1e-4 * np.eye(size)
+        ),
+    )
+
+
 def test_the_figures_follow_the_favoured_place() -> None:
     rng = np.random.default_rng(4)
-    place = rng.uniform(0.1, 2.0, (3, 5, len(PLACE_FEATURES)))
-    record = rng.normal(size=(3, len(RECORD_FEATURES)))
-    found = left_over(place, record, np.eye(5)[2], 50.0)
-    left = place[:, 2, PLACE_FEATURES.index("left")]
-    assert found[:, 0] == pytest.approx(np.log(np.expm1(left) + 0.1))
-    visible = place[:, 2, PLACE_FEATURES.index("visible")]
-    assert found[:, 1 + CONTEXT.index("visible")] == pytest.approx(visible)
-    excited = record[:, RECORD_FEATURES.index("excited")]
-    assert found[:, 1 + CONTEXT.index("excited")] == pytest.approx(excited)
-    assert found[0, 1 + CONTEXT.index("healthy")] == 10.0
-    assert found[0, 1 + CONTEXT.index("records")] == pytest.approx(np.log(3))
+    records = [seen(rng, rng.normal(size=6), rng.normal(size=(5, 6))) for _ in range(3)]
+    found = sights(records, np.eye(5)[2], -50.0, HYPOTHESIS)
+    assert found.shape == (3, SIZE)
+    at = {name: found[:, k] for k, name in enumerate(COLUMNS)}
+    left = [each.unexplained.left[2] for each in records]
+    assert at["left"] == pytest.approx(np.log(np.array(left) + 0.1))
+    for name in ("visible", "load"):
+        expected = [each.place[2, PLACE_FEATURES.index(name)] for each in records]
+        assert at[name] == pytest.approx(expected)
+    for name in ("excited", "kurtosis"):
+        expected = [each.record[RECORD_FEATURES.index(name)] for each in records]
+        assert at[name] == pytest.approx(expected)
+    assert at["opening"] == pytest.approx([each.unexplained.opening[2] for each in records])
+    assert (at["healthy"] == -10.0).all()
+    assert at["records"] == pytest.approx(np.log(3))
+    sound = sights(records, np.eye(5)[2], 50.0, HYPOTHESIS)
+    assert sound[:, 0] == pytest.approx(
+        np.log(np.array([each.unexplained.sound for each in records]) + 0.1)
+    )
+    assert sound[:, COLUMNS.index("opening")] == pytest.approx(0.0)
+
+
+def test_a_second_seat_shows_where_all_records_need_the_same_one() -> None:
+    rng = np.random.default_rng(5)
+    second = COLUMNS.index("second")
+
+    def found(others: list[int]) -> float:
+        records = []
+        for other in others:
+            opened = rng.normal(size=(5, 8))
+            records.append(seen(rng, 0.7 * opened[0] + 0.6 * opened[other], opened))
+        return float(sights(records, np.eye(5)[0], -50.0, HYPOTHESIS)[0, second])
+
+    alike = np.mean([found([3, 3, 3]) for _ in range(10)])
+    apart = np.mean([found([2, 3, 4]) for _ in range(10)])
+    none = np.mean([found([0, 0, 0]) for _ in range(10)])
+    assert alike > 1.5 * apart > 3 * none
+    # Another direction of the same link is no second fault.
+    assert np.mean([found([1, 1, 1]) for _ in range(10)]) < 0.5 * alike
+
+
+def test_the_context_is_named_once() -> None:
+    assert len(set(COLUMNS)) == SIZE
+    assert set(CONTEXT) <= set(COLUMNS)
