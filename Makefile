@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 
 # What `make run`, `make thesis`, `make bench` and `make study` need; the other verbs add learning
 # and dev tools.
-RUN_EXTRAS := report,play
+RUN_EXTRAS := report,play,fast
 DEV_EXTRAS := all,dev
 
 # The matrices are small: threads of BLAS and OpenMP only get in the engine's way.
