@@ -1,0 +1,1 @@
+"""The command ``loose``: the instrument for measured data."""

@@ -1,0 +1,120 @@
+"""Name what a simulation model lacks, and where, by measured runs.
+
+Reads a recording (a folder with recording.json, the nominal model and measured runs), finds where
+model and measurement disagree, names the missing effect by runs that it did not fit to, and
+writes the corrected model.
+
+Written to the output folder: model.xml, the corrected model; result.json, what was found;
+report.html, the same to be read. Finished stages are kept in .gap: the same command goes on from
+there when it was interrupted. Exit codes: 0 done, whatever was found; 1 something given cannot be
+used; 2 the command line makes no sense; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import asdict
+from inspect import signature
+from pathlib import Path
+from typing import Any
+
+from loose_env.arms.file_scan import files_of
+from loose_env.cli.options import add_settings, settings_of
+from loose_env.cli.output_folder import OutputFolder
+from loose_env.errors import InvalidSetting
+from loose_env.gap.finding import GapFound, GapSettings, find_gap
+from loose_env.gap.reporting import outputs_of
+from loose_env.gap.result import GapResult
+from loose_env.gap.stages import Stages, key_of
+from loose_env.recording import Recording, read_recording
+from loose_env.report.gap_report import write_outputs
+
+__all__ = ["add_options", "run", "summary"]
+
+_OWN = ("threads",)
+"""Settings on which the result does not depend."""
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this command."""
+    parser.add_argument("recording", type=Path, metavar="RECORDING", help="folder of the recording")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder for what is written"
+    )
+    parser.add_argument(
+        "--model",
+        type=Path,
+        metavar="OTHER.xml",
+        help="MJCF file that takes the place of the recording's model",
+    )
+    parser.add_argument("--quiet", action="store_true", help="say nothing on the way")
+    add_settings(parser, GapSettings)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Name what the model lacks and write it down."""
+    settings = settings_of(options, GapSettings)
+    folder = OutputFolder(options.out)
+    if options.model is not None and options.model.resolve().is_relative_to(folder.path):
+        raise InvalidSetting(
+            f"--model {options.model} lies in the output folder, where it would be overwritten; "
+            "give another --out"
+        )
+    recording = read_recording(options.recording, model=options.model)
+    plain = {k: v for k, v in asdict(settings).items() if k not in _OWN}
+    stages = Stages(folder.prepared() / "stages", key_of(recording, plain))
+    say = _Said(quiet=options.quiet)
+    found = _staged(recording, settings, say, stages)
+    if stages.taken_up:
+        say(f"taken up from an earlier run: {', '.join(stages.taken_up)}")
+    # Known as this command's own even if it is cut short while it copies.
+    home = recording.model_path.parent
+    folder.note(folder.path / f.relative_to(home) for f in files_of(recording.model_path))
+    result, written = write_outputs(folder.path, outputs_of(found, recording, settings), say=say)
+    folder.note(written)
+    for warning in result.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    print(summary(result))
+    print("written: " + ", ".join(str(path) for path in written if path.parent == folder.path))
+
+
+def summary(result: GapResult) -> str:
+    """What was found, in a few lines."""
+    lines = []
+    if result.verdict == "no_gap":
+        lines.append("no gap: within its tolerance the model explains the held-out runs")
+    elif result.verdict == "unexplained":
+        lines.append("unexplained: something is missing that is not in the catalogue")
+        lines += [f"  {words}" for words in result.where_it_lives]
+    for effect in result.effects:
+        lines.append(f"{effect.kind} at {effect.where}")
+        for name, value in effect.parameters.items():
+            unit = effect.units.get(name, "")
+            ends = effect.interval_95.get(name)
+            between = "" if ends is None else f" ({ends[0]:.4g} to {ends[1]:.4g})"
+            lines.append(f"  {name} {value:.4g}{between} {unit}".rstrip())
+        if effect.ambiguous_with:
+            others = ", ".join(f"{o.kind} at {o.where}" for o in effect.ambiguous_with)
+            lines.append(f"  the held-out runs cannot tell it from {others}")
+    gap = result.gap
+    lines.append(f"gap on held-out runs: {gap.before:.2f} before, {gap.after:.2f} after; noise 1")
+    return "\n".join(lines)
+
+
+class _Said:
+    """Progress lines on the error stream, with the time that has passed."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        self.quiet, self.start = quiet, time.monotonic()
+
+    def __call__(self, line: str) -> None:
+        if not self.quiet:
+            print(f"{time.monotonic() - self.start:7.1f} s  {line}", file=sys.stderr, flush=True)
+
+
+def _staged(recording: Recording, settings: GapSettings, say: _Said, stages: Stages) -> GapFound:
+    """Find the gap, with the stages of an earlier run where the search keeps any."""
+    given: dict[str, Any] = {"stages": stages} if "stages" in signature(find_gap).parameters else {}
+    return find_gap(recording, settings, say=say, **given)

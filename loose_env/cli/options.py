@@ -1,0 +1,139 @@
+"""Options of a command line from the fields of a settings dataclass."""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import inspect
+import textwrap
+from collections.abc import Collection
+from dataclasses import MISSING, Field, fields, is_dataclass
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+__all__ = ["add_settings", "field_words", "settings_of"]
+
+T = TypeVar("T")
+
+_PLAIN = (int, float, str)
+
+
+def add_settings(
+    parser: argparse.ArgumentParser, kind: type, *, leave_out: Collection[str] = ()
+) -> None:
+    """Add an option for each field: its type, its default, and the docstring under it as help.
+
+    A field that is a settings dataclass itself adds options of its own, ``--field-name``.
+
+    Parameters
+    ----------
+    parser : ArgumentParser
+        Takes the options.
+    kind : type
+        A dataclass whose fields have defaults.
+    leave_out : collection of str
+        Fields that get no option; for fields inside others "field-name".
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> @dataclass(frozen=True, kw_only=True)
+    ... class Own:
+    ...     tolerance: float = 0.03
+    ...     most: int = 3
+    >>> parser = argparse.ArgumentParser()
+    >>> add_settings(parser, Own)
+    >>> settings_of(parser.parse_args(["--most", "2"]), Own)
+    Own(tolerance=0.03, most=2)
+    """
+    group = parser.add_argument_group("settings")
+    for name, each, hint, default, words in _flat(kind, ""):
+        if name in leave_out:
+            continue
+        group.add_argument(
+            f"--{name}",
+            dest=name.replace("-", "_"),
+            default=default,
+            help=_help(words, each, default),
+            **_how(hint, name),
+        )
+
+
+def settings_of(options: argparse.Namespace, kind: type[T], *, prefix: str = "") -> T:
+    """Settings from parsed options; fields without an option keep their defaults."""
+    hints = get_type_hints(kind)
+    given: dict[str, Any] = {}
+    for each in fields(kind):  # type: ignore[arg-type]
+        name = f"{prefix}{each.name.replace('_', '-')}"
+        hint = _bare(hints[each.name])
+        if is_dataclass(hint) and isinstance(hint, type):
+            given[each.name] = settings_of(options, hint, prefix=f"{name}-")
+            continue
+        value = getattr(options, name.replace("-", "_"), MISSING)
+        if value is not MISSING:
+            given[each.name] = tuple(value) if isinstance(value, list) else value
+    return kind(**given)
+
+
+def field_words(kind: type) -> dict[str, str]:
+    """Docstrings that stand under the fields of a dataclass; none where the source is not there."""
+    try:
+        tree = ast.parse(textwrap.dedent(inspect.getsource(kind)))
+    except (OSError, TypeError, SyntaxError):
+        return {}
+    found: dict[str, str] = {}
+    last = ""
+    for node in tree.body[0].body if isinstance(tree.body[0], ast.ClassDef) else ():
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            last = node.target.id
+        elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and last:
+            found[last] = " ".join(str(node.value.value).split())
+            last = ""
+        else:
+            last = ""
+    return found
+
+
+def _flat(kind: type, prefix: str) -> list[tuple[str, Field[Any], Any, Any, str]]:
+    """Option name, field, type, default and words of every field, those inside included."""
+    hints, words = get_type_hints(kind), field_words(kind)
+    found = []
+    for each in fields(kind):
+        name = f"{prefix}{each.name.replace('_', '-')}"
+        hint = _bare(hints[each.name])
+        if is_dataclass(hint) and isinstance(hint, type):
+            found += _flat(hint, f"{name}-")
+            continue
+        default = each.default if each.default_factory is MISSING else each.default_factory()
+        found.append((name, each, hint, default, words.get(each.name, "")))
+    return found
+
+
+def _bare(hint: Any) -> Any:
+    """Return a type without "or None"."""
+    if get_origin(hint) in (Union, UnionType):
+        inside = [each for each in get_args(hint) if each is not NoneType]
+        return inside[0] if len(inside) == 1 else hint
+    return hint
+
+
+def _how(hint: Any, name: str) -> dict[str, Any]:
+    """How argparse reads a value of a type."""
+    origin, inside = get_origin(hint), get_args(hint)
+    if hint is bool:
+        return {"action": argparse.BooleanOptionalAction}
+    if origin is Literal:
+        return {"choices": list(inside)}
+    if origin is tuple:
+        return {"type": inside[0], "nargs": "+", "metavar": inside[0].__name__.upper()}
+    if hint in _PLAIN:
+        return {"type": hint, "metavar": hint.__name__.upper()}
+    raise TypeError(f"no option can be made of the field {name!r} of type {hint}")
+
+
+def _help(words: str, each: Field[Any], default: Any) -> str:
+    said = words.rstrip(".").replace("%", "%%")
+    if default is None or default is MISSING:
+        return said
+    shown = " ".join(map(str, default)) if isinstance(default, tuple) else default
+    return f"{said} (default: {shown})"

@@ -1,0 +1,1 @@
+"""Where simulation and measurement disagree: name the missing effect and add it to the model."""

@@ -1,0 +1,228 @@
+"""What is compared: measured less predicted, in noise standard deviations, number by number."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.effect import Effect
+from loose_env.gap.inverse import InverseDynamics
+from loose_env.gap.machine import Machine
+from loose_env.gap.simulator import Hypothesis, Simulator
+from loose_env.gap.trial import Channel, Trial
+
+__all__ = ["Comparison", "Rows"]
+
+Array = NDArray[np.float64]
+
+_WILD = 1e4
+"""Residual where a simulation went wild, and the largest that counts [standard deviations]."""
+BURN_IN = 0.1
+"""What an unknown start may disturb, at the beginning of a run [s]."""
+BLOCKS = 100
+"""How many blocks, within which residuals hang together, the runs are cut into."""
+SHORTEST, LONGEST = 0.1, 0.5
+"""Lengths of a block, however short or long the runs are [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Where each number of a residual vector comes from (N,)."""
+
+    trial: NDArray[np.intp]
+    """Number of the run."""
+    channel: NDArray[np.intp]
+    """Number of the channel."""
+    sample: NDArray[np.intp]
+    """Sample in the run."""
+    place: NDArray[np.intp]
+    """Number of the sample among those compared: neighbours differ by one."""
+    block: NDArray[np.intp]
+    """Block of time, numbered through all runs."""
+
+
+class Comparison:
+    """Compares runs with hypotheses, each run by its form.
+
+    Forward and free runs are simulated; their sensors are compared. Of inverse runs the torques
+    are compared, in the band of the motion.
+
+    Parameters
+    ----------
+    machine : Machine
+        The nominal model.
+    trials : sequence of Trial
+        The runs.
+    channels : tuple of Channel
+        What is compared.
+    floors : ndarray (C,)
+        Noise standard deviation of each channel, as read.
+    threads : int
+        Threads of the simulation; 0: all processors.
+    inverse : InverseDynamics, optional
+        Of the inverse runs, if there already is one.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        trials: Sequence[Trial],
+        channels: tuple[Channel, ...],
+        floors: Array,
+        *,
+        threads: int = 0,
+        inverse: InverseDynamics | None = None,
+    ) -> None:
+        self.machine, self.trials = machine, list(trials)
+        self.channels, self.floors, self.threads = channels, floors, threads
+        backwards = [t for t, trial in enumerate(self.trials) if trial.form == "inverse"]
+        self._backwards = np.array(backwards, dtype=np.intp)
+        self._ahead = np.setdiff1d(np.arange(len(self.trials)), self._backwards)
+        forwards = [self.trials[t] for t in self._ahead]
+        self.simulator = Simulator(machine, forwards, channels, threads=threads)
+        if inverse is None and backwards:
+            runs = [self.trials[t] for t in backwards]
+            inverse = InverseDynamics(machine, runs, channels, threads=threads)
+        self.inverse = inverse
+        self.scales = np.repeat(np.asarray(floors, dtype=float)[None], len(self.trials), axis=0)
+        """Noise standard deviation of what is compared (trials, C)."""
+        if inverse is not None:
+            for k, t in enumerate(backwards):
+                self.scales[t] = inverse.floors(k)
+        self.rows, self.measured = self._rows()
+
+    def _spacing(self, number: int) -> int:
+        """Samples of a run from one that is compared to the next."""
+        if self.inverse is not None and number in self._backwards:
+            return self.inverse.spacing(int(np.searchsorted(self._backwards, number)))
+        return 1
+
+    def _compared(self, number: int) -> Array:
+        """What was measured in a run, NaN where it is not compared (T, C)."""
+        trial = self.trials[number]
+        if self.inverse is not None and number in self._backwards:
+            return self.inverse.measured(int(np.searchsorted(self._backwards, number)))
+        early = trial.time < min(BURN_IN, 0.2 * trial.time[-1])
+        return np.where(early[:, None], np.nan, trial.measured)
+
+    def _rows(self) -> tuple[Rows, Array]:
+        """Every number that was measured and is not disturbed by the start."""
+        parts: list[list[Array]] = [[], [], [], [], [], []]
+        blocks = 0
+        whole = sum(float(trial.time[-1]) for trial in self.trials)
+        length = min(max(whole / BLOCKS, SHORTEST), LONGEST)
+        for t, trial in enumerate(self.trials):
+            compared = self._compared(t)
+            samples, channels = np.nonzero(np.isfinite(compared))
+            block = blocks + (trial.time[samples] // length).astype(int)
+            blocks = int(block.max()) + 1 if len(block) else blocks
+            values = compared[samples, channels] / self.scales[t, channels]
+            run = np.full(len(samples), t)
+            place = samples // self._spacing(t)
+            found = (run, channels, samples, place, block, values)
+            for part, new in zip(parts, found, strict=True):
+                part.append(new)
+        *where, measured = (np.concatenate(part) for part in parts)
+        runs, channel, sample, places, block = (part.astype(np.intp) for part in where)
+        rows = Rows(trial=runs, channel=channel, sample=sample, place=places, block=block)
+        return rows, measured
+
+    def shows(self, effect: Effect) -> bool:
+        """Whether any run is of a form in which an effect makes a difference.
+
+        A free response has no commands; what an inverse one leaves out says `InverseDynamics`.
+        """
+        forms = {self.trials[t].form for t in self._ahead}
+        if "forward" in forms:
+            return True
+        if "free" in forms and effect.where not in self.machine.actuators:
+            return type(effect).command is Effect.command
+        return self.inverse is not None and self.inverse.shows(effect)
+
+    def shortened(self, seconds: float) -> tuple[Comparison, NDArray[np.intp]]:
+        """The same for the beginnings of the runs, and which of these rows it keeps.
+
+        Inverse runs stay whole: they cost little.
+        """
+        short = Comparison(
+            self.machine,
+            [trial if trial.form == "inverse" else trial.until(seconds) for trial in self.trials],
+            self.channels,
+            self.floors,
+            threads=self.threads,
+            inverse=self.inverse,
+        )
+        ends = np.array([len(trial.time) for trial in short.trials])
+        kept = np.flatnonzero(self.rows.sample < ends[self.rows.trial])
+        if len(kept) != len(short):  # the burn-in of a very short run is shorter
+            return self, np.arange(len(self))
+        return short, kept
+
+    def __len__(self) -> int:
+        """How many numbers are compared."""
+        return len(self.measured)
+
+    @property
+    def simulated(self) -> int:
+        """Steps simulated and samples evaluated so far."""
+        return self.simulator.simulated + (0 if self.inverse is None else self.inverse.simulated)
+
+    def predict(self, hypotheses: Sequence[Hypothesis]) -> list[list[Array]]:
+        """What every run would show under every hypothesis.
+
+        Returns
+        -------
+        list of list of ndarray (T, C)
+            By hypothesis, by trial; NaN where a simulation went wild, and in an inverse run where
+            nothing is compared.
+        """
+        found: list[list[Array]] = [[np.empty(0)] * len(self.trials) for _ in hypotheses]
+        if len(self._ahead):
+            own = [_for_runs(hypothesis, self._ahead) for hypothesis in hypotheses]
+            for predictions, runs in zip(found, self.simulator.predict(own), strict=True):
+                for t, values in zip(self._ahead, runs, strict=True):
+                    predictions[t] = values
+        if self.inverse is not None:
+            for predictions, runs in zip(found, self.inverse.predict(hypotheses), strict=True):
+                for t, values in zip(self._backwards, runs, strict=True):
+                    predictions[t] = values
+        return found
+
+    def residuals(self, hypotheses: Sequence[Hypothesis]) -> Array:
+        """Measured less predicted, in noise standard deviations (hypotheses, N)."""
+        found = np.empty((len(hypotheses), len(self.measured)))
+        for h, predicted in enumerate(self.predict(hypotheses)):
+            found[h] = self.measured - self.flatten(predicted)
+        found[~np.isfinite(found)] = _WILD
+        return np.clip(found, -_WILD, _WILD)
+
+    def flatten(self, predicted: Sequence[Array]) -> Array:
+        """Predictions by trial -> one number per row, in noise standard deviations (N,)."""
+        rows, found = self.rows, np.empty(len(self.measured))
+        for t, values in enumerate(predicted):
+            own = rows.trial == t
+            channel = rows.channel[own]
+            found[own] = values[rows.sample[own], channel] / self.scales[t, channel]
+        return found
+
+    def by_block(self, values: Array) -> Array:
+        """Sums of values (..., N) over blocks (..., B)."""
+        count = int(self.rows.block.max()) + 1
+        flat = values.reshape(-1, values.shape[-1])
+        summed = np.array([np.bincount(self.rows.block, v, minlength=count) for v in flat])
+        return summed.reshape(*values.shape[:-1], count)
+
+
+def _for_runs(hypothesis: Hypothesis, runs: NDArray[np.intp]) -> Hypothesis:
+    """A hypothesis with the starts of some runs only."""
+    position, speed = hypothesis.position, hypothesis.speed
+    if position is None and speed is None:
+        return hypothesis
+    return replace(
+        hypothesis,
+        position=None if position is None else position[runs],
+        speed=None if speed is None else speed[runs],
+    )

@@ -1,0 +1,141 @@
+"""What a residual goes with: how much of it is a function of position, of speed, of load ..."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["REGRESSORS", "Dependence", "binned", "dependence", "direction_of"]
+
+Array = NDArray[np.float64]
+Labels = NDArray[np.intp]
+
+REGRESSORS = ("position", "velocity", "direction", "acceleration", "load")
+"""What residuals are held against."""
+_BINS = 12
+"""Bins of as many samples each; a regressor of fewer levels has a bin for each level."""
+_STILL = 0.05
+"""Share of the large speeds (95th percentile) below which a joint counts as standing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dependence:
+    """How much of a residual one regressor explains."""
+
+    on: str
+    """One of `REGRESSORS`."""
+    of: str
+    """Joint whose position, velocity, ... it is."""
+    share: float
+    """Share of the residual's power, its mean left out, that blocks of time not looked at confirm
+    (0 to 1)."""
+    explained: float
+    """Root mean square of that part, in the unit of the residual."""
+    sureness: float
+    """Over the scatter from block to block, in standard deviations."""
+
+
+def direction_of(speed: Array) -> Array:
+    """Direction of motion (T,): -1, 0 where a joint stands, 1; NaN where the speed is.
+
+    Examples
+    --------
+    >>> direction_of(np.array([-2.0, 0.01, 2.0]))
+    array([-1.,  0.,  1.])
+    """
+    good = np.isfinite(speed)
+    if not good.any():
+        return np.full_like(speed, np.nan)
+    least = _STILL * float(np.percentile(np.abs(speed[good]), 95))
+    return np.where(good, np.where(np.abs(speed) <= least, 0.0, np.sign(speed)), np.nan)
+
+
+def binned(regressor: Array, *, bins: int = _BINS) -> tuple[Labels, Array]:
+    """Bins of about as many samples each.
+
+    Returns
+    -------
+    labels : ndarray (N,)
+        Bin of each sample.
+    centres : ndarray (K,)
+        Median of the regressor in each bin.
+
+    Examples
+    --------
+    >>> labels, centres = binned(np.array([1.0, -1.0, 1.0, -1.0]))
+    >>> labels, centres
+    (array([1, 0, 1, 0]), array([-1.,  1.]))
+    """
+    ordered = np.sort(regressor)
+    new = np.flatnonzero(np.diff(ordered) > 0) + 1
+    if len(new) < bins:
+        levels = ordered[np.concatenate([[0], new])]
+        return np.searchsorted(levels, regressor).astype(np.intp), levels
+    first = np.arange(1, bins) * len(ordered) // bins
+    edges = ordered[first]
+    edges = edges[np.concatenate([[True], np.diff(edges) > 0]) & (edges > ordered[0])]
+    labels = np.searchsorted(edges, regressor, side="right").astype(np.intp)
+    ends = np.concatenate([[0], np.searchsorted(ordered, edges), [len(ordered)]])
+    return labels, ordered[(ends[:-1] + ends[1:]) // 2]
+
+
+def dependence(
+    residual: Array, regressor: Array, block: Labels, *, on: str = "", of: str = ""
+) -> Dependence | None:
+    """Measure how much of a residual is a function of a regressor, whatever its shape.
+
+    The residual's mean in every bin of the regressor predicts it. Each block of time is predicted
+    from the others, so that chance explains nothing on average.
+
+    Parameters
+    ----------
+    residual, regressor : ndarray (N,)
+        Sample by sample; samples that are not finite are left out.
+    block : ndarray (N,)
+        Block of time of each sample, within which residuals hang together.
+    on, of : str
+        Names of the regressor.
+
+    Returns
+    -------
+    Dependence or None
+        None with fewer than three blocks, or a regressor that does not change.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(2)
+    >>> speed = np.sin(np.arange(3000) / 50)
+    >>> friction = np.sign(speed) + rng.normal(0, 1, 3000)
+    >>> found = dependence(friction, direction_of(speed), np.arange(3000) // 300)
+    >>> bool(0.4 < found.share < 0.55), bool(found.sureness > 5)
+    (True, True)
+    """
+    good = np.isfinite(residual) & np.isfinite(regressor)
+    r, x = residual[good], regressor[good]
+    if len(r) < 30:
+        return None
+    _, blocks = np.unique(block[good], return_inverse=True)
+    labels, centres = binned(x)
+    count, size = int(blocks.max()) + 1, len(centres)
+    if count < 3 or size < 2:
+        return None
+    r = r - r.mean()
+    power = float(r @ r)
+    cell = blocks * size + labels
+    sums = np.bincount(cell, r, minlength=count * size).reshape(count, size)
+    counts = np.bincount(cell, minlength=count * size).reshape(count, size)
+    others = counts.sum(axis=0) - counts
+    mean = np.where(others > 0, (sums.sum(axis=0) - sums) / np.maximum(others, 1), 0.0)
+    gains = np.sum(2 * sums * mean - counts * mean**2, axis=1)
+    gained = float(gains.sum())
+    share = float(np.clip(gained / power, 0.0, 1.0)) if power > 0 else 0.0
+    scatter = float(np.sqrt(np.sum((gains - gains.mean()) ** 2)))
+    return Dependence(
+        on=on,
+        of=of,
+        share=share,
+        explained=float(np.sqrt(share * power / len(r))),
+        sureness=gained / max(scatter, 1e-30 + 1e-12 * power),
+    )

@@ -1,0 +1,131 @@
+"""The torque that a model needs for a measured motion when it also moves where nothing is measured.
+
+A compliant drive or one with backlash has more coordinates than the measured ones. The measured
+joints are led along their motion, the others move freely: to each measured joint a rotor is added
+that is far heavier than all the joint carries, and a force that moves this rotor as measured. What
+the model needs is what the force gives beyond moving the rotor.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+
+from loose_env.gap.machine import Machine
+from loose_env.gap.motion import Motion
+from loose_env.gap.simulator import Hypothesis
+
+__all__ = ["Drive"]
+
+Array = NDArray[np.float64]
+
+_HEAVY = 1e5
+"""Inertia of the added rotors, over what the joint moves."""
+_FOLLOW = 20.0
+"""Rate at which a joint returns to the measured motion [1/s]."""
+_SETTLE = 1.0
+"""How long the model moves beforehand, so that what is not measured takes part [s]."""
+
+
+class Drive:
+    """Leads a model along motions.
+
+    Parameters
+    ----------
+    machine : Machine
+        The nominal model.
+    threads : int
+        Threads of the pool; 0: all processors.
+    """
+
+    def __init__(self, machine: Machine, *, threads: int = 0) -> None:
+        self.machine, self.threads = machine, threads
+
+    def torque(self, hypothesis: Hypothesis, motion: Motion) -> Array:
+        """What the measured joints' drives give, on the motion's grid (G, joints) [N·m or N].
+
+        Parameters
+        ----------
+        hypothesis : Hypothesis
+            Whose model is led.
+        motion : Motion
+            Of the measured joints.
+        """
+        machine, joints = self.machine, self.machine.joints
+        longest = machine.step or float(machine.model.opt.timestep)
+        interval = float(motion.time[1])
+        inside = max(1, int(np.ceil(interval / longest - 1e-6)))
+        step = interval / inside
+        model, rotors = self._model(hypothesis, step)
+        dofs = [int(model.joint(name).dofadr[0]) for name in joints]
+        places = [int(model.joint(name).qposadr[0]) for name in joints]
+        # What came before is taken as the beginning turned about the first sample.
+        before = min(len(motion.time) - 1, round(_SETTLE / interval))
+        turned = 2 * motion.position[0] - motion.position[before:0:-1]
+        positions = np.concatenate([turned, motion.position])
+        speeds = np.concatenate([motion.speed[before:0:-1], motion.speed])
+        # Leapfrog: MuJoCo's semi-implicit step takes a speed half a step before its position.
+        grid = interval * np.arange(len(positions), dtype=np.float64)
+        times = step * np.arange((len(grid) - 1) * inside + 1, dtype=np.float64)
+        middles = step * (np.arange(len(times) + 1, dtype=np.float64) - 0.5)
+        position = _between(grid, positions, times)
+        speed = _between(grid, speeds, middles)
+        rate, speed = np.diff(speed, axis=0) / step, speed[:-1]
+        control = np.zeros((1, len(times), model.nu))
+        control[0, :, -len(joints) :] = rotors * (
+            rate + 2 * _FOLLOW * speed + _FOLLOW**2 * position
+        )
+        batch = Batch(model, 1, self.threads)
+        batch.qpos[:, places] = position[0]
+        batch.qvel[:, dofs] = speed[0]
+        out = batch.rollout(
+            len(times),
+            control,
+            control_spec=int(mujoco.mjtState.mjSTATE_CTRL),
+            record=("actuator_force", "qacc"),
+        )
+        given = out["actuator_force"][0, :, -len(joints) :]
+        return np.asarray((given - rotors * out["qacc"][0][:, dofs])[before * inside :: inside])
+
+    def _model(self, hypothesis: Hypothesis, step: float) -> tuple[mujoco.MjModel, Array]:
+        """Model with heavy rotors and their drives, its own actuators without force."""
+        machine = self.machine
+        spec = machine.fresh()
+        spec.option.timestep = step
+        for effect, values in zip(hypothesis.effects, hypothesis.values, strict=True):
+            effect.edit(spec, values)
+        for name in machine.actuators:
+            actuator = spec.actuator(name)
+            actuator.gainprm, actuator.biasprm = np.zeros(10), np.zeros(10)
+        rotors = _HEAVY * machine.inertias
+        for name, rotor in zip(machine.joints, rotors, strict=True):
+            spec.joint(name).armature += rotor
+            drive = spec.add_actuator(
+                name=f"{name}_led", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT
+            )
+            drive.forcelimited = drive.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
+            drive.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
+            drive.dyntype, drive.dynprm = mujoco.mjtDyn.mjDYN_NONE, np.zeros(10)
+            drive.gear = [1, 0, 0, 0, 0, 0]
+            drive.damping, drive.armature, drive.delay, drive.nsample = (
+                np.zeros_like(drive.damping), 0.0, 0.0, 0,
+            )  # fmt: skip
+            drive.gaintype, drive.biastype = (
+                mujoco.mjtGain.mjGAIN_FIXED,
+                mujoco.mjtBias.mjBIAS_AFFINE,
+            )
+            drive.gainprm = [1.0, *np.zeros(9)]
+            drive.biasprm = [0.0, -rotor * _FOLLOW**2, -2 * rotor * _FOLLOW, *np.zeros(7)]
+            spec.joint(name).limited = mujoco.mjtLimited.mjLIMITED_FALSE
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+        model = spec.compile()
+        return model, rotors
+
+
+def _between(grid: Array, values: Array, times: Array) -> Array:
+    """Values (G, joints) at other times, from the cubic spline through them."""
+    spline = make_interp_spline(grid, values, k=3)
+    return np.asarray(spline(np.clip(times, grid[0], grid[-1])))

@@ -1,0 +1,178 @@
+"""What a model can lack: one physical effect at one place, with bounded parameters.
+
+An effect acts in up to three ways, each a method that a subclass overrides: `Effect.edit` changes
+the MuJoCo spec, `Effect.command` what reaches the actuators, `Effect.read` what the sensors show.
+A new effect is one small class in one file:
+
+    class MotorConstant(Effect):
+        kind = "motor_constant"
+
+        @classmethod
+        def places(cls, machine):
+            return machine.actuators
+
+        @property
+        def parameters(self):
+            return (Parameter(name="factor", unit="", low=0.2, high=5.0, scale=1.0, log=True),)
+
+        @property
+        def starts(self):
+            return ((0.8,), (1.25,))
+
+        nothing = (1.0,)
+
+        def edit(self, spec, values):
+            ...
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import UnknownName
+from loose_env.gap.machine import Machine
+from loose_env.gap.parameter import Parameter
+
+__all__ = ["Effect", "Readings"]
+
+Array = NDArray[np.float64]
+
+Readings = dict[str, Array]
+"""Column without axis -> readings (..., T) of a scalar, (..., T, 3) of a vector."""
+
+
+class Effect:
+    """One effect at one place.
+
+    Parameters
+    ----------
+    machine : Machine
+        The nominal model and its figures.
+    where : str
+        One of `places`.
+
+    Raises
+    ------
+    UnknownName
+        If it cannot be there.
+    """
+
+    kind: ClassVar[str] = ""
+    """Identifier, as in the result file."""
+    in_model: ClassVar[bool] = True
+    """Whether plain MJCF expresses it; otherwise `code` says how it is applied."""
+    nothing: ClassVar[tuple[float, ...] | None] = None
+    """Values at which the effect vanishes; None where it does so only in a limit."""
+    adds_motion: ClassVar[bool] = False
+    """Whether the edit adds a degree of freedom, which no inverse comparison can show."""
+    variants: ClassVar[tuple[str, ...]] = ("",)
+    """Forms of the same kind, the usual one first; the result file does not tell them apart."""
+
+    def __init__(self, machine: Machine, where: str, variant: str | None = None) -> None:
+        if where not in self.places(machine):
+            raise UnknownName(
+                f"{self.kind} cannot be at {where!r}; its places are {list(self.places(machine))}"
+            )
+        forms = self.forms(machine, where)
+        if variant is None:
+            variant = forms[0]
+        if variant not in forms:
+            raise UnknownName(
+                f"{self.kind} at {where!r} has no variant {variant!r}; it has {list(forms)}"
+            )
+        self.machine, self.where, self.variant = machine, where, variant
+
+    def __repr__(self) -> str:
+        """Kind, place, and the variant where there are several."""
+        return f"{self.kind}@{self.where}" + (f" ({self.variant})" if self.variant else "")
+
+    @property
+    def moves(self) -> bool:
+        """Whether it acts on the motion, not on the readings alone."""
+        own = type(self)
+        return own.edit is not Effect.edit or own.command is not Effect.command
+
+    @classmethod
+    def forms(cls, machine: Machine, where: str) -> tuple[str, ...]:
+        """Those of `variants` that make a difference at a place; never empty."""
+        return cls.variants
+
+    @classmethod
+    def places(cls, machine: Machine) -> tuple[str, ...]:
+        """Where it can be: names of the model, or "tool", "base", "all"."""
+        raise NotImplementedError
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What is to be found out."""
+        raise NotImplementedError
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Values from which fits begin, each clearly visible."""
+        raise NotImplementedError
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Change the spec in place; names that the recording uses must stay valid."""
+
+    def export(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Change the spec of the model that is written out, which has no `command` and no `read`.
+
+        As `edit`, unless MJCF has means of its own for what those two do.
+        """
+        self.edit(spec, values)
+
+    def command(self, time: Array, controls: Array, values: Array) -> Array:
+        """What reaches the actuators.
+
+        Parameters
+        ----------
+        time : ndarray (T,)
+            Simulation steps [s], evenly spaced.
+        controls : ndarray (T, actuators)
+            Commands at these steps.
+        values : ndarray (P,)
+            Of the parameters.
+        """
+        return controls
+
+    def unseen_torque(self, angle: Array, speed: Array, values: Array) -> Array:
+        """What the joint needs for a motion (T,) [N·m or N] that inverse dynamics leave out.
+
+        Zero but for effects whose edit adds a drive without input: MuJoCo's inverse dynamics of
+        the edited model know dampers, springs and dry friction, but no actuators.
+        """
+        return np.zeros_like(angle)
+
+    def sensed_torque(self, joint: str, torque: Array, values: Array) -> Array:
+        """What is shown as a drive's torque in an inverse comparison, where a joint needs it (T,).
+
+        Drives tell their torque by their current: a drive that gives more for it shows less.
+        """
+        return torque
+
+    def read(self, time: Array, readings: Readings, values: Array) -> Readings:
+        """What the sensors show, in place of what an ideal one would; never changes its input."""
+        return readings
+
+    def code(self, values: Array) -> str:
+        """Python lines that apply to a simulation what MJCF cannot express; "" if nothing."""
+        return ""
+
+    def propose(
+        self, angle: Array, speed: Array, acceleration: Array, torque: Array
+    ) -> tuple[tuple[float, ...], ...]:
+        """Starts from data, in place of `starts`; empty where the data propose nothing.
+
+        Parameters
+        ----------
+        angle, speed, acceleration : ndarray (T,)
+            Motion of the effect's joint [rad, rad/s, rad/s² or m, m/s, m/s²].
+        torque : ndarray (T,)
+            What the joint needed beyond the nominal model for that motion [N·m or N].
+        """
+        return ()

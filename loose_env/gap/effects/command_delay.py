@@ -1,0 +1,91 @@
+"""Delay between a command and the actuator."""
+
+from __future__ import annotations
+
+from math import ceil
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.effect import Effect
+from loose_env.gap.machine import Machine
+from loose_env.gap.parameter import Parameter
+
+__all__ = ["CommandDelay", "history_for"]
+
+Array = NDArray[np.float64]
+
+_LONGEST = 0.25
+"""Longest delay that is tried [s]."""
+_LINEAR = 1  # MuJoCo's interpolation order
+
+
+class CommandDelay(Effect):
+    """Commands arrive late, at one actuator or ("all") at all of them.
+
+    A command is held from its step to the next. Held commands that come late by a part of a step
+    change within it; what counts is their mean over the step, which is a straight line between
+    the two. MuJoCo's own delay, as which it is written out, does the same from one step upward.
+    """
+
+    kind = "command_delay"
+    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+
+    @classmethod
+    def places(cls, machine: Machine) -> tuple[str, ...]:
+        """Every actuator, and all of them if there are several."""
+        named = tuple(name for name in machine.actuators if name)
+        return (*named, "all") if len(machine.actuators) > 1 else named
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The delay."""
+        return (Parameter(name="delay", unit="s", low=0.0, high=_LONGEST, scale=0.01),)
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """A short delay, a long one, and that of a bus servo."""
+        return ((0.004,), (0.03,), (0.12,))
+
+    def command(self, time: Array, controls: Array, values: Array) -> Array:
+        """Shift the commands; before the first sample the first one holds."""
+        delay = float(values[0])
+        if delay <= 0:
+            return controls
+        late = controls.copy()
+        for number in self._numbers:
+            late[:, number] = np.interp(time - delay, time, controls[:, number])
+        return late
+
+    def export(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Give the actuators a history and a delay."""
+        delay = float(values[0])
+        if delay <= 0:
+            return
+        if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+            # It reads the history within the step too, on average half a step later.
+            delay += 0.5 * spec.option.timestep
+        for number in self._numbers:
+            actuator = spec.actuators[number]
+            actuator.delay, actuator.interp = delay, _LINEAR
+            actuator.nsample = history_for(delay, spec.option.timestep)
+
+    @property
+    def _numbers(self) -> list[int]:
+        actuators = self.machine.actuators
+        if self.where == "all":
+            return list(range(len(actuators)))
+        return [actuators.index(self.where)]
+
+
+def history_for(delay: float, step: float) -> int:
+    """Samples that MuJoCo has to keep for a delay [s] at a step [s].
+
+    Examples
+    --------
+    >>> history_for(0.0105, 0.001)
+    13
+    """
+    return ceil(delay / step - 1e-9) + 2

@@ -1,0 +1,110 @@
+"""A joint that an effect adds to a link, behind the link's own."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.effects.coulomb_friction import make_it_stick
+from loose_env.gap.machine import Machine
+
+__all__ = [
+    "FASTEST",
+    "MOTOR_SHARE",
+    "add_extra_joint",
+    "keep_motor_side",
+    "last_joints",
+    "set_stops",
+]
+
+Array = NDArray[np.float64]
+
+FASTEST = 0.8
+"""Largest angle by which an added spring's mode may turn in a step, at the model's zero [rad]."""
+MOTOR_SHARE = 0.02
+"""What stays on the motor side of a joint without rotor, as a share of what the joint carries."""
+_SOFT = 1e-4  # MuJoCo's smallest constraint impedance
+_STOP_DAMPING = 0.2  # damping ratio of a mode on a stop
+
+
+def last_joints(machine: Machine) -> tuple[str, ...]:
+    """Joints that are the last of their body, behind which an extra one can stand."""
+    bodies = [int(b) for b in machine.model.jnt_bodyid]
+    return tuple(
+        name
+        for k, name in enumerate(machine.joints)
+        if k + 1 == len(bodies) or bodies[k + 1] != bodies[k]
+    )
+
+
+def add_extra_joint(
+    body: mujoco.MjsBody,
+    name: str,
+    *,
+    turns: bool,
+    axis: Array,
+    pos: Array,
+    stiffness: float = 0.0,
+    damping: float = 0.0,
+    friction: float = 0.0,
+    step: float = 0.0,
+) -> mujoco.MjsJoint:
+    """Add a hinge or slide to a body, after its own joints; the model's defaults do not apply."""
+    kind = mujoco.mjtJoint.mjJNT_HINGE if turns else mujoco.mjtJoint.mjJNT_SLIDE
+    joint = body.add_joint(
+        name=name,
+        type=kind,
+        axis=axis,
+        pos=pos,
+        ref=0.0,
+        springref=0.0,
+        armature=0.0,
+        stiffness=[stiffness, 0, 0],
+        damping=[damping, 0, 0],
+        frictionloss=friction,
+        limited=mujoco.mjtLimited.mjLIMITED_FALSE,
+        range=[0, 0],
+        margin=0.0,
+        springdamper=[0, 0],
+        actfrclimited=mujoco.mjtLimited.mjLIMITED_FALSE,
+        actgravcomp=False,
+    )
+    if friction > 0:
+        make_it_stick(joint, step)
+    return joint
+
+
+def set_stops(joint: mujoco.MjsJoint, reach: float, stiffness: float, weight: float) -> None:
+    """Give an added joint stops at ±reach.
+
+    A stop pushes back with k r + c v, where r is the penetration and v its rate: MuJoCo's
+    smallest impedance makes a limit a spring and a damper, and the direct format of ``solref``,
+    scaled with the inverse weight, gives it figures in N/m or N·m/rad. The damping ratio is 0.2.
+
+    Parameters
+    ----------
+    joint : MjsJoint
+        The joint.
+    reach : float
+        Half the gap [rad or m].
+    stiffness : float
+        Of either stop [N·m/rad or N/m].
+    weight : float
+        Inverse of the inertia on the stop [1/(kg·m²) or 1/kg].
+    """
+    damping = 2 * _STOP_DAMPING * np.sqrt(stiffness / weight)
+    joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+    unit = 1.0
+    if joint.type == mujoco.mjtJoint.mjJNT_HINGE and joint.compiler.degree:
+        unit = 180.0 / np.pi
+    joint.range = [-reach * unit, reach * unit]
+    joint.solimp_limit = [_SOFT, _SOFT, 0.001, 0.5, 2]
+    scale = (1 - _SOFT) * weight
+    joint.solref_limit = [-stiffness * scale, -damping * scale]
+
+
+def keep_motor_side(machine: Machine, spec: mujoco.MjSpec, name: str, carried: float) -> None:
+    """Leave a little inertia [kg·m² or kg] on the motor side of a joint that has no rotor."""
+    joint = spec.joint(name)
+    joint.armature = max(joint.armature, MOTOR_SHARE * carried)

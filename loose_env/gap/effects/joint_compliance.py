@@ -1,0 +1,126 @@
+"""An elastic drive: a spring and a damper between motor side and link side of a joint."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from math import pi, sqrt
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.effects.extra_joint import (
+    FASTEST,
+    add_extra_joint,
+    keep_motor_side,
+    last_joints,
+)
+from loose_env.gap.effects.joint_effect import JointEffect, added_name
+from loose_env.gap.machine import Machine
+from loose_env.gap.parameter import Parameter
+
+__all__ = [
+    "JointCompliance",
+    "SplitJoint",
+    "damping_ratio",
+    "stiffness_between",
+    "stiffness_starts",
+]
+
+Array = NDArray[np.float64]
+
+_SLOWEST_HZ = 0.3
+"""Mode of the softest spring that is tried."""
+_START_HZ = (4.0, 12.0, 35.0)
+"""Modes of the springs from which fits start."""
+_START_DAMPING = 0.05
+
+
+class SplitJoint(JointEffect):
+    """A joint whose drive is not rigid: an extra joint on the same axis behind it.
+
+    The joint itself is the motor side: its sensors, servo, friction and rotor stay with it. A
+    joint without rotor gets a fiftieth of what it carries as one.
+    """
+
+    adds_motion = True
+
+    @classmethod
+    def places(cls, machine: Machine) -> tuple[str, ...]:
+        """Every joint that is the last of its body."""
+        return last_joints(machine)
+
+    def _split(
+        self, spec: mujoco.MjSpec, *, stiffness: float = 0.0, damping: float = 0.0
+    ) -> mujoco.MjsJoint:
+        """Add the link side; return its joint."""
+        number = self.machine.joint_number(self.where)
+        keep_motor_side(self.machine, spec, self.where, self.carried)
+        return add_extra_joint(
+            spec.body(self.machine.body_of(self.where)),
+            added_name(self.where, self.kind),
+            turns=self.machine.turns(self.where),
+            axis=self.machine.model.jnt_axis[number],
+            pos=self.machine.model.jnt_pos[number],
+            stiffness=stiffness,
+            damping=damping,
+        )
+
+    @cached_property
+    def weight(self) -> float:
+        """Inverse of the inertia on the link side [1/(kg·m²) or 1/kg], all others free."""
+        spec = self.machine.fresh()
+        name = self._split(spec).name
+        model = spec.compile()
+        return float(model.dof_invweight0[model.joint(name).dofadr[0]])
+
+    @property
+    def step(self) -> float:
+        """Simulation step [s]."""
+        return self.machine.step or float(self.machine.model.opt.timestep)
+
+
+class JointCompliance(SplitJoint):
+    """A spring and a damper; the rigid drive is the limit of a stiff spring."""
+
+    kind = "joint_compliance"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Stiffness, and the damping ratio of the link on the spring with the motor held."""
+        unit = f"{self.torque_unit}/{self.angle_unit}"
+        return (stiffness_between(self.carried, self.weight, self.step, unit), damping_ratio())
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Modes of a soft, a middling and a stiff drive."""
+        return stiffness_starts(self.carried, self.parameters[0])
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Put the spring behind the joint."""
+        stiffness, ratio = float(values[0]), float(values[1])
+        self._split(spec, stiffness=stiffness, damping=2 * ratio * sqrt(stiffness * self.carried))
+
+
+def stiffness_between(carried: float, weight: float, step: float, unit: str) -> Parameter:
+    """Stiffness of an added spring, from very soft to what the step [s] can follow."""
+    low = carried * (2 * pi * _SLOWEST_HZ) ** 2
+    high = max((FASTEST / step) ** 2 / weight, 10 * low)
+    return Parameter(
+        name="stiffness", unit=unit, low=low, high=high, scale=sqrt(low * high), log=True
+    )
+
+
+def damping_ratio() -> Parameter:
+    """Damping ratio of an added spring: a nuisance, of 0.05 give or take a factor of four."""
+    return Parameter(
+        name="damping_ratio", unit="", low=1e-3, high=2.0, scale=_START_DAMPING, log=True,
+        centre=_START_DAMPING, spread=1.4,
+    )  # fmt: skip
+
+
+def stiffness_starts(carried: float, stiffness: Parameter) -> tuple[tuple[float, float], ...]:
+    """Springs with modes from slow to fast, none stiffer than half the stiffest."""
+    wanted = (carried * (2 * pi * hz) ** 2 for hz in _START_HZ)
+    kept = dict.fromkeys(stiffness.clipped(min(k, 0.5 * stiffness.high)) for k in wanted)
+    return tuple((k, _START_DAMPING) for k in kept)

@@ -1,0 +1,175 @@
+"""A link that bends: a hinge with a spring in its middle."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from math import sqrt
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.effect import Effect
+from loose_env.gap.effects.extra_joint import add_extra_joint
+from loose_env.gap.effects.geometry import frame_about, link_ends, normal_of, reach_of
+from loose_env.gap.effects.inertials import Inertial, inertial_of, set_inertial, steiner
+from loose_env.gap.effects.joint_compliance import (
+    damping_ratio,
+    stiffness_between,
+    stiffness_starts,
+)
+from loose_env.gap.effects.joint_effect import added_name
+from loose_env.gap.effects.link_mass import links_with_mass
+from loose_env.gap.effects.split_body import move_children, move_geoms, move_sites
+from loose_env.gap.machine import Machine
+from loose_env.gap.parameter import Parameter
+
+__all__ = ["LinkFlexibility", "halves"]
+
+Array = NDArray[np.float64]
+
+_SHORTEST = 0.03
+"""Shortest link that can bend, in lengths of the machine."""
+_ALONG = 0.1
+"""Sine of the smallest angle between joint and link at which the joint's axis is one of bending."""
+
+
+class LinkFlexibility(Effect):
+    """A link in two halves, with a hinge, a spring and a damper between them.
+
+    The near half keeps the body's name and its joint; the far half, a body of its own, carries
+    what lies beyond the middle of the link: bodies, sites, geoms. Mass, centre and inertia of the
+    straight link stay. Variant "": it bends about its joint's axis, in a machine that moves in a
+    plane within that plane; variant "across": about the axis perpendicular to that and the link.
+    """
+
+    kind = "link_flexibility"
+    adds_motion: ClassVar[bool] = True
+    variants: ClassVar[tuple[str, ...]] = ("", "across")
+
+    @classmethod
+    def places(cls, machine: Machine) -> tuple[str, ...]:
+        """Every link with mass that is not too short."""
+        shortest = _SHORTEST * reach_of(machine)
+        lengths = {
+            link: float(np.linalg.norm(np.subtract(*link_ends(machine, link))))
+            for link in links_with_mass(machine)
+        }
+        return tuple(link for link, length in lengths.items() if length > shortest)
+
+    @classmethod
+    def forms(cls, machine: Machine, where: str) -> tuple[str, ...]:
+        """Both in space, one in a plane."""
+        return cls.variants if normal_of(machine) is None else cls.variants[:1]
+
+    def __init__(self, machine: Machine, where: str, variant: str | None = None) -> None:
+        super().__init__(machine, where, variant)
+        start, end = link_ends(machine, where)
+        self._middle, self._length = 0.5 * (start + end), float(np.linalg.norm(end - start))
+        self._along = (end - start) / self._length
+        normal = normal_of(machine)
+        if normal is not None:
+            data = mujoco.MjData(machine.model)
+            mujoco.mj_kinematics(machine.model, data)
+            axis = data.body(where).xmat.reshape(3, 3).T @ normal
+        else:
+            axis = machine.model.jnt_axis[machine.joint_number(machine.first_joint(where))]
+        axis = axis - self._along * (axis @ self._along)
+        if np.linalg.norm(axis) < _ALONG:
+            axis = frame_about(self._along)[1]
+        axis = axis / np.linalg.norm(axis)
+        self._axis = np.cross(self._along, axis) if self.variant else axis
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Stiffness, and the damping ratio of the far half with the near one held."""
+        carried, weight = self._figures
+        step = self.machine.step or float(self.machine.model.opt.timestep)
+        return (stiffness_between(carried, weight, step, "N·m/rad"), damping_ratio())
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Modes from slow to fast."""
+        return stiffness_starts(self._figures[0], self.parameters[0])
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Cut the link and put the spring in between."""
+        stiffness, ratio = float(values[0]), float(values[1])
+        damping = 2 * ratio * sqrt(stiffness * self._figures[0])
+        self._cut(spec, stiffness, damping)
+
+    @property
+    def _name(self) -> str:
+        return added_name(self.where, f"{self.kind}_{self.variant}" if self.variant else self.kind)
+
+    def _cut(self, spec: mujoco.MjSpec, stiffness: float, damping: float) -> None:
+        whole = inertial_of(self.machine, spec, self.where)
+        near, far = halves(whole, self._along, self._length)
+        old = spec.body(self.where)
+        new = old.add_body(name=self._name, pos=self._middle)
+        move_children(self.machine, spec, old, new, self._along)
+        move_sites(self.machine, spec, old, new, self._along)
+        move_geoms(spec, old, new, self._along)
+        set_inertial(self.machine, spec, self.where, near)
+        place = far.centre - self._middle
+        set_inertial(self.machine, spec, self._name, Inertial(far.mass, place, far.tensor))
+        add_extra_joint(
+            new,
+            self._name,
+            turns=True,
+            axis=self._axis,
+            pos=np.zeros(3),
+            stiffness=stiffness,
+            damping=damping,
+        )
+
+    @cached_property
+    def _figures(self) -> tuple[float, float]:
+        """What the hinge carries [kg·m²], and its inverse weight with all joints free."""
+        spec = self.machine.fresh()
+        self._cut(spec, 0.0, 0.0)
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        mass = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, mass)
+        dof = int(model.joint(self._name).dofadr[0])
+        return float(mass[dof, dof]), float(model.dof_invweight0[dof])
+
+
+def halves(whole: Inertial, along: Array, length: float) -> tuple[Inertial, Inertial]:
+    """Two equal bodies that together are one: same mass, centre and inertia.
+
+    Their centres lie apart along the link, a quarter of its length to either side of the common
+    one, or less where the link's inertia does not allow that.
+
+    Parameters
+    ----------
+    whole : Inertial
+        The link.
+    along : ndarray (3,)
+        Unit vector along it.
+    length : float
+        Of the link [m].
+    """
+    lever = 0.25 * length * along
+    tensor = 0.5 * (whole.tensor - steiner(whole.mass, lever))
+    while not _solid(tensor):
+        lever = 0.9 * lever
+        if np.linalg.norm(lever) < 1e-6 * length:
+            lever = np.zeros(3)
+        tensor = 0.5 * (whole.tensor - steiner(whole.mass, lever))
+        if not lever.any():
+            break
+    mass = 0.5 * whole.mass
+    return (
+        Inertial(mass, whole.centre - lever, tensor),
+        Inertial(mass, whole.centre + lever, tensor),
+    )
+
+
+def _solid(tensor: Array) -> bool:
+    """Whether a body can have an inertia (3, 3)."""
+    low, middle, high = np.linalg.eigvalsh(tensor)
+    return bool(low > 1e-3 * high and high < (low + middle) * (1 - 1e-9))

@@ -1,0 +1,81 @@
+"""Delay of a sensor."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.effect import Effect, Readings
+from loose_env.gap.effects.command_delay import history_for
+from loose_env.gap.effects.sensor_kinds import column_of
+from loose_env.gap.machine import Machine
+from loose_env.gap.parameter import Parameter
+
+__all__ = ["SensorDelay", "delayed"]
+
+Array = NDArray[np.float64]
+
+_LONGEST = 0.25
+"""Longest delay that is tried [s]."""
+
+
+class SensorDelay(Effect):
+    """A sensor shows what was; servos see the joint itself, as it is.
+
+    Written out as MuJoCo's own sensor delay.
+    """
+
+    kind = "sensor_delay"
+    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+
+    @classmethod
+    def places(cls, machine: Machine) -> tuple[str, ...]:
+        """Every sensor."""
+        return tuple(name for name in machine.sensors if name)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The delay."""
+        return (Parameter(name="delay", unit="s", low=0.0, high=_LONGEST, scale=0.01),)
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """A short delay, a long one, and that of a bus servo."""
+        return ((0.004,), (0.03,), (0.12,))
+
+    def read(self, time: Array, readings: Readings, values: Array) -> Readings:
+        """Shift the sensor's column."""
+        column = column_of(self.where)
+        if column not in readings or values[0] <= 0:
+            return readings
+        vector = int(self.machine.model.sensor(self.where).dim[0]) > 1
+        late = delayed(time, readings[column], float(values[0]), axis=-2 if vector else -1)
+        return {**readings, column: late}
+
+    def export(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Give the sensor a history and a delay."""
+        delay = float(values[0])
+        if delay <= 0:
+            return
+        sensor = spec.sensor(self.where)
+        sensor.delay, sensor.interp = delay, 1
+        sensor.nsample = history_for(delay, spec.option.timestep)
+
+
+def delayed(time: Array, values: Array, delay: float, *, axis: int = -1) -> Array:
+    """Values as they were, straight lines between samples; before the first one it holds.
+
+    Examples
+    --------
+    >>> delayed(np.arange(4.0), np.array([0.0, 2.0, 4.0, 6.0]), 0.5)
+    array([0., 1., 3., 5.])
+    """
+    at = np.interp(time - delay, time, np.arange(len(time), dtype=float))
+    low = np.floor(at).astype(int)
+    high = np.minimum(low + 1, len(time) - 1)
+    moved = np.moveaxis(values, axis, -1)
+    share = at - low
+    return np.moveaxis(moved[..., low] * (1 - share) + moved[..., high] * share, -1, axis)

@@ -1,0 +1,150 @@
+"""Structural looseness: a link slides on its seat within a gap."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from math import pi
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.effect import Effect
+from loose_env.gap.effects.backlash import stop_stiffness
+from loose_env.gap.effects.extra_joint import add_extra_joint, keep_motor_side, set_stops
+from loose_env.gap.effects.geometry import frame_about, normal_of, reach_of
+from loose_env.gap.effects.joint_effect import added_name
+from loose_env.gap.machine import Machine
+from loose_env.gap.parameter import Parameter
+
+__all__ = ["StructuralLooseness"]
+
+Array = NDArray[np.float64]
+
+_MOST_JOINTS = 3
+"""Joints of a link beside which there is room for slides: a body has six at most."""
+
+
+class StructuralLooseness(Effect):
+    """An extra slide behind the link's joint, between stops, with dry friction.
+
+    Its direction is fixed in the link. In a machine that moves in a plane it lies in that plane,
+    at ``angle`` from the body's axis nearest to it; in space ``azimuth`` counts about the body's
+    z axis from its x axis, and ``elevation`` from the plane of both.
+    """
+
+    kind = "structural_looseness"
+    adds_motion: ClassVar[bool] = True
+
+    @classmethod
+    def places(cls, machine: Machine) -> tuple[str, ...]:
+        """Every link with room for another joint."""
+        count = machine.model.body_jntnum
+        return tuple(n for n in machine.links if count[machine.model.body(n).id] <= _MOST_JOINTS)
+
+    def __init__(self, machine: Machine, where: str, variant: str | None = None) -> None:
+        super().__init__(machine, where, variant)
+        normal = normal_of(machine)
+        self._plane: Array | None = None
+        if normal is not None:
+            data = mujoco.MjData(machine.model)
+            mujoco.mj_kinematics(machine.model, data)
+            self._plane = frame_about(data.body(where).xmat.reshape(3, 3).T @ normal)[1:]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Direction, gap, friction, stiffness of the stops."""
+        turn = dict(unit="rad", low=-2 * pi, high=2 * pi, scale=0.5)
+        names = ("angle",) if self._plane is not None else ("azimuth", "elevation")
+        length, force = reach_of(self.machine), 1.0 / self._mean_weight
+        return (
+            *(Parameter(name=name, **turn) for name in names),  # type: ignore[arg-type]
+            Parameter(
+                name="gap", unit="m", low=1e-5 * length, high=0.05 * length, scale=1e-3 * length,
+                log=True,
+            ),
+            Parameter(
+                name="friction", unit="N", low=1e-3 * force, high=100 * force, scale=force, log=True
+            ),
+            stop_stiffness(self._mean_weight, self._step, "N/m"),
+        )  # fmt: skip
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Directions all round, a gap of a thousandth of the reach, little friction."""
+        _, friction, stiffness = self.parameters[-3:]
+        rest = (1e-3 * reach_of(self.machine), 0.3 * friction.scale, stiffness.scale)
+        if self._plane is not None:
+            return tuple((angle, *rest) for angle in (0.0, pi / 3, 2 * pi / 3))
+        tilt = 0.55  # of the six axes of an icosahedron, one of them moved to z
+        ring = tuple((2 * pi * k / 5, tilt) for k in range(5))
+        return tuple((azimuth, up, *rest) for azimuth, up in (*ring, (0.0, pi / 2)))
+
+    def direction(self, values: Array) -> Array:
+        """Unit vector (3,) of the slide, in the body's frame."""
+        if self._plane is not None:
+            return np.asarray(np.array([np.cos(values[0]), np.sin(values[0])]) @ self._plane)
+        azimuth, up = values[0], values[1]
+        flat = np.cos(up)
+        return np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(up)])
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Put the slide behind the link's joints."""
+        self._keep_rotors(spec)
+        direction = self.direction(values)
+        gap, friction, stiffness = (float(v) for v in values[-3:])
+        joint = add_extra_joint(
+            spec.body(self.where),
+            added_name(self.where, self.kind),
+            turns=False,
+            axis=direction,
+            pos=np.zeros(3),
+            friction=friction,
+            step=spec.option.timestep,
+        )
+        weight = self._weight(direction)
+        # The same contact mode in every direction.
+        set_stops(joint, 0.5 * gap, stiffness * self._mean_weight / weight, weight)
+
+    def _keep_rotors(self, spec: mujoco.MjSpec) -> None:
+        """Leave inertia on the drive's side of a slide: the added one may lie along it."""
+        machine = self.machine
+        body = machine.model.body(self.where).id
+        for joint, owner in zip(machine.joints, machine.model.jnt_bodyid, strict=True):
+            if owner == body and not machine.turns(joint):
+                keep_motor_side(machine, spec, joint, machine.inertia(joint))
+
+    @property
+    def _step(self) -> float:
+        return self.machine.step or float(self.machine.model.opt.timestep)
+
+    @cached_property
+    def _mass(self) -> tuple[Array, list[int], list[int]]:
+        """Mass matrix with slides along the body's three axes; own and added places in it."""
+        spec = self.machine.fresh()
+        self._keep_rotors(spec)
+        names = [added_name(self.where, axis) for axis in "xyz"]
+        body = spec.body(self.where)
+        for name, axis in zip(names, np.eye(3), strict=True):
+            add_extra_joint(body, name, turns=False, axis=axis, pos=np.zeros(3))
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        mass = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, mass)
+        added = [int(model.joint(name).dofadr[0]) for name in names]
+        return mass, [k for k in range(model.nv) if k not in added], added
+
+    def _weight(self, direction: Array) -> float:
+        """Inverse of the mass on the slide [1/kg], all joints free."""
+        mass, own, added = self._mass
+        basis = np.zeros((len(mass), len(own) + 1))
+        basis[own, np.arange(len(own))] = 1.0
+        basis[added, -1] = direction
+        return float(np.linalg.inv(basis.T @ mass @ basis)[-1, -1])
+
+    @cached_property
+    def _mean_weight(self) -> float:
+        axes = np.eye(3) if self._plane is None else self._plane
+        return float(np.exp(np.mean([np.log(self._weight(axis)) for axis in axes])))

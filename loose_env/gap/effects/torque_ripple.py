@@ -1,0 +1,115 @@
+"""Torque ripple: a torque that is periodic in the joint's angle, of cogging or of gear teeth."""
+
+from __future__ import annotations
+
+from math import atan2, hypot, pi
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lombscargle
+
+from loose_env.gap.effects.joint_effect import JointEffect, added_name
+from loose_env.gap.effects.passive_drive import add_passive_drive
+from loose_env.gap.parameter import Parameter
+
+__all__ = ["TorqueRipple"]
+
+Array = NDArray[np.float64]
+
+_MOST_PERIODS = 400.0
+"""Periods per turn that are tried at most."""
+_TRIED = 4000
+"""Numbers of periods in the search, at most."""
+_PROPOSED = 3
+"""Peaks that become starts."""
+_SAMPLES = 4000
+"""Samples that the search looks at."""
+
+
+class TorqueRipple(JointEffect):
+    """Torque A sin(N q + phase) on the joint; N counts periods per turn, for a slide per 2π m."""
+
+    kind = "torque_ripple"
+    nothing: ClassVar[tuple[float, ...] | None] = (0.0, 1.0, 0.0)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Amplitude, periods, phase."""
+        return (
+            Parameter(
+                name="amplitude",
+                unit=self.torque_unit,
+                low=0.0,
+                high=10 * self.load,
+                scale=0.1 * self.load,
+            ),
+            Parameter(
+                name="periods", unit=f"1/{self.angle_unit}", low=0.5, high=2 * self._most, scale=1.0
+            ),
+            Parameter(name="phase", unit="rad", low=-2 * pi, high=2 * pi, scale=0.5),
+        )
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """A few numbers of periods; only `propose` can cover all of them."""
+        lone = 1.0 if self.machine.turns(self.where) else 2 * pi / 0.1
+        return tuple(
+            (0.1 * self.load, n * lone, phase) for n in (2.0, 6.0) for phase in (0.0, pi / 2)
+        )
+
+    @property
+    def _most(self) -> float:
+        return _MOST_PERIODS if self.machine.turns(self.where) else 2 * pi / 1e-3
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add a drive without input whose cogging it is."""
+        add_passive_drive(
+            spec,
+            self.where,
+            added_name(self.where, self.kind),
+            cogging=[float(v) for v in values],
+        )
+
+    def unseen_torque(self, angle: Array, speed: Array, values: Array) -> Array:
+        """The opposite of what the ripple gives."""
+        amplitude, periods, phase = values
+        return np.asarray(-amplitude * np.sin(periods * angle + phase))
+
+    def propose(
+        self, angle: Array, speed: Array, acceleration: Array, torque: Array
+    ) -> tuple[tuple[float, ...], ...]:
+        """Least squares of sine and cosine over a fine grid of periods (Lomb and Scargle).
+
+        The grid is as fine as the range of the motion tells apart. The strongest peaks that are
+        not neighbours become starts.
+        """
+        good = np.isfinite(angle) & np.isfinite(torque)
+        every = max(1, int(good.sum()) // _SAMPLES)
+        q, force = angle[good][::every], -torque[good][::every]
+        width = float(np.ptp(q)) if len(q) else 0.0
+        if len(q) < 10 or width <= 0:
+            return ()
+        lowest = max(0.5, pi / width)
+        highest = min(self._most, lowest + _TRIED * 0.25 * 2 * pi / width)
+        if highest <= lowest:
+            return ()
+        spacing = 0.25 * 2 * pi / width
+        grid = np.arange(lowest, highest, spacing)
+        power = lombscargle(q, force - force.mean(), grid, floating_mean=True)
+        found: list[tuple[float, ...]] = []
+        amplitude, periods, _ = self.parameters
+        while len(found) < _PROPOSED and np.any(power > 0):
+            best = float(grid[int(np.argmax(power))])
+            power[np.abs(grid - best) < 2 * pi / width] = 0.0
+            waves = np.stack([np.sin(best * q), np.cos(best * q), np.ones(len(q))], axis=1)
+            sine, cosine, _ = np.linalg.lstsq(waves, force, rcond=None)[0]
+            found.append(
+                (
+                    amplitude.clipped(hypot(sine, cosine)),
+                    periods.clipped(best),
+                    atan2(cosine, sine),
+                )
+            )
+        return tuple(found)

@@ -1,0 +1,57 @@
+"""Viscous friction: a torque against the motion, in proportion to its speed."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.effects.joint_effect import JointEffect, fitted_rate
+from loose_env.gap.parameter import Parameter
+
+__all__ = ["ViscousFriction"]
+
+Array = NDArray[np.float64]
+
+
+class ViscousFriction(JointEffect):
+    """Damping beyond that of the model; less than that down to none at all."""
+
+    kind = "viscous_friction"
+    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The damping added."""
+        per_speed = self.load / self.speed
+        nominal = float(self.machine.model.dof_damping[self._dof])
+        return (
+            Parameter(
+                name="damping",
+                unit=f"{self.torque_unit}·s/{self.angle_unit}",
+                low=-nominal,
+                high=nominal + 50 * per_speed,
+                scale=0.1 * per_speed,
+            ),
+        )
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """A twentieth and a third of the typical torque at the typical speed."""
+        per_speed = self.load / self.speed
+        return ((0.05 * per_speed,), (0.3 * per_speed,))
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add to the joint's damping."""
+        joint = spec.joint(self.where)
+        damping = np.array(joint.damping)
+        damping[0] = max(damping[0] + float(values[0]), 0.0)
+        joint.damping = damping
+
+    def propose(
+        self, angle: Array, speed: Array, acceleration: Array, torque: Array
+    ) -> tuple[tuple[float, ...], ...]:
+        """Regress the torque on the speed."""
+        return ((self.parameters[0].clipped(fitted_rate(speed, torque)),),)

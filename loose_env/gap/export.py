@@ -1,0 +1,160 @@
+"""The corrected model as a plain MJCF file that any MuJoCo reads, without this package."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.file_scan import files_of
+from loose_env.errors import InvalidData
+from loose_env.gap.effect import Effect
+from loose_env.gap.files import written_beside
+from loose_env.gap.machine import Machine
+from loose_env.recording.columns import ModelColumns
+
+__all__ = ["corrected_spec", "correction_code", "write_model"]
+
+Array = NDArray[np.float64]
+
+
+def corrected_spec(
+    machine: Machine, effects: Sequence[Effect], values: Sequence[Array]
+) -> mujoco.MjSpec:
+    """Nominal model with all effects that MJCF can express, with the machine's step.
+
+    Keyframes keep the positions of the model's own joints; what an effect adds is at its zero.
+
+    Parameters
+    ----------
+    machine : Machine
+        The nominal model.
+    effects : sequence of Effect
+        What it lacks, fitted nominal figures included, in the order in which they act.
+    values : sequence of ndarray (P,)
+        Of the parameters of each.
+    """
+    spec = machine.spec.copy()
+    if machine.step > 0:
+        spec.option.timestep = machine.step
+    if machine.integrator is not None:
+        spec.option.integrator = machine.integrator
+    for effect, own in zip(effects, values, strict=True):
+        effect.export(spec, own)
+    _keep_keyframes(spec, machine)
+    return spec
+
+
+def _keep_keyframes(spec: mujoco.MjSpec, machine: Machine) -> None:
+    """Lay the keyframes out anew: MuJoCo fills up at the end, whichever joint was added."""
+    nominal = machine.model
+    if not nominal.nkey:
+        return
+    for key in spec.keys:  # as long as the nominal ones, they would not fit
+        key.qpos, key.qvel, key.act = [], [], []
+    model = spec.copy().compile()
+    places = [int(model.joint(name).qposadr[0]) for name in machine.joints]
+    dofs = [int(model.joint(name).dofadr[0]) for name in machine.joints]
+    for k, key in enumerate(spec.keys):
+        position, speed = model.qpos0.copy(), np.zeros(model.nv)
+        position[places], speed[dofs] = nominal.key_qpos[k], nominal.key_qvel[k]
+        key.qpos, key.qvel = position, speed
+        if model.na:
+            state = np.zeros(model.na)
+            state[: nominal.na] = nominal.key_act[k]
+            key.act = state
+
+
+def correction_code(effects: Sequence[Effect], values: Sequence[Array]) -> str:
+    """Python lines that apply to readings what MJCF cannot express; "" if nothing."""
+    lines = [effect.code(own) for effect, own in zip(effects, values, strict=True)]
+    return "\n".join(line for line in lines if line)
+
+
+def write_model(
+    path: Path,
+    machine: Machine,
+    effects: Sequence[Effect],
+    values: Sequence[Array],
+    *,
+    source: Path | None = None,
+    notes: Sequence[str] = (),
+) -> list[Path]:
+    """Write the corrected model, with the meshes and textures it needs beside it.
+
+    Parameters
+    ----------
+    path : Path
+        Where the model goes.
+    machine, effects, values
+        As in `corrected_spec`.
+    source : Path, optional
+        File of the nominal model; what it refers to is copied.
+    notes : sequence of str
+        Lines that stand at the head of the file.
+
+    Returns
+    -------
+    list of Path
+        The files written, the model first.
+
+    Raises
+    ------
+    InvalidData
+        If the model does not compile from the file, or a column of the recording would no longer
+        name anything in it.
+    """
+    text = corrected_spec(machine, effects, values)
+    try:
+        text.compile()
+        xml = text.to_xml()
+    except Exception as error:  # MuJoCo raises ValueError and mujoco.FatalError alike
+        raise InvalidData(f"the corrected model does not compile: {error}") from error
+    if notes:
+        said = "\n".join(f"  {_comment(note)}" for note in notes)
+        xml = f"<!--\n{said}\n-->\n{xml}"
+    copied = [] if source is None else _copy_assets(source.resolve(), path.parent, xml)
+
+    def write(beside: Path) -> None:
+        beside.write_text(xml, encoding="utf-8")
+        try:
+            model = mujoco.MjModel.from_xml_path(str(beside))
+        except ValueError as error:
+            raise InvalidData(f"the corrected model does not compile: {error}") from error
+        _check_columns(machine.model, model)
+
+    return [written_beside(path, write), *copied]
+
+
+def _comment(note: str) -> str:
+    """Return a line that may stand in a comment of an XML file."""
+    return " ".join(note.split()).replace("--", "−−")
+
+
+def _copy_assets(source: Path, folder: Path, xml: str) -> list[Path]:
+    """Copy what a model refers to; files it includes only if the new one names them still."""
+    copied = []
+    for file in sorted(files_of(source) - {source}):
+        if file.suffix.lower() in (".xml", ".mjcf") and file.name not in xml:
+            continue
+        target = folder / file.relative_to(source.parent)
+        if target == file:
+            continue
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(file, target)
+        copied.append(target)
+    return copied
+
+
+def _check_columns(nominal: mujoco.MjModel, model: mujoco.MjModel) -> None:
+    """Refuse a model in which a column would name nothing, or something else."""
+    before, after = ModelColumns.of(nominal).known, ModelColumns.of(model).known
+    lost = [column for column, meaning in before.items() if after.get(column) != meaning]
+    if lost:
+        raise InvalidData(
+            f"the corrected model has no {lost[0]!r} any more: an effect has changed its name"
+        )

@@ -1,0 +1,253 @@
+"""Fits the parameters of a hypothesis: bounded Gauss-Newton on batched simulations.
+
+Each iteration is two batches: one for the sensitivities, one that tries several step lengths at
+once. The bounded linear problem inside is scipy's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from loose_env.gap.comparison import Comparison
+from loose_env.gap.effect import Effect
+from loose_env.gap.parameter import Parameter, free_of, values_of
+from loose_env.gap.simulator import Hypothesis
+from loose_env.gap.start import StartState
+
+__all__ = [
+    "Fit",
+    "FitSettings",
+    "cost_of",
+    "fit",
+    "hypothesis_of",
+    "parameters_of",
+    "prior_of",
+    "sensitivities",
+    "started",
+]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitSettings:
+    """How a fit goes about it."""
+
+    iterations: int = 8
+    """Most Gauss-Newton steps."""
+    enough: float = 1e-3
+    """Share of the cost below which a further step is not worth its simulations."""
+    difference: float = 0.05
+    """Step of the sensitivities, in free units."""
+    trusted: float = 0.7
+    """Share of the promised gain below which sensitivities are worked out anew."""
+    dampings: tuple[float, ...] = (0.0, 0.1, 3.0)
+    """Levenberg's dampings that are tried at once, as shares of the curvature."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fit:
+    """A hypothesis with its best parameters."""
+
+    effects: tuple[Effect, ...]
+    """In the order of their parameters."""
+    free: Array
+    """Free numbers (P,)."""
+    residual: Array
+    """Measured less predicted, in noise standard deviations (N,)."""
+    jacobian: Array
+    """Change of the residual with the free numbers (N, P)."""
+    cost: float
+    """Sum of squares of the residual, and of what the free numbers are off their centres."""
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """What it says."""
+        return hypothesis_of(self.effects, self.free)
+
+    @property
+    def rms(self) -> float:
+        """Root mean square residual, in noise standard deviations."""
+        return float(np.sqrt(np.mean(self.residual**2)))
+
+
+def parameters_of(effects: Sequence[Effect]) -> tuple[Parameter, ...]:
+    """Parameters of all effects, one after the other."""
+    return tuple(p for effect in effects for p in effect.parameters)
+
+
+def hypothesis_of(effects: Sequence[Effect], free: Array) -> Hypothesis:
+    """Hypothesis of effects with free numbers (P,); a `StartState` becomes its starts."""
+    kept, values, at = [], [], 0
+    position = speed = None
+    for effect in effects:
+        own = effect.parameters
+        found = values_of(own, free[at : at + len(own)])
+        at += len(own)
+        if isinstance(effect, StartState):
+            position, speed = effect.offsets(found)
+        else:
+            kept.append(effect)
+            values.append(found)
+    return Hypothesis(effects=tuple(kept), values=tuple(values), position=position, speed=speed)
+
+
+def sensitivities(
+    comparison: Comparison,
+    effects: Sequence[Effect],
+    free: Array,
+    residual: Array,
+    which: Sequence[int],
+    *,
+    difference: float = 0.05,
+) -> Array:
+    """Change of the residual with some of the free numbers (N, len(which)); inward at bounds."""
+    parameters = parameters_of(effects)
+    known = _of_starts(comparison, effects, free, residual, which)
+    which, wanted = [k for k in which if k not in known], which
+    tried, steps = [], []
+    for k in which:
+        moved = free.copy()
+        low, high = parameters[k].bounds
+        step = difference if moved[k] + difference <= high else -difference
+        moved[k] = np.clip(moved[k] + step, low, high)
+        steps.append(moved[k] - free[k])
+        tried.append(hypothesis_of(effects, moved))
+    found = comparison.residuals(tried)
+    known |= dict(zip(which, (found - residual) / np.array(steps)[:, None], strict=True))
+    return np.stack([known[k] for k in wanted], axis=1)
+
+
+def _of_starts(
+    comparison: Comparison,
+    effects: Sequence[Effect],
+    free: Array,
+    residual: Array,
+    which: Sequence[int],
+) -> dict[int, Array]:
+    """Number of a start's parameter -> change of the residual with it (N,)."""
+    found, at = {}, 0
+    for effect in effects:
+        own = range(at, at + len(effect.parameters))
+        if isinstance(effect, StartState) and any(k in own for k in which):
+            hypothesis = hypothesis_of(effects, free)
+            columns = effect.sensitivities(comparison, hypothesis, residual)
+            found.update({k: columns[:, k - at] for k in which if k in own})
+        at = own.stop
+    return found
+
+
+def prior_of(parameters: Sequence[Parameter]) -> tuple[Array, Array]:
+    """Centres and weights of the free numbers (P,), weight 0 where nothing is known."""
+    centres = [0.0 if p.centre is None else p.free(p.centre) for p in parameters]
+    weights = [0.0 if p.spread is None else 1.0 / p.spread for p in parameters]
+    return np.array(centres), np.array(weights)
+
+
+def cost_of(residual: Array, free: Array, parameters: Sequence[Parameter]) -> float:
+    """Sum of squares, what is known beforehand included."""
+    centres, weights = prior_of(parameters)
+    return float(residual @ residual + np.sum((weights * (free - centres)) ** 2))
+
+
+def fit(
+    comparison: Comparison,
+    effects: Sequence[Effect],
+    start: Array,
+    *,
+    settings: FitSettings | None = None,
+    known: Array | None = None,
+    residual: Array | None = None,
+) -> Fit:
+    """Fit a hypothesis.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        What is compared.
+    effects : sequence of Effect
+        The hypothesis; those whose sensitivities are known stand first.
+    start : ndarray (P,)
+        Free numbers from which it starts.
+    settings : FitSettings, optional
+        How it goes about it.
+    known : ndarray (N, K), optional
+        Sensitivities of the first K free numbers from a fit nearby. They are kept for all but
+        the last step.
+    residual : ndarray (N,), optional
+        At the start.
+    """
+    settings = settings or FitSettings()
+    parameters = parameters_of(effects)
+    low, high = np.array([p.bounds for p in parameters]).T.reshape(2, -1)
+    free = np.clip(start, low, high)
+    if residual is None:
+        residual = comparison.residuals([hypothesis_of(effects, free)])[0]
+    cost = cost_of(residual, free, parameters)
+    held = 0 if known is None else known.shape[1]
+    jacobian = np.zeros((len(residual), len(parameters)))
+    if known is not None:
+        jacobian[:, :held] = known
+    renewed = held  # sensitivities from here on are worked out (anew); none if past the last
+    for _ in range(settings.iterations):
+        which = range(renewed, len(parameters))
+        if which:
+            jacobian[:, which] = sensitivities(
+                comparison, effects, free, residual, which, difference=settings.difference
+            )
+        steps = [step_of(jacobian, residual, free, parameters, d) for d in settings.dampings]
+        found = comparison.residuals([hypothesis_of(effects, free + step) for step in steps])
+        costs = [cost_of(r, free + s, parameters) for r, s in zip(found, steps, strict=True)]
+        best = int(np.argmin(costs))
+        gained = cost - costs[best]
+        hoped = cost - cost_of(residual + jacobian @ steps[best], free + steps[best], parameters)
+        if gained > 0:
+            free, residual, cost = free + steps[best], found[best], costs[best]
+        if gained < settings.enough * cost:
+            if which:
+                break
+            renewed = held
+        elif gained < settings.trusted * hoped:
+            renewed = 0 if which else held  # the old ones mislead
+        else:
+            renewed = len(parameters)
+    return Fit(effects=tuple(effects), free=free, residual=residual, jacobian=jacobian, cost=cost)
+
+
+def step_of(
+    jacobian: Array,
+    residual: Array,
+    free: Array,
+    parameters: Sequence[Parameter],
+    damping: float,
+) -> Array:
+    """Bounded step that lowers the linearised cost most (P,)."""
+    centres, weights = prior_of(parameters)
+    curvature = jacobian.T @ jacobian + np.diag(weights**2)
+    slope = jacobian.T @ residual + weights**2 * (free - centres)
+    diagonal = np.diag(curvature)
+    ridge = damping * diagonal + 1e-9 * diagonal.max() + 1e-30
+    root = np.linalg.cholesky(curvature + np.diag(ridge))
+    low, high = np.array([p.bounds for p in parameters]).T.reshape(2, -1)
+    room = 1e-9 * (1 + np.abs(free))
+    found = lsq_linear(
+        root.T, -np.linalg.solve(root, slope), bounds=(low - free - room, high - free + room)
+    )
+    return np.asarray(np.clip(free + found.x, low, high) - free)
+
+
+def started(fitted: Fit, effect: Effect, values: Sequence[float]) -> Array:
+    """Free numbers of a fit with one more effect (P + p,)."""
+    return np.concatenate([fitted.free, free_of(effect.parameters, np.array(values))])
+
+
+def refined(fitted: Fit, comparison: Comparison) -> Fit:
+    """The same with sensitivities worked out anew, all of them."""
+    count = len(parameters_of(fitted.effects))
+    jacobian = sensitivities(comparison, fitted.effects, fitted.free, fitted.residual, range(count))
+    return replace(fitted, jacobian=jacobian)

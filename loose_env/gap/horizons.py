@@ -1,0 +1,318 @@
+"""Open-loop error by horizon: the simulation is restarted from the measured state, many times.
+
+A restart takes the state that the hypothesis has at that time of the run and corrects it by what
+the joint sensors showed beyond its prediction. Joints that are not measured, and motions that an
+effect adds, keep their simulated state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch, SimulationError
+from numpy.typing import NDArray
+
+from loose_env.gap.comparison import BURN_IN
+from loose_env.gap.machine import Machine
+from loose_env.gap.simulator import Hypothesis, Simulator
+from loose_env.gap.trial import Channel, Trial
+from loose_env.rig.quiet import quiet
+
+__all__ = ["HORIZONS", "HorizonError", "horizon_errors"]
+
+Array = NDArray[np.float64]
+
+HORIZONS = (0.1, 0.5, 2.0)
+"""How long the simulation runs on its own [s]."""
+_EVERY = 1.0
+"""Time between restarts [s]."""
+_AROUND = 0.03
+"""Length of the readings that a restart goes by [s]; at least `_LEAST` samples."""
+_LEAST = 5
+_BEFORE = 0.3
+"""Simulated readings before a restart that late sensors still show [s]."""
+_SETTLE = 0.4
+"""How long an arm that rests at the start of a run is held beforehand [s]."""
+_WILD = 1e4
+"""Error where a simulation went wild, and the largest that counts [noise standard deviations]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HorizonError:
+    """Error of predictions that run on their own for some time."""
+
+    horizon: float
+    """How long [s]."""
+    over_floor: float
+    """Root mean square over all samples up to then, in noise standard deviations."""
+    by_channel: dict[str, float]
+    """The same by channel."""
+    starts: int
+    """Restarts."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Whole:
+    """A run simulated from its start to its end."""
+
+    model: mujoco.MjModel
+    controls: Array
+    """What reached the actuators (steps, controls)."""
+    states: dict[str, Array]
+    """qpos, qvel, act at every step (steps, ...)."""
+    shown: Array
+    """Sensors and actuator forces at the samples (T, sensors + actuators)."""
+
+
+def horizon_errors(
+    machine: Machine,
+    trials: Sequence[Trial],
+    channels: tuple[Channel, ...],
+    floors: Array,
+    hypothesis: Hypothesis,
+    *,
+    horizons: Sequence[float] = HORIZONS,
+    every: float = _EVERY,
+    threads: int = 0,
+) -> tuple[HorizonError, ...]:
+    """Restart a hypothesis from the measured state at many times of runs.
+
+    Parameters
+    ----------
+    machine : Machine
+        The nominal model.
+    trials : sequence of Trial
+        The runs; inverse ones have no open loop and are left out.
+    channels : tuple of Channel
+        What is compared.
+    floors : ndarray (C,)
+        Noise standard deviation of each channel.
+    hypothesis : Hypothesis
+        What is simulated.
+    horizons : sequence of float
+        How long the simulation runs on its own [s].
+    every : float
+        Time between restarts [s].
+    threads : int
+        Threads of the simulation; 0: all processors.
+
+    Returns
+    -------
+    tuple of HorizonError
+        By horizon; without those that are longer than every run.
+    """
+    longest = max(horizons)
+    squares = np.zeros((len(horizons), len(channels)))
+    counts, starts = np.zeros_like(squares), np.zeros(len(horizons), dtype=int)
+    for t, trial in enumerate(trials):
+        if trial.form == "inverse":
+            continue
+        simulator = Simulator(machine, [trial], channels, threads=threads)
+        own = replace(
+            hypothesis,
+            position=None if hypothesis.position is None else hypothesis.position[t : t + 1],
+            speed=None if hypothesis.speed is None else hypothesis.speed[t : t + 1],
+        )
+        begun = _starts(trial, every, min(horizons))
+        with quiet():
+            whole = _whole(simulator, own, trial)
+            errors = _restarted(simulator, own, trial, whole, begun, longest, floors)
+        for first, error in zip(begun, errors, strict=True):
+            passed = trial.time[first : first + len(error)] - trial.time[first]
+            left = float(trial.time[-1] - trial.time[first])
+            for h, horizon in enumerate(horizons):
+                if horizon > left * (1 + 1e-9):
+                    continue
+                part = error[(passed > 0) & (passed <= horizon * (1 + 1e-9))]
+                squares[h] += np.nansum(part**2, axis=0)
+                counts[h] += np.isfinite(part).sum(axis=0)
+                starts[h] += 1
+    return tuple(
+        HorizonError(
+            horizon=float(horizon),
+            over_floor=float(np.sqrt(squares[h].sum() / counts[h].sum())),
+            by_channel={
+                channel.name: float(np.sqrt(squares[h, c] / counts[h, c]))
+                for c, channel in enumerate(channels)
+                if counts[h, c]
+            },
+            starts=int(starts[h]),
+        )
+        for h, horizon in enumerate(horizons)
+        if counts[h].sum()
+    )
+
+
+def _starts(trial: Trial, every: float, shortest: float) -> NDArray[np.intp]:
+    """Samples at which the simulation is restarted (S,)."""
+    first = min(BURN_IN, 0.2 * float(trial.time[-1]))
+    times = np.arange(first, float(trial.time[-1]) - shortest, every)
+    return np.unique(np.searchsorted(trial.time, times))
+
+
+def _whole(simulator: Simulator, hypothesis: Hypothesis, trial: Trial) -> _Whole:
+    """Simulate a run from its start, and keep every state."""
+    machine = simulator.machine
+    model = hypothesis.model(machine, trial.step)
+    commanded = trial.controls
+    clock: Array = np.arange(trial.steps, dtype=float) * trial.step
+    for effect, values in zip(hypothesis.effects, hypothesis.values, strict=True):
+        commanded = effect.command(clock, commanded, values)
+    controls = np.zeros((1, trial.steps, model.nu))
+    controls[0, :, : commanded.shape[1]] = commanded
+    batch = Batch(model, 1, simulator.threads)
+    batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+    positions, dofs = _places(machine, model)
+    batch.qpos[0] = model.qpos0
+    batch.qpos[0, positions] = trial.position + (
+        0.0 if hypothesis.position is None else hypothesis.position[0]
+    )
+    batch.qvel[0] = 0.0
+    batch.qvel[0, dofs] = trial.speed + (0.0 if hypothesis.speed is None else hypothesis.speed[0])
+    if trial.resting:
+        held = np.repeat(controls[:, :1], round(_SETTLE / trial.step), axis=1)
+        _rollout(batch, held, ("qpos",))
+        batch.time[:] = 0.0
+    kept = ["qpos", "qvel"] + (["act"] if model.na else [])
+    begin = {name: np.array(getattr(batch, name)[0]) for name in kept}
+    found = _rollout(batch, controls, (*kept, "sensordata", "actuator_force"))
+    # What is recorded of a step is the state after it, and the readings before it.
+    states = {name: np.vstack([begin[name][None], found[name][0, :-1]]) for name in kept}
+    return _Whole(
+        model=model,
+        controls=controls[0],
+        states=states,
+        shown=trial.at_samples(_shown(simulator, found)[0]),
+    )
+
+
+def _restarted(
+    simulator: Simulator,
+    hypothesis: Hypothesis,
+    trial: Trial,
+    whole: _Whole,
+    starts: NDArray[np.intp],
+    longest: float,
+    floors: Array,
+) -> list[Array]:
+    """Errors (T', C) from each start, in noise standard deviations; its first row is the start."""
+    if not len(starts):
+        return []
+    model, machine = whole.model, simulator.machine
+    predicted = simulator._columns(hypothesis, model, whole.shown, trial)
+    offset, drift = _corrections(simulator, trial, trial.measured - predicted, starts)
+    at = np.minimum(np.round(trial.time[starts] / trial.step).astype(int), trial.steps - 1)
+    count = min(round(longest / trial.step) + 2, trial.steps)
+    controls = whole.controls[np.minimum(at[:, None] + np.arange(count), trial.steps - 1)]
+    batch = Batch(model, len(starts), simulator.threads)
+    batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+    for name, values in whole.states.items():
+        getattr(batch, name)[:] = values[at]
+    positions, dofs = _places(machine, model)
+    batch.qpos[:, positions] += offset
+    batch.qvel[:, dofs] += drift
+    batch.time[:] = trial.time[starts]
+    shown = _shown(simulator, _rollout(batch, controls, ("sensordata", "actuator_force")))
+    found = []
+    for k, first in enumerate(starts):
+        until = trial.time[first] + longest * (1 + 1e-9)
+        last = int(np.searchsorted(trial.time, until, side="right"))
+        earlier = int(np.searchsorted(trial.time, trial.time[first] - _BEFORE))
+        steps = trial.time[first:last] / trial.step - at[k]
+        own = _between(shown[k], np.clip(steps, 0, count - 1))
+        seen = np.vstack([whole.shown[earlier:first], own])
+        beside = replace(trial, time=trial.time[earlier:last])
+        read = simulator._columns(hypothesis, model, seen, beside)[first - earlier :]
+        measured = trial.measured[first:last]
+        error = np.clip((measured - read) / floors, -_WILD, _WILD)
+        error[~np.isfinite(read) & np.isfinite(measured)] = _WILD
+        found.append(error)
+    return found
+
+
+def _corrections(
+    simulator: Simulator, trial: Trial, residual: Array, starts: NDArray[np.intp]
+) -> tuple[Array, Array]:
+    """What the joint sensors show beyond a prediction: positions and speeds (S, joints)."""
+    machine = simulator.machine
+    interval = float(np.median(np.diff(trial.time)))
+    half = max(_LEAST // 2, round(0.5 * _AROUND / interval))
+    offset = np.zeros((len(starts), len(machine.joints)))
+    drift = np.zeros_like(offset)
+    rates: set[int] = set()
+    kinds = mujoco.mjtSensor
+    for c, channel in enumerate(simulator.channels):
+        prefix, _, name = channel.column.partition(".")
+        if prefix != "sensor":
+            continue
+        sensor = machine.model.sensor(name)
+        kind, joint = int(sensor.type[0]), int(sensor.objid[0])
+        if kind not in (int(kinds.mjSENS_JOINTPOS), int(kinds.mjSENS_JOINTVEL)):
+            continue
+        for k, first in enumerate(starts):
+            here = slice(max(0, first - half), first + half + 1)
+            value, slope = _line(trial.time[here] - trial.time[first], residual[here, c])
+            if kind == int(kinds.mjSENS_JOINTVEL):
+                drift[k, joint] = value
+            else:
+                offset[k, joint] = value
+                if joint not in rates:
+                    drift[k, joint] = slope
+        if kind == int(kinds.mjSENS_JOINTVEL):
+            rates.add(joint)
+    return offset, drift
+
+
+def _line(time: Array, values: Array) -> tuple[float, float]:
+    """Value at zero and slope of a straight line; both 0 where nothing was read."""
+    good = np.isfinite(values)
+    if good.sum() < 3:
+        return 0.0, 0.0
+    slope, value = np.polyfit(time[good], values[good], 1)
+    return float(value), float(slope)
+
+
+def _places(machine: Machine, model: mujoco.MjModel) -> tuple[list[int], list[int]]:
+    """Where a model keeps positions and speeds of the machine's joints."""
+    at = [model.joint(name) for name in machine.joints]
+    return [int(j.qposadr[0]) for j in at], [int(j.dofadr[0]) for j in at]
+
+
+def _shown(simulator: Simulator, found: dict[str, Array]) -> Array:
+    """Sensors and forces of the machine's own actuators (sims, steps, sensors + actuators)."""
+    driven = len(simulator.machine.actuators)
+    return np.concatenate([found["sensordata"], found["actuator_force"][..., :driven]], axis=-1)
+
+
+def _between(values: Array, steps: Array) -> Array:
+    """Values (steps, K) at steps that need not be whole (T,), straight lines between."""
+    low = np.minimum(np.floor(steps + 1e-6).astype(int), len(values) - 1)
+    high = np.minimum(low + 1, len(values) - 1)
+    share = np.clip(steps - low, 0.0, 1.0)[:, None]
+    return np.asarray(values[low] * (1 - share) + values[high] * share)
+
+
+def _rollout(batch: Batch, controls: Array, names: tuple[str, ...]) -> dict[str, Array]:
+    """Advance every simulation; what went wild is NaN from its start."""
+    try:
+        found = batch.rollout(
+            controls.shape[1],
+            np.ascontiguousarray(controls),
+            control_spec=int(mujoco.mjtState.mjSTATE_CTRL),
+            record=names,
+            ids=np.arange(batch.nsim),
+        )
+    except SimulationError:
+        return {
+            name: np.full((*controls.shape[:2], getattr(batch, name).shape[1]), np.nan)
+            for name in names
+        }
+    out = {name: np.array(found[name], dtype=float) for name in names}
+    for values in out.values():
+        if values.shape[-1]:
+            bad = ~np.isfinite(values).all(axis=(1, 2)) | (np.abs(values).max(axis=(1, 2)) > 1e9)
+            values[bad] = np.nan
+    return out

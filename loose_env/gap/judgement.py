@@ -1,0 +1,124 @@
+"""Judges fits by runs that they have not seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.comparison import Comparison
+from loose_env.gap.fit import Fit, parameters_of
+from loose_env.gap.start import StartState
+from loose_env.gap.structure import Structure
+
+__all__ = ["Judge", "Judged", "Lead", "lead_of"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Judged:
+    """A fit with what it leaves on runs that it was not fitted to."""
+
+    fitted: Fit
+    """On the runs it was fitted to."""
+    held_residual: Array
+    """On the others, in noise standard deviations (M,)."""
+    held_blocks: Array
+    """Sums of its squares by block of time (B,)."""
+    fitted_blocks: Array
+    """The same on the runs it was fitted to (A,)."""
+    held_structure: Array
+    """Sums of its products with itself a little later, by block (B,)."""
+    fitted_structure: Array
+    """The same on the runs it was fitted to (A,)."""
+
+    @property
+    def held_rms(self) -> float:
+        """Root mean square on held-out runs, in noise standard deviations."""
+        return float(np.sqrt(np.mean(self.held_residual**2)))
+
+    @property
+    def free_count(self) -> int:
+        """How many free numbers it has."""
+        return len(parameters_of(self.fitted.effects))
+
+    @property
+    def total(self) -> float:
+        """Sum of squares over all runs, what is known beforehand included."""
+        return self.fitted.cost + float(self.held_blocks.sum())
+
+    @property
+    def structure(self) -> float:
+        """What hangs together in time of all residuals."""
+        return float(self.held_structure.sum() + self.fitted_structure.sum())
+
+    @property
+    def structure_sureness(self) -> float:
+        """How surely anything does: over what white noise of the same size shows by chance.
+
+        An autocorrelation of white noise scatters by one over the root of the sample size
+        (Bartlett, J. R. Stat. Soc. Suppl. 8, 1946, 27).
+        """
+        count = len(self.held_residual) + len(self.fitted.residual)
+        mean_square = float(self.held_blocks.sum() + self.fitted_blocks.sum()) / count
+        return self.structure / (mean_square * float(np.sqrt(count)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lead:
+    """By how much one fit is ahead of another."""
+
+    held: float
+    """On held-out runs, in standard deviations of the difference over blocks."""
+    fitted: float
+    """On the runs fitted to, likewise."""
+    share: float
+    """Share of what there was to explain that it explains, 1: all of it."""
+
+
+class Judge:
+    """Judges fits.
+
+    Parameters
+    ----------
+    comparison, held_out : Comparison
+        The runs fitted to, and those to judge by.
+    """
+
+    def __init__(self, comparison: Comparison, held_out: Comparison) -> None:
+        self.comparison, self.held_out = comparison, held_out
+        # Where held-out runs began is theirs alone, and no credit to any hypothesis.
+        self._start = StartState(held_out.machine, held_out.trials, held_out.channels)
+        self._fitted, self._held = Structure(comparison.rows), Structure(held_out.rows)
+
+    def judge(self, fitted: Fit) -> Judged:
+        """Simulate the held-out runs and sum up."""
+        _, residual = self._start.fitted(self.held_out, fitted.hypothesis)
+        return Judged(
+            fitted=fitted,
+            held_residual=residual,
+            held_blocks=self.held_out.by_block(residual**2),
+            fitted_blocks=self.comparison.by_block(fitted.residual**2),
+            held_structure=self._held.products(residual),
+            fitted_structure=self._fitted.products(fitted.residual),
+        )
+
+
+def lead_of(ahead: Judged, behind: Judged) -> Lead:
+    """By how much the first is ahead of the second; negative where it is not."""
+    return Lead(
+        held=_sureness(np.sqrt(behind.held_blocks) - np.sqrt(ahead.held_blocks)),
+        fitted=_sureness(np.sqrt(behind.fitted_blocks) - np.sqrt(ahead.fitted_blocks)),
+        share=1.0 - ahead.structure / behind.structure if behind.structure > 0 else 0.0,
+    )
+
+
+def _sureness(gains: Array) -> float:
+    """Sum of gains over its own standard deviation, blocks taken as independent.
+
+    Gains are differences of roots of sums of squares, so that one block of impacts does not
+    outweigh all others.
+    """
+    return float(gains.sum()) / max(float(np.sqrt(np.sum(gains**2))), 1e-12)

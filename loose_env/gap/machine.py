@@ -1,0 +1,193 @@
+"""The nominal model of a machine, and the figures that say how large an effect has to be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData
+
+__all__ = ["Machine"]
+
+Array = NDArray[np.float64]
+
+_MOVING = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """A nominal model of hinges and slides.
+
+    Parameters
+    ----------
+    spec : mujoco.MjSpec
+        The model; never changed.
+    step : float
+        Simulation step [s]; 0: that of the model.
+    integrator : int, optional
+        One of `mujoco.mjtIntegrator`; by default that of the model.
+    disabled : int
+        Bits of `mujoco.mjtDisableBit` that the recording does not need.
+    loads : ndarray (joints,), optional
+        Typical torque [N·m] or force [N] of each joint in the recording; by default from the model.
+    speeds : ndarray (joints,), optional
+        Typical speed of each joint [rad/s, m/s] in the recording; 1 by default.
+
+    Raises
+    ------
+    InvalidData
+        If the model has no joint, or one that is neither hinge nor slide.
+    """
+
+    spec: mujoco.MjSpec
+    step: float = 0.0
+    integrator: int | None = None
+    disabled: int = 0
+    loads: Array | None = None
+    speeds: Array | None = None
+
+    def __post_init__(self) -> None:
+        """Check, and write every inertia out, so that an edit finds it in the spec."""
+        object.__setattr__(self, "spec", _explicit(self.spec))
+        kinds = self.model.jnt_type
+        if not len(kinds) or not np.isin(kinds, [int(k) for k in _MOVING]).all():
+            raise InvalidData(
+                "the model needs joints, all of them hinges or slides; others are not supported"
+            )
+        unnamed = [k for k in range(self.model.njnt) if not self.model.joint(k).name]
+        if unnamed:
+            raise InvalidData(f"every joint of the model needs a name; joint {unnamed[0]} has none")
+
+    @cached_property
+    def model(self) -> mujoco.MjModel:
+        """The compiled model."""
+        return self.spec.copy().compile()
+
+    def fresh(self) -> mujoco.MjSpec:
+        """Return a copy of the spec, to be edited, with this machine's step."""
+        spec = self.spec.copy()
+        if self.step > 0:
+            spec.option.timestep = self.step
+        if self.integrator is not None:
+            spec.option.integrator = self.integrator
+        spec.option.disableflags |= self.disabled
+        return spec
+
+    @cached_property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints, in the model's order."""
+        return tuple(self.model.joint(k).name for k in range(self.model.njnt))
+
+    @cached_property
+    def links(self) -> tuple[str, ...]:
+        """Names of the bodies that the joints move, in the joints' order, each once."""
+        bodies = dict.fromkeys(int(b) for b in self.model.jnt_bodyid)
+        return tuple(self.model.body(b).name for b in bodies if self.model.body(b).name)
+
+    @cached_property
+    def actuators(self) -> tuple[str, ...]:
+        """Names of the actuators."""
+        return tuple(self.model.actuator(k).name for k in range(self.model.nu))
+
+    @cached_property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the sensors."""
+        return tuple(self.model.sensor(k).name for k in range(self.model.nsensor))
+
+    @cached_property
+    def actuated_joint(self) -> dict[str, str]:
+        """Actuator -> joint that it drives, of those that drive a joint."""
+        found = {}
+        for k, name in enumerate(self.actuators):
+            if self.model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_JOINT:
+                found[name] = self.model.joint(int(self.model.actuator_trnid[k, 0])).name
+        return found
+
+    def gears(self, joint: str) -> Array:
+        """Torque on a joint per force of each actuator (actuators,)."""
+        found = np.zeros(len(self.actuators))
+        for k, name in enumerate(self.actuators):
+            if self.actuated_joint.get(name) == joint:
+                found[k] = self.model.actuator_gear[k, 0]
+        return found
+
+    @cached_property
+    def tool(self) -> str:
+        """Site of the tool: "tool", or the last site of the last link; "" if there is none."""
+        names = [self.model.site(k).name for k in range(self.model.nsite)]
+        if "tool" in names:
+            return "tool"
+        return names[-1] if names else ""
+
+    def joint_number(self, joint: str) -> int:
+        """Number of a joint, from 0."""
+        return self.joints.index(joint)
+
+    def body_of(self, joint: str) -> str:
+        """Name of the body that a joint moves."""
+        return str(self.model.body(int(self.model.jnt_bodyid[self.joint_number(joint)])).name)
+
+    def first_joint(self, link: str) -> str:
+        """First joint of a link."""
+        bodies = [int(b) for b in self.model.jnt_bodyid]
+        return self.joints[bodies.index(self.model.body(link).id)]
+
+    @cached_property
+    def inertias(self) -> Array:
+        """What each joint moves, armature included, the others held [kg·m², kg] (joints,)."""
+        data = mujoco.MjData(self.model)
+        mujoco.mj_forward(self.model, data)
+        mass = np.zeros((self.model.nv, self.model.nv))
+        mujoco.mj_fullM(self.model, data, mass)
+        return np.asarray(np.maximum(np.diag(mass), 1e-9))
+
+    @cached_property
+    def load_scales(self) -> Array:
+        """Typical torque [N·m] or force [N] of each joint (joints,)."""
+        if self.loads is not None:
+            return np.asarray(np.maximum(self.loads, 1e-9), dtype=float)
+        data = mujoco.MjData(self.model)
+        mujoco.mj_forward(self.model, data)
+        return np.asarray(np.abs(data.qfrc_bias) + 2.0 * self.inertias)
+
+    @cached_property
+    def speed_scales(self) -> Array:
+        """Typical speed of each joint [rad/s, m/s] (joints,)."""
+        if self.speeds is not None:
+            return np.asarray(np.maximum(self.speeds, 1e-9), dtype=float)
+        return np.ones(len(self.joints))
+
+    def load(self, joint: str) -> float:
+        """Typical torque or force of one joint."""
+        return float(self.load_scales[self.joint_number(joint)])
+
+    def speed(self, joint: str) -> float:
+        """Typical speed of one joint."""
+        return float(self.speed_scales[self.joint_number(joint)])
+
+    def inertia(self, joint: str) -> float:
+        """What one joint moves."""
+        return float(self.inertias[self.joint_number(joint)])
+
+    def turns(self, joint: str) -> bool:
+        """Whether a joint is a hinge."""
+        return bool(self.model.jnt_type[self.joint_number(joint)] == _MOVING[0])
+
+
+def _explicit(given: mujoco.MjSpec) -> mujoco.MjSpec:
+    """Copy of a spec in which no inertia is left to be worked out from shapes."""
+    spec = given.copy()
+    model = given.copy().compile()
+    for body in spec.bodies[1:]:
+        k = model.body(body.name).id if body.name else body.id
+        body.mass = float(model.body_mass[k])
+        body.ipos = model.body_ipos[k].copy()
+        body.iquat = model.body_iquat[k].copy()
+        body.inertia = model.body_inertia[k].copy()
+        body.fullinertia = np.full(6, np.nan)
+        body.explicitinertial = body.mass > 0
+    return spec

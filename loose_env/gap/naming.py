@@ -1,0 +1,223 @@
+"""Names what a model lacks: screening, fits from several starts, held-out runs as the judge."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.comparison import Comparison
+from loose_env.gap.effect import Effect
+from loose_env.gap.fit import Fit, cost_of, fit, parameters_of, refined, started
+from loose_env.gap.judgement import Judge, Judged, Lead, lead_of
+from loose_env.gap.kinship import akin
+from loose_env.gap.parameter import free_of
+from loose_env.gap.screening import Screened, screen
+from loose_env.gap.windows import windowed
+
+__all__ = ["UNNAMED", "Named", "NamingSettings", "name_effects"]
+
+Array = NDArray[np.float64]
+Say = Callable[[str], None]
+
+UNNAMED = ("nominal", "start")
+"""Kinds that are fitted with every hypothesis and never named."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamingSettings:
+    """When an effect counts as found."""
+
+    most: int = 3
+    """Most effects named."""
+    sorting: float = 10.0
+    """How much of the runs is used to sort candidates, in all [s]."""
+    candidates: int = 7
+    """Candidates that are fitted to that."""
+    finalists: int = 3
+    """Candidates that are fitted to whole runs."""
+    kin: int = 2
+    """Further candidates fitted to whole runs because the best one may be mistaken for them."""
+    promise: float = 0.1
+    """Share of the best candidate's promise from which on another is fitted too."""
+    structure: float = 3.0
+    """Sureness with which a residual has to hang together in time for anything to be sought in
+    it [standard deviations]."""
+    sureness: float = 3.5
+    """Lead on the runs fitted to from which on an effect is believed [standard deviations]."""
+    held: float = 2.0
+    """Lead on held-out runs that it needs besides."""
+    share: float = 0.4
+    """Share of what is still to be explained that it has to explain; or else:"""
+    base_share: float = 0.04
+    """Share of what there was to explain at first that it has to explain."""
+    tie: float = 2.0
+    """Lead on held-out runs below which two hypotheses cannot be told apart."""
+
+
+@dataclass(kw_only=True, eq=False)
+class Named:
+    """What was found, step by step."""
+
+    base: Judged
+    """The nominal model, fitted within the tolerance."""
+    steps: list[Judged] = field(default_factory=list)
+    """With one effect, with two, ...: the accepted ones."""
+    rivals: list[list[tuple[Judged, Lead]]] = field(default_factory=list)
+    """At each step, every hypothesis that was fitted, with its lead over the step before; best
+    first."""
+
+    dropped: list[Effect] = field(default_factory=list)
+    """Effects that a later one made idle."""
+
+    @property
+    def best(self) -> Judged:
+        """The last that was accepted."""
+        return self.steps[-1] if self.steps else self.base
+
+
+def name_effects(
+    comparison: Comparison,
+    held_out: Comparison,
+    given: Sequence[Effect],
+    candidates: Sequence[Effect],
+    *,
+    settings: NamingSettings | None = None,
+    say: Say = lambda _: None,
+) -> Named:
+    """Add effects to a nominal model as long as held-out runs ask for it.
+
+    Parameters
+    ----------
+    comparison, held_out : Comparison
+        The runs to fit to, and those to judge by.
+    given : sequence of Effect
+        What is fitted with every hypothesis: the nominal figures, known within a tolerance, and the
+        starts of free runs.
+    candidates : sequence of Effect
+        The catalogue at every place.
+    settings : NamingSettings, optional
+        When an effect counts as found.
+    say : callable
+        Told what goes on, line by line.
+    """
+    settings = settings or NamingSettings()
+    start = np.concatenate([free_of(e.parameters, np.array(e.starts[0])) for e in given])
+    judge = Judge(comparison, held_out)
+    fitted = fit(comparison, given, start)
+    found = Named(base=judge.judge(fitted))
+    say(f"nominal model: {found.base.held_rms:.2f} noise standard deviations on held-out runs")
+    short = windowed(comparison, settings.sorting)
+    for _ in range(settings.most):
+        if found.best.structure_sureness < settings.structure:
+            say("what is left does not hang together in time: nothing more to explain")
+            break
+        taken = {(e.kind, e.where) for e in (*found.best.fitted.effects, *found.dropped)}
+        left = [c for c in candidates if (c.kind, c.where) not in taken]
+        before = _on(short, found.best.fitted)
+        screened = screen(short, before, left)
+        for s in screened[:8]:
+            say(f"  {s.effect!r}: promises {s.promise:.3f}, sureness {s.sureness:.1f}")
+        tried = _try(comparison, (short, before), judge, found.best, screened, settings)
+        if not tried:
+            break
+        ranked = sorted(tried, key=lambda j: j.total)
+        found.rivals.append([(j, lead_of(j, found.best)) for j in ranked])
+        for judged, lead in found.rivals[-1]:
+            say(
+                f"  {judged.fitted.effects[-1]!r}: held out {judged.held_rms:.3f}, "
+                f"lead {lead.held:.1f} held, {lead.fitted:.1f} fitted, share {lead.share:.2f}"
+            )
+        good = [
+            j
+            for j, lead in found.rivals[-1]
+            if lead.fitted >= settings.sureness
+            and lead.held >= settings.held
+            and _material(j, lead, found, settings)
+        ]
+        if not good:
+            break
+        best = good[0].fitted
+        polished = fit(comparison, best.effects, best.free, residual=best.residual)
+        found.steps.append(judge.judge(polished))
+        if len(found.steps) > 1:
+            _drop(comparison, judge, found, settings, say)
+    return found
+
+
+def _material(judged: Judged, lead: Lead, found: Named, settings: NamingSettings) -> bool:
+    """Whether an effect explains enough: a law that is a little wrong leaves room for many."""
+    gained = found.best.structure - judged.structure
+    return lead.share >= settings.share or gained >= settings.base_share * found.base.structure
+
+
+def _drop(
+    comparison: Comparison, judge: Judge, found: Named, settings: NamingSettings, say: Say
+) -> None:
+    """Take out an earlier effect that a later one has made idle."""
+    best = found.best.fitted
+    at = 0
+    for effect in best.effects[:-1]:
+        own = range(at, at + len(effect.parameters))
+        at += len(effect.parameters)
+        if effect.kind in UNNAMED:
+            continue
+        kept = [k for k in range(len(best.free)) if k not in own]
+        left = fit(
+            comparison,
+            [e for e in best.effects if e is not effect],
+            best.free[kept],
+            known=best.jacobian[:, kept],
+        )
+        without = judge.judge(left)
+        lead = lead_of(found.best, without)
+        if lead.fitted < settings.sureness or lead.held < settings.held:
+            say(f"  {effect!r} is idle now and is left out")
+            found.steps[-1] = without
+            found.dropped.append(effect)
+            return
+
+
+def _on(short: Comparison, fitted: Fit) -> Fit:
+    """A fit as it looks on the windows that sort candidates, with sensitivities of its own."""
+    residual = short.residuals([fitted.hypothesis])[0]
+    moved = replace(
+        fitted,
+        residual=residual,
+        cost=cost_of(residual, fitted.free, parameters_of(fitted.effects)),
+    )
+    return refined(moved, short)
+
+
+def _try(
+    comparison: Comparison,
+    windows: tuple[Comparison, Fit],
+    judge: Judge,
+    before: Judged,
+    screened: Sequence[Screened],
+    settings: NamingSettings,
+) -> list[Judged]:
+    """Fit the most promising candidates on top of what is there, the best of them to all data."""
+    if not screened:
+        return []
+    short, short_before = windows
+    least = settings.promise * screened[0].promise
+    sorted_out: list[Fit] = []
+    for each in screened[: settings.candidates]:
+        if each.promise < least:
+            break
+        effects = (*before.fitted.effects, each.effect)
+        start = started(short_before, each.effect, each.values)
+        sorted_out.append(fit(short, effects, start, known=short_before.jacobian))
+    sorted_out.sort(key=lambda f: f.cost)
+
+    def whole(each: Fit) -> Judged:
+        start = np.concatenate([before.fitted.free, each.free[len(before.fitted.free) :]])
+        return judge.judge(fit(comparison, each.effects, start, known=before.fitted.jacobian))
+
+    found = [whole(each) for each in sorted_out[: settings.finalists]]
+    winner = min(found, key=lambda j: j.total).fitted.effects[-1]
+    kin = [f for f in sorted_out[settings.finalists :] if akin(winner, f.effects[-1])]
+    return found + [whole(each) for each in kin[: settings.kin]]

@@ -1,0 +1,80 @@
+"""How exactly each channel was read: the noise floor, from the measured data alone."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["noise_floor", "resolution_of"]
+
+Array = NDArray[np.float64]
+
+_WINDOW = 64
+"""Samples of a window."""
+_TOP = 0.6
+"""Share of the band, up to half the rate, above which motion is taken to have died out."""
+
+
+_MEDIAN = 0.97
+"""Median of a window's figure over the standard deviation, for white noise (20,000 windows)."""
+
+
+def noise_floor(values: Array) -> float:
+    """Standard deviation of a channel's noise.
+
+    From the top of the spectrum: the noise of encoders and accelerometers is about as strong at
+    every frequency, the machine's motion is not. It is read in short windows, and the median of
+    them counts, since a few hold steps and impacts. At least that of rounding to the channel's
+    steps (a step over the root of 12).
+
+    Parameters
+    ----------
+    values : ndarray (T,)
+        One channel of one run, evenly sampled; NaN where nothing was read.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> swing = np.sin(2 * np.pi * 2 * np.arange(4000) / 1000)
+    >>> bool(abs(noise_floor(swing + rng.normal(0, 0.01, 4000)) - 0.01) < 0.001)
+    True
+    """
+    good = np.isfinite(values)
+    if good.sum() < 10:
+        return float("nan")
+    filled = np.interp(np.arange(len(values)), np.flatnonzero(good), values[good])
+    white = float(np.median(_tops(filled))) / _MEDIAN
+    return max(white, resolution_of(values) / float(np.sqrt(12)), 1e-12)
+
+
+def _tops(values: Array) -> Array:
+    """Root mean square density at the top of the spectrum, window by window."""
+    change = np.diff(values, 2)
+    size = min(_WINDOW, len(change))
+    starts = np.arange(0, len(change) - size + 1, max(size // 2, 1))
+    shape = np.hanning(size + 2)[1:-1]
+    power = np.abs(np.fft.rfft(change[starts[:, None] + np.arange(size)] * shape, axis=1)) ** 2
+    power = power / np.sum(shape**2)
+    angle = np.linspace(0, np.pi, power.shape[1])
+    top = (angle >= _TOP * np.pi) & (angle < 0.98 * np.pi)
+    # Second differences keep what would leak from the low frequencies out; divided out again.
+    level = power[:, top] / (2 - 2 * np.cos(angle[top])) ** 2
+    return np.asarray(np.sqrt(np.mean(level, axis=1)))
+
+
+def resolution_of(values: Array) -> float:
+    """Step of a channel that was rounded; 0 where it was not.
+
+    Examples
+    --------
+    >>> float(round(resolution_of(np.round(np.linspace(0, 1, 500) / 0.01) * 0.01), 6))
+    0.01
+    """
+    good = values[np.isfinite(values)]
+    levels = np.unique(good)
+    if len(levels) < 2 or len(levels) > 0.5 * len(good):
+        return 0.0
+    gaps = np.diff(levels)
+    step = float(np.min(gaps[gaps > 1e-6 * np.median(gaps)]))
+    ratio = gaps / step
+    return step if np.mean(np.abs(ratio - np.round(ratio)) < 0.05) > 0.9 else 0.0

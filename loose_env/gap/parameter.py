@@ -1,0 +1,86 @@
+"""One number of an effect: its unit, what it may be, where a fit starts, and where it vanishes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidSetting
+
+__all__ = ["Parameter", "free_of", "values_of"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """A bounded number.
+
+    A fit works on a free number without unit: the value over its scale, or where ``log`` is set,
+    the logarithm of the value over the scale.
+
+    Examples
+    --------
+    >>> stiffness = Parameter(
+    ...     name="stiffness", unit="N·m/rad", low=10, high=1e6, scale=100, log=True
+    ... )
+    >>> round(stiffness.free(1000.0), 3), round(stiffness.value(stiffness.free(1000.0)), 6)
+    (2.303, 1000.0)
+    """
+
+    name: str
+    """As in the result file."""
+    unit: str
+    """Of the value, "" for a ratio."""
+    low: float
+    """Smallest value allowed."""
+    high: float
+    """Largest value allowed."""
+    scale: float = 1.0
+    """A change of the value that matters; positive."""
+    log: bool = False
+    """Whether ratios count, not differences; needs a positive ``low``."""
+    centre: float | None = None
+    """Most probable value beforehand; None where every allowed value is as likely."""
+    spread: float | None = None
+    """Standard deviation beforehand about ``centre``, in free units."""
+
+    def __post_init__(self) -> None:
+        """Check."""
+        if not self.low < self.high or self.scale <= 0 or (self.log and self.low <= 0):
+            raise InvalidSetting(
+                f"parameter {self.name!r} needs low < high, scale > 0, and low > 0 if it is "
+                f"logarithmic; got {self.low:g} to {self.high:g}, scale {self.scale:g}"
+            )
+        if (self.centre is None) != (self.spread is None):
+            raise InvalidSetting(f"parameter {self.name!r} has a centre and a spread, or neither")
+
+    def free(self, value: float) -> float:
+        """Free number of a value."""
+        return float(np.log(value / self.scale)) if self.log else value / self.scale
+
+    def value(self, free: float) -> float:
+        """Value of a free number, within the bounds."""
+        raw = self.scale * np.exp(np.clip(free, -50, 50)) if self.log else self.scale * free
+        return float(np.clip(raw, self.low, self.high))
+
+    def clipped(self, value: float) -> float:
+        """Return the allowed value nearest to one."""
+        return float(np.clip(value, self.low, self.high))
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Bounds of the free number."""
+        return self.free(self.low), self.free(self.high)
+
+
+def free_of(parameters: tuple[Parameter, ...], values: Array) -> Array:
+    """Free numbers of values (P,)."""
+    return np.array([p.free(float(v)) for p, v in zip(parameters, values, strict=True)])
+
+
+def values_of(parameters: tuple[Parameter, ...], free: Array) -> Array:
+    """Values of free numbers (P,)."""
+    return np.array([p.value(float(f)) for p, f in zip(parameters, free, strict=True)])

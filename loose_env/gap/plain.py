@@ -1,0 +1,109 @@
+"""Dataclasses from the plain values of a JSON file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from loose_env.errors import InvalidData
+
+__all__ = ["restored"]
+
+T = TypeVar("T")
+
+
+def restored(kind: type[T], value: Any, place: str) -> T:
+    """Restore a dataclass, with those inside it, from mappings and lists.
+
+    Keys that the dataclass does not have are left out, since later versions may write more.
+
+    Parameters
+    ----------
+    kind : type
+        The dataclass.
+    value : object
+        What was read.
+    place : str
+        Where it stands in the file, as errors say it.
+
+    Raises
+    ------
+    InvalidData
+        If a value is missing or of another kind.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> @dataclass
+    ... class Point:
+    ...     x: float
+    ...     names: tuple[str, ...] = ()
+    >>> restored(Point, {"x": 1, "names": ["a", "b"]}, "point")
+    Point(x=1.0, names=('a', 'b'))
+    >>> restored(Point, {"names": []}, "point")
+    Traceback (most recent call last):
+    ...
+    loose_env.errors.InvalidData: point: 'x' is missing
+    """
+    found: T = _restored(kind, value, place)
+    return found
+
+
+def _restored(kind: Any, value: Any, place: str) -> Any:
+    origin, inside = get_origin(kind), get_args(kind)
+    if kind is Any:
+        return value
+    if is_dataclass(kind):
+        return _dataclass(kind, value, place)
+    if origin in (Union, UnionType):
+        if value is None and NoneType in inside:
+            return None
+        return _restored(next(k for k in inside if k is not NoneType), value, place)
+    if origin is Literal:
+        if value not in inside:
+            raise InvalidData(f"{place}: {value!r} is none of {list(inside)}")
+        return value
+    if origin is tuple:
+        return _tuple(inside, value, place)
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        if not isinstance(value, Mapping):
+            raise InvalidData(f"{place}: a mapping is needed, not {value!r}")
+        return {k: _restored(inside[1], v, f"{place}.{k}") for k, v in value.items()}
+    return _scalar(kind, value, place)
+
+
+def _dataclass(kind: Any, value: Any, place: str) -> Any:
+    if not isinstance(value, Mapping):
+        raise InvalidData(f"{place}: a mapping is needed, not {value!r}")
+    hints = get_type_hints(kind)
+    given = {}
+    for each in fields(kind):
+        if each.name in value:
+            given[each.name] = _restored(hints[each.name], value[each.name], f"{place}.{each.name}")
+        elif each.default is MISSING and each.default_factory is MISSING:
+            raise InvalidData(f"{place}: {each.name!r} is missing")
+    return kind(**given)
+
+
+def _tuple(inside: tuple[Any, ...], value: Any, place: str) -> tuple[Any, ...]:
+    if not isinstance(value, (list, tuple)):
+        raise InvalidData(f"{place}: a list is needed, not {value!r}")
+    if len(inside) == 2 and inside[1] is Ellipsis:
+        return tuple(_restored(inside[0], v, f"{place}[{k}]") for k, v in enumerate(value))
+    if len(value) != len(inside):
+        raise InvalidData(f"{place}: {len(inside)} values are needed, not {len(value)}")
+    return tuple(
+        _restored(each, v, f"{place}[{k}]")
+        for k, (each, v) in enumerate(zip(inside, value, strict=True))
+    )
+
+
+def _scalar(kind: Any, value: Any, place: str) -> Any:
+    if kind is float and value is None:
+        return float("nan")  # JSON has no word for it
+    wanted = {float: (int, float), int: (int,), str: (str,), bool: (bool,)}[kind]
+    if not isinstance(value, wanted) or (kind is not bool and isinstance(value, bool)):
+        raise InvalidData(f"{place}: {kind.__name__} is needed, not {value!r}")
+    return kind(value)

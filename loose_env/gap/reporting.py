@@ -1,0 +1,251 @@
+"""From a finished comparison to its result: evidence gathered, model and result file written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.comparison import Comparison
+from loose_env.gap.effect import Effect
+from loose_env.gap.export import correction_code, write_model
+from loose_env.gap.finding import GapFound, GapSettings
+from loose_env.gap.horizons import HorizonError, horizon_errors
+from loose_env.gap.joint_motion import JointMotion, joint_motion
+from loose_env.gap.judgement import Judged
+from loose_env.gap.locate import Location, locate, where_it_lives
+from loose_env.gap.machine import Machine
+from loose_env.gap.nominal import NominalFigures
+from loose_env.gap.residual_tests import LeftOver, left_over
+from loose_env.gap.result import Gap, GapResult, NamedEffect, Ranked, Verdict
+from loose_env.gap.simulator import Hypothesis
+from loose_env.gap.start import StartState
+from loose_env.recording import Recording
+
+__all__ = ["Evidence", "GapOutputs", "gather", "outputs_of", "result_of", "write_model_and_result"]
+
+Array = NDArray[np.float64]
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GapOutputs:
+    """A finished comparison."""
+
+    machine: Machine
+    """The nominal model, with the step that was chosen."""
+    fit: Comparison
+    """The runs that were fitted to."""
+    held: Comparison
+    """The runs that judged."""
+    base: Judged
+    """The nominal model, fitted within the tolerance."""
+    best: Judged
+    """With the effects that were named, or nearly named."""
+    verdict: Verdict
+    """ "named", "no_gap" or "unexplained"."""
+    effects: tuple[NamedEffect, ...] = ()
+    """Those named, with intervals and what they cannot be told from."""
+    ranking: tuple[Ranked, ...] = ()
+    """What was tried."""
+    warnings: tuple[str, ...] = ()
+    """What a reader should know."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Everything that the result depends on besides the recording."""
+    model_path: Path | None = None
+    """File of the nominal model; its meshes are copied."""
+    recording: str = ""
+    """Name of the recording, for the page."""
+    threads: int = 0
+    """Threads of the simulation; 0: all processors."""
+
+    @property
+    def added(self) -> tuple[tuple[Effect, Array], ...]:
+        """Effects of the best hypothesis with their values, nominal figures first."""
+        hypothesis = machine_part(self.best)
+        return tuple(zip(hypothesis.effects, hypothesis.values, strict=True))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Evidence:
+    """What is shown of a comparison beside its verdict."""
+
+    motions_held: tuple[JointMotion, ...]
+    """Of the held-out runs."""
+    location: Location
+    """Where the nominal model disagrees, on all runs."""
+    before: tuple[HorizonError, ...]
+    """Open-loop errors of the nominal model on the held-out runs."""
+    after: tuple[HorizonError, ...]
+    """Of the corrected one."""
+    left_over: tuple[LeftOver, ...]
+    """What is left on the held-out runs."""
+    left_location: Location
+    """Where that is."""
+
+
+def outputs_of(found: GapFound, recording: Recording, settings: GapSettings) -> GapOutputs:
+    """Take what is shown and written from what `loose_env.gap.finding.find_gap` returns."""
+    prepared = found.prepared
+    return GapOutputs(
+        machine=prepared.machine,
+        fit=prepared.fit,
+        held=prepared.whole_held,
+        base=found.base,
+        best=found.best,
+        verdict=found.verdict,
+        effects=found.effects,
+        ranking=found.ranking,
+        warnings=prepared.warnings,
+        settings=asdict(settings),
+        model_path=recording.model_path,
+        recording=recording.folder.name,
+        threads=settings.threads,
+    )
+
+
+def machine_part(judged: Judged) -> Hypothesis:
+    """What a fit says of the machine, not of the state in which runs began."""
+    whole = judged.fitted.hypothesis
+    kept = [
+        (effect, values)
+        for effect, values in zip(whole.effects, whole.values, strict=True)
+        if not isinstance(effect, StartState)
+    ]
+    return Hypothesis(effects=tuple(e for e, _ in kept), values=tuple(v for _, v in kept))
+
+
+def gather(outputs: GapOutputs, *, say: Say = lambda _: None) -> Evidence:
+    """Locate the gap, run open loop from many starts, and test what is left."""
+    say("where the gap is")
+    machine, motions = _with_figures(outputs), {}
+    for name, comparison in (("fit", outputs.fit), ("held", outputs.held)):
+        motions[name] = tuple(
+            joint_motion(machine, trial, comparison.channels, comparison.floors)
+            for trial in comparison.trials
+        )
+    parts = [
+        _located(outputs.fit, outputs.base.fitted.residual, motions["fit"]),
+        _located(outputs.held, outputs.base.held_residual, motions["held"]),
+    ]
+    after = _located(outputs.held, outputs.best.held_residual, motions["held"])
+    say("open-loop errors by horizon")
+    errors = [
+        horizon_errors(
+            outputs.machine,
+            outputs.held.trials,
+            outputs.held.channels,
+            outputs.held.floors,
+            machine_part(judged),
+            threads=outputs.threads,
+        )
+        for judged in (outputs.base, outputs.best)
+    ]
+    say("tests of what is left")
+    held = outputs.held
+    return Evidence(
+        motions_held=motions["held"],
+        location=Location(
+            channels=tuple(gap for part in parts for gap in part.channels),
+            joints=tuple(gap for part in parts for gap in part.joints),
+        ),
+        before=errors[0],
+        after=errors[1],
+        left_over=left_over(
+            outputs.best.held_residual, held.rows, held.trials, held.channels, motions["held"]
+        ),
+        left_location=Location(channels=after.channels),
+    )
+
+
+def _with_figures(outputs: GapOutputs) -> Machine:
+    """Return the nominal machine with its figures as fitted within the tolerance."""
+    spec = outputs.machine.spec.copy()
+    hypothesis = machine_part(outputs.base)
+    for effect, values in zip(hypothesis.effects, hypothesis.values, strict=True):
+        effect.edit(spec, values)
+    return replace(outputs.machine, spec=spec)
+
+
+def _located(comparison: Comparison, residual: Array, motions: Sequence[JointMotion]) -> Location:
+    return locate(residual, comparison.rows, comparison.trials, comparison.channels, motions)
+
+
+def result_of(outputs: GapOutputs, evidence: Evidence) -> GapResult:
+    """Sum a comparison up."""
+    held = outputs.held
+    before, after = outputs.base.held_residual, outputs.best.held_residual
+    by_channel = {}
+    for c, channel in enumerate(held.channels):
+        own = held.rows.channel == c
+        if own.any():
+            by_channel[channel.name] = (_rms(before[own]), _rms(after[own]))
+    pairs = zip(evidence.before, evidence.after, strict=True)
+    effects, values = zip(*outputs.added, strict=True)
+    unexplained = outputs.verdict == "unexplained"
+    return GapResult(
+        verdict=outputs.verdict,
+        gap=Gap(
+            before=_rms(before),
+            after=_rms(after),
+            by_channel=by_channel,
+            by_horizon_s={f"{b.horizon:.1f}": (b.over_floor, a.over_floor) for b, a in pairs},
+        ),
+        effects=outputs.effects,
+        held_out_runs=tuple(trial.name for trial in held.trials),
+        ranking=outputs.ranking,
+        code=correction_code(effects, values),
+        nominal_figures=_figures(outputs),
+        location=evidence.location,
+        where_it_lives=tuple(
+            where_it_lives(evidence.left_location if unexplained else evidence.location, most=2)
+        ),
+        left_over=evidence.left_over,
+        warnings=outputs.warnings,
+        settings=outputs.settings,
+    )
+
+
+def _figures(outputs: GapOutputs) -> dict[str, float]:
+    """Factors on nominal figures."""
+    return {
+        parameter.name: float(value)
+        for effect, values in outputs.added
+        if isinstance(effect, NominalFigures)
+        for parameter, value in zip(effect.parameters, values, strict=True)
+    }
+
+
+def _rms(residual: Array) -> float:
+    return float(np.sqrt(np.mean(residual**2)))
+
+
+def write_model_and_result(folder: Path, outputs: GapOutputs, result: GapResult) -> list[Path]:
+    """Write ``model.xml``, the files it needs, and ``result.json``, the result last."""
+    effects, values = zip(*outputs.added, strict=True)
+    notes = ["Corrected by loose gap. On top of the nominal model:"]
+    for each in outputs.effects:
+        numbers = ", ".join(
+            f"{name} {value:.4g} {each.units.get(name, '')}".rstrip()
+            for name, value in each.parameters.items()
+        )
+        place = "" if each.in_model else " (on the reading: see result.json, code)"
+        notes.append(f"{each.kind} at {each.where}: {numbers}{place}")
+    if result.nominal_figures:
+        off = max(abs(v - 1) for v in result.nominal_figures.values())
+        notes.append(
+            f"nominal figures fitted within the tolerance, off by {100 * off:.1f} % at most"
+        )
+    written = write_model(
+        folder / "model.xml",
+        outputs.machine,
+        effects,
+        values,
+        source=outputs.model_path,
+        notes=notes,
+    )
+    return [*written, result.write(folder / "result.json")]

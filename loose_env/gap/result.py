@@ -1,0 +1,212 @@
+"""What was found, as dataclasses and as the file ``result.json`` of the format ``loose-gap/1``."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from loose_env.errors import InvalidData
+from loose_env.gap.files import write_text
+from loose_env.gap.locate import Location
+from loose_env.gap.plain import restored
+from loose_env.gap.residual_tests import LeftOver
+
+__all__ = [
+    "FORMAT",
+    "UNIT",
+    "Gap",
+    "GapResult",
+    "NamedEffect",
+    "Place",
+    "Ranked",
+    "Verdict",
+    "read_result",
+]
+
+FORMAT = "loose-gap/1"
+UNIT = "RMS over held-out runs, in noise standard deviations"
+Verdict = Literal["named", "no_gap", "unexplained"]
+"""What a comparison came to."""
+_DIGITS = 7
+"""Significant digits of a number in the file."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """A kind of effect at a place."""
+
+    kind: str
+    """Identifier of the catalogue."""
+    where: str
+    """The model's own name of the joint, body, actuator or sensor; "tool", "base" or "all"."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedEffect:
+    """An effect that the model lacks."""
+
+    kind: str
+    """Identifier of the catalogue."""
+    where: str
+    """The model's own name of the joint, body, actuator or sensor; "tool", "base" or "all"."""
+    parameters: Mapping[str, float]
+    """Best values."""
+    interval_95: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Ends of their 95 % intervals."""
+    ambiguous_with: tuple[Place, ...] = ()
+    """What the held-out data cannot tell from it."""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """Unit of each parameter, "" for a ratio."""
+    variant: str = ""
+    """Form of the effect, "" for the usual one."""
+    in_model: bool = True
+    """Whether ``model.xml`` carries it; if not, ``code`` of the result applies it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ranked:
+    """A hypothesis that was fitted."""
+
+    kind: str
+    """Of the effect that was added in this step."""
+    where: str
+    """Its place."""
+    held_out: float
+    """Root mean square on held-out runs, in noise standard deviations."""
+    bic: float
+    """Bayesian information criterion over that of the hypothesis without it, with the effective
+    sample size; negative where the effect pays for its parameters."""
+    step: int = 1
+    """1 for the first effect, 2 for one beside the first, ..."""
+    lead: float = 0.0
+    """Lead on held-out runs over the step before, in standard deviations."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gap:
+    """The gap on the held-out runs, before and after."""
+
+    before: float
+    """Of the nominal model, fitted within its tolerance."""
+    after: float
+    """Of the corrected model."""
+    by_channel: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Channel -> before and after."""
+    by_horizon_s: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Seconds, such as "0.5" -> error of predictions that run on their own so long."""
+    noise_floor: float = 1.0
+    """What the noise of the sensors alone leaves."""
+    unit: str = UNIT
+    """Of all of these."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GapResult:
+    """The content of ``result.json``."""
+
+    verdict: Verdict
+    """ "named", "no_gap" or "unexplained"."""
+    gap: Gap
+    """How large it is."""
+    effects: tuple[NamedEffect, ...] = ()
+    """What the model lacks, in the order in which it was found."""
+    held_out_runs: tuple[str, ...] = ()
+    """Files of the runs that judged."""
+    ranking: tuple[Ranked, ...] = ()
+    """What was tried, the best first in every step."""
+    model: str | None = "model.xml"
+    """The corrected model, beside the file."""
+    code: str = ""
+    """Python lines that apply to a simulation what MJCF cannot express; "" if nothing."""
+    nominal_figures: Mapping[str, float] = field(default_factory=dict)
+    """Factors on nominal figures, within the tolerance, that ``model`` carries too."""
+    location: Location = field(default_factory=Location)
+    """Where the disagreement was, before anything was added."""
+    where_it_lives: tuple[str, ...] = ()
+    """The same in sentences; of what is left where the verdict is "unexplained"."""
+    left_over: tuple[LeftOver, ...] = ()
+    """Tests of what is left."""
+    warnings: tuple[str, ...] = ()
+    """What a reader should know before trusting it."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Everything that the result depends on besides the recording."""
+    format: str = FORMAT
+    """Of the file."""
+
+    def __post_init__(self) -> None:
+        """Check."""
+        if self.format != FORMAT:
+            raise InvalidData(f"a result of the format {FORMAT!r} is needed, not {self.format!r}")
+        if self.verdict not in get_args(Verdict):
+            raise InvalidData(
+                f"the verdict is one of {list(get_args(Verdict))}, not {self.verdict!r}"
+            )
+
+    def to_json(self) -> str:
+        """Text of ``result.json``; numbers that are not finite become null."""
+        whole = {"format": self.format, **asdict(self)}
+        return json.dumps(_plain(whole), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str) -> GapResult:
+        """Read the text of ``result.json``.
+
+        Raises
+        ------
+        InvalidData
+            If it is none of the format ``loose-gap/1``.
+
+        Examples
+        --------
+        >>> GapResult.from_json('{"format": "loose-gap/2"}')
+        Traceback (most recent call last):
+        ...
+        loose_env.errors.InvalidData: a result of the format 'loose-gap/1' is needed, ...
+        """
+        try:
+            whole = json.loads(text)
+        except ValueError as error:
+            raise InvalidData(f"the result is no JSON: {error}") from None
+        if not isinstance(whole, dict) or whole.get("format") != FORMAT:
+            given = whole.get("format") if isinstance(whole, dict) else whole
+            raise InvalidData(f"a result of the format {FORMAT!r} is needed, not {given!r}")
+        return restored(cls, whole, "result")
+
+    def write(self, path: str | Path) -> Path:
+        """Write ``result.json`` beside its place and rename it."""
+        return write_text(Path(path), self.to_json())
+
+
+def read_result(path: str | Path) -> GapResult:
+    """Read a result file, or that of a folder.
+
+    Raises
+    ------
+    InvalidData
+        If there is none, or it is none of the format.
+    """
+    file = Path(path)
+    if file.is_dir():
+        file = file / "result.json"
+    try:
+        return GapResult.from_json(file.read_text("utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidData(f"{file}: the result cannot be read: {error}") from None
+
+
+def _plain(value: Any) -> Any:
+    """Numbers and strings that JSON has, numbers with as many digits as they are worth."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if value is None or isinstance(value, (bool, str, int)):
+        return value
+    if isinstance(value, Path):
+        return str(value)
+    number = float(value)
+    return float(f"{number:.{_DIGITS}g}") if math.isfinite(number) else None

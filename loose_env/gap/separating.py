@@ -1,0 +1,121 @@
+"""Motions and measurements that separate effects which a recording could not tell apart."""
+
+from __future__ import annotations
+
+__all__ = ["how_to_separate"]
+
+_PAIRS = {
+    (
+        "command_delay",
+        "joint_compliance",
+    ): "Tap the arm while it is held: a compliance rings at its "
+    "own frequency, a delay does not. A sensor on the link behind the joint separates them too.",
+    ("payload", "link_mass"): "Move the last joint by itself, with its axis level: the load at the "
+    "tool has the longer lever. Or record once with a known weight at the tool.",
+    (
+        "actuator_gain",
+        "payload",
+    ): "Hold several poses and move fast in one pose: a gain scales every "
+    "torque, a payload adds gravity and inertia.",
+    (
+        "backlash",
+        "coulomb_friction",
+    ): "Reverse slowly with gravity pulling to one side, then where it "
+    "pulls to neither: a gap shows only where the load changes sides, friction always.",
+    ("base_tilt", "sensor_bias"): "Hold several poses that turn the sensor: a bias stays with the "
+    "sensor, gravity from elsewhere turns with the base.",
+    (
+        "joint_spring",
+        "link_mass",
+    ): "Hold the joint at many angles in two poses of the other joints: a "
+    "spring goes by its own angle, gravity by that of the link.",
+    (
+        "joint_spring",
+        "link_com",
+    ): "Hold the joint at many angles in two poses of the other joints: a "
+    "spring goes by its own angle, gravity by that of the link.",
+    (
+        "joint_spring",
+        "payload",
+    ): "Hold the joint at many angles in two poses of the other joints: a "
+    "spring goes by its own angle, gravity by that of the tool.",
+    ("base_tilt", "joint_spring"): "Hold the joint at many angles with the others folded and "
+    "stretched: gravity's share changes, a spring's does not.",
+    (
+        "actuator_gain",
+        "viscous_friction",
+    ): "Move at several constant speeds and hold several loads at "
+    "rest: friction vanishes at rest, a gain does not.",
+    (
+        "base_tilt",
+        "encoder_offset",
+    ): "With the first joint's axis level these are the same for every "
+    "motion; a spirit level on the base decides.",
+    (
+        "command_delay",
+        "sensor_delay",
+    ): "Command a motion that two sensors of different kinds see: a "
+    "late command moves both, a late sensor only itself.",
+    (
+        "joint_compliance",
+        "link_flexibility",
+    ): "Put an accelerometer on the link between the joint and "
+    "the tool: a compliant joint moves it, a flexible link moves only what lies beyond.",
+    (
+        "actuator_lag",
+        "command_delay",
+    ): "Command a sweep to well above 1 / (2π time constant): behind "
+    "a lag the motion fades, behind a delay it keeps its size.",
+    ("coulomb_friction", "stribeck_friction"): "Move at a few speeds down to creeping: Coulomb "
+    "friction is the same at all, Stribeck's grows towards rest.",
+    (
+        "coulomb_friction",
+        "viscous_friction",
+    ): "Move at several constant speeds: Coulomb friction is "
+    "the same at all, viscous friction grows with the speed.",
+    (
+        "quadratic_drag",
+        "viscous_friction",
+    ): "Move at several constant speeds, the highest included: drag grows with the square.",
+    ("link_com", "link_mass"): "Hold the link level and upright, and move it fast: the mass alone "
+    "changes what the joints before it carry.",
+    (
+        "link_mass",
+        "rotor_inertia",
+    ): "Accelerate the joint alike in poses of different reach and hold "
+    "several: a rotor's inertia never changes and has no weight.",
+    (
+        "backlash",
+        "joint_compliance",
+    ): "Reverse slowly under small and under large load: a gap has the "
+    "same size at both, a compliance yields in proportion.",
+    ("structural_looseness", "backlash"): "Shake one joint at a time with an accelerometer at the "
+    "tool: a loose link moves along a direction of its own, a joint about its axis.",
+}
+_OF_KIND = {
+    "sensor": "Let a second sensor see the same motion.",
+    "actuator": "Hold known loads at rest, and move at several speeds and accelerations.",
+    "joint": "Move the joint alone, slowly and fast, both ways, over its whole range.",
+}
+
+
+def how_to_separate(kind: str, where: str, other: str, elsewhere: str) -> str:
+    """Name a motion or a measurement that tells two effects apart.
+
+    Examples
+    --------
+    >>> how_to_separate("payload", "tool", "link_mass", "link3").split(":")[0]
+    'Move the last joint by itself, with its axis level'
+    >>> how_to_separate("viscous_friction", "joint1", "viscous_friction", "joint2")
+    'Move joint1 while joint2 is held, and the other way round.'
+    """
+    known = _PAIRS.get((kind, other)) or _PAIRS.get((other, kind))
+    if known and (kind != other):
+        return known
+    if where != elsewhere and kind == other:
+        return f"Move {where} while {elsewhere} is held, and the other way round."
+    for each in (kind, other):
+        for family in ("sensor", "actuator"):
+            if each.startswith(family):
+                return _OF_KIND[family]
+    return _OF_KIND["joint"]

@@ -1,0 +1,281 @@
+"""Simulates measured runs under many hypotheses at once, on MuJoCo's thread pool.
+
+A hypothesis is a list of effects with their values. What it predicts stands at the samples of the
+run, channel by channel, as the sensors would show it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch, SimulationError
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData
+from loose_env.gap.effect import Effect, Readings
+from loose_env.gap.machine import Machine
+from loose_env.gap.trial import Channel, Trial
+from loose_env.rig.quiet import quiet
+
+__all__ = ["Hypothesis", "Simulator"]
+
+Array = NDArray[np.float64]
+
+_SETTLE = 0.4
+"""How long an arm at rest is held before the start, so that springs take their load [s]."""
+_CHUNK = 2_000_000
+"""Numbers recorded at a time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Effects and their values, in the order in which they act; start offsets of free runs."""
+
+    effects: tuple[Effect, ...]
+    """What the nominal model lacks."""
+    values: tuple[Array, ...]
+    """Of the parameters of each."""
+    position: Array | None = None
+    """Added to the measured start [rad, m] (trials, joints)."""
+    speed: Array | None = None
+    """Added to the measured start speeds [rad/s, m/s] (trials, joints)."""
+
+    def model(self, machine: Machine, step: float) -> mujoco.MjModel:
+        """Compile the model that it stands for."""
+        spec = machine.fresh()
+        spec.option.timestep = step
+        for effect, values in zip(self.effects, self.values, strict=True):
+            effect.edit(spec, values)
+        model = spec.compile()
+        if _unconstrained(model):
+            model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        return model
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Slot:
+    """One simulation: a run under a hypothesis."""
+
+    key: object
+    hypothesis: Hypothesis
+    model: mujoco.MjModel
+    trial: int
+
+
+class Simulator:
+    """Simulates the runs of a recording.
+
+    Parameters
+    ----------
+    machine : Machine
+        The nominal model.
+    trials : sequence of Trial
+        The runs, forward or free.
+    channels : tuple of Channel
+        What is predicted.
+    threads : int
+        Threads of the pool; 0: all processors.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        trials: Sequence[Trial],
+        channels: tuple[Channel, ...],
+        *,
+        threads: int = 0,
+    ) -> None:
+        self.machine, self.trials, self.channels = machine, list(trials), channels
+        self.threads = threads
+        self._batches: dict[tuple[object, ...], Batch] = {}
+        self.simulated = 0
+
+    def predict(self, hypotheses: Sequence[Hypothesis]) -> list[list[Array]]:
+        """Simulate every run under every hypothesis.
+
+        Returns
+        -------
+        list of list of ndarray (T, C)
+            By hypothesis, by trial; NaN where the simulation went wild.
+        """
+        motions = {self._motion(hypothesis): hypothesis for hypothesis in hypotheses}
+        by_step: dict[tuple[float, int], list[int]] = {}
+        for t, trial in enumerate(self.trials):
+            by_step.setdefault((trial.step, trial.steps), []).append(t)
+        seen: dict[tuple[object, int], tuple[mujoco.MjModel, Array]] = {}
+        for (step, _), members in by_step.items():
+            groups: dict[tuple[object, ...], list[_Slot]] = {}
+            for key, hypothesis in motions.items():
+                model = hypothesis.model(self.machine, step)
+                groups.setdefault(_layout(model), []).extend(
+                    _Slot(key=key, hypothesis=hypothesis, model=model, trial=t) for t in members
+                )
+            with quiet():
+                for layout, slots in groups.items():
+                    for slot, whole in zip(slots, self._simulate(slots, layout), strict=True):
+                        seen[slot.key, slot.trial] = slot.model, whole
+        return [
+            [
+                self._columns(hypothesis, *seen[self._motion(hypothesis), t], trial)
+                for t, trial in enumerate(self.trials)
+            ]
+            for hypothesis in hypotheses
+        ]
+
+    @staticmethod
+    def _motion(hypothesis: Hypothesis) -> object:
+        """What the motion depends on: hypotheses that differ in readings alone share it."""
+        effects = zip(hypothesis.effects, hypothesis.values, strict=True)
+        starts = (hypothesis.position, hypothesis.speed)
+        return (
+            *((id(effect), values.tobytes()) for effect, values in effects if effect.moves),
+            *(None if start is None else start.tobytes() for start in starts),
+        )
+
+    def _simulate(self, slots: list[_Slot], layout: tuple[object, ...]) -> list[Array]:
+        """Sensors and actuator forces at the samples (T, sensors + actuators), by slot."""
+        batch = self._batch(layout, slots)
+        first = self.trials[slots[0].trial]
+        steps, settle = first.steps, round(_SETTLE / first.step)
+        self._set_start(batch, slots)
+        controls = np.zeros((len(slots), steps, slots[0].model.nu))
+        clock: Array = np.arange(steps, dtype=float) * first.step
+        for k, slot in enumerate(slots):
+            values, hypothesis = self.trials[slot.trial].controls, slot.hypothesis
+            for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
+                values = effect.command(clock, values, own)
+            controls[k, :, : values.shape[1]] = values
+        wild = np.zeros(len(slots), dtype=bool)
+        resting = np.array([self.trials[slot.trial].resting for slot in slots])
+        if resting.any() and settle:
+            held = np.repeat(controls[resting, :1], settle, axis=1)
+            wild |= _advance(batch, settle, held, np.flatnonzero(resting), None)
+            batch.time[resting] = 0.0
+        self.simulated += len(slots) * steps
+        sensed, driven = slots[0].model.nsensordata, len(self.machine.actuators)
+        width = sensed + driven
+        size = max(1, min(steps, _CHUNK // max(1, len(slots) * width)))
+        kept = np.empty((len(slots), steps, width))
+        for start in range(0, steps, size):
+            count = min(size, steps - start)
+            records: dict[str, Array] = {}
+            chunk = slice(start, start + count)
+            wild |= _advance(batch, count, controls[:, chunk], np.arange(len(slots)), records)
+            kept[:, chunk, :sensed] = records["sensordata"]
+            kept[:, chunk, sensed:] = records["actuator_force"][:, :, :driven]
+        kept[wild] = np.nan
+        return [self.trials[s.trial].at_samples(k) for s, k in zip(slots, kept, strict=True)]
+
+    def _batch(self, layout: tuple[object, ...], slots: list[_Slot]) -> Batch:
+        """Batch of as many slots, with these models."""
+        key = (*layout, len(slots))
+        if key not in self._batches:
+            if len(self._batches) > 6:
+                self._batches.clear()
+            self._batches[key] = Batch(slots[0].model, len(slots), self.threads)
+        batch = self._batches[key]
+        batch.set_models([slot.model for slot in slots])
+        return batch
+
+    def _set_start(self, batch: Batch, slots: list[_Slot]) -> None:
+        """Put every slot where its run began."""
+        batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+        qpos, qvel = batch.qpos, batch.qvel
+        for k, slot in enumerate(slots):
+            trial, hypothesis = self.trials[slot.trial], slot.hypothesis
+            at = [slot.model.joint(name) for name in self.machine.joints]
+            places = [int(j.qposadr[0]) for j in at]
+            dofs = [int(j.dofadr[0]) for j in at]
+            position, speed = trial.position, trial.speed
+            if hypothesis.position is not None:
+                position = position + hypothesis.position[slot.trial]
+            if hypothesis.speed is not None:
+                speed = speed + hypothesis.speed[slot.trial]
+            qpos[k] = slot.model.qpos0
+            qpos[k, places] = position
+            qvel[k] = 0.0
+            qvel[k, dofs] = speed
+
+    def _columns(
+        self, hypothesis: Hypothesis, model: mujoco.MjModel, whole: Array, trial: Trial
+    ) -> Array:
+        """What the channels show (T, C)."""
+        readings: Readings = {}
+        for column in dict.fromkeys(channel.column for channel in self.channels):
+            prefix, _, name = column.partition(".")
+            if prefix == "sensor":
+                sensor = model.sensor(name)
+                start, size = int(sensor.adr[0]), int(sensor.dim[0])
+                values = whole[:, start : start + size]
+                readings[column] = values[:, 0] if size == 1 else values
+            else:
+                readings[column] = whole[:, model.nsensordata :] @ self.machine.gears(name)
+        for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
+            readings = effect.read(trial.time, readings, own)
+        return np.stack(
+            [
+                readings[c.column] if c.axis is None else readings[c.column][:, c.axis]
+                for c in self.channels
+            ],
+            axis=1,
+        )
+
+
+def _unconstrained(model: mujoco.MjModel) -> bool:
+    """Whether nothing in a model can ever become a constraint; it is simulated faster then."""
+    contact = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    limit = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    return not (
+        (contact and (model.geom_contype | model.geom_conaffinity).any())
+        or (limit and (model.jnt_limited.any() or model.tendon_limited.any()))
+        or model.dof_frictionloss.any()
+        or model.tendon_frictionloss.any()
+        or model.neq
+    )
+
+
+def _layout(model: mujoco.MjModel) -> tuple[object, ...]:
+    """What two models must share to lie in one batch."""
+    sizes = (
+        "nq", "nv", "nu", "na", "nbody", "njnt", "nsite", "nsensor", "nsensordata", "neq",
+        "nhistory", "nM", "ngeom", "ntendon", "nJmom", "nC",
+    )  # fmt: skip
+    return (
+        *(int(getattr(model, name, 0)) for name in sizes),
+        tuple(model.jnt_bodyid),
+        tuple(model.body_parentid),
+        tuple(model.jnt_limited),
+        tuple(model.dof_frictionloss > 0),
+    )
+
+
+def _advance(
+    batch: Batch,
+    count: int,
+    controls: Array,
+    ids: NDArray[np.intp],
+    records: dict[str, Array] | None,
+) -> NDArray[np.bool_]:
+    """Advance some slots; return which of all slots went wild."""
+    names = ("sensordata", "actuator_force") if records is not None else ("qpos",)
+    wild = np.zeros(batch.nsim, dtype=bool)
+    try:
+        out = batch.rollout(
+            count,
+            np.ascontiguousarray(controls),
+            control_spec=int(mujoco.mjtState.mjSTATE_CTRL),
+            record=names,
+            ids=ids,
+        )
+    except SimulationError as error:
+        raise InvalidData(f"MuJoCo cannot simulate the model: {error}") from error
+    if records is not None:
+        records.update(out)
+    bad = ~np.isfinite(out[names[0]][:, -1]).all(axis=-1) | (
+        np.abs(out[names[0]]).max(axis=(1, 2)) > 1e9
+    )
+    wild[ids[bad]] = True
+    return wild

@@ -1,0 +1,77 @@
+"""The most telling windows of long runs, for work that cannot simulate all of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.comparison import Comparison
+from loose_env.gap.trial import Trial
+
+__all__ = ["windowed"]
+
+Array = NDArray[np.float64]
+
+SHORTEST = 1.5
+"""Shortest window [s]."""
+LEAD = 0.4
+"""What is simulated before a window and not compared: late commands and the unknown start [s]."""
+
+
+def windowed(comparison: Comparison, seconds: float) -> Comparison:
+    """The same on one window of every run, so many seconds in all; itself if it is no longer.
+
+    A window lies where the joints move most for their typical motion, all of them counted. Inverse
+    runs stay whole, since they cost little, and so does a recording of free responses, whose
+    starts count. If windows would get shorter than `SHORTEST`, runs are left out evenly.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        What is compared.
+    seconds : float
+        How much of the runs in all [s].
+    """
+    long = [t for t in comparison.trials if t.form != "inverse"]
+    whole = sum(float(t.time[-1]) for t in long)
+    if whole <= seconds or any(t.form == "free" for t in long):
+        return comparison
+    count = max(1, min(len(long), int(seconds / SHORTEST)))
+    taken = {
+        id(long[k]) for k in np.unique(np.linspace(0, len(long) - 1, count).round().astype(int))
+    }
+    length = seconds / count
+    kept = [
+        t if t.form == "inverse" else _window(t, length)
+        for t in comparison.trials
+        if t.form == "inverse" or id(t) in taken
+    ]
+    return Comparison(
+        comparison.machine,
+        kept,
+        comparison.channels,
+        comparison.floors,
+        threads=comparison.threads,
+    )
+
+
+def _window(trial: Trial, length: float) -> Trial:
+    """The window in which the joints move most."""
+    size = round(length * trial.rate)
+    if size >= len(trial.time):
+        return trial
+    activity = np.zeros(len(trial.time))
+    for values in trial.motion.values():
+        change = np.abs(np.diff(np.nan_to_num(values), prepend=np.nan_to_num(values[:1])))
+        # Square roots: a window in which several joints move tells more than one fast swing.
+        activity += np.sqrt(change / max(float(np.mean(change)), 1e-12))
+    summed = np.concatenate([[0.0], np.cumsum(activity)])
+    starts = np.arange(0, len(trial.time) - size, max(size // 8, 1))
+    first = int(starts[np.argmax(summed[starts + size] - summed[starts])])
+    lead = min(first, round(LEAD * trial.rate))
+    window = trial.between(first - lead, first + size)
+    measured = window.measured.copy()
+    measured[:lead] = np.nan
+    return replace(window, measured=measured)

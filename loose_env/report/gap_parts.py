@@ -1,0 +1,55 @@
+"""Sections of the page of a comparison, and how its numbers are written."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from loose_env.report.plate import Plate
+from loose_env.report.template import shown
+
+__all__ = ["group", "signed", "spread"]
+
+
+def group(
+    heading: str,
+    intro: str,
+    *,
+    tables: Sequence[dict[str, Any]] = (),
+    plates: Sequence[Plate] = (),
+    points: Sequence[str] = (),
+    code: str = "",
+) -> dict[str, Any]:
+    """A section of the page; nothing where it would be empty."""
+    if not (tables or plates or points or code):
+        return {}
+    name = "".join(c for c in heading.lower() if c.isalpha())
+    return {
+        "heading": heading,
+        "intro": intro,
+        "tables": [
+            {
+                "title": t.get("title", ""),
+                "note": t["note"],
+                "columns": list(t["rows"][0]),
+                "rows": [[str(v) for v in row.values()] for row in t["rows"]],
+            }
+            for t in tables
+            if t["rows"]
+        ],
+        "plates": [shown(plate, f"{name}{k}") for k, plate in enumerate(plates)],
+        "points": list(points),
+        "code": code,
+    }
+
+
+def spread(values: Sequence[float]) -> str:
+    """Smallest and largest value; one where they are the same to two digits."""
+    low, high = f"{min(values):.2f}", f"{max(values):.2f}"
+    return low if low == high else f"{low} to {high}"
+
+
+def signed(value: float, digits: int = 2) -> str:
+    """A number with a true minus sign."""
+    text = f"{value:.{digits}f}"
+    return text.lstrip("-") if float(text) == 0 else text.replace("-", "−")

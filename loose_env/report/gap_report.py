@@ -1,0 +1,52 @@
+"""All that a comparison of model and measurement writes into its folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from loose_env.errors import MissingExtra
+from loose_env.gap.reporting import GapOutputs, gather, result_of, write_model_and_result
+from loose_env.gap.result import GapResult
+from loose_env.report.gap_page import write_gap_page
+
+__all__ = ["write_outputs"]
+
+
+def write_outputs(
+    folder: str | Path, outputs: GapOutputs, *, say: Callable[[str], None] = lambda _: None
+) -> tuple[GapResult, list[Path]]:
+    """Write ``model.xml``, ``report.html`` and ``result.json``, each whole, the result last.
+
+    Without jinja2 and matplotlib the page is left out, and the result says so.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Where they go; made where there is none.
+    outputs : GapOutputs
+        The finished comparison.
+    say : callable
+        Told what goes on, line by line.
+
+    Returns
+    -------
+    tuple
+        The result, and the files written.
+
+    Raises
+    ------
+    InvalidData
+        If the corrected model does not compile.
+    """
+    place = Path(folder)
+    evidence = gather(outputs, say=say)
+    result = result_of(outputs, evidence)
+    say("writing the model, the result and the page")
+    pages = []
+    try:
+        pages.append(write_gap_page(place / "report.html", outputs, evidence, result))
+    except MissingExtra as error:
+        say(f"no report.html: {error}")
+    *models, file = write_model_and_result(place, outputs, result)
+    return result, [*models, *pages, file]

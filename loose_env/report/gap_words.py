@@ -1,0 +1,167 @@
+"""A comparison of model and measurement in plain words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from loose_env.gap.result import GapResult, NamedEffect
+from loose_env.gap.separating import how_to_separate
+
+__all__ = [
+    "effect_words",
+    "headline",
+    "mistaken_words",
+    "next_steps",
+    "size_words",
+    "sure_words",
+]
+
+_CLOSED = 1.25
+"""Gap after, over the noise floor, up to which it counts as closed."""
+_PLAIN = {
+    "viscous_friction": "viscous friction",
+    "coulomb_friction": "dry friction",
+    "stribeck_friction": "dry friction that grows near rest",
+    "quadratic_drag": "drag that grows with the square of the speed",
+    "joint_compliance": "a compliant drive",
+    "backlash": "backlash",
+    "structural_looseness": "a loose link",
+    "link_flexibility": "a flexible link",
+    "link_mass": "another mass",
+    "link_com": "another centre of mass",
+    "payload": "a payload",
+    "rotor_inertia": "more rotor inertia",
+    "actuator_gain": "another gain",
+    "actuator_lag": "a lag",
+    "command_delay": "late commands",
+    "encoder_offset": "an encoder whose zero is off",
+    "sensor_misalignment": "a sensor that is mounted askew",
+    "sensor_gain": "a sensor whose scale is off",
+    "sensor_bias": "a sensor with a bias",
+    "sensor_delay": "a late sensor",
+    "base_tilt": "a tilted base",
+    "torque_ripple": "torque ripple",
+    "joint_spring": "a spring",
+}
+_PLACES = {"tool": "at the tool", "base": "", "all": "at all actuators"}
+
+
+def effect_words(kind: str, where: str) -> str:
+    """An effect and its place, as one says it.
+
+    Examples
+    --------
+    >>> effect_words("coulomb_friction", "joint2")
+    'dry friction (joint2)'
+    """
+    words = _PLAIN.get(kind, kind.replace("_", " "))
+    place = _PLACES.get(where)
+    return f"{words} ({where})" if place is None else f"{words} {place}".rstrip()
+
+
+def headline(result: GapResult) -> str:
+    """The outcome in one sentence."""
+    if result.verdict == "no_gap":
+        return "Nothing is missing: the model explains what was measured."
+    names = [effect_words(e.kind, e.where) for e in result.effects]
+    listed = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+    if result.verdict == "unexplained":
+        beside = f" beside {listed}" if names else ""
+        return f"Something is missing{beside} that is not in the catalogue."
+    return f"The model lacks {listed}."
+
+
+def size_words(result: GapResult) -> list[str]:
+    """How large the gap is and what is left of it."""
+    gap = result.gap
+    count = len(result.held_out_runs)
+    runs = "one run" if count == 1 else f"{count} runs"
+    said = (
+        f"On {runs} that no fit has seen, the nominal model is {gap.before:.2f} times as far from "
+        "the measurement as the noise of the sensors alone would put it"
+    )
+    if result.verdict == "no_gap":
+        return [f"{said}: that is what its tolerance and the noise leave."]
+    left = f"; the corrected model {gap.after:.2f} times."
+    if gap.after <= _CLOSED:
+        left += " The gap is closed down to the noise."
+    elif gap.after < 0.7 * gap.before:
+        left += " The gap is smaller, not closed: see what is left."
+    else:
+        left += " Most of the gap is still there."
+    return [said + left]
+
+
+def sure_words(effect: NamedEffect) -> str:
+    """Values of an effect's parameters and how sure they are."""
+    parts = []
+    for name, value in effect.parameters.items():
+        unit = effect.units.get(name, "")
+        ends = effect.interval_95.get(name)
+        between = "" if ends is None else f", 95 % between {ends[0]:.3g} and {ends[1]:.3g}"
+        parts.append(f"{name.replace('_', ' ')} {value:.3g} {unit}".rstrip() + between)
+    return "; ".join(parts)
+
+
+def mistaken_words(result: GapResult) -> list[str]:
+    """What each effect could be mistaken for."""
+    said = []
+    for effect in result.effects:
+        words = effect_words(effect.kind, effect.where)
+        if not effect.ambiguous_with:
+            said.append(
+                f"Nothing else that was tried explains the held-out runs as well as {words}."
+            )
+            continue
+        others = [effect_words(o.kind, o.where) for o in effect.ambiguous_with]
+        said.append(
+            f"The held-out runs cannot tell {words} from {' or from '.join(others)}: it may be "
+            "either."
+        )
+    return said
+
+
+def next_steps(result: GapResult) -> list[str]:
+    """What to do now."""
+    steps = []
+    if result.verdict == "named":
+        steps.append(
+            "Simulate with model.xml. It is a plain MJCF file, and the recording's columns are "
+            "valid in it."
+        )
+    if result.code:
+        steps.append(
+            "Apply the lines below to the readings: MJCF has no means for them, so model.xml does "
+            "not carry them."
+        )
+    for effect in result.effects:
+        for other in effect.ambiguous_with:
+            first, second = (
+                effect_words(effect.kind, effect.where),
+                effect_words(other.kind, other.where),
+            )
+            advice = how_to_separate(effect.kind, effect.where, other.kind, other.where)
+            steps.append(f"To tell {first} from {second}: {advice[0].lower()}{advice[1:]}")
+    if result.verdict == "unexplained":
+        steps += [f"Look here: {words}" for words in result.where_it_lives]
+        steps.append(
+            "If you know what it is, add it: an effect is one small class in one file, and is "
+            "tried like the others."
+        )
+    if result.verdict == "no_gap":
+        steps.append(
+            "To look closer, record motions that strain what you suspect: slow and fast, with "
+            "reversals, over the whole range, with and without load."
+        )
+    trending = [t for t in result.left_over if t.trend_sureness >= 4 and abs(t.trend) > 0.5]
+    if trending:
+        steps.append(
+            f"{_listed([t.channel for t in trending])} drift within a run: something warms up or "
+            "creeps. Record a long run at constant motion."
+        )
+    return steps
+
+
+def _listed(names: Sequence[str]) -> str:
+    shown = list(names[:3]) + (["others"] if len(names) > 3 else [])
+    return " and ".join([", ".join(shown[:-1]), shown[-1]] if len(shown) > 1 else shown)

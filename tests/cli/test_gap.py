@@ -1,0 +1,164 @@
+"""The command `loose gap`: what it writes, what it refuses, how it says so."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("jinja2")
+pytest.importorskip("matplotlib")
+
+from loose_env.cli import gap
+from loose_env.cli.main import main
+from loose_env.errors import InvalidData
+from loose_env.gap.finding import GapSettings
+from loose_env.gap.reporting import GapOutputs
+from loose_env.gap.result import read_result
+from loose_env.recording import Recording
+from tests.gap.gap_case import outputs_for, record
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return record(tmp_path_factory.mktemp("cli") / "recording")
+
+
+@pytest.fixture(scope="module")
+def outputs(recording: Recording) -> GapOutputs:
+    return outputs_for(recording)
+
+
+class Search:
+    """Stands for the search, which takes minutes: one stage, then what is known."""
+
+    def __init__(self) -> None:
+        self.settings: GapSettings | None = None
+        self.made = 0
+        self.ends: BaseException | None = None
+
+    def __call__(
+        self, recording: Recording, settings: GapSettings, *, say: Any, stages: Any
+    ) -> None:
+        self.settings = settings
+        say("nominal model: 6.9 noise standard deviations")
+        assert stages("base", self.make) == {"rms": 6.9}
+        if self.ends is not None:
+            raise self.ends
+
+    def make(self) -> dict[str, float]:
+        self.made += 1
+        return {"rms": 6.9}
+
+
+@pytest.fixture
+def search(monkeypatch: pytest.MonkeyPatch, outputs: GapOutputs) -> Search:
+    found = Search()
+    monkeypatch.setattr(gap, "find_gap", found)
+    monkeypatch.setattr(gap, "outputs_of", lambda *_: outputs)
+    return found
+
+
+def words(recording: Recording, out: Path, *more: str) -> list[str]:
+    return ["gap", str(recording.folder), "--out", str(out), *more]
+
+
+def test_it_writes_model_result_and_page_and_says_what_it_found(
+    recording: Recording, search: Search, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words(recording, tmp_path / "out", "--tolerance", "0.05", "--threads", "1")) == 0
+    assert search.settings == GapSettings(tolerance=0.05, threads=1)
+    names = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert names == [".gap", "model.xml", "report.html", "result.json"]
+    assert read_result(tmp_path / "out").verdict == "named"
+    said = capsys.readouterr()
+    assert "viscous_friction at joint2\n  damping 3 (2.9 to 3.1) N·m·s/rad" in said.out
+    assert "cannot tell it from actuator_gain at servo2" in said.out
+    assert "nominal model: 6.9" in said.err and "warning: the step is coarse" in said.err
+    assert "nominal model" not in said.out
+
+
+def test_quiet_says_only_the_outcome_and_warnings(
+    recording: Recording, search: Search, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words(recording, tmp_path / "out", "--quiet")) == 0
+    said = capsys.readouterr()
+    assert said.err == "warning: the step is coarse\n" and "written:" in said.out
+
+
+def test_an_interrupted_run_goes_on_from_its_finished_stages(
+    recording: Recording, search: Search, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    search.ends = KeyboardInterrupt()
+    assert main(words(recording, tmp_path)) == 130
+    assert "goes on from there" in capsys.readouterr().err
+    search.ends = None
+    assert main(words(recording, tmp_path, "--threads", "2")) == 0
+    assert search.made == 1
+    assert "taken up from an earlier run: base" in capsys.readouterr().err
+    assert main(words(recording, tmp_path, "--tolerance", "0.04")) == 0
+    assert search.made == 2
+
+
+def test_a_folder_with_other_files_is_refused_before_anything_is_read(
+    search: Search, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tmp_path.joinpath("notes.txt").write_text("mine")
+    assert main(["gap", str(tmp_path / "none"), "--out", str(tmp_path)]) == 1
+    said = capsys.readouterr()
+    assert said.err.startswith("loose gap: --out") and "notes.txt" in said.err
+    assert said.err.count("\n") == 1 and not said.out
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_mistakes_end_in_one_line(
+    recording: Recording, search: Search, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    broken = tmp_path / "broken.xml"
+    broken.write_text("<mujoco><worldbody><body></worldbody></mujoco>")
+    for command in (
+        ["gap", str(tmp_path / "none"), "--out", str(tmp_path / "out")],
+        words(recording, tmp_path / "out", "--tolerance", "3"),
+        words(recording, tmp_path / "out", "--model", str(tmp_path / "none.xml")),
+        words(recording, tmp_path / "out", "--model", str(broken)),
+        words(recording, recording.folder),
+    ):
+        assert main(command) == 1
+        said = capsys.readouterr()
+        assert said.err.startswith("loose gap: ") and said.err.count("\n") == 1
+        assert "Traceback" not in said.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_model_in_the_output_folder_is_not_overwritten(
+    recording: Recording, search: Search, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words(recording, tmp_path / "out")) == 0
+    model = str(tmp_path / "out" / "model.xml")
+    assert main(words(recording, tmp_path / "out", "--model", model)) == 1
+    assert "would be overwritten" in capsys.readouterr().err
+
+
+def test_errors_of_the_search_are_said_and_faults_of_the_program_keep_their_trace(
+    recording: Recording, search: Search, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    search.ends = InvalidData("two runs\nare needed")
+    assert main(words(recording, tmp_path / "a")) == 1
+    assert capsys.readouterr().err.endswith("loose gap: two runs are needed\n")
+    search.ends = ZeroDivisionError()
+    with pytest.raises(ZeroDivisionError):
+        main(words(recording, tmp_path / "b"))
+
+
+def test_a_command_line_that_makes_no_sense_is_argparses_affair(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for command in ([], ["fly"], ["gap"], ["gap", "here", "--out", "there", "--tolerance", "x"]):
+        with pytest.raises(SystemExit) as ended:
+            main(command)
+        assert ended.value.code == 2
+    with pytest.raises(SystemExit) as ended:
+        main(["gap", "--help"])
+    assert ended.value.code == 0
+    assert "Exit codes" in capsys.readouterr().out

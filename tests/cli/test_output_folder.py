@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from loose_env.cli.output_folder import OutputFolder
+from loose_env.errors import InvalidSetting
+
+
+def test_a_new_and_an_empty_folder_are_taken(tmp_path: Path) -> None:
+    assert OutputFolder(tmp_path / "new").prepared().is_dir()
+    (tmp_path / "empty").mkdir()
+    OutputFolder(tmp_path / "empty")
+
+
+def test_a_folder_with_other_files_is_refused_and_names_them(tmp_path: Path) -> None:
+    tmp_path.joinpath("thesis.tex").write_text("years of work")
+    with pytest.raises(InvalidSetting, match=r"thesis\.tex"):
+        OutputFolder(tmp_path)
+    assert tmp_path.joinpath("thesis.tex").read_text() == "years of work"
+
+
+def test_somebody_elses_model_is_not_overwritten(tmp_path: Path) -> None:
+    tmp_path.joinpath("model.xml").write_text("<mujoco/>")
+    with pytest.raises(InvalidSetting, match=r"model\.xml"):
+        OutputFolder(tmp_path)
+
+
+def test_the_folder_of_an_earlier_run_is_taken_with_all_it_wrote(tmp_path: Path) -> None:
+    first = OutputFolder(tmp_path)
+    first.prepared()
+    for name in ("model.xml", "result.json", ".model.12.part.xml"):
+        tmp_path.joinpath(name).write_text("")
+    mesh = tmp_path / "assets" / "link.obj"
+    mesh.parent.mkdir()
+    mesh.write_text("")
+    with pytest.raises(InvalidSetting, match="assets"):
+        OutputFolder(tmp_path)
+    first.note([tmp_path / "model.xml", mesh])
+    OutputFolder(tmp_path)
+    tmp_path.joinpath("notes.txt").write_text("mine")
+    with pytest.raises(InvalidSetting, match=r"notes\.txt"):
+        OutputFolder(tmp_path)
+
+
+def test_a_file_is_no_folder(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("")
+    with pytest.raises(InvalidSetting, match="is a file"):
+        OutputFolder(file)

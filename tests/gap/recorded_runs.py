@@ -1,0 +1,170 @@
+"""Runs made up for the comparisons: torques for a motion, and pendulums let go."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from loose_env.gap.comparison import Comparison
+from loose_env.gap.effect import Effect
+from loose_env.gap.fit import Fit, fit, hypothesis_of
+from loose_env.gap.machine import Machine
+from loose_env.gap.noise import noise_floor
+from loose_env.gap.nominal import NominalFigures
+from loose_env.gap.parameter import free_of
+from loose_env.gap.start import StartState
+from loose_env.gap.trial import channels_of, lay_out
+from loose_env.recording import Run
+
+Array = NDArray[np.float64]
+Friction = Callable[[Array], Array]
+
+PENDULUM = """
+<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.0025" integrator="RK4" gravity="0 0 -9.81"/>
+  <worldbody>
+    <body name="rod">
+      <joint name="pivot" type="hinge" axis="0 1 0"/>
+      <inertial pos="0 0 -0.3" mass="0.5" diaginertia="0.01 0.01 0.0005"/>
+    </body>
+  </worldbody>
+  <sensor><jointpos name="encoder" joint="pivot"/></sensor>
+</mujoco>
+"""
+
+
+def measurable(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """The model with a position and a speed sensor at every joint, "<joint>_pos", "<joint>_vel"."""
+    for joint in spec.joints:
+        for ending, kind in (("pos", "JOINTPOS"), ("vel", "JOINTVEL")):
+            spec.add_sensor(
+                name=f"{joint.name}_{ending}",
+                type=getattr(mujoco.mjtSensor, f"mjSENS_{kind}"),
+                objtype=mujoco.mjtObj.mjOBJ_JOINT,
+                objname=joint.name,
+            )
+    return spec
+
+
+def waves(
+    machine: Machine, time: Array, rng: np.random.Generator, size: float = 0.6
+) -> tuple[Array, Array, Array]:
+    """Position, speed and acceleration of all joints (T, joints), sums of sines up to 2 Hz."""
+    count = len(machine.joints)
+    found = np.zeros((3, len(time), count))
+    for j, joint in enumerate(machine.joints):
+        reach = size if machine.turns(joint) else 0.1 * size
+        for amplitude in (1.0, 0.3, 0.1):
+            rate = 2 * np.pi * rng.uniform(0.2, 0.6) / amplitude**0.5
+            angle = rate * time + rng.uniform(0, 2 * np.pi)
+            wave = np.sin(angle), rate * np.cos(angle), -(rate**2) * np.sin(angle)
+            found[:, :, j] += amplitude * reach * np.array(wave)
+    return found[0], found[1], found[2]
+
+
+def needed(model: mujoco.MjModel, position: Array, speed: Array, acceleration: Array) -> Array:
+    """MuJoCo's inverse dynamics without constraints, sample by sample (T, joints)."""
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    data = mujoco.MjData(model)
+    found = np.zeros_like(position)
+    for k in range(len(position)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = position[k], speed[k], acceleration[k]
+        mujoco.mj_inverse(model, data)
+        found[k] = data.qfrc_inverse
+    return found
+
+
+def torque_run(
+    machine: Machine,
+    truth: mujoco.MjModel,
+    rng: np.random.Generator,
+    *,
+    rate: float = 500.0,
+    duration: float = 8.0,
+    step: float = 1e-4,
+    speeds: float | None = 2e-3,
+    noise: float = 0.01,
+    friction: Friction | None = None,
+    name: str = "run",
+) -> Run:
+    """A run of motion and torque: encoders of a step, speeds and torques with noise.
+
+    The torque's noise is a share of each joint's root mean square torque.
+    """
+    time = np.arange(round(rate * duration)) / rate
+    position, speed, acceleration = waves(machine, time, rng)
+    torque = needed(truth, position, speed, acceleration)
+    if friction is not None:
+        torque = torque + friction(speed)
+    spread = noise * np.sqrt(np.mean(torque**2, axis=0))
+    slides = np.array([0.1 ** (not machine.turns(j)) for j in machine.joints])
+    shaken = position + slides * step * rng.normal(0, 0.5, position.shape)
+    sensors = {
+        f"{joint}_pos": slides[j] * step * np.round(shaken[:, j] / (slides[j] * step))
+        for j, joint in enumerate(machine.joints)
+    }
+    if speeds is not None:
+        read = speed + speeds * slides * rng.normal(size=speed.shape)
+        sensors |= {f"{joint}_vel": read[:, j] for j, joint in enumerate(machine.joints)}
+    torque = torque + spread * rng.normal(size=torque.shape)
+    torques = {joint: torque[:, j] for j, joint in enumerate(machine.joints)}
+    return Run(name=name, time=time, sensors=sensors, torques=torques)
+
+
+def pendulum_run(
+    rng: np.random.Generator,
+    *,
+    viscous: float,
+    coulomb: float,
+    start: tuple[float, float],
+    noise: float = 1e-3,
+    rate: float = 100.0,
+    duration: float = 6.0,
+    name: str = "run",
+) -> Run:
+    """Free decay of `PENDULUM` with a smooth friction law, by scipy, seen by an encoder alone."""
+    inertia, moment = 0.01 + 0.5 * 0.3**2, 0.5 * 9.81 * 0.3
+    time = np.arange(round(rate * duration)) / rate
+
+    def change(_: float, state: Array) -> list[float]:
+        angle, speed = state
+        friction = viscous * speed + coulomb * np.tanh(speed / 0.003)
+        return [speed, (-moment * np.sin(angle) - friction) / inertia]
+
+    angle = solve_ivp(
+        change, (0, time[-1]), start, t_eval=time, rtol=1e-8, atol=1e-10, method="LSODA"
+    ).y[0]
+    return Run(name=name, time=time, sensors={"encoder": angle + rng.normal(0, noise, len(time))})
+
+
+def compared(machine: Machine, runs: Sequence[Run], step: float = 0.0025) -> Comparison:
+    """Comparison of runs, on one thread."""
+    channels = channels_of(list(runs))
+    trials = [lay_out(run, machine, channels, step=step) for run in runs]
+    read = np.array([[noise_floor(c) for c in trial.measured.T] for trial in trials])
+    return Comparison(machine, trials, channels, np.nanmedian(read, axis=0), threads=1)
+
+
+def fitted(
+    comparison: Comparison, effects: Sequence[Effect], *, start: int = 0, tolerance: float = 0.005
+) -> tuple[Fit, list[Array]]:
+    """Fit effects beside the nominal figures and the starts; values of each of the effects."""
+    figures = NominalFigures(comparison.machine, tolerance=tolerance)
+    starts = StartState(comparison.machine, comparison.trials, comparison.channels)
+    everything = [starts, figures, *effects]
+    begin = [
+        starts.starts[0],
+        figures.starts[0],
+        *(e.starts[start % len(e.starts)] for e in effects),
+    ]
+    free = np.concatenate(
+        [free_of(e.parameters, np.array(s)) for e, s in zip(everything, begin, strict=True)]
+    )
+    found = fit(comparison, everything, free)
+    values = hypothesis_of(found.effects, found.free).values
+    return found, list(values[1:])

@@ -1,0 +1,94 @@
+"""Runs of every form in one comparison."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from loose_env.gap.catalogue import CATALOGUE, candidates
+from loose_env.gap.machine import Machine
+from loose_env.gap.simulator import Hypothesis
+from loose_env.gap.structure import Structure
+from loose_env.recording import Run
+from tests.gap.effect_arms import PLANAR, commands, simulate
+from tests.gap.recorded_runs import compared, measurable, torque_run
+
+NOTHING = Hypothesis(effects=(), values=())
+
+
+def mixed() -> tuple[Machine, list[Run]]:
+    """A commanded run and one of motion and torque."""
+    machine = Machine(measurable(mujoco.MjSpec.from_string(PLANAR)))
+    rng = np.random.default_rng(1)
+    time = np.arange(4000) * 0.001
+    controls = commands(machine, time)
+    still = np.zeros((1500, controls.shape[1]))  # held until it rests
+    read = simulate(machine.model, np.concatenate([still, controls]))
+    sensors = {
+        name: read[f"sensor.{name}"][1500:] + rng.normal(0, 1e-3, 4000)
+        for name in ("joint1_pos", "joint2_pos", "joint3_pos")
+    }
+    ahead = Run(
+        name="ahead",
+        time=time,
+        controls={name: controls[:, k] for k, name in enumerate(machine.actuators)},
+        sensors=sensors,
+    )
+    back = torque_run(machine, machine.model, rng, step=1.7e-3, speeds=None, name="back")
+    return machine, [back, ahead]
+
+
+def test_each_run_is_compared_by_its_form() -> None:
+    machine, runs = mixed()
+    comparison = compared(machine, runs, step=0.001)
+    rows = comparison.rows
+    names = np.array([c.column for c in comparison.channels])
+    assert set(names[rows.channel[rows.trial == 0]]) == {f"torque.joint{k}" for k in (1, 2, 3)}
+    assert set(names[rows.channel[rows.trial == 1]]) == {f"sensor.joint{k}_pos" for k in (1, 2, 3)}
+    payload = CATALOGUE["payload"](machine, "tool")
+    loaded = Hypothesis(effects=(payload,), values=(np.array(payload.starts[0]),))
+    residuals = comparison.residuals([NOTHING, loaded])
+    sizes = np.array([[np.std(r[rows.trial == t]) for t in (0, 1)] for r in residuals])
+    assert np.all(sizes[0] < 1.5)
+    assert sizes[1, 0] > 5.0 and sizes[1, 1] > 1.3
+
+
+def test_starts_reach_the_run_they_belong_to() -> None:
+    machine, runs = mixed()
+    comparison = compared(machine, runs, step=0.001)
+    shift = np.zeros((2, 3))
+    shift[0] = 0.3  # of the inverse run, which has no start
+    moved = Hypothesis(effects=(), values=(), position=shift, speed=np.zeros((2, 3)))
+    first, second = comparison.residuals([NOTHING, moved])
+    assert np.array_equal(first, second)
+
+
+def test_short_comparisons_keep_inverse_runs_whole() -> None:
+    machine, runs = mixed()
+    comparison = compared(machine, runs, step=0.001)
+    short, kept = comparison.shortened(1.0)
+    assert short.inverse is comparison.inverse
+    assert np.sum(short.rows.trial == 0) == np.sum(comparison.rows.trial == 0)
+    assert np.sum(short.rows.trial == 1) < 0.3 * np.sum(comparison.rows.trial == 1)
+    assert np.allclose(short.measured, comparison.measured[kept])
+    residual, whole = short.residuals([NOTHING])[0], comparison.residuals([NOTHING])[0]
+    assert np.allclose(residual, whole[kept], atol=1e-6)
+
+
+def test_neighbours_of_an_inverse_run_count_as_neighbours() -> None:
+    machine, runs = mixed()
+    comparison = compared(machine, runs, step=0.001)
+    structure = Structure(comparison.rows)
+    pairs = comparison.rows.trial[structure.first]
+    assert np.sum(pairs == 0) > 0.5 * np.sum(comparison.rows.trial == 0)
+    residual = comparison.residuals([NOTHING])[0]
+    assert abs(structure.mean(residual)) < 0.25
+
+
+def test_a_forward_run_shows_every_effect() -> None:
+    machine, runs = mixed()
+    both, ahead = compared(machine, runs, step=0.001), compared(machine, runs[1:], step=0.001)
+    assert ahead.inverse is None
+    for effect in candidates(machine):
+        assert both.shows(effect)
+        assert ahead.shows(effect)

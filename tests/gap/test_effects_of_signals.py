@@ -1,0 +1,145 @@
+"""What the effects of actuators and sensors do, against formulas that know nothing of the edits."""
+
+from __future__ import annotations
+
+from math import exp
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from loose_env.gap.catalogue import CATALOGUE, candidates
+from tests.gap.effect_arms import clock, commands, machine_of, simulate
+
+
+def test_a_lag_answers_a_step_exponentially() -> None:
+    machine = machine_of("planar")
+    effect = CATALOGUE["actuator_lag"](machine, "servo3")
+    time = clock(machine)
+    controls = np.zeros((len(time), 3))
+    controls[100:, 2] = 0.8
+    reached = effect.command(time, controls, np.array([0.03]))
+    after = time[100:] - time[100]
+    assert np.allclose(reached[100:, 2], 0.8 * (1 - np.exp(-after / 0.03)), atol=1e-12)
+    assert not reached[:100].any()
+    assert np.array_equal(reached[:, :2], controls[:, :2])
+    # A command that holds from the start is there from the start.
+    held = effect.command(time, np.full((len(time), 3), 0.5), np.array([0.03]))
+    assert np.allclose(held, 0.5)
+
+
+def test_a_lag_filters_what_the_actuator_takes() -> None:
+    machine = machine_of("planar")
+    effect = CATALOGUE["actuator_lag"](machine, "servo2")
+    time = clock(machine)
+    controls = np.zeros((len(time), 3))
+    controls[1:, 1] = 10.0  # the actuator takes 2
+    reached = effect.command(time, controls, np.array([0.05]))
+    assert reached[51, 1] == pytest.approx(2.0 * (1 - exp(-1)))
+
+
+def test_a_delay_shifts_held_commands_by_parts_of_a_step() -> None:
+    machine = machine_of("planar")
+    time = clock(machine)
+    controls = commands(machine, time) + 0.2
+    step = time[1]
+    for delay, whole, share in ((0.007, 7, 0.0), (0.0104, 10, 0.4)):
+        for where, numbers in (("servo2", [1]), ("all", [0, 1, 2])):
+            late = CATALOGUE["command_delay"](machine, where).command(
+                time, controls, np.array([delay])
+            )
+            for number in range(3):
+                own = controls[:, number]
+                if number in numbers:
+                    wanted = (1 - share) * own[1:-whole] + share * own[: -whole - 1]
+                    assert np.allclose(late[whole + 1 :, number], wanted)
+                    assert np.allclose(late[: whole - 1, number], own[0], atol=1e-12)
+                else:
+                    assert np.array_equal(late[:, number], own)
+    assert step == pytest.approx(1e-3)
+
+
+def test_all_is_a_place_of_delays_where_there_are_several_actuators() -> None:
+    machine = machine_of("planar")
+    assert CATALOGUE["command_delay"].places(machine)[-1] == "all"
+    spec = machine.fresh()
+    for actuator in list(spec.actuators)[1:]:
+        spec.delete(actuator)
+    lone = type(machine)(spec)
+    assert CATALOGUE["command_delay"].places(lone) == ("servo1",)
+
+
+def test_a_gain_scales_the_force_or_the_command() -> None:
+    machine = machine_of("spatial")
+    found = {repr(effect): effect for effect in candidates(machine, ["actuator_gain"])}
+    # A motor without feedback has one form only.
+    assert list(found) == [
+        "actuator_gain@turn", "actuator_gain@turn (command)",
+        "actuator_gain@lift", "actuator_gain@lift (command)",
+        "actuator_gain@reach", "actuator_gain@reach (command)",
+        "actuator_gain@roll",
+    ]  # fmt: skip
+    for name, effect in found.items():
+        spec = machine.fresh()
+        effect.edit(spec, np.array([1.3]))
+        model = spec.compile()
+        for push in (0.3, 5.0):  # the second one saturates the lift
+            before, after = mujoco.MjData(machine.model), mujoco.MjData(model)
+            for data in (before, after):
+                data.qpos[:] += 0.05
+                data.qvel[:] = 0.1
+                data.ctrl[:] = push
+            if "command" in name:
+                before.ctrl[machine.actuators.index(effect.where)] *= 1.3
+            mujoco.mj_forward(machine.model, before)
+            mujoco.mj_forward(model, after)
+            factors = [1.3 if n == effect.where and "command" not in name else 1.0
+                       for n in machine.actuators]  # fmt: skip
+            assert np.allclose(after.actuator_force, factors * before.actuator_force), name
+
+
+def test_a_sensor_askew_shows_the_vector_in_its_own_axes() -> None:
+    machine = machine_of("spatial")
+    effect = CATALOGUE["sensor_misalignment"](machine, "shake")
+    assert effect.places(machine) == ("spin", "shake")
+    turn = np.array([0.1, -0.2, 0.3])
+    values = np.random.default_rng(0).normal(size=(7, 3))
+    shown = effect.read(np.arange(7.0), {"sensor.shake": values}, turn)["sensor.shake"]
+    axes = Rotation.from_rotvec(turn).as_matrix()  # columns: the sensor's axes in the site's
+    assert np.allclose(shown, [[row @ axis for axis in axes.T] for row in values])
+    assert np.allclose(np.linalg.norm(shown, axis=1), np.linalg.norm(values, axis=1))
+    spec = machine.fresh()
+    effect.export(spec, turn)
+    # The site itself, and other sensors on it, stay.
+    assert spec.sensor("place").objname == "tool"
+    assert spec.sensor("shake").objname == "shake_sensor_misalignment"
+
+
+def test_a_late_sensor_shows_what_was() -> None:
+    machine = machine_of("planar")
+    time = clock(machine)
+    effect = CATALOGUE["sensor_delay"](machine, "shake")
+    wave = np.stack([np.sin(40 * time + phase) for phase in (0, 1, 2)], axis=-1)
+    late = effect.read(time, {"sensor.shake": wave}, np.array([0.0123]))["sensor.shake"]
+    wanted = np.stack([np.sin(40 * (time - 0.0123) + phase) for phase in (0, 1, 2)], axis=-1)
+    assert np.allclose(late[13:], wanted[13:], atol=3e-4)
+    assert np.allclose(late[:12], wave[0])
+    # Samples need not be evenly spaced.
+    uneven = np.sort(np.random.default_rng(1).uniform(0, 0.5, 2000))
+    late = effect.read(uneven, {"sensor.shake": np.stack([uneven] * 3, axis=-1)}, np.array([0.05]))
+    assert np.allclose(late["sensor.shake"][500:, 0], uneven[500:] - 0.05)
+
+
+def test_gain_and_bias_leave_the_motion_alone() -> None:
+    machine = machine_of("planar")
+    readings = simulate(machine.model, commands(machine, clock(machine)))
+    time = clock(machine)
+    scaled = CATALOGUE["sensor_gain"](machine, "rate3").read(time, readings, np.array([1.2]))
+    shifted = CATALOGUE["sensor_bias"](machine, "shake").read(
+        time, readings, np.array([0.1, -0.2, 0.3])
+    )
+    assert np.allclose(scaled["sensor.rate3"], 1.2 * readings["sensor.rate3"])
+    assert np.allclose(shifted["sensor.shake"] - readings["sensor.shake"], [0.1, -0.2, 0.3])
+    for shown in (scaled, shifted):
+        assert np.array_equal(shown["sensor.encoder1"], readings["sensor.encoder1"])

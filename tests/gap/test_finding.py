@@ -1,0 +1,130 @@
+"""The search as a whole, on small recordings with and without something hidden."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.gap.effects.coulomb_friction import make_it_stick
+from loose_env.gap.finding import GapSettings, find_gap, prepare
+from loose_env.recording import Recording, Run, write_recording
+from tests.gap.effect_arms import PLANAR
+
+Array = NDArray[np.float64]
+
+STEP, SECONDS, RUNS = 0.001, 2.5, 3
+NOISE = np.array([5e-5] * 3 + [2e-3] + [0.03] * 3)
+
+
+def record(
+    folder: Path, edit: Callable[[mujoco.MjSpec], None], *, seed: int, runs: int = RUNS
+) -> Recording:
+    """Record the planar arm, its figures 1 to 3 % off, with an edit of one's own."""
+    rng = np.random.default_rng(seed)
+    spec = mujoco.MjSpec.from_string(PLANAR)
+
+    def off() -> float:
+        return float(1 + rng.choice([-1, 1]) * rng.uniform(0.01, 0.03))
+
+    for joint in spec.joints:
+        joint.damping = np.asarray(joint.damping) * off()
+    for actuator in spec.actuators:
+        factor = off()
+        actuator.gainprm = np.asarray(actuator.gainprm) * np.array([factor] + [1.0] * 9)
+        actuator.biasprm = np.asarray(actuator.biasprm) * np.array([1.0, factor] + [1.0] * 8)
+    edit(spec)
+    spec.option.timestep, spec.option.integrator = STEP / 2, mujoco.mjtIntegrator.mjINT_RK4
+    model = spec.compile()
+    time = np.arange(round(SECONDS / STEP)) * STEP
+    found = []
+    for k in range(runs):
+        data = mujoco.MjData(model)
+        controls = (
+            sum(
+                rng.uniform(0.1, 0.5, 3) * np.sin(np.outer(time, rng.uniform(2, 12, 3)))
+                for _ in range(3)
+            )
+            * np.minimum(2 * time, 1.0)[:, None]
+        )
+        for _ in range(2000):
+            mujoco.mj_step(model, data)
+        shown = np.zeros((len(time), model.nsensordata))
+        for row, command in zip(shown, controls, strict=True):
+            data.ctrl[:3] = command
+            mujoco.mj_step(model, data)
+            row[:] = data.sensordata
+            mujoco.mj_step(model, data)
+        shown += rng.normal(0, NOISE, shown.shape)
+        names = ("encoder1", "encoder2", "encoder3", "rate3")
+        found.append(
+            Run(
+                name=f"run-{k + 1:02d}.parquet",
+                time=time,
+                controls={f"servo{j + 1}": controls[:, j] for j in range(3)},
+                sensors={n: shown[:, j] for j, n in enumerate(names)} | {"shake": shown[:, 4:]},
+            )
+        )
+    return write_recording(folder, model_xml=PLANAR, runs=found)
+
+
+def test_nothing_is_named_where_nothing_is_missing(tmp_path: Path) -> None:
+    recording = record(tmp_path / "r", lambda spec: None, seed=3)
+    found = find_gap(recording, GapSettings(threads=1))
+    assert found.verdict == "no_gap"
+    assert found.effects == ()
+    assert 0.9 < found.best.held_rms < 1.15
+
+
+def test_friction_is_named_with_its_place_and_its_torque(tmp_path: Path) -> None:
+    def edit(spec: mujoco.MjSpec) -> None:
+        spec.joint("joint2").frictionloss = 2.0
+        make_it_stick(spec.joint("joint2"), STEP / 2)
+
+    lines: list[str] = []
+    found = find_gap(record(tmp_path / "r", edit, seed=4), GapSettings(threads=1), say=lines.append)
+    assert found.verdict == "named"
+    assert [(e.kind, e.where) for e in found.effects] == [("coulomb_friction", "joint2")]
+    effect = found.effects[0]
+    assert effect.parameters["torque"] == pytest.approx(2.0, rel=0.05)
+    low, high = effect.interval_95["torque"]
+    assert low < effect.parameters["torque"] < high
+    assert high - low < 0.3
+    assert found.base.held_rms > 2 * found.best.held_rms
+    assert found.best.held_rms < 1.15
+    assert any("coulomb_friction@joint2" in line for line in lines)
+    assert found.ranking[0].bic < 0
+
+
+def test_the_same_recording_gives_the_same_result_on_any_number_of_threads(
+    tmp_path: Path,
+) -> None:
+    def edit(spec: mujoco.MjSpec) -> None:
+        spec.body("link3").mass += 0.4
+
+    recording = record(tmp_path / "r", edit, seed=5)
+    kinds = ("link_mass", "payload")
+    one = find_gap(recording, GapSettings(threads=1, kinds=kinds))
+    two = find_gap(recording, GapSettings(threads=2, kinds=kinds))
+    assert one.verdict == "named"
+    assert one.effects == two.effects
+    assert one.ranking == two.ranking
+
+
+def test_one_run_cannot_be_split(tmp_path: Path) -> None:
+    recording = record(tmp_path / "r", lambda spec: None, seed=1, runs=1)
+    with pytest.raises(InvalidData, match="at least two are needed"):
+        prepare(recording, GapSettings())
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"tolerance": 0.0}, {"tolerance": 0.7}, {"held_share": 1.0}, {"most_effects": 0}]
+)
+def test_settings_out_of_range_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(InvalidSetting):
+        GapSettings(**wrong)  # type: ignore[arg-type]

@@ -1,0 +1,240 @@
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from loose_env.gap.comparison import Rows
+from loose_env.gap.dependence import REGRESSORS, binned, dependence, direction_of
+from loose_env.gap.joint_motion import JointMotion, joint_motion
+from loose_env.gap.locate import locate, main_band, strongest, where_it_lives
+from loose_env.gap.machine import Machine
+from loose_env.gap.residual_series import band_edges, density, series_of, spectrum
+from loose_env.gap.residual_tests import left_over
+from loose_env.gap.trial import Channel, Trial
+
+Array = NDArray[np.float64]
+CHANNELS = (Channel("sensor.q"), Channel("sensor.acc", 0))
+RATE, COUNT = 500.0, 5000
+TIME = np.arange(COUNT) / RATE
+ANGLE = 0.5 * np.sin(2 * np.pi * 0.37 * TIME) + 0.2 * np.sin(2 * np.pi * 1.31 * TIME + 1)
+SPEED = np.gradient(ANGLE, TIME)
+
+# A pendulum with a position servo; what it lacks is added by the tests.
+PENDULUM = """
+<mujoco>
+  <option timestep="0.001" integrator="RK4"/>
+  <worldbody>
+    <body>
+      <joint name="turn" axis="0 1 0" damping="{damping}" frictionloss="{friction}"/>
+      <inertial pos="0 0 -0.4" mass="2" diaginertia="0.02 0.02 0.01"/>
+    </body>
+  </worldbody>
+  <actuator><position name="servo" joint="turn" kp="300" kv="20"/></actuator>
+  <sensor><jointpos name="q" joint="turn"/></sensor>
+</mujoco>
+"""
+
+
+def trial_of(name: str = "run-01.csv", **given: object) -> Trial:
+    empty = np.zeros((COUNT, 2))
+    whole = dict(
+        name=name, form="forward", time=TIME, measured=empty, step=1 / RATE, steps=COUNT,
+        controls=np.zeros((COUNT, 1)), position=np.zeros(1), speed=np.zeros(1), resting=True,
+    )  # fmt: skip
+    return Trial(**(whole | given))  # type: ignore[arg-type]
+
+
+def rows_of(runs: int = 1) -> Rows:
+    trial, sample, channel = np.meshgrid(np.arange(runs), np.arange(COUNT), [0, 1], indexing="ij")
+    sample = sample.ravel()
+    block = (sample / RATE // 0.5).astype(int) + 100 * trial.ravel()
+    return Rows(
+        trial=trial.ravel(), channel=channel.ravel(), sample=sample, place=sample, block=block
+    )
+
+
+def motion() -> JointMotion:
+    one = ANGLE[:, None]
+    return JointMotion(
+        joints=("turn",), units=("N·m",), time=TIME, position=one, speed=SPEED[:, None],
+        acceleration=np.gradient(SPEED, TIME)[:, None], load=3 * np.sin(one),
+        missing=np.full_like(one, np.nan), missing_floor=np.array([np.nan]),
+    )  # fmt: skip
+
+
+def residual(on_q: Array, seed: int = 1) -> Array:
+    noise = np.random.default_rng(seed).normal(0, 1, (COUNT, 2))
+    noise[:, 0] += on_q
+    return noise.ravel()
+
+
+def goes_with(on_q: Array) -> str | None:
+    gap = locate(residual(on_q), rows_of(), [trial_of()], CHANNELS, [motion()]).channels[0]
+    found = strongest(gap.depends)
+    return None if found is None else found.on
+
+
+def test_noise_is_at_its_floor_at_every_frequency_and_goes_with_nothing() -> None:
+    location = locate(residual(np.zeros(COUNT)), rows_of(), [trial_of()], CHANNELS, [motion()])
+    assert [gap.channel for gap in location.channels] == ["sensor.q", "sensor.acc.x"]
+    for gap in location.channels:
+        assert gap.over_floor == pytest.approx(1, abs=0.05)
+        assert strongest(gap.depends) is None and main_band(gap) is None
+        wide = [band for band in gap.bands if band.high > 3]
+        assert all(0.8 < band.over_floor < 1.2 for band in wide)
+        assert sum(band.share for band in gap.bands) == pytest.approx(1)
+    assert where_it_lives(location) == []
+
+
+@pytest.mark.parametrize(
+    ("on_q", "quantity"),
+    [
+        (3 * np.sign(SPEED), "direction"),
+        (3 * SPEED, "velocity"),
+        (8 * np.cos(9 * ANGLE), "position"),
+        (0.3 * np.gradient(SPEED, TIME), "acceleration"),
+    ],
+)
+def test_a_residual_is_told_by_what_it_goes_with(on_q: Array, quantity: str) -> None:
+    assert goes_with(on_q) == quantity
+
+
+def test_what_only_shares_slow_time_with_the_motion_explains_nothing_surely() -> None:
+    drift = np.cumsum(np.random.default_rng(5).normal(0, 0.05, COUNT))
+    gap = locate(residual(drift), rows_of(), [trial_of()], CHANNELS, [motion()]).channels[0]
+    assert gap.over_floor > 1.5
+    assert strongest(gap.depends) is None
+
+
+def test_a_resonance_is_found_in_its_band_and_named_in_words() -> None:
+    gap = locate(
+        residual(6 * np.sin(2 * np.pi * 47 * TIME)), rows_of(), [trial_of()], CHANNELS, [motion()]
+    )
+    band = main_band(gap.channels[0])
+    assert band is not None and (band.low, band.high) == (30.0, 100.0)
+    words = where_it_lives(gap)
+    assert len(words) == 1
+    assert words[0].startswith("sensor.q is up to 4.") and "between 30 and 100 Hz" in words[0]
+
+
+def test_a_constant_is_called_constant() -> None:
+    said = where_it_lives(
+        locate(residual(np.full(COUNT, 9.0)), rows_of(), [trial_of()], CHANNELS, [motion()])
+    )
+    assert "almost constant" in said[0]
+
+
+def test_the_worst_run_speaks_for_a_channel() -> None:
+    both = np.concatenate([residual(3 * SPEED), residual(9 * SPEED, 2)])
+    location = locate(
+        both, rows_of(2), [trial_of(), trial_of("run-02.csv")], CHANNELS, [motion(), motion()]
+    )
+    assert len(location.channels) == 4
+    assert "(run-02.csv)" in where_it_lives(location)[0]
+
+
+def simulated(damping: float, friction: float, *, noise: float = 2e-5) -> Trial:
+    """A measured run of a pendulum that is led along the test's motion."""
+    model = mujoco.MjModel.from_xml_string(PENDULUM.format(damping=damping, friction=friction))
+    data = mujoco.MjData(model)
+    steps = 2 * COUNT
+    controls = np.interp(np.arange(steps) / 1000, TIME, ANGLE)[:, None]
+    controls *= np.minimum(np.arange(steps)[:, None] / 1000, 1.0)
+    angle = np.zeros(steps)
+    for k in range(steps):
+        data.ctrl[:] = controls[k]
+        mujoco.mj_step(model, data)
+        angle[k] = data.sensordata[0]
+    read = angle[::2] + np.random.default_rng(3).normal(0, noise, COUNT)
+    return trial_of(
+        measured=np.stack([read, np.full(COUNT, np.nan)], axis=1), step=0.001, steps=steps,
+        controls=controls, motion={"turn": read},
+    )  # fmt: skip
+
+
+def missing(damping: float, friction: float) -> JointMotion:
+    machine = Machine(
+        mujoco.MjSpec.from_string(PENDULUM.format(damping=0.1, friction=0)), step=0.001
+    )
+    trial = simulated(damping, friction)
+    return joint_motion(machine, trial, CHANNELS[:1], np.array([2e-5]))
+
+
+def test_torque_that_the_model_does_not_explain_is_that_of_the_effect_in_its_unit() -> None:
+    found = missing(damping=1.6, friction=0)
+    torque, speed = found.missing[:, 0], found.speed[:, 0]
+    good = np.isfinite(torque)
+    rate = float(np.polyfit(speed[good], torque[good], 1)[0])
+    assert rate == pytest.approx(1.5, rel=0.02)
+    left = torque[good] - rate * speed[good]
+    assert np.std(left) < 3 * found.missing_floor[0]
+    assert found.units == ("N·m",)
+
+
+def test_of_a_machine_without_gap_only_noise_is_unexplained() -> None:
+    found = missing(damping=0.1, friction=0)
+    torque = found.missing[:, 0]
+    rms = float(np.sqrt(np.nanmean(torque**2)))
+    assert 0.5 * found.missing_floor[0] < rms < 2 * found.missing_floor[0]
+
+
+def test_dry_friction_shows_as_torque_that_goes_with_the_direction() -> None:
+    location = locate(
+        np.zeros(0), Rows(*(np.zeros(0, dtype=np.intp) for _ in range(5))), [simulated(0.1, 0.8)],
+        CHANNELS[:1], [missing(damping=0.1, friction=0.8)],
+    )  # fmt: skip
+    gap = location.joints[0]
+    found = strongest(gap.depends)
+    assert found is not None and found.on == "direction"
+    assert gap.missing == pytest.approx(0.8, rel=0.1)
+    assert "turn got 0.7" in where_it_lives(location)[0] and "N·m" in where_it_lives(location)[0]
+
+
+def test_dependence_needs_blocks_and_a_regressor_that_changes() -> None:
+    rng = np.random.default_rng(1)
+    values, block = rng.normal(0, 1, 600), np.arange(600) // 100
+    assert dependence(values, np.zeros(600), block) is None
+    assert dependence(values, values, np.zeros(600, dtype=np.intp)) is None
+    assert dependence(values[:20], values[:20], block[:20]) is None
+    with_gaps = np.where(np.arange(600) % 7 == 0, np.nan, values)
+    found = dependence(with_gaps, values, block)
+    assert found is not None and found.share > 0.9
+
+
+def test_bins_hold_every_sample_once_and_ties_stay_together() -> None:
+    values = np.repeat(np.arange(40.0), np.arange(1, 41))
+    labels, centres = binned(values, bins=8)
+    assert set(labels) == set(range(len(centres)))
+    for level in np.unique(values):
+        assert len(set(labels[values == level])) == 1
+    assert np.all(np.diff(centres) > 0)
+    assert set(direction_of(np.array([-1.0, 0.0, 1.0, np.nan]))[:3]) == {-1.0, 0.0, 1.0}
+
+
+def test_spectra_are_one_for_noise_whatever_the_rate_and_gaps() -> None:
+    series = series_of(residual(np.zeros(COUNT)), rows_of(), [trial_of()], CHANNELS)
+    frequency, power = density(series[0])
+    assert frequency[-1] == pytest.approx(RATE / 2)
+    assert np.mean(power) == pytest.approx(1, abs=0.06)
+    few, levels = spectrum(series[:1], points=20)
+    assert len(few) <= 20 and np.all(np.diff(few) > 0)
+    assert np.all((levels > 0.3) & (levels < 3))
+    assert band_edges(250.0) == [0.0, 1.0, 3.0, 10.0, 30.0, 100.0, 250.0]
+
+
+def test_noise_that_is_left_is_called_white_and_a_rest_is_not() -> None:
+    tests = left_over(residual(np.zeros(COUNT)), rows_of(), [trial_of()], CHANNELS, [motion()])
+    assert [t.channel for t in tests] == ["sensor.q", "sensor.acc.x"]
+    assert all(t.white and not t.depends and t.trend_sureness < 3.5 for t in tests)
+    assert tests[0].correlation_time == pytest.approx(1 / RATE, rel=0.3)
+    rest = left_over(residual(2 * SPEED), rows_of(), [trial_of()], CHANNELS, [motion()])[0]
+    assert not rest.white and rest.correlation_time > 0.05
+    assert "velocity" in {d.on for d in rest.depends} <= set(REGRESSORS)
+
+
+def test_a_drift_over_a_run_is_measured() -> None:
+    tests = left_over(residual(2 * TIME / TIME[-1]), rows_of(), [trial_of()], CHANNELS, [motion()])
+    assert tests[0].trend == pytest.approx(2, abs=0.2) and tests[0].trend_sureness > 6
+    assert tests[1].trend_sureness < 4

@@ -1,0 +1,139 @@
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from loose_env.errors import InvalidData
+from loose_env.gap.dependence import Dependence
+from loose_env.gap.locate import Band, ChannelGap, JointGap, Location
+from loose_env.gap.residual_tests import LeftOver
+from loose_env.gap.result import (
+    UNIT,
+    Gap,
+    GapResult,
+    NamedEffect,
+    Place,
+    Ranked,
+    read_result,
+)
+
+GOES = Dependence(on="direction", of="joint2", share=0.8, explained=3.2, sureness=9.0)
+
+
+def result() -> GapResult:
+    return GapResult(
+        verdict="named",
+        effects=(
+            NamedEffect(
+                kind="coulomb_friction",
+                where="joint2",
+                parameters={"torque": 1.32},
+                interval_95={"torque": (1.2, 1.44)},
+                ambiguous_with=(Place(kind="backlash", where="joint2"),),
+                units={"torque": "N·m"},
+            ),
+        ),
+        gap=Gap(
+            before=4.1,
+            after=1.1,
+            by_channel={"sensor.joint2_pos": (4.5, 1.1)},
+            by_horizon_s={"0.1": (1.5, 1.0), "0.5": (3.0, 1.1), "2.0": (4.0, 1.2)},
+        ),
+        held_out_runs=("run-05.parquet",),
+        ranking=(Ranked(kind="coulomb_friction", where="joint2", held_out=1.2, bic=-310.0),),
+        location=Location(
+            channels=(
+                ChannelGap(
+                    run="run-01.parquet",
+                    channel="sensor.joint2_pos",
+                    over_floor=4.5,
+                    offset=0.1,
+                    bands=(Band(low=0.0, high=1.0, over_floor=9.0, share=0.7),),
+                    depends=(GOES,),
+                ),
+            ),
+            joints=(
+                JointGap(
+                    run="run-01.parquet", joint="joint2", unit="N·m", missing=1.3, floor=0.1,
+                    load=9.0,
+                    depends=(GOES,),
+                ),
+            ),
+        ),
+        left_over=(
+            LeftOver(
+                channel="sensor.joint2_pos", over_floor=1.1, autocorrelation=0.1,
+                whiteness_95=0.05, largest=0.1, correlation_time=0.002, trend=0.1,
+                trend_sureness=0.5, depends=(),
+            ),
+        ),
+        nominal_figures={"mass.link1": 1.01},
+        warnings=("the step is coarse",),
+        settings={"tolerance": 0.03, "naming": {"most": 3}},
+        code="data.sensor('x').data *= 2",
+    )  # fmt: skip
+
+
+def test_the_file_has_the_keys_and_words_of_the_format() -> None:
+    plain = json.loads(result().to_json())
+    assert plain["format"] == "loose-gap/1" and plain["verdict"] == "named"
+    effect = plain["effects"][0]
+    assert effect["kind"] == "coulomb_friction" and effect["where"] == "joint2"
+    assert effect["parameters"] == {"torque": 1.32}
+    assert effect["interval_95"] == {"torque": [1.2, 1.44]}
+    assert effect["ambiguous_with"] == [{"kind": "backlash", "where": "joint2"}]
+    gap = plain["gap"]
+    assert (gap["before"], gap["after"], gap["noise_floor"]) == (4.1, 1.1, 1.0)
+    assert gap["unit"] == UNIT == "RMS over held-out runs, in noise standard deviations"
+    assert gap["by_horizon_s"] == {"0.1": [1.5, 1.0], "0.5": [3.0, 1.1], "2.0": [4.0, 1.2]}
+    assert plain["held_out_runs"] == ["run-05.parquet"] and plain["model"] == "model.xml"
+    ranked = plain["ranking"][0]
+    assert {k: ranked[k] for k in ("kind", "where", "held_out", "bic")} == {
+        "kind": "coulomb_friction", "where": "joint2", "held_out": 1.2, "bic": -310.0,
+    }  # fmt: skip
+    assert list(plain)[:3] == ["format", "verdict", "gap"]
+
+
+def test_a_result_reads_back_as_it_was(tmp_path: Path) -> None:
+    file = result().write(tmp_path / "new" / "result.json")
+    assert read_result(file) == result() == read_result(tmp_path / "new")
+    assert [path.name for path in file.parent.iterdir()] == ["result.json"]
+
+
+def test_numbers_that_are_not_finite_are_null_and_come_back_as_nan() -> None:
+    text = GapResult(verdict="no_gap", gap=Gap(before=math.inf, after=math.nan)).to_json()
+    assert json.loads(text)["gap"]["before"] is None
+    assert math.isnan(GapResult.from_json(text).gap.after)
+
+
+def test_keys_of_a_later_version_are_left_out() -> None:
+    plain = json.loads(result().to_json()) | {"colour": "blue"}
+    assert GapResult.from_json(json.dumps(plain)) == result()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"format": "loose-gap/9"}, "loose-gap/9"),
+        ({"verdict": "perhaps"}, "perhaps"),
+        ({"gap": {"before": 1.0}}, "'after' is missing"),
+        ({"gap": 3}, "a mapping is needed"),
+        ({"warnings": "none"}, "a list is needed"),
+        ({"effects": [{"kind": "a", "where": "b", "parameters": {"x": "1"}}]}, "float is needed"),
+        ({"effects": [{"kind": 3, "where": "b", "parameters": {}}]}, r"effects\[0\].kind: str"),
+    ],
+)
+def test_what_is_no_result_is_refused_with_its_place(change: dict[str, object], words: str) -> None:
+    plain = json.loads(result().to_json()) | change
+    with pytest.raises(InvalidData, match=words):
+        GapResult.from_json(json.dumps(plain))
+
+
+def test_text_and_files_that_are_no_json_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidData, match="no JSON"):
+        GapResult.from_json("{")
+    with pytest.raises(InvalidData, match="cannot be read"):
+        read_result(tmp_path)

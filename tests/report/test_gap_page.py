@@ -1,0 +1,173 @@
+"""The page of a comparison: words first, nothing from elsewhere, every section in its place."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("jinja2")
+pytest.importorskip("matplotlib")
+
+from loose_env.errors import MissingExtra
+from loose_env.gap.reporting import Evidence, GapOutputs, gather, result_of
+from loose_env.gap.result import Gap, GapResult, NamedEffect, Place
+from loose_env.gap.separating import how_to_separate
+from loose_env.report import gap_report
+from loose_env.report.gap_page import render_gap_page, write_gap_page
+from loose_env.report.gap_report import write_outputs
+from loose_env.report.gap_words import effect_words, headline, next_steps, size_words
+from tests.gap.gap_case import outputs_for, record
+
+
+class Balanced(HTMLParser):
+    """Checks that elements close in order; keeps headings and ids."""
+
+    VOID = frozenset({"meta", "img", "br", "link", "use", "path", "input"})
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.headings: list[str] = []
+        self.ids: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.ids += [value or "" for name, value in attrs if name == "id"]
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag not in self.VOID:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] == "h2":
+            self.headings.append(data)
+
+
+@pytest.fixture(scope="module")
+def outputs(tmp_path_factory: pytest.TempPathFactory) -> GapOutputs:
+    return outputs_for(record(tmp_path_factory.mktemp("page") / "arm <3>"))
+
+
+@pytest.fixture(scope="module")
+def evidence(outputs: GapOutputs) -> Evidence:
+    return gather(outputs)
+
+
+@pytest.fixture(scope="module")
+def page(outputs: GapOutputs, evidence: Evidence) -> str:
+    return render_gap_page(outputs, evidence, result_of(outputs, evidence))
+
+
+def test_the_page_is_whole_and_loads_nothing_from_elsewhere(page: str) -> None:
+    parsed = Balanced()
+    parsed.feed(page)
+    assert not parsed.open and len(parsed.ids) == len(set(parsed.ids))
+    outside = re.findall(r'(?:src|href)\s*=\s*"(?!#|data:)[^"]*"|@import|url\(\s*[^#)\s]', page)
+    outside = [found for found in outside if "xmlns" not in found]
+    assert not outside and "<script" not in page and "<link" not in page
+    assert "arm &lt;3&gt;" in page and "arm <3>" not in page
+    assert 'name="viewport"' in page and "@media print" in page
+    assert not re.search(r"\bnan\b", page, re.IGNORECASE)
+
+
+def test_words_stand_before_figures_in_the_order_of_the_questions(page: str) -> None:
+    words = [
+        "The model lacks viscous friction (joint2) and a sensor whose scale is off (rate3).",
+        "the step is coarse",
+        "damping 3 N·m·s/rad, 95 % between 2.9 and 3.1",
+        "cannot tell viscous friction (joint2) from another gain (servo2)",
+    ]
+    first = page.index("<svg")
+    assert all(0 < page.index(each) < first for each in words)
+    parsed = Balanced()
+    parsed.feed(page)
+    assert parsed.headings == [
+        "The gap, before and after",
+        "Spectra before and after",
+        "Against motion and load",
+        "Where the disagreement is",
+        "What was tried",
+        "What is left",
+        "Nominal figures",
+        "What to do next",
+    ]
+
+
+def test_the_code_and_the_motion_that_separates_stand_at_the_end(page: str) -> None:
+    end = page[page.index("What to do next") :]
+    assert "data.sensor(&#34;rate3&#34;).data *= 1.25" in end
+    advice = how_to_separate("viscous_friction", "joint2", "actuator_gain", "servo2")
+    assert advice[1:40] in end
+    assert end.count("<li>") == 3
+
+
+def test_the_page_is_the_same_every_time(
+    page: str, outputs: GapOutputs, evidence: Evidence
+) -> None:
+    assert render_gap_page(outputs, evidence, result_of(outputs, evidence)) == page
+
+
+@pytest.mark.parametrize("verdict", ["no_gap", "unexplained"])
+def test_other_verdicts_have_their_page_too(
+    verdict: str, outputs: GapOutputs, evidence: Evidence, tmp_path: Path
+) -> None:
+    other = replace(outputs, verdict=verdict, effects=(), ranking=(), best=outputs.base)
+    result = result_of(other, evidence)
+    file = write_gap_page(tmp_path / "report.html", other, evidence, result)
+    text = file.read_text("utf-8")
+    assert headline(result) in text and "What was tried" not in text
+    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_inverse_runs_have_a_page_without_horizons(outputs: GapOutputs, evidence: Evidence) -> None:
+    bare = replace(evidence, before=(), after=())
+    text = render_gap_page(outputs, bare, result_of(outputs, bare))
+    assert "How far a prediction goes wrong" not in text and "Channel by channel" in text
+
+
+def test_without_the_extra_model_and_result_are_written_and_it_is_said(
+    outputs: GapOutputs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise MissingExtra("figures need matplotlib")
+
+    monkeypatch.setattr(gap_report, "write_gap_page", refuse)
+    said: list[str] = []
+    result, written = write_outputs(tmp_path, outputs, say=said.append)
+    assert [path.name for path in written] == ["model.xml", "result.json"]
+    assert any("no report.html" in line for line in said) and result.verdict == "named"
+
+
+def result(verdict: str, **given: object) -> GapResult:
+    gap = given.pop("gap", Gap(before=4.0, after=1.1))
+    return GapResult(verdict=verdict, gap=gap, **given)  # type: ignore[arg-type]
+
+
+def test_words_follow_the_verdict_and_the_size() -> None:
+    assert headline(result("no_gap")).startswith("Nothing is missing")
+    assert "not in the catalogue" in headline(result("unexplained"))
+    assert "closed down to the noise" in size_words(result("named"))[0]
+    wide = result("named", gap=Gap(before=4.0, after=3.9))
+    assert "still there" in size_words(wide)[0]
+    assert "not closed" in size_words(result("named", gap=Gap(before=9.0, after=3.0)))[0]
+    assert effect_words("payload", "tool") == "a payload at the tool"
+    assert effect_words("own_effect", "joint1") == "own effect (joint1)"
+    steps = next_steps(result("unexplained", where_it_lives=("joint1 got 3 N·m.",)))
+    assert steps[0] == "Look here: joint1 got 3 N·m."
+
+
+def test_every_ambiguous_effect_gets_a_motion_that_separates_it() -> None:
+    effect = NamedEffect(
+        kind="coulomb_friction", where="joint1", parameters={"torque": 1.0},
+        ambiguous_with=(
+            Place(kind="backlash", where="joint1"), Place(kind="coulomb_friction", where="joint2")
+        ),
+    )  # fmt: skip
+    steps = next_steps(result("named", effects=(effect,)))
+    assert "gravity pulling to one side" in steps[1]
+    assert "move joint1 while joint2 is held" in steps[2]
