@@ -22,11 +22,11 @@ RUN := $(VENV)/.installed-run
 DEV := $(VENV)/.installed-dev
 
 .DELETE_ON_ERROR:
-.PHONY: help run thesis test bench study check format build clean
+.PHONY: help run thesis test bench study gap-suite check format build clean
 
 help: ## list the verbs
-	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | while IFS='	' read -r verb does; do \
-		printf '  make %-8s %s\n' "$$verb" "$$does"; done
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | while IFS='	' read -r verb does; do \
+		printf '  make %-9s %s\n' "$$verb" "$$does"; done
 
 run: $(RUN) ## let four agents find hidden faults: a table, and a page with pictures
 	$(BIN)/python scripts/run.py $(ARGS)
@@ -42,6 +42,9 @@ bench: $(RUN) ## time the simulation and the diagnosis on this machine
 
 study: $(RUN) ## halve the time step and see what the results depend on
 	$(BIN)/python scripts/step_halving.py $(ARGS)
+
+gap-suite: $(DEV) ## grade the gap tool on blind recordings: three hours; ARGS=--quick, a quarter of one
+	$(ONE_THREAD) $(BIN)/python -m scripts.run_gap_suite $(ARGS)
 
 check: $(DEV) ## formatting, lint and types; changes nothing
 	$(BIN)/ruff format --check .

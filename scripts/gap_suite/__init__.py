@@ -4,7 +4,9 @@
 act in the joints, `simulate` the integration, `effects` and `outside` what a model can lack,
 `motions` the commands, `sensing` the readings, `sizing` how large an effect must be to be seen,
 `cases` the list of cases, `recordings` the writing, `grade` the marks, `alternatives` what data
-cannot tell apart, `tables` what is printed. Nothing here imports MuJoCo or the tool it tests.
+cannot tell apart, `tables` what is printed. Nothing of these imports MuJoCo or the tool under test.
+`tool` runs the tool on one recording, `one_case` a case from its drawing to its marks, and
+`scripts/run_gap_suite.py` the suite; `fingerprint` tells rows of other code apart.
 
 Compiled functions are kept on disk (numba). The compiler does not see that a function inside
 another one has changed: after an edit of `dynamics` or `laws` remove `__pycache__`.

@@ -14,6 +14,8 @@ Separable = Callable[[int, Named], bool]
 """Whether the effect of a case (its position in the truth) can be told from another one."""
 
 NO_GAP, UNEXPLAINED, NAMED = "no_gap", "unexplained", "named"
+FAILED = "failed"
+"""Verdict of a case for which the tool gave no result."""
 
 PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "viscous_friction": ("damping",),
@@ -203,6 +205,39 @@ def grade(
         gap_before=_number(gap.get("before")),
         gap_after=_number(gap.get("after")),
         seconds=seconds,
+    )
+
+
+def failed(truth: Mapping[str, Any]) -> Grade:
+    """Marks of a case for which there is no result: nothing is right.
+
+    Parameters
+    ----------
+    truth : mapping
+        Case, role, form and effects, as in a truth of format `gap-truth/1`.
+
+    Examples
+    --------
+    >>> failed({"case": "case-0001", "role": "none", "form": "free", "effects": []}).right
+    False
+    """
+    nan = float("nan")
+    return Grade(
+        case=str(truth["case"]),
+        role=str(truth["role"]),
+        form=str(truth["form"]),
+        truth=tuple((str(e["kind"]), str(e["where"])) for e in truth["effects"]),
+        said=(),
+        verdict=FAILED,
+        right=False,
+        found=0,
+        by_alternative=False,
+        ratio=min((e["size"]["ratio"] for e in truth["effects"]), default=nan),
+        parameter_error=(),
+        covered=(),
+        gap_before=nan,
+        gap_after=nan,
+        seconds=nan,
     )
 
 

@@ -133,7 +133,7 @@ def test_the_tables_count_every_case():
     measured = {what: got for what, _, got in summary(grades)}
     assert measured["single effects, kind and place right"].startswith("1/4 = 25 %")
     assert measured["false alarms with nothing missing"].startswith("0/1")
-    assert measured["held-out gap after, median [noise sd]"] == "1.10"
+    assert measured["held-out gap after, representable effects, median [noise sd]"] == "1.10"
     assert "| shaking_force |" in markdown(grades)
     assert "coulomb_friction" in text(grades)
     assert "no cases" in markdown([])

@@ -1,0 +1,368 @@
+"""The suite runs, resumes, keeps the truth sealed, and turns what goes wrong into rows."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("numba")
+
+from agents.backends import BackendSettings
+from loose_env.errors import InvalidSetting
+from loose_env.gap.result import NamedEffect, read_result
+from scripts import run_gap_suite as script
+from scripts.gap_suite import cases, one_case
+from scripts.gap_suite.cases import full_list, name_of, quick_list, role_of
+from scripts.gap_suite.one_case import Folders, grade_of, run_case, shard_for
+from scripts.gap_suite.tool import quick_result, run_tool
+
+NUMBERS = [0, 1, 1000, 1001, 3000]
+SAID = {0: "no_gap", 1: "payload", 1000: "payload", 1001: "backlash", 3000: "unexplained"}
+PAYLOAD = {
+    "kind": "payload",
+    "where": "tool",
+    "parameters": {"mass": 1.0},
+    "size": {"ratio": 3.0},
+}
+THREADS = BackendSettings(backend="threading", workers=1)
+
+
+def write_blind(folder: Path, numbers: list[int] = NUMBERS) -> Folders:
+    """Recordings that hold nothing but what the stub is to say of them, and their truth."""
+    folders = Folders(out=folder / "out", blind=folder / "blind", keep=True)
+    folders.truth.mkdir(parents=True)
+    for number in numbers:
+        name, role = name_of(number), role_of(number)
+        recording = folders.recordings / name
+        recording.mkdir(parents=True)
+        content = {"say": SAID[number], "number": number}
+        (recording / "recording.json").write_text(json.dumps(content))
+        effects = {"none": [], "outside": [{**PAYLOAD, "kind": "shaking_force"}]}
+        truth = {
+            "format": "gap-truth/1",
+            "case": name,
+            "role": role,
+            "form": "forward",
+            "effects": effects.get(role, [PAYLOAD]),
+        }
+        (folders.truth / f"{name}.json").write_text(json.dumps(truth))
+    return folders
+
+
+def stub(recording: Path, folder: Path) -> None:
+    """Say what stands in the recording."""
+    said = json.loads((recording / "recording.json").read_text())["say"]
+    known = said in ("no_gap", "unexplained")
+    effect = {**PAYLOAD, "kind": said, "interval_95": {"mass": [0.9, 1.2]}}
+    result = {
+        "format": "loose-gap/1",
+        "verdict": said if known else "named",
+        "effects": [] if known else [effect],
+        "gap": {"before": 3.0, "after": 1.1},
+    }
+    (folder / "result.json").write_text(json.dumps(result))
+
+
+def number_of(recording: Path) -> int:
+    return int(json.loads((recording / "recording.json").read_text())["number"])
+
+
+def noted(notes: Path, recording: Path, folder: Path) -> None:
+    """The stub, with a note of every call."""
+    stub(recording, folder)
+    with (notes / recording.name).open("a") as file:
+        file.write("x")
+
+
+def calls(notes: Path) -> dict[str, int]:
+    return {path.name: len(path.read_text()) for path in notes.iterdir()}
+
+
+def failing(notes: Path, recording: Path, folder: Path) -> None:
+    noted(notes, recording, folder)
+    if number_of(recording) == 1000 and not (notes.parent / "mended").exists():
+        raise ValueError("the step\nis too coarse")
+
+
+def dying(notes: Path, times: int, recording: Path, folder: Path) -> None:
+    """Kill the worker of one case the first times."""
+    deaths = notes.parent / "deaths"
+    deaths.mkdir(exist_ok=True)
+    count = len(list(deaths.iterdir()))
+    if number_of(recording) == 1001 and count < times:
+        (deaths / str(count)).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    noted(notes, recording, folder)
+
+
+def silent(recording: Path, folder: Path) -> None:
+    """Leave no result."""
+
+
+def suite(folders: Folders, tool: Any = stub, numbers: list[int] = NUMBERS, **options: Any) -> Any:
+    backend = BackendSettings(**options) if options else THREADS
+    store = script.store_in(folders.out)
+    return script.run_suite(numbers, folders, store, tool=tool, backend=backend)
+
+
+def without_times(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    found = [{**row, "times": None, "grade": {**row["grade"], "seconds": None}} for row in rows]
+    assert "NaN" in json.dumps(found)  # which is not equal to itself
+    return [json.loads(json.dumps(row), parse_constant=str) for row in found]
+
+
+@pytest.fixture(scope="module")
+def configuration() -> dict[str, Any]:
+    return script.configuration()
+
+
+@pytest.fixture(autouse=True)
+def same_code(monkeypatch: pytest.MonkeyPatch, configuration: dict[str, Any]) -> None:
+    """Somebody who edits the tool while the tests run must not make them fail."""
+    monkeypatch.setattr(script, "configuration", lambda: configuration)
+
+
+@pytest.fixture
+def notes(tmp_path: Path) -> Path:
+    folder = tmp_path / "notes"
+    folder.mkdir()
+    return folder
+
+
+def test_cases_are_graded_and_stand_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    rows = suite(write_blind(tmp_path), numbers=NUMBERS[::-1])
+    assert [row["number"] for row in rows] == NUMBERS
+    assert [row["grade"]["right"] for row in rows] == [True, False, True, False, True]
+    marks = grade_of(rows[2])
+    assert (marks.said, marks.covered, marks.gap_after) == ((("payload", "tool"),), (True,), 1.1)
+    assert marks.seconds == rows[2]["times"]["tool"]
+    assert not any(row["error"] for row in rows)
+
+
+def test_rows_are_the_same_for_any_number_of_workers(tmp_path: Path) -> None:
+    found = []
+    for workers in (1, 3):
+        place = tmp_path / str(workers)
+        place.mkdir()
+        found.append(suite(write_blind(place), backend="threading", workers=workers))
+    assert without_times(found[0]) == without_times(found[1])
+
+
+def test_a_run_cut_short_goes_on_where_it_stopped(
+    tmp_path: Path, notes: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folders = write_blind(tmp_path)
+    printed: list[str] = []
+
+    def interrupting(line: str) -> None:
+        printed.append(line)
+        if len(printed) == 2:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(script, "_say", interrupting)
+        with pytest.raises(KeyboardInterrupt):
+            suite(folders, partial(noted, notes))
+    done = script.stored(NUMBERS, script.store_in(folders.out))
+    assert len(done) == 2
+    before = calls(notes)
+    rows = suite(folders, partial(noted, notes))
+    assert [row["number"] for row in rows] == NUMBERS
+    for row in done:
+        assert calls(notes)[row["case"]] == before[row["case"]]
+    assert suite(folders, partial(noted, notes)) and sum(calls(notes).values()) <= 6
+
+
+def test_an_exception_is_a_row_and_can_be_tried_again(
+    tmp_path: Path, notes: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    folders = write_blind(tmp_path)
+    rows = suite(folders, partial(failing, notes))
+    assert [row["number"] for row in rows] == NUMBERS
+    failed = rows[2]
+    assert failed["error"] == "tool: ValueError: the step is too coarse"
+    assert grade_of(failed).truth == (("payload", "tool"),)
+    assert not grade_of(failed).right
+    assert "Traceback" in (folders.results(failed["case"]) / "error.txt").read_text()
+    assert "FAILED" in capsys.readouterr().out
+    report = script.report(rows, 5)
+    assert "1/5 = 20 %" in report and "the step is too coarse" in report
+
+    (tmp_path / "mended").touch()
+    monkeypatch.setattr(
+        script, "run_suite", partial(script.run_suite, tool=partial(failing, notes))
+    )
+    chosen = ["--numbers", *map(str, NUMBERS), "--out", str(folders.out)]
+    chosen += ["--blind", str(folders.blind), "--backend", "threading", "--workers", "1"]
+    script.main(chosen)
+    assert set(calls(notes).values()) == {1}
+    script.main([*chosen, "--retry-failed"])
+    assert calls(notes).pop(failed["case"]) == 2
+    assert sum(calls(notes).values()) == 6
+    assert "failed:" not in capsys.readouterr().out.partition("--retry")[2]
+    assert not any(r["error"] for r in script.stored(NUMBERS, script.store_in(folders.out)))
+
+
+def test_a_killed_worker_loses_and_doubles_no_row(tmp_path: Path, notes: Path) -> None:
+    folders = write_blind(tmp_path)
+    rows = suite(folders, partial(dying, notes, 1), backend="loky", workers=2)
+    assert len(list((tmp_path / "deaths").iterdir())) == 1
+    undisturbed = tmp_path / "undisturbed"
+    undisturbed.mkdir()
+    assert without_times(rows) == without_times(suite(write_blind(undisturbed)))
+
+
+def test_a_case_that_always_kills_its_worker_is_a_row(tmp_path: Path, notes: Path) -> None:
+    folders = write_blind(tmp_path, [1000, 1001])
+    tool = partial(dying, notes, 99)
+    rows = suite(folders, tool, [1000, 1001], backend="loky", workers=1, retries=0)
+    assert [bool(row["error"]) for row in rows] == [False, True]
+    assert rows[1]["error"].startswith("worker: ") and "SIGKILL" in rows[1]["error"]
+    assert grade_of(rows[1]).role == "single"
+
+
+def test_the_truth_is_opened_after_the_result_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folders = write_blind(tmp_path, [1000])
+    name = name_of(1000)
+    order: list[str] = []
+    read = one_case.read_truth
+
+    def watched(given: Folders, case: str) -> dict[str, Any]:
+        assert (folders.results(case) / "result.json").exists()
+        order.append("truth")
+        return read(given, case)
+
+    def tool(*given: Path) -> None:
+        assert given == (folders.recordings / name, folders.results(name))
+        order.append("tool")
+        stub(*given)
+
+    monkeypatch.setattr(one_case, "read_truth", watched)
+    (row,) = run_case(shard_for(1000), folders=folders, tool=tool)
+    assert order == ["tool", "truth"] and not row["error"]
+
+
+def test_an_old_result_is_not_graded_for_a_new_one(tmp_path: Path) -> None:
+    folders = write_blind(tmp_path, [1000])
+    assert not run_case(shard_for(1000), folders=folders, tool=stub)[0]["error"]
+    (row,) = run_case(shard_for(1000), folders=folders, tool=silent)
+    assert row["error"].startswith("grading: FileNotFoundError")
+
+
+def test_recordings_go_when_graded_unless_kept(tmp_path: Path) -> None:
+    kept = write_blind(tmp_path, [0])
+    run_case(shard_for(0), folders=kept, tool=stub)
+    assert (kept.recordings / name_of(0)).is_dir()
+    run_case(shard_for(0), folders=Folders(out=kept.out, blind=kept.blind), tool=stub)
+    assert not (kept.recordings / name_of(0)).exists()
+    assert (kept.truth / f"{name_of(0)}.json").is_file()
+
+
+def test_rows_of_other_code_are_not_mixed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, configuration: dict[str, Any]
+) -> None:
+    folders = write_blind(tmp_path)
+    suite(folders)
+    other = {**configuration, "tool": "another"}
+    monkeypatch.setattr(script, "configuration", lambda: other)
+    with pytest.raises(InvalidSetting, match=r"tool is .*\(--afresh"):
+        script.store_in(folders.out)
+    assert not script.stored(NUMBERS, script.store_in(folders.out, afresh=True))
+
+
+@pytest.mark.parametrize("word", ["x", "-1", "3-1", "4000", "1-2-3", "1.5"])
+def test_what_is_no_case_is_refused(word: str) -> None:
+    with pytest.raises(InvalidSetting, match="case"):
+        script.numbers_of([word])
+
+
+@pytest.mark.parametrize("numbers", [quick_list(), full_list()])
+def test_a_run_cut_short_has_a_little_of_every_role(numbers: list[int]) -> None:
+    order = script.mixed(numbers)
+    assert sorted(order) == sorted(numbers)
+    half = [role_of(n) for n in order[: len(order) // 2]]
+    for role in ("none", "single", "pair", "outside"):
+        whole = sum(role_of(n) == role for n in numbers)
+        assert abs(half.count(role) - whole / 2) <= 1
+
+
+def test_the_page_is_made_and_its_tables_renewed(tmp_path: Path) -> None:
+    rows = suite(write_blind(tmp_path))
+    page = tmp_path / "docs" / "gap_suite.md"
+    script.write_docs(page, script.tables(rows, 5))
+    first = page.read_text()
+    assert "| payload |" in first and name_of(1001) in first and name_of(1000) not in first
+    page.write_text(first + "A last line.\n")
+    script.write_docs(page, script.tables(rows[:1], 5))
+    second = page.read_text()
+    assert second.endswith("A last line.\n") and "1 case of 5" in second
+    assert "| payload |" not in second and second.count(script.BEGIN) == 1
+    page.write_text("no marks")
+    with pytest.raises(InvalidSetting, match="lacks"):
+        script.write_docs(page, "")
+
+
+def test_the_command_shows_what_is_stored(tmp_path: Path, capsys: Any) -> None:
+    folders = write_blind(tmp_path)
+    suite(folders, numbers=NUMBERS[:3])
+    page = tmp_path / "page.md"
+    out = ["--out", str(folders.out), "--docs", str(page)]
+    script.main(["--show", "--numbers", "0-1", "1000", "1001", *out])
+    assert "3 cases of 4" in capsys.readouterr().out
+    assert "3 cases of 4" in page.read_text()
+    assert len((folders.out / "cases.txt").read_text().splitlines()) == 3
+    with pytest.raises(SystemExit, match="gap suite: 'x' is no case"):
+        script.main(["--numbers", "x"])
+
+
+def test_the_short_form_of_a_result_is_of_the_format(tmp_path: Path) -> None:
+    channel = np.array([0, 0, 1, 1])
+    held = SimpleNamespace(
+        channels=(SimpleNamespace(name="a_pos"), SimpleNamespace(name="b_pos")),
+        rows=SimpleNamespace(channel=channel),
+        trials=(SimpleNamespace(name="run-04"),),
+    )
+    effect = NamedEffect(
+        kind="payload", where="tool", parameters={"mass": 1.0}, interval_95={"mass": (0.9, 1.1)}
+    )
+    found: Any = SimpleNamespace(
+        verdict="named",
+        effects=(effect,),
+        ranking=(),
+        prepared=SimpleNamespace(held=held, warnings=("coarse step",)),
+        named=SimpleNamespace(
+            base=SimpleNamespace(held_residual=np.array([3.0, 5.0, 1.0, 1.0])),
+            best=SimpleNamespace(held_residual=np.array([1.0, 1.0, 1.0, 1.0])),
+        ),
+    )
+    quick_result(found).write(tmp_path / "result.json")
+    result = read_result(tmp_path)
+    assert (result.gap.before, result.gap.after) == (3.0, 1.0)
+    assert result.gap.by_channel["b_pos"] == (1.0, 1.0)
+    assert result.effects == (effect,)
+    assert result.held_out_runs == ("run-04",) and result.warnings == ("coarse step",)
+
+
+def test_a_case_from_its_drawing_to_its_marks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cases, "SHORT", 1.0)  # s; the tool and all else are the real ones
+    folders = Folders(out=tmp_path / "out", blind=tmp_path / "blind")
+    (row,) = run_case(shard_for(1), folders=folders, tool=run_tool)
+    assert row["error"] == ""
+    marks = grade_of(row)
+    assert marks.role == "none" and marks.verdict in ("no_gap", "named", "unexplained")
+    assert 0.5 < marks.gap_after <= marks.gap_before
+    result = read_result(folders.results(row["case"]))
+    assert len(result.held_out_runs) == 1
+    assert not (folders.recordings / row["case"]).exists()
