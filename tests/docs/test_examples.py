@@ -5,8 +5,13 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
+
+from loose_env.gap.catalogue import CATALOGUE
+from loose_env.gap.machine import Machine
+from tests.gap.effect_arms import PLANAR
 
 ROOT = Path(__file__).resolve().parents[2]
 UR5E = ROOT.parent / "shared" / "models" / "ur5e_bare.xml"
@@ -60,3 +65,26 @@ def test_the_readme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     info = names["info"]
     assert isinstance(info, dict)
     assert "is_success" in info
+
+
+def test_the_effect_of_the_gap_page_is_one_and_acts() -> None:
+    text = (ROOT / "docs" / "gap.md").read_text(encoding="utf-8")
+    code = next(each for each in BLOCK.findall(text) if "@register" in each)
+    before = dict(CATALOGUE)
+    try:
+        exec(compile(code, "gap.md", "exec"), {"__name__": "gap"})
+        machine = Machine(mujoco.MjSpec.from_string(PLANAR))
+        effect = CATALOGUE["gravity_compensation"](machine, "link2")
+        spec = machine.fresh()
+        effect.edit(spec, np.array([1.0]))
+        torques = []
+        for each in (machine.fresh(), spec):
+            model = each.compile()
+            data = mujoco.MjData(model)
+            mujoco.mj_forward(model, data)
+            torques.append((data.qfrc_bias - data.qfrc_gravcomp)[1])
+        weight = 3 * 9.81 * 0.16
+        assert np.isclose(torques[0] - torques[1], weight, rtol=1e-6)
+    finally:
+        CATALOGUE.clear()
+        CATALOGUE.update(before)
