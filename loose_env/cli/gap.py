@@ -16,19 +16,17 @@ import argparse
 import sys
 import time
 from dataclasses import asdict
-from inspect import signature
 from pathlib import Path
-from typing import Any
 
 from loose_env.arms.file_scan import files_of
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.cli.output_folder import OutputFolder
 from loose_env.errors import InvalidSetting
-from loose_env.gap.finding import GapFound, GapSettings, find_gap
+from loose_env.gap.finding import GapSettings, find_gap
 from loose_env.gap.reporting import outputs_of
 from loose_env.gap.result import GapResult
 from loose_env.gap.stages import Stages, key_of
-from loose_env.recording import Recording, read_recording
+from loose_env.recording import read_recording
 from loose_env.report.gap_report import write_outputs
 
 __all__ = ["add_options", "run", "summary"]
@@ -66,7 +64,7 @@ def run(options: argparse.Namespace) -> None:
     plain = {k: v for k, v in asdict(settings).items() if k not in _OWN}
     stages = Stages(folder.prepared() / "stages", key_of(recording, plain))
     say = _Said(quiet=options.quiet)
-    found = _staged(recording, settings, say, stages)
+    found = find_gap(recording, settings, say=say, stages=stages)
     if stages.taken_up:
         say(f"taken up from an earlier run: {', '.join(stages.taken_up)}")
     # Known as this command's own even if it is cut short while it copies.
@@ -112,9 +110,3 @@ class _Said:
     def __call__(self, line: str) -> None:
         if not self.quiet:
             print(f"{time.monotonic() - self.start:7.1f} s  {line}", file=sys.stderr, flush=True)
-
-
-def _staged(recording: Recording, settings: GapSettings, say: _Said, stages: Stages) -> GapFound:
-    """Find the gap, with the stages of an earlier run where the search keeps any."""
-    given: dict[str, Any] = {"stages": stages} if "stages" in signature(find_gap).parameters else {}
-    return find_gap(recording, settings, say=say, **given)

@@ -26,13 +26,13 @@ def indistinct(named: Named, effect: Effect) -> tuple[Effect, ...]:
     """
     found: list[Effect] = []
     for step, rivals in zip(named.steps, named.rivals, strict=False):
-        if step.fitted.effects[-1] is not effect:
+        if step.fitted.effects[-1].key != effect.key:
             continue
-        own = next((lead for j, lead in rivals if j.fitted.effects[-1] is effect), None)
+        own = next((lead for j, lead in rivals if j.fitted.effects[-1].key == effect.key), None)
         for judged, lead in rivals:
             other = judged.fitted.effects[-1]
             same = (other.kind, other.where) == (effect.kind, effect.where)
-            if other is effect or same or lead.held < TIE:
+            if same or lead.held < TIE:
                 continue
             ahead = lead_of(step, judged)
             near = own is None or lead.share > own.share - _AS_MUCH

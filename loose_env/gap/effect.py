@@ -91,6 +91,11 @@ class Effect:
         return f"{self.kind}@{self.where}" + (f" ({self.variant})" if self.variant else "")
 
     @property
+    def key(self) -> tuple[str, str, str]:
+        """Kind, place and variant."""
+        return self.kind, self.where, self.variant
+
+    @property
     def moves(self) -> bool:
         """Whether it acts on the motion, not on the readings alone."""
         own = type(self)

@@ -16,6 +16,7 @@ from loose_env.gap.effect import Effect
 from loose_env.gap.integration import Integration, choose_integration
 from loose_env.gap.intervals import Intervals, bootstrap
 from loose_env.gap.judgement import Judge, Judged
+from loose_env.gap.keeping import KeepInFiles
 from loose_env.gap.machine import Machine
 from loose_env.gap.naming import UNNAMED, Named, NamingSettings, name_effects
 from loose_env.gap.noise import noise_floor
@@ -23,6 +24,7 @@ from loose_env.gap.nominal import NominalFigures
 from loose_env.gap.result import NamedEffect, Place, Ranked, Verdict
 from loose_env.gap.simulator import Hypothesis, Simulator
 from loose_env.gap.split import split_runs
+from loose_env.gap.stages import Stage, fresh
 from loose_env.gap.start import StartState
 from loose_env.gap.trial import Channel, Trial, channels_of, lay_out
 from loose_env.gap.windows import windowed
@@ -158,7 +160,11 @@ def prepare(recording: Recording, settings: GapSettings) -> Prepared:
 
 
 def find_gap(
-    recording: Recording, settings: GapSettings | None = None, *, say: Say = lambda _: None
+    recording: Recording,
+    settings: GapSettings | None = None,
+    *,
+    say: Say = lambda _: None,
+    stages: Stage = fresh,
 ) -> GapFound:
     """Find what the model of a recording lacks.
 
@@ -170,6 +176,9 @@ def find_gap(
         How they are compared.
     say : callable
         Told what goes on, line by line.
+    stages : callable
+        Keeps finished stages, such as `loose_env.gap.stages.Stages`; an interrupted run goes on
+        from there.
 
     Raises
     ------
@@ -178,10 +187,10 @@ def find_gap(
     """
     settings = settings or GapSettings()
     with quiet():  # simulations that go wild are part of the search
-        return _find_gap(recording, settings, say)
+        return _find_gap(recording, settings, say, stages)
 
 
-def _find_gap(recording: Recording, settings: GapSettings, say: Say) -> GapFound:
+def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Stage) -> GapFound:
     """Find it, with the engine's warnings on the console or not."""
     prepared = prepare(recording, settings)
     machine = prepared.machine
@@ -196,6 +205,7 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say) -> GapFound
         [c for c in candidates(machine, settings.kinds or None) if prepared.fit.shows(c)],
         settings=NamingSettings(most=settings.most_effects),
         say=say,
+        keep=None if stages is fresh else KeepInFiles(stages, machine, given),
     )
     base, best = named.base, named.best
     if prepared.whole_held is not prepared.held:

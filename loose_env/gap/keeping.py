@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
 from typing import Any
+
+import numpy as np
 
 from loose_env.errors import UnknownName
 from loose_env.gap.catalogue import CATALOGUE
@@ -11,9 +14,10 @@ from loose_env.gap.effect import Effect
 from loose_env.gap.fit import Fit
 from loose_env.gap.judgement import Judged
 from loose_env.gap.machine import Machine
-from loose_env.gap.nominal import NominalFigures
+from loose_env.gap.naming import Keep, Step
+from loose_env.gap.stages import Stage
 
-__all__ = ["judged_of", "plain_judged"]
+__all__ = ["KeepInFiles", "judged_of", "plain_judged"]
 
 
 def plain_judged(judged: Judged) -> dict[str, Any]:
@@ -24,7 +28,7 @@ def plain_judged(judged: Judged) -> dict[str, Any]:
     return {each.name: getattr(judged, each.name) for each in fields(judged)} | {"fitted": own}
 
 
-def judged_of(kept: dict[str, Any], machine: Machine, nominal: NominalFigures) -> Judged:
+def judged_of(kept: dict[str, Any], machine: Machine, given: Sequence[Effect]) -> Judged:
     """Restore a judged fit.
 
     Parameters
@@ -33,24 +37,70 @@ def judged_of(kept: dict[str, Any], machine: Machine, nominal: NominalFigures) -
         As of `plain_judged`.
     machine : Machine
         The nominal model.
-    nominal : NominalFigures
-        The nominal figures, the one effect that is not in the catalogue.
+    given : sequence of Effect
+        Those that are not in the catalogue: the nominal figures, the starts of free runs.
 
     Raises
     ------
     UnknownName
         If the catalogue has an effect no more.
     """
-    effects = tuple(_effect(machine, nominal, *each) for each in kept["fitted"]["effects"])
+    effects = tuple(_effect(machine, given, *each) for each in kept["fitted"]["effects"])
     fitted = Fit(**(kept["fitted"] | {"effects": effects}))
     return Judged(**(kept | {"fitted": fitted}))
 
 
+class KeepInFiles(Keep):
+    """Keeps the steps of a search in files.
+
+    Parameters
+    ----------
+    stages : Stage
+        The files.
+    machine : Machine
+        The nominal model.
+    given : sequence of Effect
+        As of `judged_of`.
+    """
+
+    def __init__(self, stages: Stage, machine: Machine, given: Sequence[Effect]) -> None:
+        self.stages, self.machine, self.given = stages, machine, tuple(given)
+
+    def judged(self, name: str, make: Callable[[], Judged]) -> Judged:
+        """Return a judged fit, of this run or an earlier one."""
+        kept = self.stages(name, lambda: plain_judged(make()))
+        return judged_of(kept, self.machine, self.given)
+
+    def step(self, name: str, make: Callable[[], Step]) -> Step:
+        """Return a step, of this run or an earlier one."""
+        kept = self.stages(name, lambda: _plain_step(make()))
+        accepted = kept["accepted"]
+        return Step(
+            rivals=[judged_of(each, self.machine, self.given) for each in kept["rivals"]],
+            accepted=None if accepted is None else judged_of(accepted, self.machine, self.given),
+            dropped=[_effect(self.machine, self.given, *each) for each in kept["dropped"]],
+        )
+
+
+def _plain_step(step: Step) -> dict[str, Any]:
+    """Plain values of a step; the sensitivities of rivals are not needed again."""
+    rivals = []
+    for judged in step.rivals:
+        fitted = replace(judged.fitted, jacobian=np.zeros((0, len(judged.fitted.free))))
+        rivals.append(plain_judged(replace(judged, fitted=fitted)))
+    return {
+        "rivals": rivals,
+        "accepted": None if step.accepted is None else plain_judged(step.accepted),
+        "dropped": [[e.kind, e.where, e.variant] for e in step.dropped],
+    }
+
+
 def _effect(
-    machine: Machine, nominal: NominalFigures, kind: str, where: str, variant: str
+    machine: Machine, given: Sequence[Effect], kind: str, where: str, variant: str
 ) -> Effect:
-    if kind == nominal.kind:
-        return nominal
+    for effect in given:
+        if effect.kind == kind:
+            return effect
     if kind not in CATALOGUE:
         raise UnknownName(f"unknown effect {kind!r}; the catalogue has {list(CATALOGUE)}")
     return CATALOGUE[kind](machine, where, variant)

@@ -17,7 +17,7 @@ from loose_env.gap.parameter import free_of
 from loose_env.gap.screening import Screened, screen
 from loose_env.gap.windows import windowed
 
-__all__ = ["UNNAMED", "Named", "NamingSettings", "name_effects"]
+__all__ = ["UNNAMED", "Keep", "Named", "NamingSettings", "Step", "name_effects"]
 
 Array = NDArray[np.float64]
 Say = Callable[[str], None]
@@ -78,6 +78,30 @@ class Named:
         return self.steps[-1] if self.steps else self.base
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Step:
+    """What the search for one more effect came to."""
+
+    rivals: list[Judged]
+    """Every hypothesis that was fitted to whole runs, best first."""
+    accepted: Judged | None
+    """The one that was believed, with fresh sensitivities."""
+    dropped: list[Effect] = field(default_factory=list)
+    """Earlier effects that it made idle."""
+
+
+class Keep:
+    """Makes what the search asks for; a subclass may keep it for an interrupted run."""
+
+    def judged(self, name: str, make: Callable[[], Judged]) -> Judged:
+        """Return a judged fit."""
+        return make()
+
+    def step(self, name: str, make: Callable[[], Step]) -> Step:
+        """Return a step of the search."""
+        return make()
+
+
 def name_effects(
     comparison: Comparison,
     held_out: Comparison,
@@ -86,6 +110,7 @@ def name_effects(
     *,
     settings: NamingSettings | None = None,
     say: Say = lambda _: None,
+    keep: Keep | None = None,
 ) -> Named:
     """Add effects to a nominal model as long as held-out runs ask for it.
 
@@ -102,49 +127,66 @@ def name_effects(
         When an effect counts as found.
     say : callable
         Told what goes on, line by line.
+    keep : Keep, optional
+        Keeps what was found for a run that is interrupted.
     """
-    settings = settings or NamingSettings()
+    settings, keep = settings or NamingSettings(), keep or Keep()
     start = np.concatenate([free_of(e.parameters, np.array(e.starts[0])) for e in given])
     judge = Judge(comparison, held_out)
-    fitted = fit(comparison, given, start)
-    found = Named(base=judge.judge(fitted))
-    say(f"nominal model: {found.base.held_rms:.2f} noise standard deviations on held-out runs")
+    base = keep.judged("nominal", lambda: judge.judge(fit(comparison, given, start)))
+    found = Named(base=base)
+    say(f"nominal model: {base.held_rms:.2f} noise standard deviations on held-out runs")
     short = windowed(comparison, settings.sorting)
-    for _ in range(settings.most):
+    for number in range(1, settings.most + 1):
         if found.best.structure_sureness < settings.structure:
             say("what is left does not hang together in time: nothing more to explain")
             break
-        taken = {(e.kind, e.where) for e in (*found.best.fitted.effects, *found.dropped)}
-        left = [c for c in candidates if (c.kind, c.where) not in taken]
-        before = _on(short, found.best.fitted)
-        screened = screen(short, before, left)
-        for s in screened[:8]:
-            say(f"  {s.effect!r}: promises {s.promise:.3f}, sureness {s.sureness:.1f}")
-        tried = _try(comparison, (short, before), judge, found.best, screened, settings)
-        if not tried:
-            break
-        ranked = sorted(tried, key=lambda j: j.total)
-        found.rivals.append([(j, lead_of(j, found.best)) for j in ranked])
+        step = keep.step(
+            f"effect-{number}",
+            lambda: _step(comparison, short, judge, candidates, found, settings, say),
+        )
+        found.rivals.append([(j, lead_of(j, found.best)) for j in step.rivals])
         for judged, lead in found.rivals[-1]:
             say(
                 f"  {judged.fitted.effects[-1]!r}: held out {judged.held_rms:.3f}, "
                 f"lead {lead.held:.1f} held, {lead.fitted:.1f} fitted, share {lead.share:.2f}"
             )
-        good = [
-            j
-            for j, lead in found.rivals[-1]
-            if lead.fitted >= settings.sureness
-            and lead.held >= settings.held
-            and _material(j, lead, found, settings)
-        ]
-        if not good:
+        if step.accepted is None:
             break
-        best = good[0].fitted
-        polished = fit(comparison, best.effects, best.free, residual=best.residual)
-        found.steps.append(judge.judge(polished))
-        if len(found.steps) > 1:
-            _drop(comparison, judge, found, settings, say)
+        for effect in step.dropped:
+            say(f"  {effect!r} is idle now and is left out")
+        found.steps.append(step.accepted)
+        found.dropped += step.dropped
     return found
+
+
+def _step(
+    comparison: Comparison,
+    short: Comparison,
+    judge: Judge,
+    candidates: Sequence[Effect],
+    found: Named,
+    settings: NamingSettings,
+    say: Say,
+) -> Step:
+    """Look for one more effect."""
+    taken = {(e.kind, e.where) for e in (*found.best.fitted.effects, *found.dropped)}
+    left = [c for c in candidates if (c.kind, c.where) not in taken]
+    before = _on(short, found.best.fitted)
+    screened = screen(short, before, left)
+    for s in screened[:8]:
+        say(f"  {s.effect!r}: promises {s.promise:.3f}, sureness {s.sureness:.1f}")
+    tried = _try(comparison, (short, before), judge, found.best, screened, settings)
+    ranked = sorted(tried, key=lambda j: j.total)
+    for judged in ranked:
+        lead = lead_of(judged, found.best)
+        sure = lead.fitted >= settings.sureness and lead.held >= settings.held
+        if sure and _material(judged, lead, found, settings):
+            best = judged.fitted
+            polished = judge.judge(fit(comparison, best.effects, best.free, residual=best.residual))
+            accepted, dropped = _drop(comparison, judge, polished, settings)
+            return Step(rivals=ranked, accepted=accepted, dropped=dropped)
+    return Step(rivals=ranked, accepted=None)
 
 
 def _material(judged: Judged, lead: Lead, found: Named, settings: NamingSettings) -> bool:
@@ -154,10 +196,10 @@ def _material(judged: Judged, lead: Lead, found: Named, settings: NamingSettings
 
 
 def _drop(
-    comparison: Comparison, judge: Judge, found: Named, settings: NamingSettings, say: Say
-) -> None:
-    """Take out an earlier effect that a later one has made idle."""
-    best = found.best.fitted
+    comparison: Comparison, judge: Judge, judged: Judged, settings: NamingSettings
+) -> tuple[Judged, list[Effect]]:
+    """Take out the first earlier effect that the latest one has made idle, if any is."""
+    best = judged.fitted
     at = 0
     for effect in best.effects[:-1]:
         own = range(at, at + len(effect.parameters))
@@ -172,12 +214,10 @@ def _drop(
             known=best.jacobian[:, kept],
         )
         without = judge.judge(left)
-        lead = lead_of(found.best, without)
+        lead = lead_of(judged, without)
         if lead.fitted < settings.sureness or lead.held < settings.held:
-            say(f"  {effect!r} is idle now and is left out")
-            found.steps[-1] = without
-            found.dropped.append(effect)
-            return
+            return without, [effect]
+    return judged, []
 
 
 def _on(short: Comparison, fitted: Fit) -> Fit:

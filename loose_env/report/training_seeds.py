@@ -33,15 +33,19 @@ SEPARATOR = "#"
 def trained_agents(agents: Iterable[str]) -> dict[str, list[str]]:
     """Put trainings of one agent together; agents trained once are left out.
 
+    The first training goes by the plain name too.
+
     Examples
     --------
     >>> trained_agents(["ppo#1", "thesis", "ppo#2", "net#1"])
     {'ppo': ['ppo#1', 'ppo#2']}
+    >>> trained_agents(["ppo", "ppo#1", "ppo#2", "thesis"])
+    {'ppo': ['ppo', 'ppo#2']}
     """
     found: dict[str, list[str]] = {}
     for name in dict.fromkeys(agents):
-        whole, mark, _ = name.partition(SEPARATOR)
-        if mark:
+        whole, _, number = name.partition(SEPARATOR)
+        if number != "1" or whole not in found.get(whole, []):
             found.setdefault(whole, []).append(name)
     return {whole: runs for whole, runs in found.items() if len(runs) > 1}
 

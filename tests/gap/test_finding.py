@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.gap.effects.coulomb_friction import make_it_stick
 from loose_env.gap.finding import GapSettings, find_gap, prepare
+from loose_env.gap.stages import Stages, key_of
 from loose_env.recording import Recording, Run, write_recording
 from tests.gap.effect_arms import PLANAR
 
@@ -128,3 +130,30 @@ def test_one_run_cannot_be_split(tmp_path: Path) -> None:
 def test_settings_out_of_range_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(InvalidSetting):
         GapSettings(**wrong)  # type: ignore[arg-type]
+
+
+def test_an_interrupted_search_goes_on_where_it_was(tmp_path: Path) -> None:
+    def edit(spec: mujoco.MjSpec) -> None:
+        spec.body("link3").mass += 0.4
+
+    recording = record(tmp_path / "r", edit, seed=6)
+    settings = GapSettings(threads=1, kinds=("link_mass", "payload"))
+    whole = find_gap(recording, settings)
+    key = key_of(recording, {})
+
+    class Interrupted(Stages):
+        def __call__(self, name: str, make: Callable[[], Any]) -> Any:
+            if name == "effect-1":
+                raise KeyboardInterrupt
+            return super().__call__(name, make)
+
+    with pytest.raises(KeyboardInterrupt):
+        find_gap(recording, settings, stages=Interrupted(tmp_path / "kept", key))
+    stages = Stages(tmp_path / "kept", key)
+    resumed = find_gap(recording, settings, stages=stages)
+    assert stages.taken_up == ["nominal"]
+    again = Stages(tmp_path / "kept", key)
+    assert find_gap(recording, settings, stages=again).effects == whole.effects
+    assert again.taken_up[:2] == ["nominal", "effect-1"]
+    assert resumed.effects == whole.effects
+    assert resumed.ranking == whole.ranking

@@ -104,7 +104,7 @@ def test_a_judged_fit_is_kept_and_taken_up_again(
     stages = Stages(tmp_path, key)
     kept = stages("best", lambda: pytest.fail("it was made again"))
     assert stages.taken_up == ["best"]
-    back = judged_of(kept, outputs.machine, nominal)
+    back = judged_of(kept, outputs.machine, [nominal])
     assert [repr(e) for e in back.fitted.effects] == [repr(e) for e in outputs.best.fitted.effects]
     assert np.array_equal(back.held_residual, outputs.best.held_residual)
     assert back.held_rms == outputs.best.held_rms
