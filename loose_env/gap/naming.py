@@ -177,7 +177,7 @@ def _step(
     for s in screened[:8]:
         say(f"  {s.effect!r}: promises {s.promise:.3f}, sureness {s.sureness:.1f}")
     tried = _try(comparison, (short, before), judge, found.best, screened, settings)
-    ranked = sorted(tried, key=lambda j: j.total)
+    ranked = _simplest_first(sorted(tried, key=lambda j: j.total), settings)
     for judged in ranked:
         lead = lead_of(judged, found.best)
         sure = lead.fitted >= settings.sureness and lead.held >= settings.held
@@ -187,6 +187,17 @@ def _step(
             accepted, dropped = _drop(comparison, judge, polished, settings)
             return Step(rivals=ranked, accepted=accepted, dropped=dropped)
     return Step(rivals=ranked, accepted=None)
+
+
+def _simplest_first(ranked: list[Judged], settings: NamingSettings) -> list[Judged]:
+    """Ranked hypotheses; one with fewer parameters goes before the best if that is not ahead."""
+    for judged in sorted(ranked[1:], key=lambda j: j.free_count):
+        if judged.free_count >= ranked[0].free_count:
+            break
+        lead = lead_of(ranked[0], judged)
+        if lead.held < settings.tie and lead.fitted < settings.tie:
+            return [judged, *(j for j in ranked if j is not judged)]
+    return ranked
 
 
 def _material(judged: Judged, lead: Lead, found: Named, settings: NamingSettings) -> bool:
