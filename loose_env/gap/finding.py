@@ -348,7 +348,6 @@ def _scaled(
         machine.spec,
         step=machine.step,
         integrator=machine.integrator,
-        disabled=machine.disabled,
         loads=np.where(loads > 0, loads, machine.load_scales),
         speeds=np.where(speeds > 0, speeds, 1.0),
     )

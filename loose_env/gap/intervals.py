@@ -23,8 +23,6 @@ class Intervals:
     """Lower ends, in the parameters' units (P,)."""
     high: Array
     """Upper ends (P,)."""
-    spread: Array
-    """Standard deviations of the free numbers (P,)."""
 
 
 def bootstrap(
@@ -69,5 +67,4 @@ def bootstrap(
     return Intervals(
         low=np.array([p.value(v) for p, v in zip(parameters, low, strict=True)]),
         high=np.array([p.value(v) for p, v in zip(parameters, high, strict=True)]),
-        spread=np.asarray(np.std(steps, axis=0)),
     )

@@ -30,8 +30,6 @@ class Machine:
         Simulation step [s]; 0: that of the model.
     integrator : int, optional
         One of `mujoco.mjtIntegrator`; by default that of the model.
-    disabled : int
-        Bits of `mujoco.mjtDisableBit` that the recording does not need.
     loads : ndarray (joints,), optional
         Typical torque [N·m] or force [N] of each joint in the recording; by default from the model.
     speeds : ndarray (joints,), optional
@@ -46,7 +44,6 @@ class Machine:
     spec: mujoco.MjSpec
     step: float = 0.0
     integrator: int | None = None
-    disabled: int = 0
     loads: Array | None = None
     speeds: Array | None = None
 
@@ -74,7 +71,6 @@ class Machine:
             spec.option.timestep = self.step
         if self.integrator is not None:
             spec.option.integrator = self.integrator
-        spec.option.disableflags |= self.disabled
         return spec
 
     @cached_property
