@@ -67,6 +67,9 @@ class Effect:
     """Whether plain MJCF expresses it; otherwise `code` says how it is applied."""
     nothing: ClassVar[tuple[float, ...] | None] = None
     """Values at which the effect vanishes; None where it does so only in a limit."""
+    proportional: ClassVar[int | None] = None
+    """Number of a parameter that what it changes is about proportional to, where `nothing` is
+    None; None if no parameter is."""
     adds_motion: ClassVar[bool] = False
     """Whether the edit adds a degree of freedom, which no inverse comparison can show."""
     variants: ClassVar[tuple[str, ...]] = ("",)
@@ -144,6 +147,12 @@ class Effect:
             Of the parameters.
         """
         return controls
+
+    def vanishes(self, low: Array, high: Array) -> bool:
+        """Whether it may be nothing at all, by the intervals of its parameters (P,)."""
+        if self.nothing is None:
+            return False
+        return bool(np.all((low <= np.array(self.nothing)) & (np.array(self.nothing) <= high)))
 
     def unseen_torque(self, angle: Array, speed: Array, values: Array) -> Array:
         """What the joint needs for a motion (T,) [N·m or N] that inverse dynamics leave out.

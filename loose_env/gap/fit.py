@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,18 +21,24 @@ from loose_env.gap.simulator import Hypothesis
 from loose_env.gap.start import StartState
 
 __all__ = [
+    "UNNAMED",
     "Fit",
     "FitSettings",
     "cost_of",
     "fit",
+    "fit_without",
     "hypothesis_of",
     "parameters_of",
     "prior_of",
     "sensitivities",
+    "slices_of",
     "started",
 ]
 
 Array = NDArray[np.float64]
+
+UNNAMED = ("nominal", "start")
+"""Kinds that are fitted with every hypothesis, stand first, and are never named."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,6 +102,20 @@ def hypothesis_of(effects: Sequence[Effect], free: Array) -> Hypothesis:
             kept.append(effect)
             values.append(found)
     return Hypothesis(effects=tuple(kept), values=tuple(values), position=position, speed=speed)
+
+
+def slices_of(effects: Sequence[Effect]) -> tuple[slice, ...]:
+    """Where each effect's parameters stand among those of all."""
+    ends = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
+    return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
+
+
+def fit_without(comparison: Comparison, fitted: Fit, effect: Effect) -> Fit:
+    """Leave out one effect of a fit and fit the others again."""
+    own = dict(zip(map(id, fitted.effects), slices_of(fitted.effects), strict=True))[id(effect)]
+    kept = [k for k in range(len(fitted.free)) if not own.start <= k < own.stop]
+    others = [e for e in fitted.effects if e is not effect]
+    return fit(comparison, others, fitted.free[kept], known=fitted.jacobian[:, kept])
 
 
 def sensitivities(
@@ -190,6 +211,8 @@ def fit(
         residual = comparison.residuals([hypothesis_of(effects, free)])[0]
     cost = cost_of(residual, free, parameters)
     held = 0 if known is None else known.shape[1]
+    # What is known within a tolerance moves little: its sensitivities are not worked out again.
+    kept = sum(len(e.parameters) for e in effects if e.kind in UNNAMED) if held else 0
     jacobian = np.zeros((len(residual), len(parameters)))
     if known is not None:
         jacobian[:, :held] = known
@@ -213,7 +236,7 @@ def fit(
                 break
             renewed = held
         elif gained < settings.trusted * hoped:
-            renewed = 0 if which else held  # the old ones mislead
+            renewed = min(kept, held) if which else held  # the old ones mislead
         else:
             renewed = len(parameters)
     return Fit(effects=tuple(effects), free=free, residual=residual, jacobian=jacobian, cost=cost)

@@ -33,6 +33,8 @@ class Judged:
     """Sums of its products with itself a little later, by block (B,)."""
     fitted_structure: Array
     """The same on the runs it was fitted to (A,)."""
+    channel_structure: Array
+    """The same over all runs by channel, and the number of products (2, C)."""
 
     @property
     def held_rms(self) -> float:
@@ -103,6 +105,9 @@ class Judge:
             fitted_blocks=self.comparison.by_block(fitted.residual**2),
             held_structure=self._held.products(residual),
             fitted_structure=self._fitted.products(fitted.residual),
+            channel_structure=_added(
+                self._held.by_channel(residual), self._fitted.by_channel(fitted.residual)
+            ),
         )
 
 
@@ -122,3 +127,11 @@ def _sureness(gains: Array) -> float:
     outweigh all others.
     """
     return float(gains.sum()) / max(float(np.sqrt(np.sum(gains**2))), 1e-12)
+
+
+def _added(one: Array, other: Array) -> Array:
+    """Sum of two tables by channel, of which one may know fewer channels (2, C)."""
+    found = np.zeros((2, max(one.shape[1], other.shape[1])))
+    found[:, : one.shape[1]] += one
+    found[:, : other.shape[1]] += other
+    return found

@@ -10,20 +10,26 @@ from numpy.typing import NDArray
 
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
-from loose_env.gap.fit import Fit, cost_of, fit, parameters_of, refined, started
+from loose_env.gap.fit import (
+    UNNAMED,
+    Fit,
+    cost_of,
+    fit,
+    fit_without,
+    parameters_of,
+    refined,
+    started,
+)
 from loose_env.gap.judgement import Judge, Judged, Lead, lead_of
 from loose_env.gap.kinship import akin
 from loose_env.gap.parameter import free_of
 from loose_env.gap.screening import Screened, screen
 from loose_env.gap.windows import windowed
 
-__all__ = ["UNNAMED", "Keep", "Named", "NamingSettings", "Step", "name_effects"]
+__all__ = ["Keep", "Named", "NamingSettings", "Step", "name_effects"]
 
 Array = NDArray[np.float64]
 Say = Callable[[str], None]
-
-UNNAMED = ("nominal", "start")
-"""Kinds that are fitted with every hypothesis and never named."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,13 +52,20 @@ class NamingSettings:
     """Sureness with which a residual has to hang together in time for anything to be sought in
     it [standard deviations]."""
     sureness: float = 3.5
-    """Lead on the runs fitted to from which on an effect is believed [standard deviations]."""
+    """Lead from which on an effect is believed, on the runs fitted to or on those held out
+    [standard deviations]."""
     held: float = 2.0
-    """Lead on held-out runs that it needs besides."""
+    """Lead that it needs on either."""
     share: float = 0.4
     """Share of what is still to be explained that it has to explain; or else:"""
     base_share: float = 0.04
-    """Share of what there was to explain at first that it has to explain."""
+    """Share of what there was to explain at first that it has to explain; or else:"""
+    channel_share: float = 0.3
+    """Share of what there was to explain at first in one channel in which it hung together surely
+    (`channel_sureness`)."""
+    channel_sureness: float = 10.0
+    """Mean product of a residual of that channel with itself a little later, over what white
+    noise shows by chance [standard deviations]."""
     tie: float = 2.0
     """Lead on held-out runs below which two hypotheses cannot be told apart."""
 
@@ -180,8 +193,7 @@ def _step(
     ranked = _simplest_first(sorted(tried, key=lambda j: j.total), settings)
     for judged in ranked:
         lead = lead_of(judged, found.best)
-        sure = lead.fitted >= settings.sureness and lead.held >= settings.held
-        if sure and _material(judged, lead, found, settings):
+        if _believed(lead, settings) and _material(judged, lead, found, settings):
             best = judged.fitted
             polished = judge.judge(fit(comparison, best.effects, best.free, residual=best.residual))
             accepted, dropped = _drop(comparison, judge, polished, settings)
@@ -200,33 +212,36 @@ def _simplest_first(ranked: list[Judged], settings: NamingSettings) -> list[Judg
     return ranked
 
 
+def _believed(lead: Lead, settings: NamingSettings) -> bool:
+    """Whether a lead is no chance: seen in both halves of the data, and surely in one."""
+    return (
+        min(lead.fitted, lead.held) >= settings.held
+        and max(lead.fitted, lead.held) >= settings.sureness
+    )
+
+
 def _material(judged: Judged, lead: Lead, found: Named, settings: NamingSettings) -> bool:
     """Whether an effect explains enough: a law that is a little wrong leaves room for many."""
     gained = found.best.structure - judged.structure
-    return lead.share >= settings.share or gained >= settings.base_share * found.base.structure
+    if lead.share >= settings.share or gained >= settings.base_share * found.base.structure:
+        return True
+    # A machine may lack something at every joint: what is little of all may be much of a channel.
+    base, count = found.base.channel_structure
+    sure = base > settings.channel_sureness * np.sqrt(count)
+    by_channel = found.best.channel_structure[0] - judged.channel_structure[0]
+    return bool(np.any(sure & (by_channel >= settings.channel_share * base)))
 
 
 def _drop(
     comparison: Comparison, judge: Judge, judged: Judged, settings: NamingSettings
 ) -> tuple[Judged, list[Effect]]:
     """Take out the first earlier effect that the latest one has made idle, if any is."""
-    best = judged.fitted
-    at = 0
-    for effect in best.effects[:-1]:
-        own = range(at, at + len(effect.parameters))
-        at += len(effect.parameters)
+    for effect in judged.fitted.effects[:-1]:
         if effect.kind in UNNAMED:
             continue
-        kept = [k for k in range(len(best.free)) if k not in own]
-        left = fit(
-            comparison,
-            [e for e in best.effects if e is not effect],
-            best.free[kept],
-            known=best.jacobian[:, kept],
-        )
-        without = judge.judge(left)
+        without = judge.judge(fit_without(comparison, judged.fitted, effect))
         lead = lead_of(judged, without)
-        if lead.fitted < settings.sureness or lead.held < settings.held:
+        if not _believed(lead, settings):
             return without, [effect]
     return judged, []
 

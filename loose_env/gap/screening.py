@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.fit import Fit, hypothesis_of, parameters_of, prior_of, started
-from loose_env.gap.parameter import free_of
 
 __all__ = ["Screened", "screen"]
 
@@ -102,9 +101,13 @@ def _weigh(
     values = start
     if effect.nothing is not None:
         share = float(np.clip(share, -_LARGEST_SHARE, _LARGEST_SHARE))
-        values = _along(effect, start, share)
+        values = _along(effect, start, effect.nothing, share)
     elif share <= 0:
         return None
+    elif effect.proportional is not None:
+        share = min(share, _LARGEST_SHARE)
+        none = [0.0 if k == effect.proportional else v for k, v in enumerate(start)]
+        values = _along(effect, start, none, share)
     else:
         share = min(share, 1.0)
     scores = comparison.by_block(own * left)
@@ -120,12 +123,11 @@ def _weigh(
     )
 
 
-def _along(effect: Effect, start: tuple[float, ...], share: float) -> tuple[float, ...]:
+def _along(
+    effect: Effect, start: Sequence[float], nothing: Sequence[float], share: float
+) -> tuple[float, ...]:
     """Values at a share of the way from nothing to the start, within the bounds."""
-    assert effect.nothing is not None
-    parameters = effect.parameters
-    begin = free_of(parameters, np.array(effect.nothing))
-    end = free_of(parameters, np.array(start))
     return tuple(
-        p.value(b + share * (e - b)) for p, b, e in zip(parameters, begin, end, strict=True)
+        p.clipped(none + share * (value - none))
+        for p, none, value in zip(effect.parameters, nothing, start, strict=True)
     )

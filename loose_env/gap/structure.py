@@ -38,14 +38,20 @@ class Structure:
             & (rows.place[second] - rows.place[first] == LAG)
         )
         self.first, self.second = first[same], second[same]
-        self.block = rows.block[self.first]
-        self.blocks = int(rows.block.max()) + 1
+        self.block, self.channel = rows.block[self.first], rows.channel[self.first]
+        self.blocks, self.channels = int(rows.block.max()) + 1, int(rows.channel.max()) + 1
 
     def products(self, residual: Array) -> Array:
         """Sums of the products by block of time (B,)."""
         products = residual[self.first] * residual[self.second]
         return np.asarray(np.bincount(self.block, products, minlength=self.blocks), dtype=float)
 
-    def mean(self, residual: Array) -> float:
-        """Mean product, in squared noise standard deviations; about zero for noise."""
-        return float(np.mean(residual[self.first] * residual[self.second]))
+    def by_channel(self, residual: Array) -> Array:
+        """Sums of the products by channel, and how many there are of each (2, C)."""
+        products = residual[self.first] * residual[self.second]
+        return np.stack(
+            [
+                np.bincount(self.channel, products, minlength=self.channels),
+                np.bincount(self.channel, minlength=self.channels),
+            ]
+        )

@@ -43,6 +43,13 @@ PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "joint_spring": ("stiffness",),
 }
 """Parameters by which an effect is judged; those of a kind make one vector."""
+SAID: Mapping[str, Mapping[str, str]] = {
+    "actuator_lag": {"time": "time_constant"},
+    "sensor_misalignment": {axis: f"turn_{axis}" for axis in "xyz"},
+    "base_tilt": {axis: f"tilt_{axis}" for axis in "xyz"},
+    "sensor_bias": {axis: f"bias_{axis}" for axis in "xyz"},
+}
+"""Name of a parameter in a result, where it is not that of the truth."""
 NEUTRAL = {"gain": 1.0}
 """Values that change nothing; an error is judged against the distance from them."""
 LISTED: frozenset[frozenset[str]] = frozenset(
@@ -170,7 +177,7 @@ def grade(
         if given != wanted:
             raise ValueError(f"the {name} has format {given!r}; {wanted!r} is graded")
     verdict = str(result["verdict"])
-    effects = list(result.get("effects", ())) if verdict == NAMED else []
+    effects = [_in_words_of_truth(e) for e in result.get("effects", ()) if verdict == NAMED]
     true = [(str(e["kind"]), str(e["where"])) for e in truth["effects"]]
     said = [(str(e["kind"]), str(e["where"])) for e in effects]
     match = _matched(true, said, separable)
@@ -261,6 +268,15 @@ def _matched(true: Sequence[Named], said: Sequence[Named], separable: Separable)
                 left.remove(j)
                 break
     return match
+
+
+def _in_words_of_truth(effect: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters and intervals of a named effect under the names that the truth has."""
+    words = {said: true for true, said in SAID.get(str(effect["kind"]), {}).items()}
+    found = dict(effect)
+    for part in ("parameters", "interval_95"):
+        found[part] = {words.get(k, k): v for k, v in (effect.get(part) or {}).items()}
+    return found
 
 
 def _values(kind: str, effect: Mapping[str, Any], names: Sequence[str]) -> np.ndarray:

@@ -66,8 +66,8 @@ def quick_result(found: GapFound, settings: GapSettings | None = None) -> GapRes
         With verdict, effects, ranking, held-out runs and the gap by channel; without the gap by
         horizon, the location, the tests of what is left, and a model.
     """
-    held = found.prepared.held
-    before, after = found.named.base.held_residual, found.named.best.held_residual
+    held = found.prepared.whole_held
+    before, after = found.base.held_residual, found.best.held_residual
     by_channel = {}
     for number, channel in enumerate(held.channels):
         own = held.rows.channel == number

@@ -115,8 +115,8 @@ def test_the_written_model_does_what_the_simulation_does(arm: str, kind: str) ->
                 2 + round(start[0] / machine.model.opt.timestep) if kind == "sensor_delay" else 0
             )
             readings = simulate(written, commands(machine, time))
-            # The file keeps six digits, and impacts enlarge what is lost.
-            tolerance = 1e-3 if effect.adds_motion else 2e-5
+            # The file keeps six digits, also of turns; springs and impacts enlarge what is lost.
+            tolerance = 2e-3 if effect.adds_motion else 2e-5
             for name, column in simulated.items():
                 scale = max(float(np.abs(column).max()), 1e-2)
                 off = np.abs(column - readings[name])[begin:].max()

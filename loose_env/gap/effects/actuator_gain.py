@@ -24,11 +24,13 @@ class ActuatorGain(Effect):
     """A factor on what an actuator does.
 
     Variant "" scales its force, limits included, as another motor constant does. Variant
-    "command" scales what is commanded only; without a feedback term both are the same.
+    "command" scales what is commanded only; without a feedback term both are the same. Variant
+    "servo" scales the force and leaves its limits, as another setting of a servo does: by far more
+    than motors differ.
     """
 
     kind = "actuator_gain"
-    variants: ClassVar[tuple[str, ...]] = ("", "command")
+    variants: ClassVar[tuple[str, ...]] = ("", "command", "servo")
     nothing: ClassVar[tuple[float, ...] | None] = (1.0,)
 
     @classmethod
@@ -41,30 +43,37 @@ class ActuatorGain(Effect):
 
     @classmethod
     def forms(cls, machine: Machine, where: str) -> tuple[str, ...]:
-        """Both, where there is feedback."""
-        fed_back = np.any(machine.model.actuator_biasprm[machine.model.actuator(where).id] != 0)
-        return cls.variants if fed_back else cls.variants[:1]
+        """All where there is feedback and a limit."""
+        number = machine.model.actuator(where).id
+        if not np.any(machine.model.actuator_biasprm[number] != 0):
+            return cls.variants[:1]
+        return cls.variants if machine.model.actuator_forcelimited[number] else cls.variants[:2]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The factor."""
+        if self.variant == "servo":
+            return (Parameter(name="gain", unit="", low=1e-3, high=20.0, scale=1.0, log=True),)
         return (Parameter(name="gain", unit="", low=0.02, high=20.0, scale=0.1),)
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """A tenth of a command is visible; a force has to change more behind feedback."""
+        if self.variant == "servo":
+            return ((0.01,), (0.03,), (0.1,), (0.3,))
         return ((0.9,), (1.1,)) if self.variant else ((0.8,), (1.25,))
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Scale the actuator's parameters."""
         actuator, gain = spec.actuator(self.where), float(values[0])
         actuator.gainprm = gain * np.array(actuator.gainprm)
-        if not self.variant:
+        if self.variant != "command":
             actuator.biasprm = gain * np.array(actuator.biasprm)
+        if not self.variant:
             actuator.forcerange = gain * np.array(actuator.forcerange)
 
     def sensed_torque(self, joint: str, torque: Array, values: Array) -> Array:
         """A stronger drive shows less torque for the same."""
-        if self.variant or self.machine.actuated_joint.get(self.where) != joint:
+        if self.variant == "command" or self.machine.actuated_joint.get(self.where) != joint:
             return torque
         return torque / float(values[0])

@@ -75,6 +75,10 @@ class JointSpring(JointEffect):
         half = pi / 2 if self.machine.turns(self.where) else 0.5
         return -half, half
 
+    def vanishes(self, low: Array, high: Array) -> bool:
+        """By its stiffness alone."""
+        return bool(low[0] <= 0 <= high[0])
+
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Set the joint's stiffness and spring reference to those of both springs together."""
         added, rest = float(values[0]), float(values[1])

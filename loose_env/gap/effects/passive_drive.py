@@ -1,4 +1,4 @@
-"""A drive without input: what MuJoCo's motor model knows about friction and cogging."""
+"""Drives without input: torques that MuJoCo knows as those of actuators only."""
 
 from __future__ import annotations
 
@@ -7,21 +7,14 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-__all__ = ["add_passive_drive"]
+__all__ = ["add_cogging", "add_limited_damper"]
 
 _OPEN_CIRCUIT = 1e12
 """Resistance at which no current brakes the rotor [ohm]."""
 
 
-def add_passive_drive(
-    spec: mujoco.MjSpec,
-    joint: str,
-    name: str,
-    *,
-    cogging: Sequence[float] = (0.0, 0.0, 0.0),
-    lugre: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0),
-) -> None:
-    """Add a drive to a joint, after the model's own actuators and without a command.
+def add_cogging(spec: mujoco.MjSpec, joint: str, name: str, cogging: Sequence[float]) -> None:
+    """Add a torque that is periodic in a joint's angle.
 
     Parameters
     ----------
@@ -31,9 +24,38 @@ def add_passive_drive(
         The joint; the drive.
     cogging : sequence of 3 floats
         Amplitude A [N·m], N and phase of the torque A sin(N q + phase).
-    lugre : sequence of 5 floats
-        Bristle stiffness [N·m/rad] and damping [N·m·s/rad], Coulomb and static torque [N·m],
-        Stribeck speed [rad/s].
+    """
+    _drive(spec, joint, name, cogging=list(np.asarray(cogging, dtype=float)))
+
+
+def add_limited_damper(
+    spec: mujoco.MjSpec, joint: str, name: str, *, damping: float, limit: float
+) -> None:
+    """Add a torque proportional to a joint's speed, up to a limit.
+
+    Parameters
+    ----------
+    spec : MjSpec
+        The model.
+    joint, name : str
+        The joint; the drive.
+    damping : float
+        Torque against the motion over the speed; negative: with the motion [N·m·s/rad].
+    limit : float
+        Largest torque [N·m].
+    """
+    drive = _drive(spec, joint, name)
+    drive.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    drive.biasprm = [0.0, 0.0, -damping, *np.zeros(7)]
+    drive.forcelimited, drive.forcerange = mujoco.mjtLimited.mjLIMITED_TRUE, [-limit, limit]
+
+
+def _drive(
+    spec: mujoco.MjSpec, joint: str, name: str, *, cogging: Sequence[float] = (0.0, 0.0, 0.0)
+) -> mujoco.MjsActuator:
+    """Add a drive to a joint, after the model's own actuators and without a command.
+
+    It is a motor with its terminals open: only motors can be without an input.
     """
     drive = spec.add_actuator(name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     # The model's defaults are not meant for this one.
@@ -45,7 +67,7 @@ def add_passive_drive(
     drive.set_to_dcmotor(
         motorconst=[1.0, 0.0],
         resistance=_OPEN_CIRCUIT,
-        cogging=list(np.asarray(cogging, dtype=float)),
-        lugre=list(np.asarray(lugre, dtype=float)),
+        cogging=list(cogging),
         ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_NONE),
     )
+    return drive

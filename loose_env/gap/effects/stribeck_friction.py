@@ -2,37 +2,41 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.effects.coulomb_friction import make_it_stick
 from loose_env.gap.effects.joint_effect import JointEffect, added_name, fitted_rate
-from loose_env.gap.effects.passive_drive import add_passive_drive
+from loose_env.gap.effects.passive_drive import add_limited_damper
 from loose_env.gap.parameter import Parameter
 
 __all__ = ["StribeckFriction"]
 
 Array = NDArray[np.float64]
 
-_BRISTLE_TURN = 0.4
-"""Angle by which the bristles' mode may turn in one step [rad]."""
-_LEFT_IN_MOTION = 0.01
-"""What the bristles give in fast motion, as a share of what they give at rest: none would do, but
-makes them stiff equations."""
+_START_SPEED = 0.3
+"""Stribeck speed from which fits start, over the typical speed."""
+_KNOTS = (0.19, 1.58)
+"""Speeds, over the Stribeck speed, at which the pieces of the fall meet."""
+_FALLEN = (0.028, 1.0)
+"""What has fallen there: the straight lines nearest to 1 - exp(-x²), 0.03 off in the mean."""
 
 
 class StribeckFriction(JointEffect):
     """Coulomb friction, and near rest more of it.
 
     Torque in steady motion: Fc + (Fs - Fc) exp(-(v/vs)²), with the Coulomb torque Fc, the static
-    torque Fs = ratio · Fc and the Stribeck speed vs. The constant part is MuJoCo's friction
-    loss, which truly sticks; the rest are the bristles of its LuGre model, as stiff as the step
-    allows. They have no damping of their own: the constant part stops what swings on them, and
-    implicit integration would let their damping weigh on a joint that slides.
+    torque Fs = ratio · Fc and the Stribeck speed vs. At rest it is MuJoCo's friction loss, which
+    truly sticks; two limited dampers give back in motion what the friction falls by, so that the
+    fall is made of three straight lines. Bristles (LuGre) would be stiff equations.
     """
 
     kind = "stribeck_friction"
+
+    proportional: ClassVar[int | None] = 0
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -54,7 +58,7 @@ class StribeckFriction(JointEffect):
                 high=2.0 * self.speed,
                 scale=0.1 * self.speed,
                 log=True,
-                centre=0.1 * self.speed,
+                centre=_START_SPEED * self.speed,
                 spread=2.0,
             ),
         )
@@ -63,31 +67,30 @@ class StribeckFriction(JointEffect):
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """A weak and a strong one, each half as strong again at rest."""
         return (
-            (0.04 * self.load, 1.6, 0.1 * self.speed),
-            (0.2 * self.load, 1.6, 0.1 * self.speed),
+            (0.04 * self.load, 1.6, _START_SPEED * self.speed),
+            (0.2 * self.load, 1.6, _START_SPEED * self.speed),
         )
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Add friction loss, and a drive without input for what is more near rest."""
+        """Add friction loss, and drives without input for what is less in motion."""
         torque, ratio, speed = (float(v) for v in values)
         joint = spec.joint(self.where)
-        joint.frictionloss += torque
+        joint.frictionloss += ratio * torque
         make_it_stick(joint, spec.option.timestep)
-        inertia = self.machine.inertia(self.where)
-        mode = _BRISTLE_TURN / spec.option.timestep
-        extra = max(ratio - 1, 1e-6) * torque
-        add_passive_drive(
-            spec,
-            self.where,
-            added_name(self.where, self.kind),
-            lugre=(inertia * mode**2, 0.0, _LEFT_IN_MOTION * extra, extra, speed),
-        )
+        for number, (slope, limit) in enumerate(_pieces()):
+            add_limited_damper(
+                spec,
+                self.where,
+                f"{added_name(self.where, self.kind)}_{number}",
+                damping=-max(ratio - 1, 1e-6) * torque * slope / speed,
+                limit=max(ratio - 1, 1e-6) * torque * abs(slope) * limit,
+            )
 
     def unseen_torque(self, angle: Array, speed: Array, values: Array) -> Array:
-        """What the bristles take in steady motion."""
+        """What the dampers take; they help, so that it is against the friction."""
         torque, ratio, slow = values
-        share = _LEFT_IN_MOTION + (1 - _LEFT_IN_MOTION) * np.exp(-((speed / slow) ** 2))
-        return np.asarray((ratio - 1) * torque * share * np.sign(speed))
+        fallen = sum(slope * np.minimum(np.abs(speed) / slow, limit) for slope, limit in _pieces())
+        return np.asarray(-(ratio - 1) * torque * fallen * np.sign(speed))
 
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
@@ -97,4 +100,11 @@ class StribeckFriction(JointEffect):
         rate = fitted_rate(np.sign(speed[moving]), torque[moving])
         if rate <= 0:
             return ()
-        return ((self.parameters[0].clipped(rate), 1.6, 0.1 * self.speed),)
+        return ((self.parameters[0].clipped(rate), 1.6, _START_SPEED * self.speed),)
+
+
+def _pieces() -> tuple[tuple[float, float], tuple[float, float]]:
+    """Slope and end of two ramps from zero whose sum is the fall."""
+    first = _FALLEN[0] / _KNOTS[0]
+    second = (_FALLEN[1] - _FALLEN[0]) / (_KNOTS[1] - _KNOTS[0])
+    return (second, _KNOTS[1]), (first - second, _KNOTS[0])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.signal import lombscargle
 
 from loose_env.gap.effects.joint_effect import JointEffect, added_name
-from loose_env.gap.effects.passive_drive import add_passive_drive
+from loose_env.gap.effects.passive_drive import add_cogging
 from loose_env.gap.parameter import Parameter
 
 __all__ = ["TorqueRipple"]
@@ -65,12 +65,11 @@ class TorqueRipple(JointEffect):
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add a drive without input whose cogging it is."""
-        add_passive_drive(
-            spec,
-            self.where,
-            added_name(self.where, self.kind),
-            cogging=[float(v) for v in values],
-        )
+        add_cogging(spec, self.where, added_name(self.where, self.kind), [float(v) for v in values])
+
+    def vanishes(self, low: Array, high: Array) -> bool:
+        """By its amplitude alone."""
+        return bool(low[0] <= 0 <= high[0])
 
     def unseen_torque(self, angle: Array, speed: Array, values: Array) -> Array:
         """The opposite of what the ripple gives."""

@@ -1,0 +1,175 @@
+"""From a recording to what is compared: runs laid out, split, windowed, with step and noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidSetting
+from loose_env.gap.comparison import Comparison
+from loose_env.gap.integration import Integration, choose_integration
+from loose_env.gap.machine import Machine
+from loose_env.gap.noise import noise_floor
+from loose_env.gap.simulator import Hypothesis, Simulator
+from loose_env.gap.split import split_runs
+from loose_env.gap.trial import Channel, Trial, channels_of, lay_out
+from loose_env.gap.windows import windowed
+from loose_env.recording import Recording, Run
+
+__all__ = ["GapSettings", "Prepared", "prepare"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GapSettings:
+    """How a recording is compared with its model."""
+
+    tolerance: float = 0.03
+    """Within which nominal masses, inertias, dampings and gains are known, as a share."""
+    most_effects: int = 12
+    """Most effects that are named."""
+    kinds: tuple[str, ...] = ()
+    """Kinds of effect that are considered; all of the catalogue if none is given."""
+    held_share: float = 0.25
+    """Share of the runs that is held out to judge by."""
+    search_seconds: float = 90.0
+    """How much of the recording is fitted to while effects are sought, in all; of longer ones a
+    window of every run [s]."""
+    fit_seconds: float = 240.0
+    """How much of it the effects that were found are fitted to in the end [s]."""
+    held_seconds: float = 60.0
+    """How much of it judges while effects are sought; the result is of whole runs [s]."""
+    seed: int = 1
+    """Seed of the intervals' bootstrap."""
+    threads: int = 0
+    """Threads of the simulation; 0: all processors."""
+
+    def __post_init__(self) -> None:
+        """Check."""
+        if not 0 < self.tolerance < 0.5:
+            raise InvalidSetting(
+                f"the tolerance is a share above 0 and below 0.5, not {self.tolerance:g}"
+            )
+        if not 0 < self.held_share < 1:
+            raise InvalidSetting(
+                f"the share held out is above 0 and below 1, not {self.held_share:g}"
+            )
+        if not 1 <= self.most_effects <= 30:
+            raise InvalidSetting(f"1 to 30 effects can be named, not {self.most_effects}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prepared:
+    """A recording, ready to be compared."""
+
+    machine: Machine
+    """The nominal model, with the step and the figures that the recording asks for."""
+    integration: Integration | None
+    """The step that was chosen; None where nothing is simulated."""
+    search: Comparison
+    """The runs to fit to, as far as effects are sought in them."""
+    fit: Comparison
+    """More of the same, which the effects that were found are fitted to in the end."""
+    held: Comparison
+    """The runs to judge by, as far as they do while effects are sought."""
+    whole_held: Comparison
+    """The same at their full length."""
+    warnings: tuple[str, ...] = ()
+    """What a reader should know."""
+
+
+def prepare(recording: Recording, settings: GapSettings) -> Prepared:
+    """Lay a recording out, choose the step, and estimate the noise.
+
+    Raises
+    ------
+    InvalidData
+        If the recording has too few runs, or a run lacks what its comparison needs.
+    """
+    recording.check_comparison()
+    runs = list(recording.runs)
+    fitted, held = split_runs([run.name for run in runs], share=settings.held_share)
+    machine = Machine(recording.spec())
+    channels = channels_of(runs)
+    warnings: list[str] = []
+    integration = None
+    simulated = [run for run in runs if run.comparison != "inverse"]
+    step = float(machine.model.opt.timestep)
+    if simulated:
+        integration = choose_integration(machine, simulated, channels, threads=settings.threads)
+        step = integration.step
+        if integration.nominal_error > 0.5:
+            warnings.append(
+                f"the model's own step of {machine.model.opt.timestep:g} s is a gap of its own: "
+                f"{integration.nominal_error:.1f} noise standard deviations in the worst channel; "
+                f"runs were simulated by a Runge-Kutta method at {step:g} s instead"
+            )
+    kept = Machine(
+        machine.spec, step=step, integrator=None if integration is None else integration.integrator
+    )
+    trials = [lay_out(run, kept, channels, step=step) for run in runs]
+    floors = _floors(trials, len(channels))
+    kept = _scaled(kept, runs, trials, channels, floors, settings.threads)
+
+    def compared(numbers: list[int]) -> Comparison:
+        return Comparison(
+            kept, [trials[k] for k in numbers], channels, floors, threads=settings.threads
+        )
+
+    ahead, whole = compared(fitted), compared(held)
+    return Prepared(
+        machine=kept,
+        integration=integration,
+        search=windowed(ahead, settings.search_seconds),
+        fit=windowed(ahead, settings.fit_seconds),
+        held=windowed(whole, settings.held_seconds),
+        whole_held=whole,
+        warnings=tuple(warnings),
+    )
+
+
+def _floors(trials: list[Trial], channels: int) -> Array:
+    """Noise standard deviation of every channel: the median over runs."""
+    found = np.array(
+        [[noise_floor(trial.measured[:, k]) for k in range(channels)] for trial in trials]
+    )
+    return np.asarray(np.nanmedian(found, axis=0))
+
+
+def _scaled(
+    machine: Machine,
+    runs: list[Run],
+    trials: list[Trial],
+    channels: tuple[Channel, ...],
+    floors: Array,
+    threads: int,
+) -> Machine:
+    """The machine with typical speeds and torques of the recording."""
+    speeds, loads = np.zeros((2, len(machine.joints)))
+    for k, joint in enumerate(machine.joints):
+        moved = [
+            float(np.nanstd(np.diff(t.motion[joint]) / np.diff(t.time)))
+            for t in trials
+            if joint in t.motion
+        ]
+        speeds[k] = float(np.median(moved)) if moved else 0.0
+        torques = [np.nanstd(run.torques[joint]) for run in runs if joint in run.torques]
+        loads[k] = float(np.median(torques)) if torques else 0.0
+    driven = [t for t in trials if t.form == "forward"][:2]
+    if driven and machine.actuators and not loads.any():
+        columns = tuple(Channel(f"torque.{joint}") for joint in machine.joints)
+        beginnings = [t.until(5.0) for t in driven]
+        simulated = Simulator(machine, beginnings, columns, threads=threads).predict(
+            [Hypothesis(effects=(), values=())]
+        )[0]
+        loads = np.sqrt(np.nanmean(np.concatenate(simulated) ** 2, axis=0))
+    return Machine(
+        machine.spec,
+        step=machine.step,
+        integrator=machine.integrator,
+        loads=np.where(loads > 0, loads, machine.load_scales),
+        speeds=np.where(speeds > 0, speeds, 1.0),
+    )
