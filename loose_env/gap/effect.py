@@ -70,6 +70,9 @@ class Effect:
     proportional: ClassVar[int | None] = None
     """Number of a parameter that what it changes is about proportional to, where `nothing` is
     None; None if no parameter is."""
+    limit: ClassVar[tuple[str, str] | None] = None
+    """Parameter, and which of its bounds, "low" or "high", is nearest to no effect at all, where
+    `nothing` is None."""
     adds_motion: ClassVar[bool] = False
     """Whether the edit adds a degree of freedom, which no inverse comparison can show."""
     variants: ClassVar[tuple[str, ...]] = ("",)
@@ -147,6 +150,14 @@ class Effect:
             Of the parameters.
         """
         return controls
+
+    def at_limit(self, values: Array) -> Array:
+        """Values with the parameter of `limit` at its bound (P,)."""
+        found = np.array(values, dtype=float)
+        for k, parameter in enumerate(self.parameters):
+            if self.limit is not None and parameter.name == self.limit[0]:
+                found[k] = parameter.low if self.limit[1] == "low" else parameter.high
+        return found
 
     def vanishes(self, low: Array, high: Array) -> bool:
         """Whether it may be nothing at all, by the intervals of its parameters (P,)."""

@@ -29,6 +29,7 @@ __all__ = [
     "fit_without",
     "hypothesis_of",
     "parameters_of",
+    "polished",
     "prior_of",
     "sensitivities",
     "slices_of",
@@ -39,6 +40,9 @@ Array = NDArray[np.float64]
 
 UNNAMED = ("nominal", "start")
 """Kinds that are fitted with every hypothesis, stand first, and are never named."""
+
+_NONE, _NEW, _ALL = 0, 1, 2
+"""Which sensitivities are worked out (anew): none, those not known beforehand, all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,8 +202,8 @@ def fit(
     settings : FitSettings, optional
         How it goes about it.
     known : ndarray (N, K), optional
-        Sensitivities of the first K free numbers from a fit nearby. They are kept for all but
-        the last step.
+        Sensitivities of the first K free numbers from a fit nearby, worked out again where they
+        mislead.
     residual : ndarray (N,), optional
         At the start.
     """
@@ -211,14 +215,22 @@ def fit(
         residual = comparison.residuals([hypothesis_of(effects, free)])[0]
     cost = cost_of(residual, free, parameters)
     held = 0 if known is None else known.shape[1]
-    # What is known within a tolerance moves little: its sensitivities are not worked out again.
-    kept = sum(len(e.parameters) for e in effects if e.kind in UNNAMED) if held else 0
+    # Nominal figures move within their tolerance only: where their sensitivities are known, they
+    # are not worked out again.
+    again = [
+        k
+        for effect, own in zip(effects, slices_of(effects), strict=True)
+        for k in range(own.start, own.stop)
+        if not held or effect.kind != "nominal"
+    ]
     jacobian = np.zeros((len(residual), len(parameters)))
     if known is not None:
         jacobian[:, :held] = known
-    renewed = held  # sensitivities from here on are worked out (anew); none if past the last
+    count = len(parameters)
+    first = _NEW if held < count else _NONE
+    renew = first
     for _ in range(settings.iterations):
-        which = range(renewed, len(parameters))
+        which = {_NONE: [], _NEW: list(range(held, count)), _ALL: again}[renew]
         if which:
             jacobian[:, which] = sensitivities(
                 comparison, effects, free, residual, which, difference=settings.difference
@@ -232,13 +244,13 @@ def fit(
         if gained > 0:
             free, residual, cost = free + steps[best], found[best], costs[best]
         if gained < settings.enough * cost:
-            if which:
+            if which or hoped < settings.enough * cost:
                 break
-            renewed = held
+            renew = first or _ALL
         elif gained < settings.trusted * hoped:
-            renewed = min(kept, held) if which else held  # the old ones mislead
+            renew = _ALL if which else first or _ALL  # the old ones mislead
         else:
-            renewed = len(parameters)
+            renew = _NONE
     return Fit(effects=tuple(effects), free=free, residual=residual, jacobian=jacobian, cost=cost)
 
 
@@ -267,6 +279,12 @@ def step_of(
 def started(fitted: Fit, effect: Effect, values: Sequence[float]) -> Array:
     """Free numbers of a fit with one more effect (P + p,)."""
     return np.concatenate([fitted.free, free_of(effect.parameters, np.array(values))])
+
+
+def polished(comparison: Comparison, fitted: Fit) -> Fit:
+    """Fit on, with sensitivities worked out anew once."""
+    fresh = refined(fitted, comparison)
+    return fit(comparison, fresh.effects, fresh.free, known=fresh.jacobian, residual=fresh.residual)
 
 
 def refined(fitted: Fit, comparison: Comparison) -> Fit:

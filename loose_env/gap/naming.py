@@ -10,19 +10,24 @@ from numpy.typing import NDArray
 
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
+from loose_env.gap.families import families
 from loose_env.gap.fit import (
     UNNAMED,
     Fit,
     cost_of,
     fit,
     fit_without,
+    hypothesis_of,
     parameters_of,
+    polished,
     refined,
+    slices_of,
     started,
 )
 from loose_env.gap.judgement import Judge, Judged, Lead, lead_of
 from loose_env.gap.kinship import akin
-from loose_env.gap.parameter import free_of
+from loose_env.gap.lighter import lighter
+from loose_env.gap.parameter import free_of, values_of
 from loose_env.gap.screening import Screened, screen
 from loose_env.gap.windows import windowed
 
@@ -46,6 +51,11 @@ class NamingSettings:
     """Candidates that are fitted to whole runs."""
     kin: int = 2
     """Further candidates fitted to whole runs because the best one may be mistaken for them."""
+    alone: float = 0.5
+    """Share of what is still to be explained below which no effect by itself will do, and one kind
+    at several places is tried."""
+    families: int = 3
+    """Kinds that are tried at several places."""
     promise: float = 0.1
     """Share of the best candidate's promise from which on another is fitted too."""
     structure: float = 3.0
@@ -151,6 +161,8 @@ def name_effects(
     say(f"nominal model: {base.held_rms:.2f} noise standard deviations on held-out runs")
     short = windowed(comparison, settings.sorting)
     for number in range(1, settings.most + 1):
+        if sum(e.kind not in UNNAMED for e in found.best.fitted.effects) >= settings.most:
+            break
         if found.best.structure_sureness < settings.structure:
             say("what is left does not hang together in time: nothing more to explain")
             break
@@ -160,8 +172,9 @@ def name_effects(
         )
         found.rivals.append([(j, lead_of(j, found.best)) for j in step.rivals])
         for judged, lead in found.rivals[-1]:
+            new = judged.fitted.effects[len(found.best.fitted.effects) :]
             say(
-                f"  {judged.fitted.effects[-1]!r}: held out {judged.held_rms:.3f}, "
+                f"  {', '.join(map(repr, new))}: held out {judged.held_rms:.3f}, "
                 f"lead {lead.held:.1f} held, {lead.fitted:.1f} fitted, share {lead.share:.2f}"
             )
         if step.accepted is None:
@@ -186,19 +199,64 @@ def _step(
     taken = {(e.kind, e.where) for e in (*found.best.fitted.effects, *found.dropped)}
     left = [c for c in candidates if (c.kind, c.where) not in taken]
     before = _on(short, found.best.fitted)
-    screened = screen(short, before, left)
+    screened = screen(short, before, left, light=lighter(short))
     for s in screened[:8]:
         say(f"  {s.effect!r}: promises {s.promise:.3f}, sureness {s.sureness:.1f}")
     tried = _try(comparison, (short, before), judge, found.best, screened, settings)
+    if all(lead_of(j, found.best).share < settings.alone for j in tried):
+        say("  no single effect explains much: the same one at several places")
+        tried += _try_families(comparison, (short, before), judge, found.best, screened, settings)
     ranked = _simplest_first(sorted(tried, key=lambda j: j.total), settings)
     for judged in ranked:
         lead = lead_of(judged, found.best)
         if _believed(lead, settings) and _material(judged, lead, found, settings):
-            best = judged.fitted
-            polished = judge.judge(fit(comparison, best.effects, best.free, residual=best.residual))
-            accepted, dropped = _drop(comparison, judge, polished, settings)
+            if not _ahead_of_its_limit(comparison, judge, judged, found.best, settings):
+                say(f"  {judged.fitted.effects[-1]!r}: no better than if it were rigid")
+                continue
+            new = len(judged.fitted.effects) - len(found.best.fitted.effects)
+            best = judge.judge(polished(comparison, judged.fitted))
+            pruned = _prune(comparison, judge, best, new, settings)
+            earlier = len(found.best.fitted.effects)
+            accepted, dropped = _drop(comparison, judge, pruned, earlier, settings)
             return Step(rivals=ranked, accepted=accepted, dropped=dropped)
     return Step(rivals=ranked, accepted=None)
+
+
+def _ahead_of_its_limit(
+    comparison: Comparison, judge: Judge, judged: Judged, before: Judged, settings: NamingSettings
+) -> bool:
+    """Whether an effect explains more than the way in which it is simulated.
+
+    One that adds motion is simulated by another route than the rigid arm, above all backwards. It
+    has to be ahead of itself at the limit in which nothing moves, too.
+    """
+    effect, fitted = judged.fitted.effects[-1], judged.fitted
+    if effect.limit is None or len(fitted.effects) != len(before.fitted.effects) + 1:
+        return True
+    own = slices_of(fitted.effects)[-1]
+    free = np.concatenate([before.fitted.free, fitted.free[own]])
+    values = effect.at_limit(values_of(effect.parameters, fitted.free[own]))
+    free[own] = free_of(effect.parameters, values)
+    residual = comparison.residuals([hypothesis_of(fitted.effects, free)])[0]
+    rigid = judge.judge(replace(fitted, free=free, residual=residual))
+    return _believed(lead_of(judged, rigid), settings)
+
+
+def _prune(
+    comparison: Comparison, judge: Judge, judged: Judged, new: int, settings: NamingSettings
+) -> Judged:
+    """Take out those of several new effects that are not believed by themselves."""
+    while new > 1:
+        without = [
+            judge.judge(fit_without(comparison, judged.fitted, effect))
+            for effect in judged.fitted.effects[-new:]
+        ]
+        leads = [lead_of(judged, each) for each in without]
+        weakest = min(range(new), key=lambda k: leads[k].fitted + leads[k].held)
+        if _believed(leads[weakest], settings):
+            break
+        judged, new = without[weakest], new - 1
+    return judged
 
 
 def _simplest_first(ranked: list[Judged], settings: NamingSettings) -> list[Judged]:
@@ -233,10 +291,10 @@ def _material(judged: Judged, lead: Lead, found: Named, settings: NamingSettings
 
 
 def _drop(
-    comparison: Comparison, judge: Judge, judged: Judged, settings: NamingSettings
+    comparison: Comparison, judge: Judge, judged: Judged, earlier: int, settings: NamingSettings
 ) -> tuple[Judged, list[Effect]]:
-    """Take out the first earlier effect that the latest one has made idle, if any is."""
-    for effect in judged.fitted.effects[:-1]:
+    """Take out the first earlier effect that the latest ones have made idle, if any is."""
+    for effect in judged.fitted.effects[:earlier]:
         if effect.kind in UNNAMED:
             continue
         without = judge.judge(fit_without(comparison, judged.fitted, effect))
@@ -255,6 +313,27 @@ def _on(short: Comparison, fitted: Fit) -> Fit:
         cost=cost_of(residual, fitted.free, parameters_of(fitted.effects)),
     )
     return refined(moved, short)
+
+
+def _try_families(
+    comparison: Comparison,
+    windows: tuple[Comparison, Fit],
+    judge: Judge,
+    before: Judged,
+    screened: Sequence[Screened],
+    settings: NamingSettings,
+) -> list[Judged]:
+    """Fit one kind of effect at several places at once, the best of them to all data."""
+    short, short_before = windows
+    sorted_out: list[Fit] = []
+    for members in families(screened, settings.families):
+        start = short_before.free
+        for each in members:
+            start = np.concatenate([start, free_of(each.effect.parameters, np.array(each.values))])
+        effects = (*before.fitted.effects, *(each.effect for each in members))
+        sorted_out.append(fit(short, effects, start, known=short_before.jacobian))
+    sorted_out.sort(key=lambda f: f.cost)
+    return [_whole(comparison, judge, before, each) for each in sorted_out[:2]]
 
 
 def _try(
@@ -278,12 +357,13 @@ def _try(
         start = started(short_before, each.effect, each.values)
         sorted_out.append(fit(short, effects, start, known=short_before.jacobian))
     sorted_out.sort(key=lambda f: f.cost)
-
-    def whole(each: Fit) -> Judged:
-        start = np.concatenate([before.fitted.free, each.free[len(before.fitted.free) :]])
-        return judge.judge(fit(comparison, each.effects, start, known=before.fitted.jacobian))
-
-    found = [whole(each) for each in sorted_out[: settings.finalists]]
+    found = [_whole(comparison, judge, before, f) for f in sorted_out[: settings.finalists]]
     winner = min(found, key=lambda j: j.total).fitted.effects[-1]
     kin = [f for f in sorted_out[settings.finalists :] if akin(winner, f.effects[-1])]
-    return found + [whole(each) for each in kin[: settings.kin]]
+    return found + [_whole(comparison, judge, before, f) for f in kin[: settings.kin]]
+
+
+def _whole(comparison: Comparison, judge: Judge, before: Judged, each: Fit) -> Judged:
+    """Fit to all data what was fitted to windows of it."""
+    start = np.concatenate([before.fitted.free, each.free[len(before.fitted.free) :]])
+    return judge.judge(fit(comparison, each.effects, start, known=before.fitted.jacobian))

@@ -29,7 +29,7 @@ class GapSettings:
 
     tolerance: float = 0.03
     """Within which nominal masses, inertias, dampings and gains are known, as a share."""
-    most_effects: int = 12
+    most_effects: int = 18
     """Most effects that are named."""
     kinds: tuple[str, ...] = ()
     """Kinds of effect that are considered; all of the catalogue if none is given."""

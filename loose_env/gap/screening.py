@@ -45,6 +45,8 @@ def screen(
     comparison: Comparison,
     fitted: Fit,
     candidates: Sequence[Effect],
+    *,
+    light: Comparison | None = None,
 ) -> list[Screened]:
     """Screen candidates; the most promising first, each with its best start.
 
@@ -56,13 +58,17 @@ def screen(
         The present hypothesis, with its sensitivities.
     candidates : sequence of Effect
         What may be added.
+    light : Comparison, optional
+        The same at less cost, exact enough for differences between hypotheses.
     """
+    light = light or comparison
     parameters = parameters_of(fitted.effects)
     _, weights = prior_of(parameters)
     curvature = fitted.jacobian.T @ fitted.jacobian + np.diag(weights**2 + 1e-9)
     residual = fitted.residual
     left = residual - fitted.jacobian @ np.linalg.solve(curvature, fitted.jacobian.T @ residual)
     total = float(left @ residual)
+    plain = residual if light is comparison else light.residuals([fitted.hypothesis])[0]
     entries = [(effect, start) for effect in candidates for start in effect.starts]
     best: dict[int, Screened] = {}
     for begin in range(0, len(entries), _GROUP):
@@ -71,7 +77,7 @@ def screen(
             hypothesis_of((*fitted.effects, effect), started(fitted, effect, start))
             for effect, start in group
         ]
-        signatures = comparison.residuals(tried) - residual
+        signatures = light.residuals(tried) - plain
         for (effect, start), signature in zip(group, signatures, strict=True):
             found = _weigh(comparison, fitted, curvature, left, total, effect, start, signature)
             if found is not None:

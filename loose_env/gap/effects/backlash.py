@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,7 @@ class Backlash(SplitJoint):
     """An extra joint between stops, which are springs with dampers."""
 
     kind = "backlash"
+    limit: ClassVar[tuple[str, str] | None] = ("gap", "low")
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from math import pi, sqrt
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -88,6 +89,7 @@ class JointCompliance(SplitJoint):
     """A spring and a damper; the rigid drive is the limit of a stiff spring."""
 
     kind = "joint_compliance"
+    limit: ClassVar[tuple[str, str] | None] = ("stiffness", "high")
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

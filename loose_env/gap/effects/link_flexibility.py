@@ -45,6 +45,7 @@ class LinkFlexibility(Effect):
     """
 
     kind = "link_flexibility"
+    limit: ClassVar[tuple[str, str] | None] = ("stiffness", "high")
     adds_motion: ClassVar[bool] = True
     variants: ClassVar[tuple[str, ...]] = ("", "across")
 

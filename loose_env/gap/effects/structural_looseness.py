@@ -35,6 +35,7 @@ class StructuralLooseness(Effect):
     """
 
     kind = "structural_looseness"
+    limit: ClassVar[tuple[str, str] | None] = ("gap", "low")
     adds_motion: ClassVar[bool] = True
 
     @classmethod
