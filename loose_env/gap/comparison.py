@@ -42,6 +42,8 @@ class Rows:
     """Number of the sample among those compared: neighbours differ by one."""
     block: NDArray[np.intp]
     """Block of time, numbered through all runs."""
+    shaken: NDArray[np.bool_]
+    """Whether the run is one of random excitation."""
 
 
 class Comparison:
@@ -127,7 +129,11 @@ class Comparison:
                 part.append(new)
         *where, measured = (np.concatenate(part) for part in parts)
         runs, channel, sample, places, block = (part.astype(np.intp) for part in where)
-        rows = Rows(trial=runs, channel=channel, sample=sample, place=places, block=block)
+        excited = np.array([bool(trial.excited) for trial in self.trials])
+        rows = Rows(
+            trial=runs, channel=channel, sample=sample, place=places, block=block,
+            shaken=excited[runs],
+        )  # fmt: skip
         return rows, measured
 
     def shows(self, effect: Effect) -> bool:

@@ -68,8 +68,10 @@ class Effect:
     nothing: ClassVar[tuple[float, ...] | None] = None
     """Values at which the effect vanishes; None where it does so only in a limit."""
     proportional: ClassVar[int | None] = None
-    """Number of a parameter that what it changes is about proportional to, where `nothing` is
-    None; None if no parameter is."""
+    """Number of the only parameter that what it changes is about proportional to; None if all of
+    them scale it, or none does."""
+    searches: ClassVar[bool] = False
+    """Whether `starts` cannot cover what it may be, so that `propose` has to find it in data."""
     limit: ClassVar[tuple[str, str] | None] = None
     """Parameter, and which of its bounds, "low" or "high", is nearest to no effect at all, where
     `nothing` is None."""

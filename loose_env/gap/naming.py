@@ -28,6 +28,7 @@ from loose_env.gap.judgement import Judge, Judged, Lead, lead_of
 from loose_env.gap.kinship import akin
 from loose_env.gap.lighter import lighter
 from loose_env.gap.parameter import free_of, values_of
+from loose_env.gap.proposals import proposals
 from loose_env.gap.screening import Screened, screen
 from loose_env.gap.windows import windowed
 
@@ -54,7 +55,7 @@ class NamingSettings:
     alone: float = 0.5
     """Share of what is still to be explained below which no effect by itself will do, and one kind
     at several places is tried."""
-    families: int = 3
+    families: int = 6
     """Kinds that are tried at several places."""
     promise: float = 0.1
     """Share of the best candidate's promise from which on another is fitted too."""
@@ -199,7 +200,8 @@ def _step(
     taken = {(e.kind, e.where) for e in (*found.best.fitted.effects, *found.dropped)}
     left = [c for c in candidates if (c.kind, c.where) not in taken]
     before = _on(short, found.best.fitted)
-    screened = screen(short, before, left, light=lighter(short))
+    proposed = proposals(comparison, found.best.fitted.hypothesis, left)
+    screened = screen(short, before, left, light=lighter(short), proposed=proposed)
     for s in screened[:8]:
         say(f"  {s.effect!r}: promises {s.promise:.3f}, sureness {s.sureness:.1f}")
     tried = _try(comparison, (short, before), judge, found.best, screened, settings)

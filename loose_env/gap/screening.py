@@ -7,8 +7,9 @@ of a signature; what is left of it is held against what is left of the residual.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +48,7 @@ def screen(
     candidates: Sequence[Effect],
     *,
     light: Comparison | None = None,
+    proposed: Mapping[tuple[str, str, str], Sequence[tuple[float, ...]]] = MappingProxyType({}),
 ) -> list[Screened]:
     """Screen candidates; the most promising first, each with its best start.
 
@@ -60,6 +62,8 @@ def screen(
         What may be added.
     light : Comparison, optional
         The same at less cost, exact enough for differences between hypotheses.
+    proposed : mapping
+        Starts that the data propose, by the candidate's key, in place of its own.
     """
     light = light or comparison
     parameters = parameters_of(fitted.effects)
@@ -69,7 +73,11 @@ def screen(
     left = residual - fitted.jacobian @ np.linalg.solve(curvature, fitted.jacobian.T @ residual)
     total = float(left @ residual)
     plain = residual if light is comparison else light.residuals([fitted.hypothesis])[0]
-    entries = [(effect, start) for effect in candidates for start in effect.starts]
+    entries = [
+        (effect, start)
+        for effect in candidates
+        for start in proposed.get(effect.key) or effect.starts
+    ]
     best: dict[int, Screened] = {}
     for begin in range(0, len(entries), _GROUP):
         group = entries[begin : begin + _GROUP]
@@ -112,8 +120,7 @@ def _weigh(
         return None
     elif effect.proportional is not None:
         share = min(share, _LARGEST_SHARE)
-        none = [0.0 if k == effect.proportional else v for k, v in enumerate(start)]
-        values = _along(effect, start, none, share)
+        values = _along(effect, start, (0.0,) * len(start), share)
     else:
         share = min(share, 1.0)
     scores = comparison.by_block(own * left)
@@ -132,8 +139,11 @@ def _weigh(
 def _along(
     effect: Effect, start: Sequence[float], nothing: Sequence[float], share: float
 ) -> tuple[float, ...]:
-    """Values at a share of the way from nothing to the start, within the bounds."""
+    """Values at a share of the way from nothing to the start, within the bounds.
+
+    All parameters go that way, or only the one that what the effect changes is proportional to.
+    """
     return tuple(
-        p.clipped(none + share * (value - none))
-        for p, none, value in zip(effect.parameters, nothing, start, strict=True)
+        p.clipped(none + share * (value - none)) if effect.proportional in (None, k) else value
+        for k, (p, none, value) in enumerate(zip(effect.parameters, nothing, start, strict=True))
     )

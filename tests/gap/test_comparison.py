@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from loose_env.gap.catalogue import CATALOGUE, candidates
+from loose_env.gap.comparison import Rows
 from loose_env.gap.machine import Machine
 from loose_env.gap.simulator import Hypothesis
 from loose_env.gap.structure import Structure
@@ -87,6 +88,22 @@ def test_neighbours_of_an_inverse_run_count_as_neighbours() -> None:
     assert counts.sum() == len(structure.first)
     assert structure.products(residual).sum() == pytest.approx(products.sum())
     assert abs(products.sum() / counts.sum()) < 0.25
+
+
+@pytest.mark.parametrize("shaken", [False, True])
+def test_what_rings_fast_is_structure_in_a_shaken_run(*, shaken: bool) -> None:
+    count, rng = 20000, np.random.default_rng(5)
+    place, alone = np.arange(count), np.zeros(count, dtype=np.intp)
+    rows = Rows(
+        trial=alone, channel=alone, sample=place, place=place, block=place // 500,
+        shaken=np.full(count, shaken),
+    )  # fmt: skip
+    structure = Structure(rows)
+    noise, ring = rng.normal(size=count), np.sin(2 * np.pi * 0.16 * place)
+    assert abs(structure.products(noise).sum()) < 4 * np.sqrt(count)
+    found = structure.products(noise + ring).sum() / np.sum(ring**2)
+    # 0.16 periods a sample: the cosine of one sample's or of two samples' turn.
+    assert found == pytest.approx(0.54 if shaken else -0.43, abs=0.1)
 
 
 def test_a_forward_run_shows_every_effect() -> None:

@@ -216,8 +216,8 @@ def test_a_loose_link_slides_from_stop_to_stop_against_friction(arm: str, where:
     effect = CATALOGUE["structural_looseness"](machine, where)
     direction = (0.7,) if arm == "planar" else (0.7, 0.4)
     gap, friction = 0.003, 2.0
-    stiffness = effect.starts[0][-1]
-    values = (*direction, gap, friction, stiffness)
+    stiffness = effect.starts[0][-2]
+    values = (*direction, gap, friction, stiffness, 0.2)
     name = f"{where}_structural_looseness"
     wanted = np.array(
         [cos(0.7), np.sin(0.7), 0]
@@ -237,7 +237,7 @@ def test_a_loose_link_slides_from_stop_to_stop_against_friction(arm: str, where:
 def test_a_loose_link_turns_its_direction_with_its_own_joint() -> None:
     machine = machine_of("planar")
     effect = CATALOGUE["structural_looseness"](machine, "link2")
-    model = edited(effect, 0.0, 0.01, 1.0, effect.starts[0][-1])
+    model = edited(effect, 0.0, 0.01, 1.0, *effect.starts[0][-2:])
     data = mujoco.MjData(model)
     data.joint("joint1").qpos[0], data.joint("joint2").qpos[0] = 0.3, 0.5
     mujoco.mj_kinematics(model, data)

@@ -51,8 +51,9 @@ def rows_of(runs: int = 1) -> Rows:
     sample = sample.ravel()
     block = (sample / RATE // 0.5).astype(int) + 100 * trial.ravel()
     return Rows(
-        trial=trial.ravel(), channel=channel.ravel(), sample=sample, place=sample, block=block
-    )
+        trial=trial.ravel(), channel=channel.ravel(), sample=sample, place=sample, block=block,
+        shaken=np.zeros(sample.size, dtype=bool),
+    )  # fmt: skip
 
 
 def motion() -> JointMotion:
@@ -182,7 +183,7 @@ def test_of_a_machine_without_gap_only_noise_is_unexplained() -> None:
 
 def test_dry_friction_shows_as_torque_that_goes_with_the_direction() -> None:
     location = locate(
-        np.zeros(0), Rows(*(np.zeros(0, dtype=np.intp) for _ in range(5))), [simulated(0.1, 0.8)],
+        np.zeros(0), rows_of(0), [simulated(0.1, 0.8)],
         CHANNELS[:1], [missing(damping=0.1, friction=0.8)],
     )  # fmt: skip
     gap = location.joints[0]

@@ -8,17 +8,24 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.effects.extra_joint import FASTEST, set_stops
+from loose_env.gap.effects.extra_joint import set_stops
 from loose_env.gap.effects.geometry import reach_of
 from loose_env.gap.effects.joint_compliance import SplitJoint
 from loose_env.gap.parameter import Parameter
 
-__all__ = ["Backlash", "stop_stiffness"]
+__all__ = ["Backlash", "stops"]
 
 Array = NDArray[np.float64]
 
 _DRAG_RATE = 2.0
 """How fast oil stops a link that floats in the gap [1/s]."""
+_FASTEST = 1.2
+"""Largest angle by which a mode on a stop may turn in a step, at the model's zero [rad]: more than
+that of an added spring, since a stop is damped."""
+_LEAST_LOAD = 0.05
+"""Least usual load of a joint, as a share of that of the most loaded one."""
+_DAMPING = 0.3
+"""Damping ratio of a mode on a stop, give or take a factor of two."""
 
 
 class Backlash(SplitJoint):
@@ -29,7 +36,7 @@ class Backlash(SplitJoint):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Gap, and stiffness of the stops."""
+        """Gap, stiffness of the stops, damping ratio on them."""
         length = 1.0 if self.machine.turns(self.where) else reach_of(self.machine)
         return (
             Parameter(
@@ -40,26 +47,48 @@ class Backlash(SplitJoint):
                 scale=0.01 * length,
                 log=True,
             ),
-            stop_stiffness(self.weight, self.step, f"{self.torque_unit}/{self.angle_unit}"),
+            *stops(self.weight, self.step, f"{self.torque_unit}/{self.angle_unit}"),
         )
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """A small and a large gap with stiff stops."""
-        gap, stiffness = self.parameters
-        assert stiffness.centre is not None
-        return tuple((share * gap.scale, stiffness.centre) for share in (0.3, 3.0))
+        gap, stiffness, ratio = self.parameters
+        return tuple((share * gap.scale, stiffness.scale, ratio.scale) for share in (0.3, 3.0))
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Put the gap behind the joint."""
         joint = self._split(spec, damping=_DRAG_RATE * self.carried)
-        set_stops(joint, 0.5 * float(values[0]), float(values[1]), self.weight)
+        gap, stiffness, ratio = (float(v) for v in values)
+        set_stops(
+            joint,
+            0.5 * gap,
+            stiffness=stiffness,
+            ratio=ratio,
+            weight=self.weight,
+            load=self._load,
+        )
+
+    @property
+    def _load(self) -> float:
+        """Usual load of the joint; one that carries little is taken to be shaken a little."""
+        largest = float(np.max(self.machine.load_scales))
+        return max(self.machine.load(self.where), _LEAST_LOAD * largest)
 
 
-def stop_stiffness(weight: float, step: float, unit: str) -> Parameter:
-    """Stiffness of stops: a nuisance, about a quarter of the most that the step [s] can follow."""
-    high = (FASTEST / step) ** 2 / weight
-    return Parameter(
-        name="stiffness", unit=unit, low=1e-3 * high, high=high, scale=0.25 * high, log=True,
-        centre=0.25 * high, spread=1.5,
+def stops(weight: float, step: float, unit: str) -> tuple[Parameter, Parameter]:
+    """Stiffness of stops and damping ratio of the mode on them, both nuisances.
+
+    The stiffness lies about a quarter of the most that the step [s] can follow.
+    """
+    high = (_FASTEST / step) ** 2 / weight
+    return (
+        Parameter(
+            name="stiffness", unit=unit, low=1e-3 * high, high=high, scale=0.25 * high, log=True,
+            centre=0.25 * high, spread=1.5,
+        ),
+        Parameter(
+            name="damping_ratio", unit="", low=0.02, high=1.0, scale=_DAMPING, log=True,
+            centre=_DAMPING, spread=0.7,
+        ),
     )  # fmt: skip

@@ -25,7 +25,11 @@ FASTEST = 0.8
 MOTOR_SHARE = 0.02
 """What stays on the motor side of a joint without rotor, as a share of what the joint carries."""
 _SOFT = 1e-4  # MuJoCo's smallest constraint impedance
-_STOP_DAMPING = 0.2  # damping ratio of a mode on a stop
+_TOUCH = 0.45
+"""Impedance of a stop where it is touched, over its largest: so that a force grows with travel to
+the power of 1.5 (within 6 % of it, from a fifteenth of the usual load to five times it)."""
+_USUAL = _TOUCH + (1 - _TOUCH) * 5 / 9
+"""Impedance under the usual load, over its largest: at a third of the way 1 - (1 - 1/3)²."""
 
 
 def last_joints(machine: Machine) -> tuple[str, ...]:
@@ -75,12 +79,22 @@ def add_extra_joint(
     return joint
 
 
-def set_stops(joint: mujoco.MjsJoint, reach: float, stiffness: float, weight: float) -> None:
+def set_stops(
+    joint: mujoco.MjsJoint,
+    reach: float,
+    *,
+    stiffness: float,
+    ratio: float,
+    weight: float,
+    load: float,
+) -> None:
     """Give an added joint stops at ±reach.
 
-    A stop pushes back with k r + c v, where r is the penetration and v its rate: MuJoCo's
-    smallest impedance makes a limit a spring and a damper, and the direct format of ``solref``,
-    scaled with the inverse weight, gives it figures in N/m or N·m/rad. The damping ratio is 0.2.
+    Parts that touch press with a force that grows with the penetration to the power of 1.5
+    (Hertz), and are damped the more the harder they press. MuJoCo's smallest impedance d makes a
+    limit a spring and a damper, d² k r + d c v, where r is the penetration and v its rate; d grows
+    with r. The direct format of ``solref``, scaled with the inverse weight, gives figures in N/m
+    or N·m/rad.
 
     Parameters
     ----------
@@ -89,19 +103,28 @@ def set_stops(joint: mujoco.MjsJoint, reach: float, stiffness: float, weight: fl
     reach : float
         Half the gap [rad or m].
     stiffness : float
-        Of either stop [N·m/rad or N/m].
+        Of either stop under its usual load [N·m/rad or N/m].
+    ratio : float
+        Damping ratio of the mode on a stop of that stiffness.
     weight : float
         Inverse of the inertia on the stop [1/(kg·m²) or 1/kg].
+    load : float
+        Usual load [N·m or N].
+
+    References
+    ----------
+    Johnson, Contact Mechanics (1985), section 4.2. MuJoCo, Modeling: solver parameters.
     """
-    damping = 2 * _STOP_DAMPING * np.sqrt(stiffness / weight)
+    damping = 2 * ratio * np.sqrt(stiffness / weight) / _USUAL
     joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
     unit = 1.0
     if joint.type == mujoco.mjtJoint.mjJNT_HINGE and joint.compiler.degree:
         unit = 180.0 / np.pi
     joint.range = [-reach * unit, reach * unit]
-    joint.solimp_limit = [_SOFT, _SOFT, 0.001, 0.5, 2]
-    scale = (1 - _SOFT) * weight
-    joint.solref_limit = [-stiffness * scale, -damping * scale]
+    # Under the usual load a Hertzian stop gives way by 1.5 load / stiffness; its impedance is
+    # largest at three times that, where force over travel is 1.5^-1 3^0.5 times the stiffness.
+    joint.solimp_limit = [_SOFT, _SOFT / _TOUCH, 4.5 * load / stiffness, _SOFT, 2]
+    joint.solref_limit = [-np.sqrt(3) / 1.5 * stiffness * weight, -damping * weight]
 
 
 def keep_motor_side(machine: Machine, spec: mujoco.MjSpec, name: str, carried: float) -> None:

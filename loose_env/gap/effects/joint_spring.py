@@ -22,6 +22,7 @@ class JointSpring(JointEffect):
     """Torque -k (q - q0), combined exactly with a spring that the joint already has."""
 
     kind = "joint_spring"
+    proportional: ClassVar[int | None] = 0
     nothing: ClassVar[tuple[float, ...] | None] = (0.0, 0.0)
 
     @classmethod

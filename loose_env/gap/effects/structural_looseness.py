@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.effect import Effect
-from loose_env.gap.effects.backlash import stop_stiffness
+from loose_env.gap.effects.backlash import stops
 from loose_env.gap.effects.extra_joint import add_extra_joint, keep_motor_side, set_stops
 from loose_env.gap.effects.geometry import frame_about, normal_of, reach_of
 from loose_env.gap.effects.joint_effect import added_name
@@ -22,6 +22,8 @@ __all__ = ["StructuralLooseness"]
 
 Array = NDArray[np.float64]
 
+_GRAVITY = 9.81
+"""Usual load of a seat, over the mass on it [m/s²]."""
 _MOST_JOINTS = 3
 """Joints of a link beside which there is room for slides: a body has six at most."""
 
@@ -55,7 +57,7 @@ class StructuralLooseness(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Direction, gap, friction, stiffness of the stops."""
+        """Direction, gap, friction, stiffness of the stops, damping ratio on them."""
         turn = dict(unit="rad", low=-2 * pi, high=2 * pi, scale=0.5)
         names = ("angle",) if self._plane is not None else ("azimuth", "elevation")
         length, force = reach_of(self.machine), 1.0 / self._mean_weight
@@ -68,14 +70,14 @@ class StructuralLooseness(Effect):
             Parameter(
                 name="friction", unit="N", low=1e-3 * force, high=100 * force, scale=force, log=True
             ),
-            stop_stiffness(self._mean_weight, self._step, "N/m"),
+            *stops(self._mean_weight, self._step, "N/m"),
         )  # fmt: skip
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Directions all round, a gap of a thousandth of the reach, little friction."""
-        _, friction, stiffness = self.parameters[-3:]
-        rest = (1e-3 * reach_of(self.machine), 0.3 * friction.scale, stiffness.scale)
+        _, friction, stiffness, ratio = self.parameters[-4:]
+        rest = (1e-3 * reach_of(self.machine), 0.3 * friction.scale, stiffness.scale, ratio.scale)
         if self._plane is not None:
             return tuple((angle, *rest) for angle in (0.0, pi / 3, 2 * pi / 3))
         tilt = 0.55  # of the six axes of an icosahedron, one of them moved to z
@@ -94,7 +96,7 @@ class StructuralLooseness(Effect):
         """Put the slide behind the link's joints."""
         self._keep_rotors(spec)
         direction = self.direction(values)
-        gap, friction, stiffness = (float(v) for v in values[-3:])
+        gap, friction, stiffness, ratio = (float(v) for v in values[-4:])
         joint = add_extra_joint(
             spec.body(self.where),
             added_name(self.where, self.kind),
@@ -106,7 +108,14 @@ class StructuralLooseness(Effect):
         )
         weight = self._weight(direction)
         # The same contact mode in every direction.
-        set_stops(joint, 0.5 * gap, stiffness * self._mean_weight / weight, weight)
+        set_stops(
+            joint,
+            0.5 * gap,
+            stiffness=stiffness * self._mean_weight / weight,
+            ratio=ratio,
+            weight=weight,
+            load=_GRAVITY / weight,
+        )
 
     def _keep_rotors(self, spec: mujoco.MjSpec) -> None:
         """Leave inertia on the drive's side of a slide: the added one may lie along it."""

@@ -32,6 +32,8 @@ class TorqueRipple(JointEffect):
     """Torque A sin(N q + phase) on the joint; N counts periods per turn, for a slide per 2π m."""
 
     kind = "torque_ripple"
+    proportional: ClassVar[int | None] = 0
+    searches: ClassVar[bool] = True
     nothing: ClassVar[tuple[float, ...] | None] = (0.0, 1.0, 0.0)
 
     @property

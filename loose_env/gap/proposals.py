@@ -1,0 +1,129 @@
+"""Starts that the data propose: what torque each joint needed beyond the model, for its motion.
+
+The motion of runs with commands is smoothed and put into the inverse dynamics of the model, and
+that is taken off what the drives gave at the commands and the state that were measured. An effect
+that cannot be tried everywhere, such as a ripple of any period, looks for itself in what is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData
+from loose_env.gap.comparison import Comparison
+from loose_env.gap.effect import Effect
+from loose_env.gap.motion import Motion, smooth_motion
+from loose_env.gap.simulator import Hypothesis
+from loose_env.gap.trial import Trial
+
+__all__ = ["missing_torque", "proposals"]
+
+Array = NDArray[np.float64]
+
+_SAMPLES = 6000
+"""Samples of all runs that are evaluated, at most."""
+_TURNING = 0.01
+"""Speed below which the direction of friction is in doubt, as a share of the largest."""
+_OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+
+
+def proposals(
+    comparison: Comparison, hypothesis: Hypothesis, candidates: Sequence[Effect]
+) -> dict[tuple[str, str, str], tuple[tuple[float, ...], ...]]:
+    """Starts of the candidates that look for them in data, by key; {} where no run has commands.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        The runs.
+    hypothesis : Hypothesis
+        What is known so far.
+    candidates : sequence of Effect
+        What may be added.
+    """
+    searching = [effect for effect in candidates if effect.searches]
+    if not searching:
+        return {}
+    found = missing_torque(comparison, hypothesis)
+    if found is None:
+        return {}
+    angle, speed, acceleration, torque = found
+    joints = comparison.machine.joints
+    starts = {}
+    for effect in searching:
+        k = joints.index(effect.where)
+        if np.ptp(angle[:, k]) > 0:
+            starts[effect.key] = effect.propose(
+                angle[:, k], speed[:, k], acceleration[:, k], torque[:, k]
+            )
+    return starts
+
+
+def missing_torque(
+    comparison: Comparison, hypothesis: Hypothesis
+) -> tuple[Array, Array, Array, Array] | None:
+    """Position, speed, acceleration, and torque beyond the model's, of all runs with commands.
+
+    Returns
+    -------
+    tuple of ndarray (T, joints), or None
+        [rad, m], [rad/s, m/s], [rad/s², m/s²], [N·m, N]; None if no run has commands and is long
+        enough.
+    """
+    machine = comparison.machine
+    rigid = [
+        (effect, values)
+        for effect, values in zip(hypothesis.effects, hypothesis.values, strict=True)
+        if not effect.adds_motion
+    ]
+    known = Hypothesis(effects=tuple(e for e, _ in rigid), values=tuple(v for _, v in rigid))
+    step = machine.step or float(machine.model.opt.timestep)
+    model = known.model(machine, step)
+    model.opt.disableflags |= _OFF
+    runs = [trial for trial in comparison.trials if trial.form == "forward"]
+    parts = []
+    for trial in runs:
+        try:
+            motion = smooth_motion(trial, machine, comparison.channels)
+        except InvalidData:
+            continue
+        parts.append(_missing(model, known, trial, motion, max(1, _SAMPLES // len(runs))))
+    if not parts:
+        return None
+    position, speed, acceleration, torque = (
+        np.concatenate(part) for part in zip(*parts, strict=True)
+    )
+    return position, speed, acceleration, torque
+
+
+def _missing(
+    model: mujoco.MjModel, known: Hypothesis, trial: Trial, motion: Motion, most: int
+) -> tuple[Array, Array, Array, Array]:
+    """The same of one run."""
+    times = trial.step * np.arange(trial.steps, dtype=np.float64)
+    controls = trial.controls
+    for effect, values in zip(known.effects, known.values, strict=True):
+        controls = effect.command(times, controls, values)
+    chosen = np.arange(0, len(motion.time), max(1, len(motion.time) // most))
+    joints = len(trial.joints)
+    friction = model.dof_frictionloss[:joints]
+    slow = _TURNING * np.maximum(np.abs(motion.speed).max(axis=0), 1e-9)
+    data = mujoco.MjData(model)
+    torque = np.zeros((len(chosen), joints))
+    for row, k in zip(torque, chosen, strict=True):
+        data.qpos[:joints], data.qvel[:joints] = motion.position[k], motion.speed[k]
+        data.qacc[:joints] = motion.acceleration[k]
+        number = min(int(motion.time[k] / trial.step + 1e-6), len(controls) - 1)
+        data.ctrl[: controls.shape[1]] = controls[number]
+        mujoco.mj_inverse(model, data)
+        needed = data.qfrc_inverse[:joints].copy()
+        mujoco.mj_fwdActuation(model, data)
+        needed += friction * np.tanh(motion.speed[k] / slow)
+        row[:] = data.qfrc_actuator[:joints] - needed
+    return (
+        motion.position[chosen], motion.speed[chosen], motion.acceleration[chosen], torque,
+    )  # fmt: skip
