@@ -185,6 +185,7 @@ def evaluate(
     width: int = 64,
     threads: int = 0,
     rig: BatchRig | None = None,
+    true_arm: Arm | None = None,
     options: Mapping[str, Any] | None = None,
     progress: Callable[[int], None] | None = None,
     deterministic: bool = True,
@@ -215,6 +216,9 @@ def evaluate(
         Arms side by side, and simulation threads (0: all processors).
     rig : BatchRig, optional
         Where measurements come from.
+    true_arm : Arm, optional
+        The arm that is measured, where it is not the nominal one (`loose_env.envs.true_arm`).
+        What is hidden in episode k then depends on it alone, whatever the nominal arm.
     options : mapping, optional
         Options of every episode, as `loose_env.envs.reset_options` has them.
     progress : callable, optional
@@ -237,7 +241,7 @@ def evaluate(
             )
         agent = goes_on(agent, records)
     width = min(width, episodes)
-    batch = EpisodeBatch(arm, settings, num=width, threads=threads, rig=rig)
+    batch = EpisodeBatch(arm, settings, num=width, threads=threads, rig=rig, true_arm=true_arm)
     rows: dict[int, EpisodeRow] = {}
     running: dict[int, _Run] = {}  # by slot
     waiting = iter(range(first, first + episodes))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +12,7 @@ from loose_env.arms.model_file import ModelFile
 from loose_env.arms.parts import new_spec
 from loose_env.arms.serial_chain import Chain
 
-__all__ = ["BARE_MOTOR_SIDE", "MOTOR_SIDE", "TOOL_SITE", "chain_spec"]
+__all__ = ["BARE_MOTOR_SIDE", "MOTOR_SIDE", "TOOL_SITE", "ChainSpec", "chain_spec"]
 
 Array = NDArray[np.float64]
 
@@ -22,7 +24,21 @@ TOOL_SITE = "tool"
 _RESERVED = ("seat", "open_", "shaker", "coil")  # joints that a rig adds begin with these
 
 
-def chain_spec(file: ModelFile, chain: Chain) -> tuple[mujoco.MjSpec, list[str], list[str]]:
+@dataclass(frozen=True, kw_only=True)
+class ChainSpec:
+    """A chain as a spec of its own; names base first."""
+
+    spec: mujoco.MjSpec
+    """The arm."""
+    joints: tuple[str, ...]
+    """Driven joints."""
+    links: tuple[str, ...]
+    """Their links, a body each."""
+    springs: tuple[str, ...]
+    """Elastic joints."""
+
+
+def chain_spec(file: ModelFile, chain: Chain) -> ChainSpec:
     """Build the chain anew, in radians, with a flange and a link for every joint.
 
     Each link is everything of the file that rides on it, other joints frozen where the file
@@ -32,12 +48,9 @@ def chain_spec(file: ModelFile, chain: Chain) -> tuple[mujoco.MjSpec, list[str],
     keep their zero, stiffness, damping and rotor inertia; their stops, dry friction and gravity
     compensation are left out.
 
-    Returns
-    -------
-    spec : mujoco.MjSpec
-        The arm.
-    joints, links : list of str
-        Names of its joints and of its links, base first.
+    An elastic joint on the body of a driven one stays with it on the flange: the drive's spring
+    lies before the seat. One on a body of its own bends the link that it is part of, behind the
+    seat; the body is kept.
     """
     m = file.model
     data = mujoco.MjData(m)
@@ -46,29 +59,41 @@ def chain_spec(file: ModelFile, chain: Chain) -> tuple[mujoco.MjSpec, list[str],
     off = m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
     spec = new_spec(gravity=(0.0, 0.0, 0.0) if off else [float(g) for g in m.opt.gravity])
     parent, base = spec.worldbody, 0
-    joints, links = [], []
+    joints: list[str] = []
+    links: list[str] = []
+    springs: list[str] = []
     taken = {m.body(b).name for b in range(m.nbody)}
-    for number, (j, body) in enumerate(zip(chain.joints, chain.links, strict=True), start=1):
-        name, link = m.joint(j).name, m.body(body).name
-        if name.startswith(_RESERVED):
-            name = f"file_{name}"
+    moving = sorted({int(m.jnt_bodyid[j]) for j in (*chain.joints, *chain.springs)})
+    rides = _riding(m, moving)
+    for body in moving:  # a parent comes before its children
+        name = m.body(body).name
+        own = [j for j in sorted((*chain.joints, *chain.springs)) if m.jnt_bodyid[j] == body]
         place, turn = _relative(data, base, data.xpos[body], data.xmat[body])
-        place, turn = _to_zero(m, j, place, turn)
-        flange_name = f"{link}_flange"
-        while flange_name in taken:
-            flange_name += "_"
-        flange = parent.add_body(name=flange_name, pos=list(place), quat=_quat(turn))
-        _add_joint(file, j, flange, name)
-        distal = flange.add_body(name=link)
-        figures = _lumped(m, data, [b for b in range(m.nbody) if chain.owner[b] == number], body)
-        motor_side = MOTOR_SIDE if flange.joints[0].armature > 0 else BARE_MOTOR_SIDE
-        for part, share in ((flange, motor_side), (distal, 1 - motor_side)):
-            mass, centre, axes, moments = figures
-            part.mass, part.ipos, part.iquat = share * mass, list(centre), _quat(axes)
-            part.inertia = [share * float(x) for x in moments]
-            part.explicitinertial = True
-        joints.append(name)
-        links.append(link)
+        for j in reversed(own):
+            place, turn = _to_zero(m, j, place, turn)
+        figures = _lumped(m, data, [b for b in range(m.nbody) if rides[b] == body], body)
+        driven = body in chain.links
+        moved_name = name
+        if driven:
+            moved_name = f"{name}_flange"
+            while moved_name in taken:
+                moved_name += "_"
+        flange = parent.add_body(name=moved_name, pos=list(place), quat=_quat(turn))
+        for j in own:
+            joint = m.joint(j).name
+            joint = f"file_{joint}" if joint.startswith(_RESERVED) else joint
+            _add_joint(file, j, flange, joint)
+            (joints if j in chain.joints else springs).append(joint)
+        distal = flange
+        if driven:
+            rotor = max(joint.armature for joint in flange.joints)
+            motor_side = MOTOR_SIDE if rotor > 0 else BARE_MOTOR_SIDE
+            distal = flange.add_body(name=name)
+            links.append(name)
+            _give(flange, figures, motor_side)
+            _give(distal, figures, 1 - motor_side)
+        else:
+            _give(flange, figures, 1.0)
         parent, base = distal, body
     if chain.tool_site is None:
         place, turn = _relative(data, base, data.xpos[chain.tool_body], data.xmat[chain.tool_body])
@@ -76,7 +101,23 @@ def chain_spec(file: ModelFile, chain: Chain) -> tuple[mujoco.MjSpec, list[str],
         site = chain.tool_site
         place, turn = _relative(data, base, data.site_xpos[site], data.site_xmat[site])
     parent.add_site(name=TOOL_SITE, pos=list(place), quat=_quat(turn))
-    return spec, joints, links
+    return ChainSpec(spec=spec, joints=tuple(joints), links=tuple(links), springs=tuple(springs))
+
+
+def _riding(m: mujoco.MjModel, moving: list[int]) -> list[int]:
+    """For each body the one of the chain that it rides on; 0 where it stands on the ground."""
+    rides = [0] * m.nbody
+    for body in range(1, m.nbody):
+        rides[body] = body if body in moving else rides[int(m.body_parentid[body])]
+    return rides
+
+
+def _give(part: mujoco.MjsBody, figures: tuple[float, Array, Array, Array], share: float) -> None:
+    """Give a body a share of a mass, with its centre, axes and moments."""
+    mass, centre, axes, moments = figures
+    part.mass, part.ipos, part.iquat = share * mass, list(centre), _quat(axes)
+    part.inertia = [share * float(x) for x in moments]
+    part.explicitinertial = True
 
 
 def _add_joint(file: ModelFile, j: int, flange: mujoco.MjsBody, name: str) -> None:

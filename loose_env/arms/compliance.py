@@ -24,7 +24,7 @@ from loose_env.arms.linear import LinearArm
 from loose_env.arms.parts import SERVO_DAMPING, held_inertia
 from loose_env.errors import InvalidSetting, UnknownName
 
-__all__ = ["compliant", "fastest_turn", "held", "servoed", "wind_up"]
+__all__ = ["compliant", "fastest_turn", "held", "servoed", "settling_time", "wind_up"]
 
 Array = NDArray[np.float64]
 
@@ -166,7 +166,7 @@ def compliant(arm: Arm, gears: Gears | None = None) -> Arm:
             gear_joints=joints,
             rigid=rigid,
             timestep=step,
-            settling=_settling(rigid, slowest_ratio),
+            settling=settling_time(rigid, slowest_ratio),
         )
         if fastest_turn(made) <= _FASTEST:
             return made
@@ -227,7 +227,7 @@ def fastest_turn(arm: Arm) -> float:
     return float(np.sqrt(most))
 
 
-def _settling(arm: Arm, damping_ratio: float) -> float:
+def settling_time(arm: Arm, damping_ratio: float) -> float:
     """Let a gear's mode at the lower edge of the band die away to a seventh, in half a second."""
     wanted = 2 / (max(damping_ratio, 1e-6) * 2 * np.pi * arm.band[0])
     return max(arm.settling, round(min(wanted, 0.5), 3))

@@ -29,6 +29,7 @@ TIMESTEP = 2e-4
 """Simulation step, unless a joint's damper or spring needs a shorter one [s]."""
 _SHORTEST = TIMESTEP / 16
 _TRACE = 1e-10
+_SPRUNG_POINTS = 120  # frequencies, where springs have modes that can lie in the band
 _GRAVITY_SPARE = 2.0  # a drive holds twice the gravity load
 _MOST_DECAY = 0.2
 """Largest decay of a centring damper within half a step [1]. The rig makes up for the half step
@@ -89,7 +90,8 @@ def propose_levels(arm: Arm, poses: Array) -> tuple[float, float, float]:
     InvalidData
         If that median is zero, or no joint moves the tool.
     """
-    linear = LinearArm(arm, points=12)
+    sprung = arm.gear_joints and arm.rigid is None  # by the file
+    linear = LinearArm(arm, points=_SPRUNG_POINTS if sprung else 12)
     reachable = []
     for pose in poses:
         at = linear.at(pose)

@@ -58,6 +58,10 @@ class FileReport:
     """Gravity [m/s²]."""
     warnings: tuple[str, ...]
     """What was left out or had to be assumed."""
+    springs: tuple[str, ...] = ()
+    """Elastic joints, which bend and have no drive, base first."""
+    spring_modes: tuple[float, ...] = ()
+    """Mode of each with all it carries, everything else held, where the file has it [Hz]."""
 
     def __str__(self) -> str:
         rows = [("", "joint", "kind", "range", "peak torque", "link", "mass")]
@@ -86,6 +90,8 @@ class FileReport:
             "  ".join(c.ljust(w) for c, w in zip(r, widths, strict=True)).rstrip() for r in rows
         ]
         lines.append(f"tool: {self.tool}, {self.tool_origin}")
+        for spring, mode in zip(self.springs, self.spring_modes, strict=True):
+            lines.append(f"elastic: {spring}, {mode:.3g} Hz with all it carries")
         for branch in self.payload:
             frozen = f", frozen: {', '.join(branch.joints)}" if branch.joints else ""
             lines.append(f"payload: {branch.body} on {branch.link}, {branch.mass:.3g} kg{frozen}")
@@ -123,18 +129,35 @@ def report(file: ModelFile, chain: Chain) -> FileReport:
         payload=_payload(m, chain),
         gravity=(float(gravity[0]), float(gravity[1]), float(gravity[2])),
         warnings=(*file.warnings, *chain.warnings, *_left_out(m, chain)),
+        springs=tuple(m.joint(j).name for j in chain.springs),
+        spring_modes=_modes(m, chain.springs),
+    )
+
+
+def _modes(m: mujoco.MjModel, springs: tuple[int, ...]) -> tuple[float, ...]:
+    """Mode of each spring with all that it carries [Hz]."""
+    data = mujoco.MjData(m)
+    mujoco.mj_forward(m, data)
+    inertia = np.zeros((m.nv, m.nv))
+    mujoco.mj_fullM(m, data, inertia)
+    dofs = [int(m.jnt_dofadr[j]) for j in springs]
+    return tuple(
+        float(np.sqrt(m.jnt_stiffness[j] / inertia[d, d]) / (2 * np.pi))
+        for j, d in zip(springs, dofs, strict=True)
     )
 
 
 def _payload(m: mujoco.MjModel, chain: Chain) -> tuple[Payload, ...]:
     """Branches that begin at a frozen joint of a link."""
     branches = []
+    bending = {int(m.jnt_bodyid[j]) for j in chain.springs}
     for body in range(1, m.nbody):
         parent = int(m.body_parentid[body])
         own = chain.owner[body]
-        if own == 0 or body in chain.links or not m.body_jntnum[body]:
+        if own == 0 or body in (*chain.links, *bending) or not m.body_jntnum[body]:
             continue
-        if m.body_weldid[parent] != m.body_weldid[chain.links[own - 1]]:
+        carriers = [m.body_weldid[b] for b in (chain.links[own - 1], *bending)]
+        if m.body_weldid[parent] not in carriers:
             continue  # further out on a branch
         inside = [b for b in range(body, m.nbody) if _under(m, b, body)]
         branches.append(

@@ -22,11 +22,12 @@ from loose_env.arms.drive_figures import (
     stable_timestep,
 )
 from loose_env.arms.file_report import FileReport, FoundJoint, Payload, report
+from loose_env.arms.file_springs import with_file_springs
 from loose_env.arms.gears import proposed_gears
 from loose_env.arms.model_file import read_model_file
 from loose_env.arms.parts import holdings
 from loose_env.arms.serial_chain import Chain, find_chain
-from loose_env.errors import UnknownName
+from loose_env.errors import InvalidSetting, UnknownName
 
 __all__ = ["DESK_ARM", "FileReport", "FoundJoint", "Payload", "arm_from_file", "describe_file"]
 
@@ -66,7 +67,10 @@ def arm_from_file(
     branches, a gripper's fingers, are frozen where the file has them and ride along.
 
     Dry friction and the stops of the joints are left out: the linear prediction has none.
-    A joint's spring is kept, and acts about the pose that is held. Torque limits that the file
+    A joint's spring is kept, and acts about the pose that is held. A joint with a spring and no
+    drive, in a file whose other joints have drives, is elastic: it bends, is neither shaken nor
+    held, and is no link of its own. That is what `loose gap` puts behind a drive that gives way;
+    play that it adds is taken as fixed, for the nominal arm is sound. Torque limits that the file
     does not give are proposed from the gravity load and the inertia, with a Python warning.
 
     Parameters
@@ -77,7 +81,7 @@ def arm_from_file(
         Site or body that carries the tool accelerometer. By default a site called ``tool``;
         else the last site of the last body of the deepest chain, else that body's frame.
     joints : sequence of str, optional
-        Driven joints. By default all between the base and the tool.
+        Driven joints. By default all between the base and the tool that are not elastic.
     hold : {"brake", "servo", "compliant"}
         How joints that are not excited are held; see `loose_env.arms.compliance`. Elastic gears
         have the figures of `loose_env.arms.gears.proposed_gears`.
@@ -91,7 +95,7 @@ def arm_from_file(
     Raises
     ------
     InvalidSetting
-        If there is no such file.
+        If there is no such file, or gears are asked for and the file has elastic joints.
     InvalidData
         If it is no MJCF or URDF, refers to anything outside its folder, does not compile, or
         is no serial chain: a floating base, ball joints, closed loops, two joints on one
@@ -123,7 +127,14 @@ def arm_from_file(
     file = read_model_file(path)
     chain = find_chain(file, tool, joints)
     found = report(file, chain)
-    spec, names, links = chain_spec(file, chain)
+    if chain.springs and hold == "compliant":
+        raise InvalidSetting(
+            f"{found.file}: the file has elastic joints of its own "
+            f"({', '.join(found.springs)}); hold='compliant' would add gears to them. Take "
+            "hold='brake' or 'servo': the file's springs are in either"
+        )
+    made = chain_spec(file, chain)
+    spec, names, links = made.spec, list(made.joints), list(made.links)
     ranges = tuple(_range(file.model, j) for j in chain.joints)
     low = np.array([-np.pi if r is None else r[0] for r in ranges])
     high = np.array([np.pi if r is None else r[1] for r in ranges])
@@ -158,6 +169,7 @@ def arm_from_file(
         settling=0.1,
     )
     arm = replace(arm, timestep=stable_timestep(arm, poses))
+    arm = with_file_springs(arm, made.springs)
     arm = replace(arm, centring=calm_centring(arm, poses))
     arm = held(replace(arm, gears=proposed_gears(arm)), hold)
     return replace(arm, levels=propose_levels(arm, poses))

@@ -21,6 +21,7 @@ __all__ = [
     "WHEEL_TURN",
     "Figures",
     "Gears",
+    "add_wheel",
     "each_joint",
     "geared_spec",
     "gears_of",
@@ -194,12 +195,12 @@ def geared_spec(
         )
         if moved[i] > 0:
             slides = joint.type == mujoco.mjtJoint.mjJNT_SLIDE
-            _add_wheel(flange, float(moved[i]), axis / np.linalg.norm(axis), slides=slides)
+            add_wheel(flange, float(moved[i]), axis / np.linalg.norm(axis), slides=slides)
         gears.append(gear)
     return spec, tuple(gears)
 
 
-def _add_wheel(flange: mujoco.MjsBody, inertia: float, axis: Array, *, slides: bool) -> None:
+def add_wheel(flange: mujoco.MjsBody, inertia: float, axis: Array, *, slides: bool) -> None:
     """Add an inertia about (or a mass along) an axis to a flange, at its centre of mass."""
     if slides:
         flange.mass += inertia

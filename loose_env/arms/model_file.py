@@ -118,6 +118,11 @@ def compile_spec(spec: mujoco.MjSpec, file: Path) -> mujoco.MjModel:
                 "; a body that moves needs mass: give it an inertia, or put its joint on the "
                 "body that has one"
             )
+        elif "singular" in message:
+            hint = (
+                "; of two joints on one axis of a body, such as a drive and the spring behind it, "
+                "the first needs a rotor inertia: give it an armature"
+            )
         elif "free joint" in message:
             hint = "; an arm stands on the ground: fix its base, without a free or floating joint"
         raise InvalidData(f"{file.name}: MuJoCo cannot build it: {message}{hint}") from error

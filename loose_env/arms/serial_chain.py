@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import mujoco
+import numpy as np
 
 from loose_env.arms.model_file import ModelFile
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
@@ -22,8 +23,11 @@ class Chain:
     """A serial chain in a compiled file, by ids of its model, base first."""
 
     joints: tuple[int, ...]
+    """Driven joints."""
     links: tuple[int, ...]
     """Body that each joint moves."""
+    springs: tuple[int, ...]
+    """Elastic joints between the base and the tool: they have a spring and no drive."""
     tool_body: int
     tool_site: int | None
     """Site of the tool; None where the body's own frame is the tool."""
@@ -53,8 +57,15 @@ def find_chain(file: ModelFile, tool: str | None, joints: Sequence[str] | None) 
         warnings += leaf
     path = _joints_to(m, body)
     _refuse_unlike(file, path)
+    every = path
     if joints is not None and path:
         path = _chosen(file, path, joints)
+    springs, play = _undriven(file, every, [] if joints is None else path)
+    path = [j for j in path if j not in springs and j not in play]
+    warnings += [
+        f"joint {m.joint(j).name} has play and no drive: it is taken as fixed, as in a sound arm"
+        for j in play
+    ]
     if not path:
         which = f"no joint moves the tool {tool!r}" if tool else "there is no hinge or slide"
         raise InvalidData(f"{where}: {which}; an arm needs at least one joint")
@@ -70,12 +81,15 @@ def find_chain(file: ModelFile, tool: str | None, joints: Sequence[str] | None) 
     if tool is None and site is None:
         site, body, origin = _default_tool(m, links[-1], owner)
     _refuse_loops(file, path, owner, warnings)
-    dropped = [m.joint(j).name for j in range(m.njnt) if owner[m.jnt_bodyid[j]] == 0]
+    dropped = [
+        m.joint(j).name for j in range(m.njnt) if owner[m.jnt_bodyid[j]] == 0 and j not in springs
+    ]
     if dropped:
         warnings.append(f"joints that do not move the arm are left out: {', '.join(dropped)}")
     return Chain(
         joints=tuple(path),
         links=links,
+        springs=springs,
         tool_body=body,
         tool_site=site,
         tool_origin=origin,
@@ -202,6 +216,46 @@ def _chosen(file: ModelFile, path: list[int], joints: Sequence[str]) -> list[int
     if len(set(asked)) != len(asked):
         raise UnknownName(f"{file.path.name}: joints are named twice in {_names(asked)}")
     return [j for j, name in zip(path, names, strict=True) if name in asked]
+
+
+def _undriven(
+    file: ModelFile, path: Sequence[int], asked: Sequence[int]
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Joints of a path that are elastic, and those that have play; none that is asked for.
+
+    An elastic joint has a spring and no drive, in a file that gives drives to others. In a file
+    that gives none, it is one behind another joint of its body on the same axis: an elastic
+    drive, and no joint of its own. Play is a joint with stops, and neither drive nor spring, on the
+    body of a driven one.
+    """
+    m = file.model
+    drives = {drive.joint for drive in file.drives}
+    driven = [j for j in path if m.joint(j).name in drives or m.jnt_actfrclimited[j]]
+    moved = {int(m.jnt_bodyid[j]) for j in driven}
+    others = [k for k, j in enumerate(path) if j not in driven and j not in asked]
+    springs = tuple(
+        path[k]
+        for k in others
+        if m.jnt_stiffness[path[k]] > 0
+        and (driven or (k > 0 and _on_one_axis(m, path[k - 1], path[k])))
+    )
+    play = tuple(
+        path[k]
+        for k in others
+        if m.jnt_stiffness[path[k]] == 0
+        and m.jnt_limited[path[k]]
+        and int(m.jnt_bodyid[path[k]]) in moved
+    )
+    return springs, play
+
+
+def _on_one_axis(m: mujoco.MjModel, first: int, second: int) -> bool:
+    return bool(
+        m.jnt_bodyid[first] == m.jnt_bodyid[second]
+        and m.jnt_type[first] == m.jnt_type[second]
+        and abs(m.jnt_axis[first] @ m.jnt_axis[second]) > 1 - 1e-9
+        and np.linalg.norm(np.cross(m.jnt_axis[first], m.jnt_pos[second] - m.jnt_pos[first])) < 1e-9
+    )
 
 
 def _owners(m: mujoco.MjModel, links: Sequence[int]) -> tuple[int, ...]:

@@ -78,7 +78,10 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
     default, "rotational_looseness" and "compound_looseness" besides. `hold` says how joints that
     are not excited are held: "brake", "servo", or "compliant", by brakes behind elastic gears.
     For the planar arm also `n_links` and `vertical`; for `loose_env/Arm-v0` `model`, the path of
-    an MJCF or URDF file, `tool` and `joints`.
+    an MJCF or URDF file, `tool` and `joints`. `true_arm` is the arm that is measured, where the
+    nominal model is wrong about more than `difficulty` says, an effect that it lacks above all; for
+    `loose_env/Arm-v0` `true_model`, the path of its file. Without it the nominal arm is measured,
+    with the difficulty's mismatch.
 
     Options of `reset` hold for one episode. `{"fault": ...}` seats a given fault, or one drawn
     under a given hypothesis. It may lie outside the hypotheses, as "several_faults" does, two
@@ -104,13 +107,14 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
         render_mode: str | None = None,
         rig: BatchRig | None = None,
         threads: int = 0,
+        true_arm: Arm | None = None,
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise UnknownName(
                 f"unknown render_mode {render_mode!r}; modes are {self.metadata['render_modes']}"
             )
         self.settings = DiagnosisSettings() if settings is None else settings
-        self.batch = EpisodeBatch(arm, self.settings, threads=threads, rig=rig)
+        self.batch = EpisodeBatch(arm, self.settings, threads=threads, rig=rig, true_arm=true_arm)
         self.arm = arm
         self.hypotheses, self.verdicts = self.batch.hypotheses, self.batch.verdicts
         self.layout = self.batch.observations

@@ -28,6 +28,7 @@ from loose_env.envs.observation import ObservationLayout
 from loose_env.envs.raw import RawMeasurement
 from loose_env.envs.reset_options import ResetOptions
 from loose_env.envs.settings import DiagnosisSettings
+from loose_env.envs.true_arm import checked_true_arm
 from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import UNSURE, Fault, Healthy, SeveralFaults, hypotheses, place_of
@@ -95,7 +96,7 @@ class EpisodeBatch:
     Parameters
     ----------
     arm : Arm
-        The nominal arm.
+        The nominal arm: what is predicted, commanded and observed rests on it.
     settings : DiagnosisSettings
         Settings of the environment.
     num : int
@@ -104,6 +105,14 @@ class EpisodeBatch:
         Simulation threads; 0 takes all processors.
     rig : BatchRig, optional
         Where measurements come from; simulated arms by default.
+    true_arm : Arm, optional
+        The arm that is measured, where the nominal model is wrong about more than the mismatch
+        says; see `loose_env.envs.true_arm`. The nominal arm by default.
+
+    Raises
+    ------
+    InvalidSetting
+        If the true arm is not moved and read as the nominal one.
     """
 
     def __init__(
@@ -114,16 +123,19 @@ class EpisodeBatch:
         num: int = 1,
         threads: int = 0,
         rig: BatchRig | None = None,
+        true_arm: Arm | None = None,
     ) -> None:
         self.arm, self.settings, self.num, self.threads = arm, settings, num, threads
+        self.true_arm = checked_true_arm(true_arm, arm)
         self.rig: BatchRig
         if rig is None:
             # One linear arm for both: it remembers the poses it has worked out.
-            self.rig, self.nominal = _simulated_rig(arm, settings, num, threads)
+            self.rig, true = _simulated_rig(self.true_arm, settings, num, threads)
         else:
-            self.rig, self.nominal = rig, LinearArm(arm)
+            self.rig, true = rig, LinearArm(self.true_arm)
+        self.nominal = true if self.true_arm is arm else LinearArm(arm)
         self.difficulty = difficulty_named(settings.difficulty)
-        self.sampler = FaultSampler(self.nominal, self.difficulty, settings.kinds)
+        self.sampler = FaultSampler(true, self.difficulty, settings.kinds)
         self.hypotheses = hypotheses(arm, settings.kinds)
         self.verdicts = (*self.hypotheses, UNSURE)
         self.actions = ActionLayout(arm, settings, len(self.hypotheses))
@@ -143,7 +155,7 @@ class EpisodeBatch:
         self, slot: int, *, seed: int, number: int, options: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
         """Begin an episode in a slot: hide a fault, take a random pose, measure nothing."""
-        given = ResetOptions.of(options, self.arm)
+        given = ResetOptions.of(options, self.true_arm)
         blank = np.zeros(
             (self.settings.max_records, len(self.observations.slot_elements)), dtype=np.float32
         )
@@ -223,8 +235,8 @@ class EpisodeBatch:
 
         The mismatch is drawn from ``rng`` unless it is given.
         """
-        draw = self.difficulty.mismatch.draw(self.arm, rng) if mismatch is None else mismatch
-        rig, _ = _simulated_rig(self.arm, self.settings, 1, 1)
+        draw = self.difficulty.mismatch.draw(self.true_arm, rng) if mismatch is None else mismatch
+        rig, _ = _simulated_rig(self.true_arm, self.settings, 1, 1)
         rig.mount(0, fault, draw)
         return rig.measure(pose, excitation, rng=rng)
 

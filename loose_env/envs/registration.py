@@ -10,7 +10,7 @@ from typing import Any
 
 import gymnasium
 
-from loose_env.errors import UnknownName
+from loose_env.errors import InvalidSetting, UnknownName
 
 __all__ = [
     "IDS",
@@ -40,9 +40,9 @@ _VERA = ("hold",)
 _PLANAR = ("n_links", "vertical", "hold")
 _SIX_AXIS = ("hold",)
 _SCARA = ("hold",)
-_FROM_FILE = ("model", "tool", "joints", "hold")
-_SINGLE = ("render_mode", "rig", "threads")
-_VECTOR = ("threads",)
+_FROM_FILE = ("model", "true_model", "tool", "joints", "hold")
+_SINGLE = ("render_mode", "rig", "threads", "true_arm")
+_VECTOR = ("threads", "true_arm")
 
 
 def register() -> None:
@@ -136,7 +136,11 @@ def _from_file(arguments: dict[str, Any]) -> Any:
     from loose_env.arms.from_file import DESK_ARM, arm_from_file
 
     own = _take(arguments, *_FROM_FILE)
-    model = own.pop("model", None)
+    model, true_model = own.pop("model", None), own.pop("true_model", None)
+    if true_model is not None:
+        if arguments.get("true_arm") is not None:
+            raise InvalidSetting("give the true arm as true_model or as true_arm, not as both")
+        arguments["true_arm"] = arm_from_file(true_model, **own)
     return arm_from_file(DESK_ARM if model is None else model, **own)
 
 

@@ -39,6 +39,8 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         Number of arms.
     threads : int
         Simulation threads; 0 takes all processors.
+    true_arm : Arm, optional
+        The arm that is measured; the nominal one by default. See `loose_env.envs.true_arm`.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -53,13 +55,16 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         *,
         num_envs: int = 1,
         threads: int = 0,
+        true_arm: Arm | None = None,
     ) -> None:
         if isinstance(num_envs, bool) or num_envs < 1:
             raise InvalidSetting(f"num_envs must be 1 or more, got {num_envs!r}")
         super().__init__()
         self.num_envs = num_envs
         self.settings = DiagnosisSettings() if settings is None else settings
-        self.batch = EpisodeBatch(arm, self.settings, num=num_envs, threads=threads)
+        self.batch = EpisodeBatch(
+            arm, self.settings, num=num_envs, threads=threads, true_arm=true_arm
+        )
         self.arm = arm
         self.hypotheses, self.verdicts = self.batch.hypotheses, self.batch.verdicts
         self.layout = self.batch.observations

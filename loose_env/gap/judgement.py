@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.fit import Fit, parameters_of
 from loose_env.gap.start import StartState
-from loose_env.gap.structure import Structure
+from loose_env.gap.structure import Structure, largest
 
 __all__ = ["Judge", "Judged", "Lead", "lead_of"]
 
@@ -30,11 +30,11 @@ class Judged:
     fitted_blocks: Array
     """The same on the runs it was fitted to (A,)."""
     held_structure: Array
-    """Sums of its products with itself a little later, by block (B,)."""
+    """Sums of its products with itself a little later, by lag and block (3, B)."""
     fitted_structure: Array
-    """The same on the runs it was fitted to (A,)."""
+    """The same on the runs it was fitted to (3, A)."""
     channel_structure: Array
-    """The same over all runs by channel, and the number of products (2, C)."""
+    """The largest over the lags of all runs by channel, and the number of products (2, C)."""
 
     @property
     def held_rms(self) -> float:
@@ -54,7 +54,7 @@ class Judged:
     @property
     def structure(self) -> float:
         """What hangs together in time of all residuals."""
-        return float(self.held_structure.sum() + self.fitted_structure.sum())
+        return float(largest(self.held_structure.sum(axis=1) + self.fitted_structure.sum(axis=1)))
 
     @property
     def structure_sureness(self) -> float:
@@ -130,8 +130,11 @@ def _sureness(gains: Array) -> float:
 
 
 def _added(one: Array, other: Array) -> Array:
-    """Sum of two tables by channel, of which one may know fewer channels (2, C)."""
-    found = np.zeros((2, max(one.shape[1], other.shape[1])))
+    """Largest sums of both over the lags by channel, and their number (2, C).
+
+    One of the tables by lag and channel, whose last rows count, may know fewer channels.
+    """
+    found = np.zeros((len(one), max(one.shape[1], other.shape[1])))
     found[:, : one.shape[1]] += one
     found[:, : other.shape[1]] += other
-    return found
+    return np.stack([largest(found[:-1]), found[-1]])

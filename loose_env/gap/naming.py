@@ -77,6 +77,10 @@ class NamingSettings:
     channel_sureness: float = 10.0
     """Mean product of a residual of that channel with itself a little later, over what white
     noise shows by chance [standard deviations]."""
+    worth: float = 0.02
+    """Share of the sum of squares below which further parameters are of little worth."""
+    more: float = 0.1
+    """Share of what a simpler hypothesis leaves that they have to explain even so."""
     tie: float = 2.0
     """Lead on held-out runs below which two hypotheses cannot be told apart."""
 
@@ -262,12 +266,19 @@ def _prune(
 
 
 def _simplest_first(ranked: list[Judged], settings: NamingSettings) -> list[Judged]:
-    """Ranked hypotheses; one with fewer parameters goes before the best if that is not ahead."""
+    """Ranked hypotheses; one with fewer parameters goes before the best if that is not ahead.
+
+    More parameters fit a little better everywhere, surely and to no purpose: the best has to
+    explain some of what the simpler one leaves, and there has to be something left.
+    """
     for judged in sorted(ranked[1:], key=lambda j: j.free_count):
         if judged.free_count >= ranked[0].free_count:
             break
         lead = lead_of(ranked[0], judged)
-        if lead.held < settings.tie and lead.fitted < settings.tie:
+        chance = lead.held < settings.tie and lead.fitted < settings.tie
+        small = abs(ranked[0].total - judged.total) < settings.worth * ranked[0].total
+        whole = judged.structure_sureness < settings.structure
+        if chance or (small and (whole or lead.share < settings.more)):
             return [judged, *(j for j in ranked if j is not judged)]
     return ranked
 

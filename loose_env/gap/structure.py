@@ -1,10 +1,11 @@
 """How much of a residual hangs together in time, which noise does not.
 
-The mean product of a residual with itself a little later is zero for white noise, whatever its
-size, and near the mean square for whatever a model misses. It says what there is to explain
-without a word on how large the noise is. A little is two samples, and one in a run of random
-excitation: what a model misses there rings at up to a fifth of the sample rate, and two samples
-later it has turned over.
+The mean product of a residual with itself a few samples later is zero for white noise, whatever its
+size, and near the mean square for whatever a model misses. It says what there is to explain without
+a word on how large the noise is. A residual that rings has turned over after half a period, and
+shows nothing after a quarter: three lags are looked at, and the largest product counts, of either
+sign. The lags leave out the next sample, which a sensor's filter may tie to the one before, but in
+runs of random excitation, where what is missed rings at up to a fifth of the sample rate.
 """
 
 from __future__ import annotations
@@ -14,16 +15,16 @@ from numpy.typing import NDArray
 
 from loose_env.gap.comparison import Rows
 
-__all__ = ["Structure"]
+__all__ = ["Structure", "largest"]
 
 Array = NDArray[np.float64]
 
-LAG, SHAKEN_LAG = 2, 1
-"""Samples between the two, and in a run of random excitation."""
+LAGS, SHAKEN_LAGS = (2, 3, 4), (1, 2, 3)
+"""Samples between the two, and in runs of random excitation."""
 
 
 class Structure:
-    """Pairs of rows of one channel that are a little apart in time.
+    """Pairs of rows of one channel that are a little apart in time, for each of three lags.
 
     Parameters
     ----------
@@ -33,31 +34,43 @@ class Structure:
 
     def __init__(self, rows: Rows) -> None:
         order = np.lexsort((rows.place, rows.channel, rows.trial))
-        pairs = []
-        for lag, shaken in ((LAG, False), (SHAKEN_LAG, True)):
-            first, second = order[:-lag], order[lag:]
-            same = (
-                (rows.trial[first] == rows.trial[second])
-                & (rows.channel[first] == rows.channel[second])
-                & (rows.place[second] - rows.place[first] == lag)
-                & (rows.shaken[first] == shaken)
-            )
-            pairs.append(np.stack([first[same], second[same]]))
-        self.first, self.second = np.concatenate(pairs, axis=1)
-        self.block, self.channel = rows.block[self.first], rows.channel[self.first]
+        self._pairs = []
+        for usual, shaken in zip(LAGS, SHAKEN_LAGS, strict=True):
+            found = [_pairs(rows, order, usual, False), _pairs(rows, order, shaken, True)]
+            first, second = np.concatenate(found, axis=1)
+            self._pairs.append((first, second, rows.block[first], rows.channel[first]))
         self.blocks, self.channels = int(rows.block.max()) + 1, int(rows.channel.max()) + 1
 
     def products(self, residual: Array) -> Array:
-        """Sums of the products by block of time (B,)."""
-        products = residual[self.first] * residual[self.second]
-        return np.asarray(np.bincount(self.block, products, minlength=self.blocks), dtype=float)
-
-    def by_channel(self, residual: Array) -> Array:
-        """Sums of the products by channel, and how many there are of each (2, C)."""
-        products = residual[self.first] * residual[self.second]
+        """Sums of the products by lag and block of time (3, B)."""
         return np.stack(
             [
-                np.bincount(self.channel, products, minlength=self.channels),
-                np.bincount(self.channel, minlength=self.channels),
+                np.bincount(block, residual[first] * residual[second], minlength=self.blocks)
+                for first, second, block, _ in self._pairs
             ]
         )
+
+    def by_channel(self, residual: Array) -> Array:
+        """Sums of the products by lag and channel, and how many rows there are of each (4, C)."""
+        sums = [
+            np.bincount(channel, residual[first] * residual[second], minlength=self.channels)
+            for first, second, _, channel in self._pairs
+        ]
+        return np.stack([*sums, np.bincount(self._pairs[0][3], minlength=self.channels)])
+
+
+def largest(sums: Array) -> Array:
+    """Largest of sums by lag (3, ...), of either sign (...)."""
+    return np.asarray(np.max(np.abs(sums), axis=0))
+
+
+def _pairs(rows: Rows, order: NDArray[np.intp], lag: int, shaken: bool) -> NDArray[np.intp]:
+    """Numbers of rows that are so many samples apart, in runs of one sort (2, K)."""
+    first, second = order[:-lag], order[lag:]
+    same = (
+        (rows.trial[first] == rows.trial[second])
+        & (rows.channel[first] == rows.channel[second])
+        & (rows.place[second] - rows.place[first] == lag)
+        & (rows.shaken[first] == shaken)
+    )
+    return np.stack([first[same], second[same]])

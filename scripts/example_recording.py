@@ -1,0 +1,140 @@
+"""Make a recording to try `loose gap` on: an arm with a hidden fault, and the model of a sound one.
+
+A three-joint arm on position servos stands in for a machine. Its masses, dampings and servo gains
+are 1 to 3 % off the model that goes with the recording, its sensors are noisy, and the bearing of
+its second joint has run dry: 2 N·m of friction that the model does not have.
+
+Usage: python scripts/example_recording.py --out example
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.one_line_errors import errors_in_one_line
+from loose_env.recording import Recording, Run, write_recording
+
+FRICTION = 2.0
+"""Torque of the dry bearing [N·m]."""
+STEP, SECONDS, RUNS = 0.001, 4.0, 4
+"""Sample interval [s], length of a run [s], runs."""
+NOISE = {"joint1_pos": 2e-5, "joint2_pos": 2e-5, "joint3_pos": 2e-5, "tool_acc": 0.03}
+"""Standard deviations of the sensors' noise [rad, m/s²]."""
+MODEL = """<mujoco model="three joints">
+  <compiler angle="radian"/>
+  <option timestep="0.001" integrator="implicitfast"/>
+  <default><joint axis="0 -1 0" armature="0.3" damping="1"/></default>
+  <worldbody>
+    <body name="link1" pos="0 0 0.3">
+      <joint name="joint1" axis="0 0 1"/>
+      <inertial pos="0 0 0.1" mass="6" diaginertia="0.04 0.04 0.02"/>
+      <body name="link2" pos="0 0 0.2">
+        <joint name="joint2"/>
+        <inertial pos="0.2 0 0" mass="4" diaginertia="0.01 0.06 0.06"/>
+        <body name="link3" pos="0.4 0 0">
+          <joint name="joint3" armature="0.1"/>
+          <inertial pos="0.15 0 0" mass="2" diaginertia="0.004 0.02 0.02"/>
+          <site name="tool" pos="0.3 0 0"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="motor1" joint="joint1" kp="3000" kv="90"/>
+    <position name="motor2" joint="joint2" kp="3000" kv="90"/>
+    <position name="motor3" joint="joint3" kp="800" kv="20"/>
+  </actuator>
+  <sensor>
+    <jointpos name="joint1_pos" joint="joint1"/>
+    <jointpos name="joint2_pos" joint="joint2"/>
+    <jointpos name="joint3_pos" joint="joint3"/>
+    <accelerometer name="tool_acc" site="tool"/>
+  </sensor>
+</mujoco>
+"""
+
+
+def machine(rng: np.random.Generator) -> mujoco.MjModel:
+    """The machine: the model with other figures and a dry bearing, integrated more finely."""
+
+    def off() -> float:
+        return float(1 + rng.choice([-1, 1]) * rng.uniform(0.01, 0.03))
+
+    spec = mujoco.MjSpec.from_string(MODEL)
+    for body in spec.bodies[1:]:
+        body.mass *= off()
+    for joint in spec.joints:
+        joint.damping = np.asarray(joint.damping) * off()
+    for motor in spec.actuators:
+        gain = off()
+        motor.gainprm, motor.biasprm = (
+            gain * np.array(motor.gainprm),
+            gain * np.array(motor.biasprm),
+        )
+    dry = spec.joint("joint2")
+    dry.frictionloss, dry.solref_friction = FRICTION, [5e-4, 1.0]
+    dry.solimp_friction = [0.9999, 0.9999, 0.001, 0.5, 2]
+    spec.option.timestep, spec.option.integrator = STEP / 2, mujoco.mjtIntegrator.mjINT_RK4
+    return spec.compile()
+
+
+def commands(time: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+    """Smooth swings of all joints, of several frequencies, from rest (T, 3) [rad]."""
+    waves = sum(
+        rng.uniform(0.1, 0.4, 3) * np.sin(np.outer(time, rng.uniform(2.0, 9.0, 3)))
+        for _ in range(3)
+    )
+    return np.asarray(waves * np.minimum(2 * time, 1.0)[:, None])
+
+
+def example(folder: Path, *, seed: int = 1) -> Recording:
+    """Record the machine and write the recording."""
+    rng = np.random.default_rng(seed)
+    model = machine(rng)
+    time = STEP * np.arange(round(SECONDS / STEP), dtype=np.float64)
+    runs = []
+    for number in range(1, RUNS + 1):
+        given = commands(time, rng)
+        data = mujoco.MjData(model)
+        for _ in range(4000):  # comes to rest
+            mujoco.mj_step(model, data)
+        shown = np.zeros((len(time), model.nsensordata))
+        for row, command in zip(shown, given, strict=True):
+            data.ctrl[:] = command
+            mujoco.mj_step(model, data)
+            row[:] = data.sensordata
+            mujoco.mj_step(model, data)
+        sensors = {}
+        for name, noise in NOISE.items():
+            sensor = model.sensor(name)
+            columns = slice(int(sensor.adr[0]), int(sensor.adr[0]) + int(sensor.dim[0]))
+            read = shown[:, columns] + rng.normal(0.0, noise, (len(time), int(sensor.dim[0])))
+            sensors[name] = read if read.shape[1] > 1 else read[:, 0]
+        controls = {f"motor{j + 1}": given[:, j] for j in range(3)}
+        runs.append(
+            Run(name=f"run-{number:02d}.parquet", time=time, controls=controls, sensors=sensors)
+        )
+    return write_recording(folder, model_xml=MODEL, runs=runs)
+
+
+def main() -> None:
+    """Read the options and make it."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, default=Path("example"), help="folder; new or empty")
+    parser.add_argument("--seed", type=int, default=1, help="of figures, motions and noise")
+    options = parser.parse_args()
+    with errors_in_one_line("example_recording"):
+        recording = example(options.out, seed=options.seed)
+        print(f"{recording.folder}: {len(recording.runs)} runs of {SECONDS:g} s. Now: ")
+        print(f"  loose gap {recording.folder} --out {recording.folder}-gap")
+
+
+if __name__ == "__main__":
+    main()
