@@ -15,7 +15,8 @@ from loose_env.gap.fit import UNNAMED, Fit, fit, fit_without, refined, slices_of
 from loose_env.gap.intervals import Intervals, bootstrap
 from loose_env.gap.judgement import Judge, Judged
 from loose_env.gap.keeping import KeepInFiles
-from loose_env.gap.naming import Keep, Named, NamingSettings, name_effects
+from loose_env.gap.naming import Keep, Named, name_effects
+from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.nominal import NominalFigures
 from loose_env.gap.parameter import values_of
 from loose_env.gap.preparing import GapSettings, Prepared, prepare

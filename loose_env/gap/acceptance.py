@@ -1,0 +1,138 @@
+"""Whether a hypothesis is believed, explains enough, and which of its effects stay."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from loose_env.gap.comparison import Comparison
+from loose_env.gap.effect import Effect
+from loose_env.gap.fit import UNNAMED, fit_without, hypothesis_of, polished, slices_of
+from loose_env.gap.judgement import Judge, Judged, Lead, lead_of
+from loose_env.gap.naming_settings import NamingSettings
+from loose_env.gap.parameter import free_of, values_of
+
+__all__ = ["Acceptance"]
+
+
+class Acceptance:
+    """Decides on hypotheses that add to what is there.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        The runs fitted to.
+    judge : Judge
+        Judges by those held out.
+    base, before : Judged
+        The nominal model, and what is there.
+    settings : NamingSettings
+        What is asked for.
+    """
+
+    def __init__(
+        self,
+        comparison: Comparison,
+        judge: Judge,
+        base: Judged,
+        before: Judged,
+        settings: NamingSettings,
+    ) -> None:
+        self.comparison, self.judge = comparison, judge
+        self.base, self.before, self.settings = base, before, settings
+
+    def ranked(self, tried: Sequence[Judged]) -> list[Judged]:
+        """The best first; but one with fewer parameters if the best is not ahead of it.
+
+        More parameters fit a little better everywhere, surely and to no purpose: the best has to
+        explain some of what the simpler one leaves, and there has to be something left.
+        """
+        found = sorted(tried, key=lambda j: j.total)
+        settings = self.settings
+        for judged in sorted(found[1:], key=lambda j: j.free_count):
+            if judged.free_count >= found[0].free_count:
+                break
+            lead = lead_of(found[0], judged)
+            chance = lead.held < settings.tie and lead.fitted < settings.tie
+            small = abs(found[0].total - judged.total) < settings.worth * found[0].total
+            whole = judged.structure_sureness < settings.structure
+            if chance or (small and (whole or lead.share < settings.more)):
+                return [judged, *(j for j in found if j is not judged)]
+        return found
+
+    def worth_naming(self, judged: Judged) -> bool:
+        """Whether a hypothesis is ahead, and by enough."""
+        lead = lead_of(judged, self.before)
+        return self._believed(lead) and self._material(judged, lead)
+
+    def ahead_of_its_limit(self, judged: Judged) -> bool:
+        """Whether an effect explains more than the way in which it is simulated.
+
+        One that adds motion is simulated by another route than the rigid arm, above all
+        backwards. It has to be ahead of itself at the limit in which nothing moves, too.
+        """
+        effect, fitted = judged.fitted.effects[-1], judged.fitted
+        if effect.limit is None or self._new(judged) > 1:
+            return True
+        own = slices_of(fitted.effects)[-1]
+        values = effect.at_limit(values_of(effect.parameters, fitted.free[own]))
+        free = np.concatenate([self.before.fitted.free, free_of(effect.parameters, values)])
+        residual = self.comparison.residuals([hypothesis_of(fitted.effects, free)])[0]
+        rigid = self.judge.judge(replace(fitted, free=free, residual=residual))
+        return self._believed(lead_of(judged, rigid))
+
+    def accept(self, judged: Judged) -> tuple[Judged, list[Effect]]:
+        """Fit on, and leave out what has become idle.
+
+        Returns
+        -------
+        Judged
+            With fresh sensitivities.
+        list of Effect
+            Earlier effects that are left out, one at most.
+        """
+        best = self.judge.judge(polished(self.comparison, judged.fitted))
+        best = self._pruned(best, self._new(judged))
+        for effect in best.fitted.effects[: len(self.before.fitted.effects)]:
+            if effect.kind not in UNNAMED:
+                without = self._without(best, effect)
+                if not self._believed(lead_of(best, without)):
+                    return without, [effect]
+        return best, []
+
+    def _pruned(self, judged: Judged, new: int) -> Judged:
+        """Take out those of several new effects that are not believed by themselves."""
+        while new > 1:
+            without = [self._without(judged, effect) for effect in judged.fitted.effects[-new:]]
+            leads = [lead_of(judged, each) for each in without]
+            weakest = min(range(new), key=lambda k: leads[k].fitted + leads[k].held)
+            if self._believed(leads[weakest]):
+                break
+            judged, new = without[weakest], new - 1
+        return judged
+
+    def _new(self, judged: Judged) -> int:
+        """How many effects a hypothesis adds."""
+        return len(judged.fitted.effects) - len(self.before.fitted.effects)
+
+    def _without(self, judged: Judged, effect: Effect) -> Judged:
+        return self.judge.judge(fit_without(self.comparison, judged.fitted, effect))
+
+    def _believed(self, lead: Lead) -> bool:
+        """Whether a lead is no chance: seen in both halves of the data, and surely in one."""
+        one, other = lead.fitted, lead.held
+        return min(one, other) >= self.settings.held and max(one, other) >= self.settings.sureness
+
+    def _material(self, judged: Judged, lead: Lead) -> bool:
+        """Whether it explains enough: a law that is a little wrong leaves room for many effects."""
+        settings, base = self.settings, self.base
+        gained = self.before.structure - judged.structure
+        if lead.share >= settings.share or gained >= settings.base_share * base.structure:
+            return True
+        # A machine may lack something at every joint: what is little of all is much of a channel.
+        whole, count = base.channel_structure
+        sure = whole > settings.channel_sureness * np.sqrt(count)
+        by_channel = self.before.channel_structure[0] - judged.channel_structure[0]
+        return bool(np.any(sure & (by_channel >= settings.channel_share * whole)))

@@ -1,0 +1,56 @@
+"""When an effect counts as found, and how much is tried."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["NamingSettings"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamingSettings:
+    """When an effect counts as found."""
+
+    most: int = 3
+    """Most effects named."""
+    sorting: float = 10.0
+    """How much of the runs is used to sort candidates, in all [s]."""
+    candidates: int = 7
+    """Candidates that are fitted to that."""
+    finalists: int = 3
+    """Candidates that are fitted to whole runs."""
+    kin: int = 2
+    """Further candidates fitted to whole runs because the best one may be mistaken for them."""
+    alone: float = 0.5
+    """Share of what is still to be explained below which no effect by itself will do, and one kind
+    at several places is tried."""
+    much: float = 0.2
+    """Share of what there was to explain at first that must be left for that."""
+    families: int = 6
+    """Kinds that are tried at several places."""
+    promise: float = 0.1
+    """Share of the best candidate's promise from which on another is fitted too."""
+    structure: float = 3.0
+    """Sureness with which a residual has to hang together in time for anything to be sought in
+    it [standard deviations]."""
+    sureness: float = 3.5
+    """Lead from which on an effect is believed, on the runs fitted to or on those held out
+    [standard deviations]."""
+    held: float = 2.0
+    """Lead that it needs on either."""
+    share: float = 0.4
+    """Share of what is still to be explained that it has to explain; or else:"""
+    base_share: float = 0.04
+    """Share of what there was to explain at first that it has to explain; or else:"""
+    channel_share: float = 0.3
+    """Share of what there was to explain at first in one channel in which it hung together surely
+    (`channel_sureness`)."""
+    channel_sureness: float = 10.0
+    """Mean product of a residual of that channel with itself a little later, over what white
+    noise shows by chance [standard deviations]."""
+    worth: float = 0.02
+    """Share of the sum of squares below which further parameters are of little worth."""
+    more: float = 0.1
+    """Share of what a simpler hypothesis leaves that they have to explain even so."""
+    tie: float = 2.0
+    """Lead on held-out runs below which two hypotheses cannot be told apart."""
