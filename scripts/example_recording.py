@@ -27,7 +27,7 @@ NOISE = {"joint1_pos": 2e-5, "joint2_pos": 2e-5, "joint3_pos": 2e-5, "tool_acc":
 """Standard deviations of the sensors' noise [rad, m/s²]."""
 MODEL = """<mujoco model="three joints">
   <compiler angle="radian"/>
-  <option timestep="0.001" integrator="implicitfast"/>
+  <option timestep="0.001" integrator="RK4"/>
   <default><joint axis="0 -1 0" armature="0.3" damping="1"/></default>
   <worldbody>
     <body name="link1" pos="0 0 0.3">
