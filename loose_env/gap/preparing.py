@@ -11,9 +11,11 @@ from loose_env.errors import InvalidSetting
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.integration import Integration, choose_integration
 from loose_env.gap.machine import Machine
+from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.noise import noise_floor
 from loose_env.gap.simulator import Hypothesis, Simulator
 from loose_env.gap.split import split_runs
+from loose_env.gap.sufficiency import shortfalls
 from loose_env.gap.trial import Channel, Trial, channels_of, lay_out
 from loose_env.gap.windows import windowed
 from loose_env.recording import Recording, Run
@@ -120,6 +122,7 @@ def prepare(recording: Recording, settings: GapSettings) -> Prepared:
         )
 
     ahead, whole = compared(fitted), compared(held)
+    warnings += shortfalls(ahead, whole, NamingSettings())
     return Prepared(
         machine=kept,
         integration=integration,

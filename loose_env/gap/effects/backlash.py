@@ -24,6 +24,8 @@ _FASTEST = 1.2
 that of an added spring, since a stop is damped."""
 _LEAST_LOAD = 0.05
 """Least usual load of a joint, as a share of that of the most loaded one."""
+_STARTS = (0.02, 0.06, 0.15, 0.3, 0.7, 3.0)
+"""Gaps from which fits start, as shares of a hundredth of a radian or of the reach."""
 _DAMPING = 0.3
 """Damping ratio of a mode on a stop, give or take a factor of two."""
 
@@ -52,9 +54,9 @@ class Backlash(SplitJoint):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """A small and a large gap with stiff stops."""
+        """Gaps from a hundredth of a degree to two: a wrong one fits no better than none."""
         gap, stiffness, ratio = self.parameters
-        return tuple((share * gap.scale, stiffness.scale, ratio.scale) for share in (0.3, 3.0))
+        return tuple((share * gap.scale, stiffness.scale, ratio.scale) for share in _STARTS)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Put the gap behind the joint."""

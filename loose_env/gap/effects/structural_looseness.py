@@ -26,6 +26,8 @@ _GRAVITY = 9.81
 """Usual load of a seat, over the mass on it [m/s²]."""
 _MOST_JOINTS = 3
 """Joints of a link beside which there is room for slides: a body has six at most."""
+_STARTS = (1e-4, 6e-4)
+"""Gaps from which fits start, as shares of the reach."""
 
 
 class StructuralLooseness(Effect):
@@ -75,14 +77,18 @@ class StructuralLooseness(Effect):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Directions all round, a gap of a thousandth of the reach, little friction."""
+        """Directions all round, a small and a larger gap, little friction."""
+        length = reach_of(self.machine)
         _, friction, stiffness, ratio = self.parameters[-4:]
-        rest = (1e-3 * reach_of(self.machine), 0.3 * friction.scale, stiffness.scale, ratio.scale)
+        rests = [
+            (share * length, 0.3 * friction.scale, stiffness.scale, ratio.scale)
+            for share in _STARTS
+        ]
         if self._plane is not None:
-            return tuple((angle, *rest) for angle in (0.0, pi / 3, 2 * pi / 3))
+            return tuple((turn, *rest) for rest in rests for turn in (0.0, pi / 3, 2 * pi / 3))
         tilt = 0.55  # of the six axes of an icosahedron, one of them moved to z
-        ring = tuple((2 * pi * k / 5, tilt) for k in range(5))
-        return tuple((azimuth, up, *rest) for azimuth, up in (*ring, (0.0, pi / 2)))
+        axes = (*((2 * pi * k / 5, tilt) for k in range(5)), (0.0, pi / 2))
+        return tuple((*axis, *rest) for rest in rests for axis in axes)
 
     def direction(self, values: Array) -> Array:
         """Unit vector (3,) of the slide, in the body's frame."""
