@@ -12,7 +12,6 @@ from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.fit import UNNAMED, fit
 from loose_env.gap.judgement import Judge, Judged, Lead, lead_of
-from loose_env.gap.lighter import lighter
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.parameter import free_of
 from loose_env.gap.proposals import proposals
@@ -146,7 +145,7 @@ def _step(
     left = [c for c in candidates if (c.kind, c.where) not in taken]
     trying = Trying(comparison, short, judge, best, settings)
     proposed = proposals(comparison, best.fitted.hypothesis, left)
-    screened = screen(short, trying.short_before, left, light=lighter(short), proposed=proposed)
+    screened = screen(short, trying.short_before, left, proposed=proposed)
     for s in screened[:8]:
         say(f"  {s.effect!r}: promises {s.promise:.3f}, sureness {s.sureness:.1f}")
     tried = trying.singles(screened)

@@ -47,7 +47,6 @@ def screen(
     fitted: Fit,
     candidates: Sequence[Effect],
     *,
-    light: Comparison | None = None,
     proposed: Mapping[tuple[str, str, str], Sequence[tuple[float, ...]]] = MappingProxyType({}),
 ) -> list[Screened]:
     """Screen candidates; the most promising first, each with its best start.
@@ -60,19 +59,15 @@ def screen(
         The present hypothesis, with its sensitivities.
     candidates : sequence of Effect
         What may be added.
-    light : Comparison, optional
-        The same at less cost, exact enough for differences between hypotheses.
     proposed : mapping
         Starts that the data propose, by the candidate's key, in place of its own.
     """
-    light = light or comparison
     parameters = parameters_of(fitted.effects)
     _, weights = prior_of(parameters)
     curvature = fitted.jacobian.T @ fitted.jacobian + np.diag(weights**2 + 1e-9)
     residual = fitted.residual
     left = residual - fitted.jacobian @ np.linalg.solve(curvature, fitted.jacobian.T @ residual)
     total = float(left @ residual)
-    plain = residual if light is comparison else light.residuals([fitted.hypothesis])[0]
     entries = [
         (effect, start)
         for effect in candidates
@@ -85,7 +80,7 @@ def screen(
             hypothesis_of((*fitted.effects, effect), started(fitted, effect, start))
             for effect, start in group
         ]
-        signatures = light.residuals(tried) - plain
+        signatures = comparison.residuals(tried) - residual
         for (effect, start), signature in zip(group, signatures, strict=True):
             found = _weigh(comparison, fitted, curvature, left, total, effect, start, signature)
             if found is not None:
