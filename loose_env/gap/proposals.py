@@ -108,7 +108,10 @@ def _missing(
     controls = trial.controls
     for effect, values in zip(known.effects, known.values, strict=True):
         controls = effect.command(times, controls, values)
-    chosen = np.arange(0, len(motion.time), max(1, len(motion.time) // most))
+    given = _about(controls, trial.step, motion.time)
+    # At the ends of a run the filter has only one side to go by.
+    ends = min(int(motion.band.rate / motion.band.end), len(motion.time) // 4)
+    chosen = np.arange(ends, len(motion.time) - ends, max(1, len(motion.time) // most))
     joints = len(trial.joints)
     friction = model.dof_frictionloss[:joints]
     slow = _TURNING * np.maximum(np.abs(motion.speed).max(axis=0), 1e-9)
@@ -117,8 +120,7 @@ def _missing(
     for row, k in zip(torque, chosen, strict=True):
         data.qpos[:joints], data.qvel[:joints] = motion.position[k], motion.speed[k]
         data.qacc[:joints] = motion.acceleration[k]
-        number = min(int(motion.time[k] / trial.step + 1e-6), len(controls) - 1)
-        data.ctrl[: controls.shape[1]] = controls[number]
+        data.ctrl[: controls.shape[1]] = given[k]
         mujoco.mj_inverse(model, data)
         needed = data.qfrc_inverse[:joints].copy()
         mujoco.mj_fwdActuation(model, data)
@@ -127,3 +129,20 @@ def _missing(
     return (
         motion.position[chosen], motion.speed[chosen], motion.acceleration[chosen], torque,
     )  # fmt: skip
+
+
+def _about(controls: Array, step: float, times: Array) -> Array:
+    """Commands (T, actuators) as the smoothed motion knows them, at times on an even grid.
+
+    A command is held from one sample to the next. On the mean over an interval about a sample it
+    comes half an interval late, which behind a stiff servo is a torque like that of friction.
+    """
+    summed = np.concatenate([np.zeros((1, controls.shape[1])), np.cumsum(controls, axis=0)])
+    edges = step * np.arange(len(summed), dtype=np.float64)
+    half = 0.5 * float(times[1] - times[0])
+    begin = np.clip(times - half, 0.0, edges[-1] - 2 * half)
+    found = np.empty((len(times), controls.shape[1]))
+    for k in range(controls.shape[1]):
+        ends = np.interp(begin + 2 * half, edges, summed[:, k])
+        found[:, k] = (ends - np.interp(begin, edges, summed[:, k])) * step / (2 * half)
+    return found
