@@ -339,11 +339,9 @@ def test_the_short_form_of_a_result_is_of_the_format(tmp_path: Path) -> None:
         verdict="named",
         effects=(effect,),
         ranking=(),
-        prepared=SimpleNamespace(held=held, warnings=("coarse step",)),
-        named=SimpleNamespace(
-            base=SimpleNamespace(held_residual=np.array([3.0, 5.0, 1.0, 1.0])),
-            best=SimpleNamespace(held_residual=np.array([1.0, 1.0, 1.0, 1.0])),
-        ),
+        prepared=SimpleNamespace(whole_held=held, warnings=("coarse step",)),
+        base=SimpleNamespace(held_residual=np.array([3.0, 5.0, 1.0, 1.0])),
+        best=SimpleNamespace(held_residual=np.array([1.0, 1.0, 1.0, 1.0])),
     )
     quick_result(found).write(tmp_path / "result.json")
     result = read_result(tmp_path)
