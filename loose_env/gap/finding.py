@@ -12,7 +12,7 @@ from loose_env.gap.ambiguity import indistinct
 from loose_env.gap.catalogue import candidates
 from loose_env.gap.effect import Effect
 from loose_env.gap.fit import UNNAMED, Fit, fit, fit_without, refined, slices_of
-from loose_env.gap.intervals import Intervals, bootstrap
+from loose_env.gap.intervals import Intervals, bootstrap, widened
 from loose_env.gap.judgement import Judge, Judged
 from loose_env.gap.keeping import KeepInFiles
 from loose_env.gap.naming import Keep, Named, name_effects
@@ -145,7 +145,7 @@ def _sure_ones(
             if effect.kind not in UNNAMED and effect.vanishes(found.low[own], found.high[own])
         ]
         if not doubtful:
-            return best, dropped, found
+            return best, dropped, widened(prepared.fit, fitted, found)
         dropped.append(doubtful[-1])
         left = fit_without(prepared.fit, fitted, doubtful[-1])
         best = judge.judge(refined(left, prepared.fit))

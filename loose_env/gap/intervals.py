@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.comparison import Comparison
-from loose_env.gap.fit import Fit, parameters_of, prior_of
+from loose_env.gap.fit import Fit, parameters_of, prior_of, slices_of
 
-__all__ = ["Intervals", "bootstrap"]
+__all__ = ["Intervals", "bootstrap", "widened"]
 
 Array = NDArray[np.float64]
 
@@ -31,8 +31,7 @@ def bootstrap(
     """Draw blocks of time with replacement and take the step that each draw asks for.
 
     The residual is linear in the parameters nearby, so that no draw needs a simulation. Blocks
-    keep together what hangs together in time; what a slightly wrong law leaves differs from run to
-    run, and intervals are at least as wide as the runs disagree.
+    keep together what hangs together in time.
 
     Parameters
     ----------
@@ -65,29 +64,45 @@ def bootstrap(
     steps = -np.linalg.solve(curvature, slope[..., None])[..., 0]
     free = fitted.free + steps
     low, high = np.quantile(free, (0.025, 0.975), axis=0)
-    room = _between_runs(comparison, fitted, weights)
-    low, high = np.minimum(low, fitted.free - room), np.maximum(high, fitted.free + room)
     return Intervals(
         low=np.array([p.value(v) for p, v in zip(parameters, low, strict=True)]),
         high=np.array([p.value(v) for p, v in zip(parameters, high, strict=True)]),
     )
 
 
-def _between_runs(comparison: Comparison, fitted: Fit, weights: Array) -> Array:
-    """Half width that the disagreement between runs asks for (P,).
+def widened(comparison: Comparison, fitted: Fit, intervals: Intervals) -> Intervals:
+    """Intervals at least as wide as the runs disagree.
 
     A law that is a little wrong asks every motion for other parameters. The slope of each run at
     the common fit says which way; their scatter is that of a cluster-robust covariance (Liang and
-    Zeger, Biometrika 73, 1986).
+    Zeger, Biometrika 73, 1986). With the few runs of a recording that is a rough figure: an
+    interval that would include nothing for no other reason stays as it is.
+
+    Parameters
+    ----------
+    comparison, fitted
+        As of `bootstrap`.
+    intervals : Intervals
+        To be widened.
     """
     runs = np.unique(comparison.rows.trial)
     if len(runs) < 2:
-        return np.zeros(len(weights))
+        return intervals
+    parameters = parameters_of(fitted.effects)
+    _, weights = prior_of(parameters)
     curvature = fitted.jacobian.T @ fitted.jacobian + np.diag(weights**2 + 1e-9)
     slopes = np.zeros((len(runs), len(weights)))
     for k, run in enumerate(runs):
         own = comparison.rows.trial == run
         slopes[k] = fitted.jacobian[own].T @ fitted.residual[own]
     asked = np.linalg.solve(curvature, (slopes - slopes.mean(axis=0)).T)
-    spread = np.sqrt((asked**2).sum(axis=1) * len(runs) / (len(runs) - 1))
-    return np.asarray(1.96 * spread)
+    room = 1.96 * np.sqrt((asked**2).sum(axis=1) * len(runs) / (len(runs) - 1))
+    ends = [
+        [p.value(f + side) for p, f, side in zip(parameters, fitted.free, sides, strict=True)]
+        for sides in (-room, room)
+    ]
+    low, high = np.minimum(intervals.low, ends[0]), np.maximum(intervals.high, ends[1])
+    for effect, own in zip(fitted.effects, slices_of(fitted.effects), strict=True):
+        if effect.vanishes(low[own], high[own]):
+            low[own], high[own] = intervals.low[own], intervals.high[own]
+    return Intervals(low=low, high=high)

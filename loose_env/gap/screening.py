@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
@@ -24,8 +25,10 @@ Array = NDArray[np.float64]
 
 _GROUP = 24
 """Hypotheses simulated at a time."""
-_LARGEST_SHARE = 4.0
-"""Largest multiple of a signature that is believed."""
+_SMALLEST_SHARE, _LARGEST_SHARE = 1e-6, 4.0
+"""Smallest and largest multiple of a signature that is believed."""
+_ROOM = 1e-9
+"""Least room between bounds that the solver needs."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,12 +65,7 @@ def screen(
     proposed : mapping
         Starts that the data propose, by the candidate's key, in place of its own.
     """
-    parameters = parameters_of(fitted.effects)
-    _, weights = prior_of(parameters)
-    curvature = fitted.jacobian.T @ fitted.jacobian + np.diag(weights**2 + 1e-9)
-    residual = fitted.residual
-    left = residual - fitted.jacobian @ np.linalg.solve(curvature, fitted.jacobian.T @ residual)
-    total = float(left @ residual)
+    known = _Known.of(fitted)
     entries = [
         (effect, start)
         for effect in candidates
@@ -80,54 +78,96 @@ def screen(
             hypothesis_of((*fitted.effects, effect), started(fitted, effect, start))
             for effect, start in group
         ]
-        signatures = comparison.residuals(tried) - residual
+        signatures = comparison.residuals(tried) - fitted.residual
         for (effect, start), signature in zip(group, signatures, strict=True):
-            found = _weigh(comparison, fitted, curvature, left, total, effect, start, signature)
+            found = _weigh(comparison, known, effect, start, signature)
             if found is not None:
-                known = best.get(id(effect))
-                if known is None or found.promise > known.promise:
+                before = best.get(id(effect))
+                if before is None or found.promise > before.promise:
                     best[id(effect)] = found
     return sorted(best.values(), key=lambda s: -s.promise)
 
 
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """The present fit, as the linear problem of every candidate needs it."""
+
+    fitted: Fit
+    curvature: Array
+    """Of half the cost (P, P)."""
+    slope: Array
+    """Of half the cost (P,)."""
+    room: tuple[Array, Array]
+    """How far every free number may move down and up (P,)."""
+
+    @classmethod
+    def of(cls, fitted: Fit) -> _Known:
+        parameters = parameters_of(fitted.effects)
+        centres, weights = prior_of(parameters)
+        low, high = np.array([p.bounds for p in parameters]).T.reshape(2, -1)
+        jacobian = fitted.jacobian
+        return cls(
+            fitted,
+            jacobian.T @ jacobian + np.diag(weights**2),
+            jacobian.T @ fitted.residual + weights**2 * (fitted.free - centres),
+            (np.minimum(low - fitted.free, 0.0), np.maximum(high - fitted.free, 0.0)),
+        )
+
+    def taken_up(self, signature: Array, least: float, most: float) -> tuple[float, Array] | None:
+        """Share of a signature that helps most, and what it changes with all else adjusted (N,).
+
+        Present parameters move within their bounds: a figure that is known within a tolerance
+        takes up no more of a signature than that.
+        """
+        jacobian, residual = self.fitted.jacobian, self.fitted.residual
+        across, size = jacobian.T @ signature, float(signature @ signature)
+        if not np.isfinite(size) or size <= 0:
+            return None
+        curvature = np.block(
+            [[self.curvature, across[:, None]], [across[None], np.array([[size]])]]
+        )
+        slope = np.append(self.slope, signature @ residual)
+        diagonal = np.sqrt(np.diag(curvature) + 1e-12)
+        scaled = curvature / np.outer(diagonal, diagonal) + 1e-9 * np.eye(len(slope))
+        root = np.linalg.cholesky(scaled)
+        low, high = np.append(self.room[0], least), np.append(self.room[1], most)
+        found = lsq_linear(
+            root.T,
+            -np.linalg.solve(root, slope / diagonal),
+            bounds=(low * diagonal - _ROOM, high * diagonal + _ROOM),
+        )
+        moved = found.x / diagonal
+        return float(moved[-1]), moved[-1] * signature + jacobian @ moved[:-1]
+
+
 def _weigh(
     comparison: Comparison,
-    fitted: Fit,
-    curvature: Array,
-    left: Array,
-    total: float,
+    known: _Known,
     effect: Effect,
     start: tuple[float, ...],
     signature: Array,
 ) -> Screened | None:
     """What a signature promises, once the present parameters have taken up their share."""
-    jacobian = fitted.jacobian
-    own = signature - jacobian @ np.linalg.solve(curvature, jacobian.T @ signature)
-    size = float(own @ signature)
-    if not size > 0 or not np.isfinite(size):
+    linear = effect.nothing is not None
+    most = _LARGEST_SHARE if linear or effect.proportional is not None else 1.0
+    taken = known.taken_up(signature, -_LARGEST_SHARE if linear else 0.0, most)
+    if taken is None:
         return None
-    share = -float(own @ left) / size
+    share, change = taken
+    residual = known.fitted.residual
+    gains = comparison.by_block(-change * (2 * residual + change))
+    if gains.sum() <= 0 or abs(share) < _SMALLEST_SHARE:
+        return None
     values = start
     if effect.nothing is not None:
-        share = float(np.clip(share, -_LARGEST_SHARE, _LARGEST_SHARE))
         values = _along(effect, start, effect.nothing, share)
-    elif share <= 0:
-        return None
     elif effect.proportional is not None:
-        share = min(share, _LARGEST_SHARE)
         values = _along(effect, start, (0.0,) * len(start), share)
-    else:
-        share = min(share, 1.0)
-    scores = comparison.by_block(own * left)
-    scatter = float(np.sqrt(np.sum(scores**2)))
-    explained = -2 * share * float(own @ left) - share**2 * size
-    if explained <= 0:
-        return None
     return Screened(
         effect=effect,
         values=values,
-        promise=explained / max(total, 1e-30),
-        sureness=abs(float(scores.sum())) / max(scatter, 1e-30),
+        promise=float(gains.sum() / (residual @ residual)),
+        sureness=float(gains.sum() / np.sqrt(np.sum(gains**2))),
     )
 
 
