@@ -142,7 +142,7 @@ def _sure_ones(
         doubtful = [
             effect
             for effect, own in zip(fitted.effects, slices_of(fitted.effects), strict=True)
-            if effect.kind not in UNNAMED and effect.vanishes(found.low[own], found.high[own])
+            if effect.kind not in UNNAMED and found.may_be_nothing(effect, own)
         ]
         if not doubtful:
             return best, dropped, widened(prepared.fit, fitted, found)

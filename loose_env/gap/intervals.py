@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from loose_env.gap.comparison import Comparison
+from loose_env.gap.effect import Effect
 from loose_env.gap.fit import Fit, parameters_of, prior_of, slices_of
+from loose_env.gap.parameter import free_of
 
 __all__ = ["Intervals", "bootstrap", "widened"]
 
@@ -23,6 +26,23 @@ class Intervals:
     """Lower ends, in the parameters' units (P,)."""
     high: Array
     """Upper ends (P,)."""
+    draws: Array
+    """Free numbers that were drawn (draws, P)."""
+
+    def may_be_nothing(self, effect: Effect, own: slice) -> bool:
+        """Whether an effect, whose parameters stand at `own`, may be nothing at all.
+
+        Parts of a vector that trade against each other may each be zero, and yet not all of them:
+        the region in which they lie together decides, an ellipse of 95 %.
+        """
+        if not effect.vanishes(self.low[own], self.high[own]):
+            return False
+        if effect.nothing is None or effect.proportional is not None or own.stop == own.start + 1:
+            return True
+        draws = self.draws[:, own]
+        off = draws.mean(axis=0) - free_of(effect.parameters, np.array(effect.nothing))
+        distance = off @ np.linalg.pinv(np.cov(draws, rowvar=False)) @ off
+        return bool(distance < stats.chi2.ppf(0.95, len(off)))
 
 
 def bootstrap(
@@ -67,6 +87,7 @@ def bootstrap(
     return Intervals(
         low=np.array([p.value(v) for p, v in zip(parameters, low, strict=True)]),
         high=np.array([p.value(v) for p, v in zip(parameters, high, strict=True)]),
+        draws=free,
     )
 
 
@@ -105,4 +126,4 @@ def widened(comparison: Comparison, fitted: Fit, intervals: Intervals) -> Interv
     for effect, own in zip(fitted.effects, slices_of(fitted.effects), strict=True):
         if effect.vanishes(low[own], high[own]):
             low[own], high[own] = intervals.low[own], intervals.high[own]
-    return Intervals(low=low, high=high)
+    return replace(intervals, low=low, high=high)

@@ -63,12 +63,25 @@ def headline(result: GapResult) -> str:
     """The outcome in one sentence."""
     if result.verdict == "no_gap":
         return "Nothing is missing: the model explains what was measured."
-    names = [effect_words(e.kind, e.where) for e in result.effects]
-    listed = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+    names = _grouped(result.effects)
+    listed = _in_a_row(names)
     if result.verdict == "unexplained":
         beside = f" beside {listed}" if names else ""
         return f"Something is missing{beside} that is not in the catalogue."
     return f"The model lacks {listed}."
+
+
+def _grouped(effects: Sequence[NamedEffect]) -> list[str]:
+    """Effects in words, those of one kind together."""
+    places: dict[str, list[str]] = {}
+    for effect in effects:
+        places.setdefault(effect.kind, []).append(effect.where)
+    return [effect_words(kind, ", ".join(where)) for kind, where in places.items()]
+
+
+def _in_a_row(names: Sequence[str]) -> str:
+    """Names as a sentence lists them."""
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def size_words(result: GapResult) -> list[str]:
@@ -106,13 +119,14 @@ def sure_words(effect: NamedEffect) -> str:
 def mistaken_words(result: GapResult) -> list[str]:
     """What each effect could be mistaken for."""
     said = []
+    alone = [effect for effect in result.effects if not effect.ambiguous_with]
+    if alone:
+        words = _in_a_row(_grouped(alone))
+        said.append(f"Nothing else that was tried explains the held-out runs as well as {words}.")
     for effect in result.effects:
-        words = effect_words(effect.kind, effect.where)
         if not effect.ambiguous_with:
-            said.append(
-                f"Nothing else that was tried explains the held-out runs as well as {words}."
-            )
             continue
+        words = effect_words(effect.kind, effect.where)
         others = [effect_words(o.kind, o.where) for o in effect.ambiguous_with]
         said.append(
             f"The held-out runs cannot tell {words} from {' or from '.join(others)}: it may be "
