@@ -148,25 +148,6 @@ class Comparison:
             return type(effect).command is Effect.command
         return self.inverse is not None and self.inverse.shows(effect)
 
-    def shortened(self, seconds: float) -> tuple[Comparison, NDArray[np.intp]]:
-        """The same for the beginnings of the runs, and which of these rows it keeps.
-
-        Inverse runs stay whole: they cost little.
-        """
-        short = Comparison(
-            self.machine,
-            [trial if trial.form == "inverse" else trial.until(seconds) for trial in self.trials],
-            self.channels,
-            self.floors,
-            threads=self.threads,
-            inverse=self.inverse,
-        )
-        ends = np.array([len(trial.time) for trial in short.trials])
-        kept = np.flatnonzero(self.rows.sample < ends[self.rows.trial])
-        if len(kept) != len(short):  # the burn-in of a very short run is shorter
-            return self, np.arange(len(self))
-        return short, kept
-
     def __len__(self) -> int:
         """How many numbers are compared."""
         return len(self.measured)

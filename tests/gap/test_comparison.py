@@ -65,18 +65,6 @@ def test_starts_reach_the_run_they_belong_to() -> None:
     assert np.array_equal(first, second)
 
 
-def test_short_comparisons_keep_inverse_runs_whole() -> None:
-    machine, runs = mixed()
-    comparison = compared(machine, runs, step=0.001)
-    short, kept = comparison.shortened(1.0)
-    assert short.inverse is comparison.inverse
-    assert np.sum(short.rows.trial == 0) == np.sum(comparison.rows.trial == 0)
-    assert np.sum(short.rows.trial == 1) < 0.3 * np.sum(comparison.rows.trial == 1)
-    assert np.allclose(short.measured, comparison.measured[kept])
-    residual, whole = short.residuals([NOTHING])[0], comparison.residuals([NOTHING])[0]
-    assert np.allclose(residual, whole[kept], atol=1e-6)
-
-
 def test_neighbours_of_an_inverse_run_count_as_neighbours() -> None:
     machine, runs = mixed()
     comparison = compared(machine, runs, step=0.001)
