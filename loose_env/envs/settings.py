@@ -113,7 +113,7 @@ class DiagnosisSettings:
     """What reads the motion."""
     engine: Engine = "mujoco"
     """What simulates the arms: MuJoCo's batched engine, or "reduced", the same equations about
-    the pose in a compiled loop: some 15 times faster, for faults of one degree of freedom. It
+    the pose in a compiled loop: 5 to 8 times faster, for faults of one degree of freedom. It
     needs numba."""
     raw: bool = False
     """Whether the observation becomes a Dict with the latest record's signals beside the
