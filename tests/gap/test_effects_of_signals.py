@@ -73,10 +73,10 @@ def test_all_is_a_place_of_delays_where_there_are_several_actuators() -> None:
 def test_a_gain_scales_the_force_or_the_command() -> None:
     machine = machine_of("spatial")
     found = {repr(effect): effect for effect in candidates(machine, ["actuator_gain"])}
-    # A motor without feedback has one form only.
+    # A motor without feedback has one form only, a servo without a limit two.
     assert list(found) == [
         "actuator_gain@turn", "actuator_gain@turn (command)",
-        "actuator_gain@lift", "actuator_gain@lift (command)",
+        "actuator_gain@lift", "actuator_gain@lift (command)", "actuator_gain@lift (servo)",
         "actuator_gain@reach", "actuator_gain@reach (command)",
         "actuator_gain@roll",
     ]  # fmt: skip
@@ -94,6 +94,11 @@ def test_a_gain_scales_the_force_or_the_command() -> None:
                 before.ctrl[machine.actuators.index(effect.where)] *= 1.3
             mujoco.mj_forward(machine.model, before)
             mujoco.mj_forward(model, after)
+            if "servo" in name and push > 1:  # the limit is the same
+                number = machine.actuators.index(effect.where)
+                limit = machine.model.actuator_forcerange[number, 1]
+                assert after.actuator_force[number] == before.actuator_force[number] == limit
+                continue
             factors = [1.3 if n == effect.where and "command" not in name else 1.0
                        for n in machine.actuators]  # fmt: skip
             assert np.allclose(after.actuator_force, factors * before.actuator_force), name
