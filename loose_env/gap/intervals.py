@@ -26,8 +26,10 @@ class Intervals:
     """Lower ends, in the parameters' units (P,)."""
     high: Array
     """Upper ends (P,)."""
-    draws: Array
-    """Free numbers that were drawn (draws, P)."""
+    free: Array
+    """Free numbers of the fit (P,)."""
+    covariance: Array
+    """Of the free numbers, over blocks (P, P)."""
 
     def may_be_nothing(self, effect: Effect, own: slice) -> bool:
         """Whether an effect, whose parameters stand at `own`, may be nothing at all.
@@ -39,9 +41,8 @@ class Intervals:
             return False
         if effect.nothing is None or effect.proportional is not None or own.stop == own.start + 1:
             return True
-        draws = self.draws[:, own]
-        off = draws.mean(axis=0) - free_of(effect.parameters, np.array(effect.nothing))
-        distance = off @ np.linalg.pinv(np.cov(draws, rowvar=False)) @ off
+        off = self.free[own] - free_of(effect.parameters, np.array(effect.nothing))
+        distance = off @ np.linalg.pinv(self.covariance[own, own]) @ off
         return bool(distance < stats.chi2.ppf(0.95, len(off)))
 
 
@@ -74,6 +75,7 @@ def bootstrap(
         own = order[edges[b] : edges[b + 1]]
         jacobian = fitted.jacobian[own]
         curvatures[b], slopes[b] = jacobian.T @ jacobian, jacobian.T @ fitted.residual[own]
+    inverse = np.linalg.inv(curvatures.sum(axis=0) + np.diag(weights**2 + 1e-9))
     drawn = rng.multinomial(blocks, np.full(blocks, 1 / blocks), size=draws)
     curvature = np.tensordot(drawn, curvatures, 1) + np.diag(weights**2 + 1e-9)
     # Deviations from the whole sample's slope, so that a fit at a bound is not pushed further.
@@ -87,7 +89,8 @@ def bootstrap(
     return Intervals(
         low=np.array([p.value(v) for p, v in zip(parameters, low, strict=True)]),
         high=np.array([p.value(v) for p, v in zip(parameters, high, strict=True)]),
-        draws=free,
+        free=fitted.free,
+        covariance=inverse @ (slopes.T @ slopes + np.diag(weights**2)) @ inverse,
     )
 
 

@@ -15,7 +15,8 @@ def around(draws: np.ndarray, kind: str, where: str) -> tuple[Intervals, object]
     free = draws / np.array([p.scale for p in effect.parameters])
     low, high = np.quantile(draws, (0.025, 0.975), axis=0)
     assert np.allclose(free_of(effect.parameters, np.zeros(len(low))), 0.0)
-    return Intervals(low=low, high=high, draws=free), effect
+    spread = np.atleast_2d(np.cov(free, rowvar=False))
+    return Intervals(low=low, high=high, free=free.mean(axis=0), covariance=spread), effect
 
 
 def test_a_number_whose_interval_includes_nothing_may_be_nothing() -> None:
