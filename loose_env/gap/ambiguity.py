@@ -5,10 +5,11 @@ from __future__ import annotations
 from loose_env.gap.effect import Effect
 from loose_env.gap.judgement import lead_of
 from loose_env.gap.naming import Named
+from loose_env.gap.naming_settings import NamingSettings
 
 __all__ = ["indistinct"]
 
-TIE = 2.0
+TIE = NamingSettings.tie
 """Lead on held-out runs below which two hypotheses cannot be told apart [standard deviations]."""
 _AS_MUCH = 0.05
 """What a rival may leave unexplained beyond what the named one does, as a share of the gap."""

@@ -106,7 +106,10 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Sta
     if prepared.fit is not prepared.search or prepared.held is not prepared.whole_held:
         say("fits what was found to more of the runs")
         base = keep.judged("nominal-whole", lambda: judge.judge(_again(prepared, named.base)))
-        best = keep.judged("effects-whole", lambda: judge.judge(_again(prepared, named.best)))
+        if named.steps:
+            best = keep.judged("effects-whole", lambda: judge.judge(_again(prepared, named.best)))
+        else:
+            best = base
     best, dropped, intervals = _sure_ones(best, prepared, judge, settings)
     for effect in dropped:
         say(f"  {effect!r} may be nothing at all, by its interval, and is left out")
