@@ -28,6 +28,7 @@ ORDER = (
     ("statistics",),
     ("diagnosis", "gap"),
     ("envs",),
+    ("instrument",),
     ("report",),
     ("thesis",),
     ("cli",),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from loose_env.gap.effect import Effect
 from loose_env.gap.inverse import InverseDynamics
 from loose_env.gap.machine import Machine
+from loose_env.gap.random_runs import GROUP, RandomRun
 from loose_env.gap.simulator import Hypothesis, Simulator
 from loose_env.gap.trial import Channel, Trial
 
@@ -41,7 +42,10 @@ class Rows:
     place: NDArray[np.intp]
     """Number of the sample among those compared: neighbours differ by one."""
     block: NDArray[np.intp]
-    """Block of time, numbered through all runs."""
+    """Block of time, or of features, numbered through all runs."""
+    white: NDArray[np.bool_]
+    """Whether it is a feature: independent of the others, of unit variance if the model is right.
+    Its channel is one of those that it is made of, its sample stands for none."""
     shaken: NDArray[np.bool_]
     """Whether the run is one of random excitation."""
 
@@ -50,7 +54,7 @@ class Comparison:
     """Compares runs with hypotheses, each run by its form.
 
     Forward and free runs are simulated; their sensors are compared. Of inverse runs the torques
-    are compared, in the band of the motion.
+    are compared, in the band of the motion; of random runs whose trajectories part ways, features.
 
     Parameters
     ----------
@@ -66,6 +70,9 @@ class Comparison:
         Threads of the simulation; 0: all processors.
     inverse : InverseDynamics, optional
         Of the inverse runs, if there already is one.
+    parting : frozenset of str
+        Names of the random runs that are compared by features
+        (`loose_env.gap.parting.parting_runs`).
     """
 
     def __init__(
@@ -77,6 +84,7 @@ class Comparison:
         *,
         threads: int = 0,
         inverse: InverseDynamics | None = None,
+        parting: frozenset[str] = frozenset(),
     ) -> None:
         self.machine, self.trials = machine, list(trials)
         self.channels, self.floors, self.threads = channels, floors, threads
@@ -94,6 +102,12 @@ class Comparison:
         if inverse is not None:
             for k, t in enumerate(backwards):
                 self.scales[t] = inverse.floors(k)
+        self.parting = parting
+        self._random = {
+            t: RandomRun.of_trial(trial, machine, channels, np.asarray(floors, dtype=float))
+            for t, trial in enumerate(self.trials)
+            if trial.excited and trial.name in parting
+        }
         self.rows, self.measured = self._rows()
 
     def _spacing(self, number: int) -> int:
@@ -112,27 +126,34 @@ class Comparison:
 
     def _rows(self) -> tuple[Rows, Array]:
         """Every number that was measured and is not disturbed by the start."""
-        parts: list[list[Array]] = [[], [], [], [], [], []]
+        parts: list[list[Array]] = [[], [], [], [], [], [], []]
         blocks = 0
         whole = sum(float(trial.time[-1]) for trial in self.trials)
         length = min(max(whole / BLOCKS, SHORTEST), LONGEST)
         for t, trial in enumerate(self.trials):
-            compared = self._compared(t)
-            samples, channels = np.nonzero(np.isfinite(compared))
-            block = blocks + (trial.time[samples] // length).astype(int)
+            if t in self._random:
+                channels = self._random[t].channel
+                place = np.arange(len(channels))
+                samples = place * (len(trial.time) - 1) // len(channels)
+                block = blocks + place // GROUP
+                values = np.zeros(len(channels))
+            else:
+                compared = self._compared(t)
+                samples, channels = np.nonzero(np.isfinite(compared))
+                place = samples // self._spacing(t)
+                block = blocks + (trial.time[samples] // length).astype(int)
+                values = compared[samples, channels] / self.scales[t, channels]
             blocks = int(block.max()) + 1 if len(block) else blocks
-            values = compared[samples, channels] / self.scales[t, channels]
-            run = np.full(len(samples), t)
-            place = samples // self._spacing(t)
-            found = (run, channels, samples, place, block, values)
+            run, white = np.full(len(samples), t), np.full(len(samples), t in self._random)
+            found = (run, channels, samples, place, block, white, values)
             for part, new in zip(parts, found, strict=True):
                 part.append(new)
         *where, measured = (np.concatenate(part) for part in parts)
-        runs, channel, sample, places, block = (part.astype(np.intp) for part in where)
+        runs, channel, sample, places, block, white = (part.astype(np.intp) for part in where)
         excited = np.array([bool(trial.excited) for trial in self.trials])
         rows = Rows(
             trial=runs, channel=channel, sample=sample, place=places, block=block,
-            shaken=excited[runs],
+            white=white.astype(bool), shaken=excited[runs],
         )  # fmt: skip
         return rows, measured
 
@@ -191,6 +212,9 @@ class Comparison:
         rows, found = self.rows, np.empty(len(self.measured))
         for t, values in enumerate(predicted):
             own = rows.trial == t
+            if t in self._random:  # what was measured counts as zero
+                found[own] = -self._random[t].residual(values)
+                continue
             channel = rows.channel[own]
             found[own] = values[rows.sample[own], channel] / self.scales[t, channel]
         return found

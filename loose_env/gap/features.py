@@ -116,12 +116,12 @@ class RandomFeatures:
         if channels is None:
             channels = [Channel(f"channel{c}") for c in range(values.shape[1])]
         read = np.isfinite(values).mean(axis=0) >= 0.5
-        self._used = np.flatnonzero(read & np.isfinite(floors) & (floors > 0))
-        if not len(self._used):
+        self.used = np.flatnonzero(read & np.isfinite(floors) & (floors > 0))
+        if not len(self.used):
             raise InvalidData("no channel was read in half of the samples; nothing can be compared")
-        self._missing = ~np.isfinite(values[:, self._used])
-        self._channels = [channels[int(c)] for c in self._used]
-        self._floors = floors[self._used]
+        self._missing = ~np.isfinite(values[:, self.used])
+        self._channels = [channels[int(c)] for c in self.used]
+        self._floors = floors[self.used]
         self.response = CommandResponse(np.asarray(commands, dtype=float), rate)
         own, chosen = self._own(values), self.settings
         rest = self.response.incoherent(own)
@@ -129,6 +129,7 @@ class RandomFeatures:
             own, [channel.name for channel in self._channels], self._floors, self.response, rest,
             bands=chosen.bands, clear=chosen.clear, chaos=chosen.chaos,
         )  # fmt: skip
+        self._rest_density = rest.density
         self._rest = RestFeatures(
             rest, self._channels, self._floors, self.response,
             floor_error=chosen.floor_error, chaos=chosen.chaos,
@@ -192,7 +193,7 @@ class RandomFeatures:
         ndarray (K,)
             NaN where the readings are not finite.
         """
-        own = np.asarray(values, dtype=float)[:, self._used]
+        own = np.asarray(values, dtype=float)[:, self.used]
         if self._missing.any():
             own = self._own(values)
         if not np.isfinite(own).all():
@@ -203,6 +204,15 @@ class RandomFeatures:
     def differences(self, values: Array) -> Array:
         """Measured less simulated features, in standard deviations of a right model (K,)."""
         return np.asarray((self.measured - self.of(values)) / self.scales)
+
+    def incoherence(self, values: Array) -> float:
+        """Power of what is incoherent in the measured run, over that of simulated readings (T, C).
+
+        The noise is in both. Of the channel where it is largest.
+        """
+        simulated = self.response.incoherent(self._own(values)).density.mean(axis=0)
+        measured = self._rest_density.mean(axis=0)
+        return float(np.max(measured / (simulated + self._floors**2)))
 
     def redrawn(self, first: Array, second: Array) -> float:
         """How much of what is incoherent a model draws anew, from two simulations of it.
@@ -233,7 +243,7 @@ class RandomFeatures:
 
     def _own(self, values: Array) -> Array:
         """Used channels (T, C), gaps of the measured run closed by straight lines."""
-        own = np.array(np.asarray(values, dtype=float)[:, self._used])
+        own = np.array(np.asarray(values, dtype=float)[:, self.used])
         at = np.arange(len(own))
         for c in np.flatnonzero(self._missing.any(axis=0)):
             good = ~self._missing[:, c]

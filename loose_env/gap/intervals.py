@@ -99,8 +99,9 @@ def widened(comparison: Comparison, fitted: Fit, intervals: Intervals) -> Interv
 
     A law that is a little wrong asks every motion for other parameters. The slope of each run at
     the common fit says which way; their scatter is that of a cluster-robust covariance (Liang and
-    Zeger, Biometrika 73, 1986). With the few runs of a recording that is a rough figure: an
-    interval that would include nothing for no other reason stays as it is.
+    Zeger, Biometrika 73, 1986), with Student's law for as few runs as a recording has (Bell and
+    McCaffrey, Survey Methodology 28, 2002). That is a rough figure: an interval that would include
+    nothing for no other reason stays as it is.
 
     Parameters
     ----------
@@ -120,7 +121,9 @@ def widened(comparison: Comparison, fitted: Fit, intervals: Intervals) -> Interv
         own = comparison.rows.trial == run
         slopes[k] = fitted.jacobian[own].T @ fitted.residual[own]
     asked = np.linalg.solve(curvature, (slopes - slopes.mean(axis=0)).T)
-    room = 1.96 * np.sqrt((asked**2).sum(axis=1) * len(runs) / (len(runs) - 1))
+    room = stats.t.ppf(0.975, len(runs) - 1) * np.sqrt(
+        (asked**2).sum(axis=1) * len(runs) / (len(runs) - 1)
+    )
     ends = [
         [p.value(f + side) for p, f, side in zip(parameters, fitted.free, sides, strict=True)]
         for sides in (-room, room)

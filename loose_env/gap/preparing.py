@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidSetting
+from loose_env.gap.catalogue import candidates
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.integration import Integration, choose_integration
 from loose_env.gap.machine import Machine
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.noise import noise_floor
+from loose_env.gap.parting import parting_runs
 from loose_env.gap.simulator import Hypothesis, Simulator
 from loose_env.gap.split import split_runs
 from loose_env.gap.sufficiency import shortfalls
@@ -115,10 +117,29 @@ def prepare(recording: Recording, settings: GapSettings) -> Prepared:
     trials = [lay_out(run, kept, channels, step=step) for run in runs]
     floors = _floors(trials, len(channels))
     kept = _scaled(kept, runs, trials, channels, floors, settings.threads)
+    parting = parting_runs(
+        kept,
+        trials,
+        channels,
+        floors,
+        candidates(kept, settings.kinds or None),
+        threads=settings.threads,
+    )
+    if parting:
+        warnings.append(
+            f"{', '.join(sorted(parting))}: stops are struck there, after which no simulation "
+            "follows a trajectory; compared by response to the command, covariances, spectra and "
+            "moments instead of sample by sample"
+        )
 
     def compared(numbers: list[int]) -> Comparison:
         return Comparison(
-            kept, [trials[k] for k in numbers], channels, floors, threads=settings.threads
+            kept,
+            [trials[k] for k in numbers],
+            channels,
+            floors,
+            threads=settings.threads,
+            parting=parting,
         )
 
     ahead, whole = compared(fitted), compared(held)

@@ -181,7 +181,7 @@ def result_of(outputs: GapOutputs, evidence: Evidence) -> GapResult:
     before, after = outputs.base.held_residual, outputs.best.held_residual
     by_channel = {}
     for c, channel in enumerate(held.channels):
-        own = held.rows.channel == c
+        own = (held.rows.channel == c) & ~held.rows.white
         if own.any():
             by_channel[channel.name] = (_rms(before[own]), _rms(after[own]))
     pairs = zip(evidence.before, evidence.after, strict=True)

@@ -50,10 +50,13 @@ class Series:
 def series_of(
     residual: Array, rows: Rows, trials: Sequence[Trial], channels: Sequence[Channel]
 ) -> list[Series]:
-    """Split a residual vector (N,) by run and channel; those without a sample are left out."""
+    """Split a residual vector (N,) by run and channel.
+
+    Those without a sample are left out, and runs of which features are compared.
+    """
     found = []
     for t, trial in enumerate(trials):
-        own = np.flatnonzero(rows.trial == t)
+        own = np.flatnonzero((rows.trial == t) & ~rows.white)
         for c, channel in enumerate(channels):
             here = own[rows.channel[own] == c]
             if not len(here):

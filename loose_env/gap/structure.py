@@ -6,6 +6,9 @@ a word on how large the noise is. A residual that rings has turned over after ha
 shows nothing after a quarter: three lags are looked at, and the largest product counts, of either
 sign. The lags leave out the next sample, which a sensor's filter may tie to the one before, but in
 runs of random excitation, where what is missed rings at up to a fifth of the sample rate.
+
+A feature of a run that is compared by features stands for itself: its square less one is about
+zero where nothing is missing.
 """
 
 from __future__ import annotations
@@ -34,6 +37,8 @@ class Structure:
 
     def __init__(self, rows: Rows) -> None:
         order = np.lexsort((rows.place, rows.channel, rows.trial))
+        self._white = np.flatnonzero(rows.white)
+        self._white_block, self._white_channel = rows.block[rows.white], rows.channel[rows.white]
         self._pairs = []
         for usual, shaken in zip(LAGS, SHAKEN_LAGS, strict=True):
             found = [_pairs(rows, order, usual, False), _pairs(rows, order, shaken, True)]
@@ -43,20 +48,26 @@ class Structure:
 
     def products(self, residual: Array) -> Array:
         """Sums of the products by lag and block of time (3, B)."""
+        own = np.bincount(self._white_block, residual[self._white] ** 2 - 1, minlength=self.blocks)
         return np.stack(
             [
-                np.bincount(block, residual[first] * residual[second], minlength=self.blocks)
+                own + np.bincount(block, residual[first] * residual[second], minlength=self.blocks)
                 for first, second, block, _ in self._pairs
             ]
         )
 
     def by_channel(self, residual: Array) -> Array:
         """Sums of the products by lag and channel, and how many rows there are of each (4, C)."""
+        own = np.bincount(
+            self._white_channel, residual[self._white] ** 2 - 1, minlength=self.channels
+        )
         sums = [
-            np.bincount(channel, residual[first] * residual[second], minlength=self.channels)
+            own + np.bincount(channel, residual[first] * residual[second], minlength=self.channels)
             for first, second, _, channel in self._pairs
         ]
-        return np.stack([*sums, np.bincount(self._pairs[0][3], minlength=self.channels)])
+        counts = np.bincount(self._pairs[0][3], minlength=self.channels)
+        counts += np.bincount(self._white_channel, minlength=self.channels)
+        return np.stack([*sums, counts])
 
 
 def largest(sums: Array) -> Array:
@@ -72,5 +83,6 @@ def _pairs(rows: Rows, order: NDArray[np.intp], lag: int, shaken: bool) -> NDArr
         & (rows.channel[first] == rows.channel[second])
         & (rows.place[second] - rows.place[first] == lag)
         & (rows.shaken[first] == shaken)
+        & ~rows.white[first]
     )
     return np.stack([first[same], second[same]])

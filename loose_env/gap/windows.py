@@ -54,6 +54,7 @@ def windowed(comparison: Comparison, seconds: float) -> Comparison:
         comparison.channels,
         comparison.floors,
         threads=comparison.threads,
+        parting=comparison.parting,
     )
 
 

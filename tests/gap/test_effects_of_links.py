@@ -13,7 +13,7 @@ from loose_env.arms import DESK_ARM
 from loose_env.gap.catalogue import CATALOGUE, candidates
 from loose_env.gap.effect import Effect
 from loose_env.gap.effects.inertials import Inertial, inertial_of, make_explicit, steiner
-from loose_env.gap.effects.link_flexibility import halves
+from loose_env.gap.effects.link_flexibility import parts
 from loose_env.gap.machine import Machine
 from tests.gap.effect_arms import ARMS, machine_of
 
@@ -81,7 +81,7 @@ def test_a_link_bends_beyond_its_joint_by_moment_over_stiffness() -> None:
     (effect,) = candidates(machine, ["link_flexibility"])[2:3]
     assert effect.where == "link3"
     stiffness = 250.0
-    model = edited(effect, stiffness, 1.0)
+    model = edited(effect, stiffness, 1.0, 0.5)
     data = mujoco.MjData(model)
     body = model.site("tool").bodyid[0]
     assert model.body(body).name == "link3_link_flexibility"
@@ -115,25 +115,28 @@ def test_bending_is_about_the_joint_or_across_it() -> None:
     assert planar.forms(planar.machine, "link2") == ("",)
 
 
-def test_two_halves_make_the_whole() -> None:
-    whole = Inertial(3.0, np.array([0.2, 0.01, 0.0]), np.diag([0.002, 0.03, 0.031]))
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
+def test_two_parts_make_the_whole(share: float) -> None:
+    whole = Inertial(3.0, np.array([0.2, 0.01, 0.0]), np.diag([0.002, 0.05, 0.051]))
     along = np.array([1.0, 0, 0])
-    near, far = halves(whole, along, 0.4)
-    for part in (near, far):
+    pair = parts(whole, along, 0.4, share)
+    total = np.zeros((3, 3))
+    for part in pair:
         lever = part.centre - whole.centre
         assert abs(lever @ along) == pytest.approx(np.linalg.norm(lever))
         low, middle, high = np.linalg.eigvalsh(part.tensor)
         assert low > 0
         assert high <= low + middle
-    total = (
-        near.tensor + far.tensor + sum(steiner(1.5, p.centre - whole.centre) for p in (near, far))
-    )
+        total += part.tensor + steiner(part.mass, lever)
+    near, far = pair
     assert np.allclose(total, whole.tensor)
-    assert np.allclose(0.5 * (near.centre + far.centre), whole.centre)
+    assert near.mass == pytest.approx(share * 3.0)
+    assert near.mass + far.mass == pytest.approx(3.0)
+    assert np.allclose((near.mass * near.centre + far.mass * far.centre) / 3.0, whole.centre)
+    assert (far.centre - near.centre) @ along == pytest.approx(0.2)  # half the length
     # A lump cannot be stretched.
     lump = Inertial(3.0, np.zeros(3), 1e-6 * np.eye(3))
-    near, far = halves(lump, along, 0.4)
-    assert np.linalg.norm(far.centre) < 0.01
+    assert np.linalg.norm(parts(lump, along, 0.4, share)[1].centre) < 0.01
 
 
 def test_a_payload_weighs_at_the_tool() -> None:

@@ -52,7 +52,7 @@ def rows_of(runs: int = 1) -> Rows:
     block = (sample / RATE // 0.5).astype(int) + 100 * trial.ravel()
     return Rows(
         trial=trial.ravel(), channel=channel.ravel(), sample=sample, place=sample, block=block,
-        shaken=np.zeros(sample.size, dtype=bool),
+        shaken=np.zeros(sample.size, dtype=bool), white=np.zeros(sample.size, dtype=bool),
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""A link that bends: a hinge with a spring in its middle."""
+"""A link that bends: a hinge with a spring somewhere along it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from loose_env.gap.effects.split_body import move_children, move_geoms, move_sit
 from loose_env.gap.machine import Machine
 from loose_env.gap.parameter import Parameter
 
-__all__ = ["LinkFlexibility", "halves"]
+__all__ = ["LinkFlexibility", "parts"]
 
 Array = NDArray[np.float64]
 
@@ -33,15 +33,19 @@ _SHORTEST = 0.03
 """Shortest link that can bend, in lengths of the machine."""
 _ALONG = 0.1
 """Sine of the smallest angle between joint and link at which the joint's axis is one of bending."""
+_MIDDLE, _SCATTER, _NEAREST = 0.5, 0.1, 0.25
+"""Where along it a link gives way: mean, standard deviation, and nearest to its joint, as shares of
+its length."""
 
 
 class LinkFlexibility(Effect):
-    """A link in two halves, with a hinge, a spring and a damper between them.
+    """A link in two parts, with a hinge, a spring and a damper between them.
 
-    The near half keeps the body's name and its joint; the far half, a body of its own, carries
-    what lies beyond the middle of the link: bodies, sites, geoms. Mass, centre and inertia of the
-    straight link stay. Variant "": it bends about its joint's axis, in a machine that moves in a
-    plane within that plane; variant "across": about the axis perpendicular to that and the link.
+    The near part keeps the body's name and its joint; the far part, a body of its own, carries
+    what lies beyond the hinge: bodies, sites, geoms. Mass, centre and inertia of the straight link
+    stay. Where along the link it gives way is fitted too, for the stiffness hangs on it. Variant
+    "": it bends about its joint's axis, in a machine that moves in a plane within that plane;
+    variant "across": about the axis perpendicular to that and the link.
     """
 
     kind = "link_flexibility"
@@ -67,7 +71,7 @@ class LinkFlexibility(Effect):
     def __init__(self, machine: Machine, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
         start, end = link_ends(machine, where)
-        self._middle, self._length = 0.5 * (start + end), float(np.linalg.norm(end - start))
+        self._start, self._length = start, float(np.linalg.norm(end - start))
         self._along = (end - start) / self._length
         normal = normal_of(machine)
         if normal is not None:
@@ -84,36 +88,41 @@ class LinkFlexibility(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Stiffness, and the damping ratio of the far half with the near one held."""
+        """Stiffness, damping ratio of the far part with the near one held, and where it bends."""
         carried, weight = self._figures
         step = self.machine.step or float(self.machine.model.opt.timestep)
-        return (stiffness_between(carried, weight, step, "N·m/rad"), damping_ratio())
+        place = Parameter(
+            name="position", unit="", low=_NEAREST, high=1 - _NEAREST, scale=_SCATTER,
+            centre=_MIDDLE, spread=1.0,
+        )  # fmt: skip
+        return (stiffness_between(carried, weight, step, "N·m/rad"), damping_ratio(), place)
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Modes from slow to fast."""
-        return stiffness_starts(self._figures[0], self.parameters[0])
+        springs = stiffness_starts(self._figures[0], self.parameters[0])
+        return tuple((*spring, _MIDDLE) for spring in springs)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Cut the link and put the spring in between."""
-        stiffness, ratio = float(values[0]), float(values[1])
+        stiffness, ratio, place = (float(v) for v in values)
         damping = 2 * ratio * sqrt(stiffness * self._figures[0])
-        self._cut(spec, stiffness, damping)
+        self._cut(spec, stiffness, damping, place)
 
     @property
     def _name(self) -> str:
         return added_name(self.where, f"{self.kind}_{self.variant}" if self.variant else self.kind)
 
-    def _cut(self, spec: mujoco.MjSpec, stiffness: float, damping: float) -> None:
+    def _cut(self, spec: mujoco.MjSpec, stiffness: float, damping: float, share: float) -> None:
         whole = inertial_of(self.machine, spec, self.where)
-        near, far = halves(whole, self._along, self._length)
-        old = spec.body(self.where)
-        new = old.add_body(name=self._name, pos=self._middle)
+        near, far = parts(whole, self._along, self._length, share)
+        old, here = spec.body(self.where), self._start + share * self._length * self._along
+        new = old.add_body(name=self._name, pos=here)
         move_children(self.machine, spec, old, new, self._along)
         move_sites(self.machine, spec, old, new, self._along)
         move_geoms(spec, old, new, self._along)
         set_inertial(self.machine, spec, self.where, near)
-        place = far.centre - self._middle
+        place = far.centre - here
         set_inertial(self.machine, spec, self._name, Inertial(far.mass, place, far.tensor))
         add_extra_joint(
             new,
@@ -129,7 +138,7 @@ class LinkFlexibility(Effect):
     def _figures(self) -> tuple[float, float]:
         """What the hinge carries [kg·m²], and its inverse weight with all joints free."""
         spec = self.machine.fresh()
-        self._cut(spec, 0.0, 0.0)
+        self._cut(spec, 0.0, 0.0, _MIDDLE)
         model = spec.compile()
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
@@ -139,11 +148,13 @@ class LinkFlexibility(Effect):
         return float(mass[dof, dof]), float(model.dof_invweight0[dof])
 
 
-def halves(whole: Inertial, along: Array, length: float) -> tuple[Inertial, Inertial]:
-    """Two equal bodies that together are one: same mass, centre and inertia.
+def parts(
+    whole: Inertial, along: Array, length: float, share: float = _MIDDLE
+) -> tuple[Inertial, Inertial]:
+    """Two bodies that together are one: same mass, centre and inertia.
 
-    Their centres lie apart along the link, a quarter of its length to either side of the common
-    one, or less where the link's inertia does not allow that.
+    They share the mass as the link's length, and their centres lie half that length apart along
+    it, or less where the link's inertia does not allow that.
 
     Parameters
     ----------
@@ -153,20 +164,22 @@ def halves(whole: Inertial, along: Array, length: float) -> tuple[Inertial, Iner
         Unit vector along it.
     length : float
         Of the link [m].
+    share : float
+        How much of the length is the near one's.
     """
-    lever = 0.25 * length * along
-    tensor = 0.5 * (whole.tensor - steiner(whole.mass, lever))
-    while not _solid(tensor):
+    lever = 0.5 * length * along
+    reduced = share * (1 - share) * whole.mass
+    left = whole.tensor - steiner(reduced, lever)
+    while not _solid(left):
         lever = 0.9 * lever
         if np.linalg.norm(lever) < 1e-6 * length:
             lever = np.zeros(3)
-        tensor = 0.5 * (whole.tensor - steiner(whole.mass, lever))
+        left = whole.tensor - steiner(reduced, lever)
         if not lever.any():
             break
-    mass = 0.5 * whole.mass
     return (
-        Inertial(mass, whole.centre - lever, tensor),
-        Inertial(mass, whole.centre + lever, tensor),
+        Inertial(share * whole.mass, whole.centre - (1 - share) * lever, share * left),
+        Inertial((1 - share) * whole.mass, whole.centre + share * lever, (1 - share) * left),
     )
 
 

@@ -1,0 +1,105 @@
+"""Which runs of random excitation cannot be compared sample by sample.
+
+After an impact two simulations part ways within milliseconds. Where a machine that strikes its
+stops would draw a run anew if it were begun a hair's breadth elsewhere, its trajectory means
+nothing, and the run is compared by features instead. Where it would repeat itself, samples tell
+more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.effect import Effect
+from loose_env.gap.features import RandomFeatures
+from loose_env.gap.machine import Machine
+from loose_env.gap.simulator import Hypothesis, Simulator
+from loose_env.gap.trial import Channel, Trial
+
+__all__ = ["parting_runs"]
+
+Array = NDArray[np.float64]
+
+STRIKING = ("backlash", "structural_looseness")
+"""Kinds of effect with stops that are struck."""
+PARTED = 0.3
+"""Share of the incoherent part that is drawn anew from which on trajectories mean nothing."""
+LOUD = 2.0
+"""Incoherent power of a run over that of the nominal model, noise in both, that it shows."""
+NUDGE = 1e-5
+"""Change of where a run begins that does not matter [rad, m]."""
+LOOKED_AT = 2.0
+"""How much of a run is simulated to see whether trajectories part [s]."""
+_NOMINAL = Hypothesis(effects=(), values=())
+
+
+def parting_runs(
+    machine: Machine,
+    trials: Sequence[Trial],
+    channels: tuple[Channel, ...],
+    floors: Array,
+    candidates: Sequence[Effect],
+    *,
+    threads: int = 0,
+) -> frozenset[str]:
+    """Names of the random runs that only features compare.
+
+    Those in which more is incoherent than the nominal model says, if a machine with free play,
+    begun a hair's breadth elsewhere, draws any of them anew.
+
+    Parameters
+    ----------
+    machine : Machine
+        The nominal model.
+    trials : sequence of Trial
+        The runs.
+    channels : tuple of Channel
+        What they show.
+    floors : ndarray (C,)
+        Noise standard deviations.
+    candidates : sequence of Effect
+        What may be missing; those that strike stops are looked at.
+    threads : int
+        Threads of the simulation; 0: all processors.
+    """
+    striking = [effect for effect in candidates if effect.kind in STRIKING]
+    shaken = [trial for trial in trials if _driven(trial, machine)]
+    runs = [trial.until(LOOKED_AT) for trial in shaken]
+    if not striking or not runs:
+        return frozenset()
+    nominal = Simulator(machine, runs, channels, threads=threads).predict([_NOMINAL])[0]
+    loud: list[tuple[Trial, RandomFeatures]] = []
+    for run, seen in zip(runs, nominal, strict=True):
+        features = RandomFeatures.of_trial(run, machine, channels, floors)
+        if np.isfinite(seen[:, features.used]).all() and features.incoherence(seen) > LOUD:
+            loud.append((run, features))
+    if not loud:
+        return frozenset()
+    simulator = Simulator(machine, [run for run, _ in loud], channels, threads=threads)
+    for effect in striking:
+        predicted = simulator.predict(_pairs(effect, len(loud), len(machine.joints)))
+        for first, second in zip(predicted[::2], predicted[1::2], strict=True):
+            for (_, features), one, two in zip(loud, first, second, strict=True):
+                finite = np.isfinite(one).all() and np.isfinite(two).all()
+                if finite and features.redrawn(one, two) > PARTED:
+                    return frozenset(run.name for run, _ in loud)
+    return frozenset()
+
+
+def _pairs(effect: Effect, runs: int, joints: int) -> list[Hypothesis]:
+    """An effect at each of its starts, and the same begun elsewhere."""
+    nudge = np.full((runs, joints), NUDGE)
+    return [
+        Hypothesis(effects=(effect,), values=(np.array(start),), position=position)
+        for start in effect.starts
+        for position in (None, nudge)
+    ]
+
+
+def _driven(trial: Trial, machine: Machine) -> bool:
+    """Whether a run is one of random excitation through an actuator."""
+    joints = {machine.actuated_joint.get(name) for name in machine.actuators}
+    return trial.form == "forward" and bool(joints & set(trial.excited))

@@ -1,0 +1,1 @@
+"""The instrument: from a recording of a suspect arm to the loose link, and to the next pose."""
