@@ -1,8 +1,9 @@
 """Orders candidates by what each could explain; it never decides.
 
-Every candidate is simulated once from each of its starts, on top of the present fit. What that
-changes in the residual is its signature. The present parameters are free to take up their share
-of a signature; what is left of it is held against what is left of the residual.
+Every candidate is simulated once from each of its starts, on top of the present fit; those that
+add no spring with a cheaper integrator. What that changes in the residual is its signature. The
+present parameters are free to take up their share of a signature; what is left of it is held
+against what is left of the residual.
 """
 
 from __future__ import annotations
@@ -66,24 +67,29 @@ def screen(
         Starts that the data propose, by the candidate's key, in place of its own.
     """
     known = _Known.of(fitted)
-    entries = [
-        (effect, start)
-        for effect in candidates
-        for start in proposed.get(effect.key) or effect.starts
-    ]
+    lighter = comparison.lighter()
+    alike = fitted.residual
+    if lighter is not comparison:
+        alike = lighter.residuals([fitted.hypothesis])[0]
     best: dict[int, Screened] = {}
-    for begin in range(0, len(entries), _GROUP):
-        group = entries[begin : begin + _GROUP]
-        tried = [
-            hypothesis_of((*fitted.effects, effect), started(fitted, effect, start))
-            for effect, start in group
+    for springs, compared, base in ((True, comparison, fitted.residual), (False, lighter, alike)):
+        entries = [
+            (effect, start)
+            for effect in candidates
+            if effect.adds_motion == springs
+            for start in proposed.get(effect.key) or effect.starts
         ]
-        signatures = comparison.residuals(tried) - fitted.residual
-        for (effect, start), signature in zip(group, signatures, strict=True):
-            found = _weigh(comparison, known, effect, start, signature)
-            if found is not None:
+        for begin in range(0, len(entries), _GROUP):
+            group = entries[begin : begin + _GROUP]
+            tried = [
+                hypothesis_of((*fitted.effects, effect), started(fitted, effect, start))
+                for effect, start in group
+            ]
+            signatures = compared.residuals(tried) - base
+            for (effect, start), signature in zip(group, signatures, strict=True):
+                found = _weigh(comparison, known, effect, start, signature)
                 before = best.get(id(effect))
-                if before is None or found.promise > before.promise:
+                if found is not None and (before is None or found.promise > before.promise):
                     best[id(effect)] = found
     return sorted(best.values(), key=lambda s: -s.promise)
 
