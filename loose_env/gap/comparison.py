@@ -51,6 +51,8 @@ class Rows:
     Its channel is one of those that it is made of, its sample stands for none."""
     shaken: NDArray[np.bool_]
     """Whether the run is one of random excitation."""
+    inverse: NDArray[np.bool_]
+    """Whether the run is compared backwards."""
 
 
 class Comparison:
@@ -157,6 +159,7 @@ class Comparison:
         rows = Rows(
             trial=runs, channel=channel, sample=sample, place=places, block=block,
             white=white.astype(bool), shaken=excited[runs],
+            inverse=np.isin(runs, self._backwards),
         )  # fmt: skip
         return rows, measured
 

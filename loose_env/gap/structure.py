@@ -7,6 +7,9 @@ shows nothing after a quarter: three lags are looked at, and the largest product
 sign. The lags leave out the next sample, which a sensor's filter may tie to the one before, but in
 runs of random excitation, where what is missed rings at up to a fifth of the sample rate.
 
+In inverse runs the noise of the measured acceleration is loudest at the top of the band, where it
+changes sign from one sample to the next: means over two neighbouring lags cancel it.
+
 A feature of a run that is compared by features stands for itself: its square less one is about
 zero where nothing is missing.
 """
@@ -22,8 +25,10 @@ __all__ = ["Structure", "largest"]
 
 Array = NDArray[np.float64]
 
-LAGS, SHAKEN_LAGS = (2, 3, 4), (1, 2, 3)
+LAGS, SHAKEN_LAGS = ((2,), (3,), (4,)), ((1,), (2,), (3,))
 """Samples between the two, and in runs of random excitation."""
+INVERSE_LAGS = ((3, 4), (5, 6), (7, 8))
+"""The same in inverse runs, the mean of two each."""
 
 
 class Structure:
@@ -40,10 +45,21 @@ class Structure:
         self._white = np.flatnonzero(rows.white)
         self._white_block, self._white_channel = rows.block[rows.white], rows.channel[rows.white]
         self._pairs = []
-        for usual, shaken in zip(LAGS, SHAKEN_LAGS, strict=True):
-            found = [_pairs(rows, order, usual, False), _pairs(rows, order, shaken, True)]
-            first, second = np.concatenate(found, axis=1)
-            self._pairs.append((first, second, rows.block[first], rows.channel[first]))
+        usual = ~(rows.white | rows.shaken | rows.inverse)
+        for slot in range(len(LAGS)):
+            parts = [
+                (*_pairs(rows, order, lag, among), 1.0 / len(lags[slot]))
+                for lags, among in (
+                    (LAGS, usual),
+                    (SHAKEN_LAGS, rows.shaken & ~rows.white & ~rows.inverse),
+                    (INVERSE_LAGS, rows.inverse),
+                )
+                for lag in lags[slot]
+            ]
+            first = np.concatenate([part[0] for part in parts])
+            second = np.concatenate([part[1] for part in parts])
+            weight = np.concatenate([np.full(len(part[0]), part[2]) for part in parts])
+            self._pairs.append((first, second, weight, rows.block[first], rows.channel[first]))
         self.blocks, self.channels = int(rows.block.max()) + 1, int(rows.channel.max()) + 1
 
     def products(self, residual: Array) -> Array:
@@ -51,8 +67,11 @@ class Structure:
         own = np.bincount(self._white_block, residual[self._white] ** 2 - 1, minlength=self.blocks)
         return np.stack(
             [
-                own + np.bincount(block, residual[first] * residual[second], minlength=self.blocks)
-                for first, second, block, _ in self._pairs
+                own
+                + np.bincount(
+                    block, weight * residual[first] * residual[second], minlength=self.blocks
+                )
+                for first, second, weight, block, _ in self._pairs
             ]
         )
 
@@ -62,10 +81,14 @@ class Structure:
             self._white_channel, residual[self._white] ** 2 - 1, minlength=self.channels
         )
         sums = [
-            own + np.bincount(channel, residual[first] * residual[second], minlength=self.channels)
-            for first, second, _, channel in self._pairs
+            own
+            + np.bincount(
+                channel, weight * residual[first] * residual[second], minlength=self.channels
+            )
+            for first, second, weight, _, channel in self._pairs
         ]
-        counts = np.bincount(self._pairs[0][3], minlength=self.channels)
+        _, _, weight, _, channel = self._pairs[0]
+        counts = np.bincount(channel, weight, minlength=self.channels)
         counts += np.bincount(self._white_channel, minlength=self.channels)
         return np.stack([*sums, counts])
 
@@ -75,14 +98,15 @@ def largest(sums: Array) -> Array:
     return np.asarray(np.max(np.abs(sums), axis=0))
 
 
-def _pairs(rows: Rows, order: NDArray[np.intp], lag: int, shaken: bool) -> NDArray[np.intp]:
-    """Numbers of rows that are so many samples apart, in runs of one sort (2, K)."""
+def _pairs(
+    rows: Rows, order: NDArray[np.intp], lag: int, among: NDArray[np.bool_]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Numbers of rows that are so many samples apart, among some of all (K,) each."""
     first, second = order[:-lag], order[lag:]
     same = (
         (rows.trial[first] == rows.trial[second])
         & (rows.channel[first] == rows.channel[second])
         & (rows.place[second] - rows.place[first] == lag)
-        & (rows.shaken[first] == shaken)
-        & ~rows.white[first]
+        & among[first]
     )
-    return np.stack([first[same], second[same]])
+    return first[same], second[same]

@@ -85,6 +85,7 @@ def test_what_rings_is_structure_and_noise_is_not(frequency: float, *, shaken: b
     rows = Rows(
         trial=alone, channel=alone, sample=place, place=place, block=place // 500,
         shaken=np.full(count, shaken), white=np.zeros(count, dtype=bool),
+        inverse=np.zeros(count, dtype=bool),
     )  # fmt: skip
     structure = Structure(rows)
     noise, ring = rng.normal(size=count), np.sin(2 * np.pi * frequency * place)

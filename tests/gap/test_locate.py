@@ -53,6 +53,7 @@ def rows_of(runs: int = 1) -> Rows:
     return Rows(
         trial=trial.ravel(), channel=channel.ravel(), sample=sample, place=sample, block=block,
         shaken=np.zeros(sample.size, dtype=bool), white=np.zeros(sample.size, dtype=bool),
+        inverse=np.zeros(sample.size, dtype=bool),
     )  # fmt: skip
 
 
