@@ -63,20 +63,20 @@ def _restored(kind: Any, value: Any, place: str) -> Any:
         return _restored(next(k for k in inside if k is not NoneType), value, place)
     if origin is Literal:
         if value not in inside:
-            raise InvalidData(f"{place}: {value!r} is none of {list(inside)}")
+            raise InvalidData(f"{place}: {value!r:.60} is none of {list(inside)}")
         return value
     if origin is tuple:
         return _tuple(inside, value, place)
     if isinstance(origin, type) and issubclass(origin, Mapping):
         if not isinstance(value, Mapping):
-            raise InvalidData(f"{place}: a mapping is needed, not {value!r}")
+            raise InvalidData(f"{place}: a mapping is needed, not {value!r:.60}")
         return {k: _restored(inside[1], v, f"{place}.{k}") for k, v in value.items()}
     return _scalar(kind, value, place)
 
 
 def _dataclass(kind: Any, value: Any, place: str) -> Any:
     if not isinstance(value, Mapping):
-        raise InvalidData(f"{place}: a mapping is needed, not {value!r}")
+        raise InvalidData(f"{place}: a mapping is needed, not {value!r:.60}")
     hints = get_type_hints(kind)
     given = {}
     for each in fields(kind):
@@ -89,7 +89,7 @@ def _dataclass(kind: Any, value: Any, place: str) -> Any:
 
 def _tuple(inside: tuple[Any, ...], value: Any, place: str) -> tuple[Any, ...]:
     if not isinstance(value, (list, tuple)):
-        raise InvalidData(f"{place}: a list is needed, not {value!r}")
+        raise InvalidData(f"{place}: a list is needed, not {value!r:.60}")
     if len(inside) == 2 and inside[1] is Ellipsis:
         return tuple(_restored(inside[0], v, f"{place}[{k}]") for k, v in enumerate(value))
     if len(value) != len(inside):
@@ -105,5 +105,8 @@ def _scalar(kind: Any, value: Any, place: str) -> Any:
         return float("nan")  # JSON has no word for it
     wanted = {float: (int, float), int: (int,), str: (str,), bool: (bool,)}[kind]
     if not isinstance(value, wanted) or (kind is not bool and isinstance(value, bool)):
-        raise InvalidData(f"{place}: {kind.__name__} is needed, not {value!r}")
-    return kind(value)
+        raise InvalidData(f"{place}: {kind.__name__} is needed, not {value!r:.60}")
+    try:
+        return kind(value)
+    except OverflowError:
+        raise InvalidData(f"{place}: a number of up to 308 digits is needed") from None

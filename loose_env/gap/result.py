@@ -168,12 +168,12 @@ class GapResult:
         loose_env.errors.InvalidData: a result of the format 'loose-gap/1' is needed, ...
         """
         try:
-            whole = json.loads(text)
-        except ValueError as error:
+            whole = json.loads(text, parse_constant=_refused)
+        except (ValueError, RecursionError) as error:
             raise InvalidData(f"the result is no JSON: {error}") from None
         if not isinstance(whole, dict) or whole.get("format") != FORMAT:
             given = whole.get("format") if isinstance(whole, dict) else whole
-            raise InvalidData(f"a result of the format {FORMAT!r} is needed, not {given!r}")
+            raise InvalidData(f"a result of the format {FORMAT!r} is needed, not {given!r:.60}")
         return restored(cls, whole, "result")
 
     def write(self, path: str | Path) -> Path:
@@ -193,9 +193,18 @@ def read_result(path: str | Path) -> GapResult:
     if file.is_dir():
         file = file / "result.json"
     try:
-        return GapResult.from_json(file.read_text("utf-8"))
+        text = file.read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidData(f"{file}: the result cannot be read: {error}") from None
+    try:
+        return GapResult.from_json(text)
+    except InvalidData as error:
+        raise InvalidData(f"{file}: {error}") from None
+
+
+def _refused(word: str) -> float:
+    """Refuse the words for numbers that JSON does not have."""
+    raise ValueError(f"{word} is no number of JSON; unknown ones are null")
 
 
 def _plain(value: Any) -> Any:
