@@ -22,7 +22,7 @@ RUN := $(VENV)/.installed-run
 DEV := $(VENV)/.installed-dev
 
 .DELETE_ON_ERROR:
-.PHONY: help run thesis test bench study gap-suite check format build clean
+.PHONY: help run thesis docs test bench study gap-suite check format build clean
 
 help: ## list the verbs
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | while IFS='	' read -r verb does; do \
@@ -33,6 +33,10 @@ run: $(RUN) ## let four agents find hidden faults: a table, and a page with pict
 
 thesis: $(RUN) ## run the source's experiments and set them beside what it printed
 	$(BIN)/python scripts/reproduce_thesis.py $(ARGS)
+
+docs: $(DEV) ## build the documentation's site into docs/_build; a warning is an error
+	$(ONE_THREAD) $(BIN)/python -m sphinx -W --keep-going --quiet -j auto -b html docs docs/_build
+	@echo "Open docs/_build/index.html"
 
 test: $(DEV) ## run the tests and the examples in the docstrings
 	$(ONE_THREAD) $(BIN)/python -m pytest $(ARGS)
@@ -67,7 +71,7 @@ build: $(DEV) ## make the wheel and the sdist, and try each in a clean environme
 	done
 
 clean: ## remove .venv, the built files and the caches
-	rm -rf $(VENV) build dist *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) build dist docs/_build docs/api *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(CREATED):

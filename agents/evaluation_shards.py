@@ -121,6 +121,8 @@ def play_task(
     """
     shards = shard_of(task.count, shard)
     where = folder / configuration_hash(task.configuration)[:16]
+    gone = where.with_name(f"{where.name}.gone")
+    shutil.rmtree(gone, ignore_errors=True)  # left by a run that was killed while it tidied up
     store = ShardStore(where, task.configuration, RowCodec())
     if settings is None or (settings.backend == "loky" and settings.workers == 1):
         _play_here(task, shards, store)
@@ -128,7 +130,9 @@ def play_task(
         run_shards(partial(_part, replace(task, threads=1)), shards, store, settings=settings)
     rows = [row for part in store.read_all(shards) for row in part]
     if not keep:
-        shutil.rmtree(where)
+        # Renamed first: half a folder of shards would be taken for somebody else's.
+        where.rename(gone)
+        shutil.rmtree(gone)
     return rows
 
 

@@ -194,14 +194,16 @@ def read_hyperparameters(path: str | Path, env_id: str) -> dict[str, Any]:
         raise InvalidSetting(f"no hyperparameter file at {where}")
     try:
         found = yaml.safe_load(where.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        one_line = " ".join(str(error).split())
+    except (yaml.YAMLError, ValueError, RecursionError, OSError) as error:
+        # PyYAML passes on what Python says of a number with too many digits.
+        one_line = " ".join(str(error).split())[:300]
         raise InvalidSetting(f"{where} is no YAML file: {one_line}") from error
     if not isinstance(found, dict):
         raise InvalidSetting(f"{where} must have an entry for each environment id")
     own = found.get(env_id, found.get("default"))
     if own is None:
-        raise UnknownName(f"{where} has no entry {env_id!r} nor 'default'; it has {list(found)}")
+        has = f"{[str(key)[:60] for key in list(found)[:12]]}"
+        raise UnknownName(f"{where} has no entry {env_id!r} nor 'default'; it has {has}")
     if not isinstance(own, dict):
         raise InvalidSetting(f"the entry of {env_id!r} in {where} must map names to values")
     return dict(own)

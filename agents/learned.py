@@ -230,15 +230,16 @@ class LearnedAgent(EpisodeAgent):
         try:
             configuration = json.loads(described.read_text(encoding="utf-8"))
             found, arm = configuration["format"], configuration["arm"]
-        except (json.JSONDecodeError, KeyError, TypeError) as error:
-            raise InvalidData(f"{described} describes no trained policy: {error!r}") from error
+        except (ValueError, RecursionError, KeyError, TypeError, OSError) as error:
+            reason = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+            raise InvalidData(f"{described} describes no trained policy: {reason}") from error
         if found != FORMAT:
             raise InvalidData(
-                f"{where} holds a policy of format {found!r}, this version reads {FORMAT!r}; "
+                f"{where} holds a policy of format {found!r:.60}, this version reads {FORMAT!r}; "
                 f"train it anew with scripts/train.py --export {where}"
             )
         if arm != problem.arm.name:
-            raise InvalidData(f"{where} was trained for arm {arm!r}, not {problem.arm.name!r}")
+            raise InvalidData(f"{where} was trained for arm {arm!r:.60}, not {problem.arm.name!r}")
         estimator = make_estimator(configuration.get("estimator", "posterior"), problem)
         form = PolicyForm(problem, feature_size(estimator))
         return cls(problem, load_network(where, form), estimator)

@@ -16,6 +16,7 @@ from loose_env.errors import InvalidData, InvalidSetting
 __all__ = ["Cell", "Layer", "PolicyNetwork", "load_network", "network_of", "save_network"]
 
 WEIGHTS = "policy.safetensors"
+_LARGEST_WEIGHT = 1e6
 FORMAT = "loose-policy/2"
 
 Weights = NDArray[np.float32]
@@ -227,6 +228,28 @@ def save_network(network: PolicyNetwork, folder: str | Path) -> None:
     beside.replace(target)
 
 
+def _check_chain(network: PolicyNetwork) -> None:
+    """Refuse layers that do not follow from one another."""
+    size = None
+    for cell in network.cells:
+        size = _width(cell.on_input, size)
+        if size % 4 or _width(cell.on_state, size // 4) != size:
+            raise ValueError("the shapes of a memory cell do not fit each other")
+        size //= 4
+    for layer in network.layers:
+        size = _width(layer, size)
+
+
+def _width(layer: Layer, given: int | None) -> int:
+    """Outputs of a layer that takes so many numbers."""
+    weight, bias = layer.weight, layer.bias
+    if weight.ndim != 2 or bias.shape != weight.shape[:1] or not weight.shape[0]:
+        raise ValueError(f"a layer of shapes {weight.shape} and {bias.shape}")
+    if given is not None and weight.shape[1] != given:
+        raise ValueError(f"a layer that takes {weight.shape[1]} numbers is given {given}")
+    return int(weight.shape[0])
+
+
 def load_network(folder: str | Path, form: _Form) -> PolicyNetwork:
     """Load the weights. Nothing is unpickled.
 
@@ -246,18 +269,35 @@ def load_network(folder: str | Path, form: _Form) -> PolicyNetwork:
             described = file.metadata() or {}
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
     except SafetensorError as error:
-        raise InvalidData(f"{path} is no safetensors file: {error}") from error
+        reason = " ".join(str(error).split())[:200]
+        raise InvalidData(f"{path} is no safetensors file: {reason}") from error
     if described.get("format") != FORMAT:
         raise InvalidData(
             f"{path} has the format {described.get('format', 'loose-policy/1')!r}, this version "
             f"reads {FORMAT!r}; train the policy anew with scripts/train.py"
         )
-    network = _network(
-        tensors,
-        form.nvec,
-        activation=described["activation"],
-        masked=json.loads(described["masked"]),
-    )
+    for name, values in tensors.items():
+        # Beyond it a layer's sum would not fit into float32.
+        if values.dtype.kind != "f" or not (np.abs(values) <= _LARGEST_WEIGHT).all():
+            raise InvalidData(
+                f"{path}: tensor {name!r:.60} holds what is no finite weight below "
+                f"{_LARGEST_WEIGHT:g}; train the policy anew with scripts/train.py"
+            )
+    masked = described.get("masked")
+    if masked not in ("true", "false"):
+        raise InvalidData(f"{path}: masked is 'true' or 'false', got {masked!r:.60}")
+    try:
+        network = _network(
+            tensors,
+            form.nvec,
+            activation=described.get("activation", ""),
+            masked=masked == "true",
+        )
+        _check_chain(network)
+    except (KeyError, IndexError, ValueError) as error:
+        raise InvalidData(
+            f"{path} holds no policy of this kind: {type(error).__name__}: {str(error)[:200]}"
+        ) from error
     first = network.cells[0].on_input if network.cells else network.layers[0]
     sizes = (first.weight.shape[1], network.layers[-1].weight.shape[0])
     wanted = (form.observation_space.shape[0], int(form.nvec.sum()))

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import gymnasium
 
-from loose_env.errors import LooseEnvError
+from loose_env.errors import LooseEnvError, words_of
 
 __all__ = ["errors_in_one_line"]
 
@@ -44,4 +44,4 @@ def errors_in_one_line(script: str, *, interrupted: str = "") -> Iterator[None]:
     except KeyboardInterrupt:
         sys.exit(f"{script}: interrupted" + (f"; {interrupted}" if interrupted else ""))
     except (LooseEnvError, gymnasium.error.Error, ImportError, ValueError, OSError) as error:
-        sys.exit(f"{script}: {error}")
+        sys.exit(f"{script}: {words_of(error)}")

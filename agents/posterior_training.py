@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from agents.place_figures import PlaceFigures
 from agents.progress_line import ProgressLine
 from loose_env.diagnosis.seat_network import SeatNetwork
+from loose_env.errors import InvalidData
 
 __all__ = ["PosteriorTraining", "TrainingSettings"]
 
@@ -327,10 +328,17 @@ class PosteriorTraining:
         beside.replace(path)
 
     def _restore(self, path: Path) -> None:
-        kept = torch.load(path, weights_only=True)
-        self.layers.load_state_dict(kept["layers"])
-        self.optimiser.load_state_dict(kept["optimiser"])
-        self.step = int(kept["step"])
+        try:
+            kept = torch.load(path, weights_only=True)  # tensors and plain values, never code
+            self.layers.load_state_dict(kept["layers"])
+            self.optimiser.load_state_dict(kept["optimiser"])
+            self.step = int(kept["step"])
+        except Exception as error:  # torch and zipfile raise a dozen kinds
+            reason = " ".join(str(error).split())[:200]
+            raise InvalidData(
+                f"cannot go on from {path}; remove it to begin anew: {type(error).__name__}: "
+                f"{reason}"
+            ) from error
 
 
 def _calibration_error(confidence: NDArray[np.floating], right: NDArray[np.bool_]) -> float:

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
+from agents.checkpoint import zipped
 from agents.evaluation import EpisodeRow
 from agents.learned import CONFIGURATION
 from agents.network import WEIGHTS, PolicyNetwork, network_of, save_network
@@ -117,13 +118,24 @@ class RunState:
         }
 
     def restore_generators(self) -> None:
-        """Put them back."""
+        """Put them back.
+
+        Raises
+        ------
+        InvalidData
+            If they are no states of these generators.
+        """
         import torch
 
         if self.generators:
-            random.setstate(self.generators["python"])
-            np.random.set_state(self.generators["numpy"])
-            torch.set_rng_state(torch.from_numpy(self.generators["torch"]))
+            try:
+                random.setstate(self.generators["python"])
+                np.random.set_state(self.generators["numpy"])
+                torch.set_rng_state(torch.from_numpy(self.generators["torch"]))
+            except (KeyError, TypeError, ValueError, RuntimeError) as error:
+                raise InvalidData(
+                    f"the generators of the run cannot be restored ({error}); --restart begins anew"
+                ) from error
 
 
 def write(path: Path, data: bytes) -> None:
@@ -137,10 +149,8 @@ def write(path: Path, data: bytes) -> None:
 
 
 def write_model(path: Path, model: Any) -> None:
-    """Write a model of stable-baselines3."""
-    buffer = io.BytesIO()
-    model.save(buffer)
-    write(path, buffer.getvalue())
+    """Write a model of stable-baselines3, with what its run remembers."""
+    write(path, zipped(model, model.run_state))
 
 
 def write_json(path: Path, content: object) -> None:

@@ -1,5 +1,12 @@
 """What loose-env raises when it is asked for something it cannot do."""
 
+from __future__ import annotations
+
+import errno
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS)
+
 
 class LooseEnvError(Exception):
     """Base of every error raised by loose-env."""
@@ -23,3 +30,27 @@ class MissingExtra(LooseEnvError, ImportError):
 
 class InvalidData(LooseEnvError, ValueError):
     """Measured data has a shape, a length or values that cannot be used."""
+
+
+def words_of(error: BaseException) -> str:
+    """What went wrong, in one line; of the operating system's errors what can be done too.
+
+    Examples
+    --------
+    >>> words_of(OSError(errno.ENOSPC, "No space left on device", "out/rows.parquet"))
+    "the disk is full, or the file too large for it: 'out/rows.parquet'; free some ..."
+    """
+    said = " ".join(str(error).split())
+    if not isinstance(error, OSError):
+        return said
+    where = f": {str(error.filename)!r}" if error.filename else ""
+    if error.errno in _FULL:
+        return (
+            f"the disk is full, or the file too large for it{where}; free some space or write "
+            "elsewhere"
+        )
+    if error.errno in _CLOSED:
+        return f"no permission{where}; choose another folder, or change who may write there"
+    if error.errno in (errno.ENOTDIR, errno.EEXIST):
+        return f"a file lies where a folder is needed{where}; choose another folder"
+    return said

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 import loose_env
 from agents.backends import BackendSettings, add_backend_options
 from agents.base import Problem
+from agents.one_line_errors import errors_in_one_line
 from agents.pose_set_trials import (
     ARMS,
     GREEDY,
@@ -346,6 +347,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     chosen = parser.parse_args(arguments)
     if unknown := set(chosen.level) - set(levels):
         parser.error(f"levels are {', '.join(levels)}; got {', '.join(sorted(unknown))}")
+    going_on = "the same command goes on from what was worked out"
+    with errors_in_one_line("evaluate_pose_sets", interrupted=going_on):
+        evaluate(chosen, levels)
+
+
+def evaluate(chosen: argparse.Namespace, levels: Sequence[str]) -> None:
+    """Run the levels, print the tables, write the figure."""
     folder: Path = chosen.out or ROOT / ("out" if chosen.quick else "docs/figures")
     folder.mkdir(parents=True, exist_ok=True)
     directions = Directions(arms=tuple(chosen.arm), seed=chosen.seed)

@@ -15,7 +15,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import loose_env
-from loose_env.errors import LooseEnvError
+from loose_env.errors import LooseEnvError, words_of
 from loose_env.thesis.page import write_thesis_page
 from loose_env.thesis.registry import SECTIONS, choose, first_line
 from loose_env.thesis.run import Outcome, run_sections
@@ -134,7 +134,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except KeyboardInterrupt:
         sys.exit("reproduce_thesis: interrupted; nothing was written")
     except (LooseEnvError, OSError) as error:
-        sys.exit(f"reproduce_thesis: {error}")
+        sys.exit(f"reproduce_thesis: {words_of(error)}")
     sys.exit(status)
 
 

@@ -19,7 +19,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import gymnasium
 import numpy as np
@@ -158,8 +157,7 @@ def train(options: argparse.Namespace) -> Path:
     given |= {"tensorboard_log": log, "seed": options.seed, "device": options.device}
     resumed = folder.checkpoint.is_file() and not options.restart
     if resumed:
-        model = checkpointed(folder, configuration, model_class, vec, options.device)
-        model.tensorboard_log = log
+        model = checkpointed(folder, configuration, model_class, vec, given)
         say(options, f"resumed from {folder.checkpoint} at {model.num_timesteps} steps")
     else:
         check_elsewhere(options.trained_agent, folder)
@@ -223,9 +221,13 @@ def whole(value: Any, name: str) -> int:
 
 
 def checkpointed(
-    folder: Any, configuration: dict[str, Any], model_class: type[Any], vec: Any, device: str
+    folder: Any,
+    configuration: dict[str, Any],
+    model_class: type[Any],
+    vec: Any,
+    given: dict[str, Any],
 ) -> Any:
-    """Load the model that a run goes on with.
+    """Load the model that a run goes on with; nothing in the file is run.
 
     Raises
     ------
@@ -234,7 +236,8 @@ def checkpointed(
     InvalidData
         If the checkpoint cannot be read.
     """
-    from agents.training_run import differences
+    from agents.checkpoint import read_model, restore
+    from agents.training_run import RunState, differences
 
     before = folder.described()
     differ = differences(before, configuration)
@@ -247,12 +250,16 @@ def checkpointed(
         if before.get(name) != configuration[name]:
             print(f"train: note: {name} differs from that of the run's start", file=sys.stderr)
     try:
-        return model_class.load(folder.checkpoint, env=vec, device=device)
-    except (ValueError, KeyError, RuntimeError, AttributeError, EOFError, BadZipFile) as error:
-        reason = " ".join(str(error).split())
+        stored = read_model(folder.checkpoint, given["device"])
+        # Made with the options of the run, which are those of its start: only tensors, counts and
+        # the states of generators come from the file.
+        model = new_model(model_class, vec, given, "")
+        model.run_state = restore(stored, model, RunState)
+    except InvalidData as error:
         raise InvalidData(
-            f"cannot go on from {folder.checkpoint}; --restart begins anew: {reason}"
+            f"cannot go on from {folder.checkpoint}; --restart begins anew: {error}"
         ) from error
+    return model
 
 
 def check_elsewhere(path: str, folder: Any) -> None:
@@ -283,10 +290,12 @@ def new_model(model_class: type[Any], vec: Any, given: dict[str, Any], path: str
             model = model_class(env=vec, **given)
             _start_from_shaking_all(model)
             return model
+        from agents.checkpoint import network_arguments, put_parameters, read_model
+
         # The network stays as it is; what remains are the settings of the algorithm.
-        kept = {key: v for key, v in given.items() if key not in ("policy", "policy_kwargs")}
-        model = model_class.load(path, env=vec, **kept)
-        model.num_timesteps = 0
+        stored = read_model(path, given["device"])
+        model = model_class(env=vec, **given | {"policy_kwargs": network_arguments(stored)})
+        put_parameters(stored, model)
         return model
     except ImportError as error:
         raise MissingExtra(f"{error}; pip install -e '.[train]' installs it") from error

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from loose_env.arms.file_sizes import MOST_BYTES, check_counts, check_expanded
 from loose_env.errors import InvalidData
 
 __all__ = ["files_of", "scan"]
 
 _INCLUDED = ("include", "model")  # elements whose file is XML of its own
+_DIRECTORIES = ("assetdir", "meshdir", "texturedir")
 
 
 def scan(file: Path) -> ET.Element:
@@ -19,10 +22,10 @@ def scan(file: Path) -> ET.Element:
     Raises
     ------
     InvalidData
-        If one of them is not XML, is a xacro, declares entities, or refers to anything
-        outside the folder of the first.
+        If one of them is not XML, is a xacro, declares entities, asks for more copies than any
+        arm needs, or refers to anything outside the folder of the first.
     """
-    return _scan(file, file.parent, set(), set())
+    return _looked_over(file).parsed[file]
 
 
 def files_of(file: Path) -> set[Path]:
@@ -30,15 +33,44 @@ def files_of(file: Path) -> set[Path]:
 
     Raises as `scan`. ``file`` has to be resolved, as there.
     """
-    seen: set[Path] = set()
-    assets: set[Path] = set()
-    _scan(file, file.parent, seen, assets)
-    return seen | assets
+    found = _looked_over(file)
+    return set(found.parsed) | found.assets
 
 
-def _scan(file: Path, folder: Path, seen: set[Path], assets: set[Path]) -> ET.Element:
-    """Parse a file and those it includes; refuse whatever points outside ``folder``."""
-    seen.add(file)
+@dataclass(kw_only=True)
+class _Found:
+    """What a file and those it includes refer to."""
+
+    folder: Path
+    parsed: dict[Path, ET.Element] = field(default_factory=dict)
+    places: list[Path] = field(default_factory=list)
+    """Folders in which assets are looked for: a directory that one file names holds for all."""
+    parts: dict[Path, list[tuple[ET.Element, Path]]] = field(default_factory=dict)
+    """File -> elements that name a file of XML, and that file."""
+    assets: set[Path] = field(default_factory=set)
+
+
+def _looked_over(file: Path) -> _Found:
+    found = _Found(folder=file.parent, places=[file.parent])
+    waiting = [file]
+    while waiting:
+        while waiting:
+            each = waiting.pop()
+            if each not in found.parsed:
+                found.parsed[each] = _parsed(each)
+                found.places += _directories(each, found)
+        # A folder named in one file may be where another one's part lies.
+        found.parts, found.assets = {}, set()
+        for each, root in found.parsed.items():
+            waiting += [part for part in _references(each, root, found) if part not in found.parsed]
+    _expanded(file, found, {}, [])
+    return found
+
+
+def _parsed(file: Path) -> ET.Element:
+    size = file.stat().st_size
+    if size > MOST_BYTES:
+        raise InvalidData(f"{file.name}: {size} bytes; at most {MOST_BYTES} are read")
     raw = file.read_bytes()
     if re.search(rb"<!(DOCTYPE|ENTITY)", raw):
         raise InvalidData(
@@ -51,31 +83,92 @@ def _scan(file: Path, folder: Path, seen: set[Path], assets: set[Path]) -> ET.El
         raise InvalidData(f"{file.name}: not XML: {error}") from None
     if any("ros.org/wiki/xacro" in str(e.tag) for e in root.iter()):
         raise InvalidData(f"{file.name}: it is a xacro; expand it to a plain URDF first")
-    places = {"": folder}
-    for compiler in root.iter("compiler"):
-        for key in ("assetdir", "meshdir", "texturedir"):
-            given = compiler.get(key)
-            if given:
-                places[key] = _inside(given, folder, folder, file, "compiler", key)
-    for element in root.iter():
-        for key, given in element.attrib.items():
-            if not key.startswith("file") or not given:
-                continue
-            for place in set(places.values()) | {file.parent}:
-                found = _inside(given, place, folder, file, element.tag, key)
-                assets |= {f for f in (found, place / found.name) if f.is_file()}
-                if element.tag in _INCLUDED and found.is_file() and found not in seen:
-                    _scan(found, folder, seen, assets)
+    check_counts(root, file)
     return root
 
 
+def _directories(file: Path, found: _Found) -> list[Path]:
+    places = [file.parent]
+    for element in found.parsed[file].iter():
+        if _local(element) == "compiler":
+            for key in _DIRECTORIES:
+                given = element.get(key)
+                if given:
+                    at = (found.folder, file.parent)
+                    places += [_inside(given, p, found.folder, file, "compiler", key) for p in at]
+    return [place for place in dict.fromkeys(places) if place not in found.places]
+
+
+def _references(file: Path, root: ET.Element, found: _Found) -> list[Path]:
+    """Check every file that a file names; return those that are XML of their own."""
+    parts = found.parts[file] = []
+    for element in root.iter():
+        tag = _local(element)
+        for key, given in element.attrib.items():
+            if not key.startswith("file") or not given:
+                continue
+            for place in dict.fromkeys((*found.places, file.parent)):
+                named = _inside(given, place, found.folder, file, tag, key)
+                # URDF and the option strippath take the last part of a path alone.
+                alone = _inside(named.name, place, found.folder, file, tag, key)
+                there = {f for f in (named, alone) if _is_file(f, file, tag, key, given)}
+                found.assets |= there
+                if tag in _INCLUDED and named in there:
+                    parts.append((element, named))
+    return [part for _, part in parts]
+
+
+def _expanded(file: Path, found: _Found, known: dict[Path, float], above: list[Path]) -> float:
+    """Elements of a file with what it includes and attaches."""
+    if file in above:  # MuJoCo refuses a file that includes itself
+        return 0.0
+    if file not in known:
+        included, attached = 0.0, dict[str, float]()
+        for element, part in found.parts[file]:
+            size = _expanded(part, found, known, [*above, file])
+            if _local(element) == "include":
+                included += size
+            else:
+                names = (element.get("name", ""), part.stem, found.parsed[part].get("model", ""))
+                attached |= dict.fromkeys(filter(None, names), size)
+        known[file] = check_expanded(found.parsed[file], attached, file, included)
+    return known[file]
+
+
+def _is_file(path: Path, file: Path, tag: str, key: str, given: str) -> bool:
+    """Whether there is a file; a pipe or a device, which would be waited for, is refused."""
+    if path.is_file():
+        return True
+    if path.exists() and not path.is_dir():
+        raise InvalidData(
+            f"{file.name}: <{tag} {key}={given!r:.60}> is no file but a pipe or a device, which "
+            "is not read"
+        )
+    return False
+
+
 def _inside(given: str, place: Path, folder: Path, file: Path, tag: str, key: str) -> Path:
-    # Packages are not looked up: MuJoCo takes their file's name alone.
-    local = given.removeprefix("file://").removeprefix("package://")
-    found = (place / local).resolve()
+    # Packages are not looked up: MuJoCo takes their file's name alone. It also takes a
+    # backslash for a slash, on every system.
+    local = given.replace("\\", "/").removeprefix("file://").removeprefix("package://")
+    words = f"{file.name}: <{tag} {key}={given!r:.200}>"
+    try:
+        found = (place / local).resolve()
+        found.exists()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise InvalidData(f"{words} leads nowhere: {_reason(error)}") from None
     if "://" in local or not found.is_relative_to(folder):
         raise InvalidData(
-            f"{file.name}: <{tag} {key}={given!r}> lies outside the file's folder and is not "
+            f"{words} lies outside the file's folder and is not "
             "read; copy what it needs beside the file, or remove the element"
         )
     return found
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)
+
+
+def _local(element: ET.Element) -> str:
+    """Name of an element without its namespace, which MuJoCo does not know."""
+    return str(element.tag).rpartition("}")[2]

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from loose_env.arms.file_scan import scan
+from loose_env.arms.quiet import quiet
 from loose_env.errors import InvalidData, InvalidSetting
 
 __all__ = [
@@ -81,7 +82,11 @@ def load_spec(path: str | Path) -> tuple[Path, str, mujoco.MjSpec]:
     if not isinstance(path, (str, PathLike)):
         raise InvalidSetting(f"a model is the path of an MJCF or URDF file, got {path!r}")
     file = Path(path)
-    if not file.is_file():
+    try:
+        there = file.is_file()
+    except OSError as error:  # such as a name that is too long
+        raise InvalidSetting(f"{str(file)!r:.80} is no path: {error.strerror}") from None
+    if not there:
         looked = "" if file.is_absolute() else f" in {Path.cwd()}"
         raise InvalidSetting(
             f"there is no file {str(file)!r}{looked}; give the path of an MJCF or URDF"
@@ -94,7 +99,8 @@ def load_spec(path: str | Path) -> tuple[Path, str, mujoco.MjSpec]:
             "<robot> in a URDF"
         )
     try:
-        spec = mujoco.MjSpec.from_file(str(file))
+        with quiet():
+            spec = mujoco.MjSpec.from_file(str(file))
     except Exception as error:  # MuJoCo raises ValueError and mujoco.FatalError alike
         raise InvalidData(f"{file.name}: MuJoCo cannot read it: {_one_line(error)}") from error
     return file, root, spec
@@ -109,7 +115,8 @@ def compile_spec(spec: mujoco.MjSpec, file: Path) -> mujoco.MjModel:
         If it does not compile; the message says what to change where that is known.
     """
     try:
-        return spec.compile()
+        with quiet():
+            return spec.compile()
     except Exception as error:
         message = _one_line(error)
         hint = ""

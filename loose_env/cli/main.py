@@ -11,13 +11,21 @@ import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
+from keyword import iskeyword
 
-from loose_env.errors import LooseEnvError
+from loose_env.errors import LooseEnvError, words_of
 
 __all__ = ["COMMANDS", "main", "parser"]
 
-COMMANDS = {"gap": "name what a simulation model lacks, by measured runs"}
-"""Subcommand, the module of that name beside this file -> what it does."""
+COMMANDS = {
+    "inspect": "show an arm's joints, tool and modes, and what faults could be found",
+    "plan": "say what to measure next: pose, joint and signal",
+    "diagnose": "say what is loose in an arm, by measured runs, and what to measure next",
+    "gap": "name what a simulation model lacks, by measured runs",
+    "import": "make a recording of what loggers wrote: MCAP, CSV, universal files",
+}
+"""Subcommand -> what it does. The module beside this file has its name, with an underscore after a
+word that Python keeps for itself."""
 
 DONE, REFUSED, INTERRUPTED = 0, 1, 130
 """Exit codes; argparse has 2."""
@@ -31,7 +39,7 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument("--version", action="version", version=_version())
     commands = found.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, summary in COMMANDS.items():
-        module = import_module(f"loose_env.cli.{name}")
+        module = import_module(f"loose_env.cli.{name}{'_' if iskeyword(name) else ''}")
         own = commands.add_parser(
             name,
             help=summary,
@@ -61,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
     except (LooseEnvError, OSError) as error:
         # Anything else is a fault of the program and keeps its trace.
-        print(f"{said}: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"{said}: {words_of(error)}", file=sys.stderr)
         return REFUSED
     return DONE
 

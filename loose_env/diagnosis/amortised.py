@@ -48,6 +48,9 @@ REFERENCE = "reference."
 """How the names of the tensors of a `NoveltyReference` begin."""
 CONFIGURATION, WEIGHTS = "configuration.json", "posterior.safetensors"
 
+_MOST_DIRECTIONS = 10_000
+_MOST_FRICTION = 1e6  # over the seat drive of the top level
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AmortisedBelief:
@@ -239,21 +242,44 @@ class AmortisedPosterior:
         configuration, tensors = read_network(folder)
         if configuration["arm"] != linear.arm.name:
             raise InvalidData(
-                f"the posterior in {folder} was trained for arm {configuration['arm']!r}, not "
+                f"the posterior in {folder} was trained for arm {configuration['arm']!r:.60}, not "
                 f"{linear.arm.name!r}; train one with scripts/train_posterior.py"
             )
         start = len(REFERENCE)
         known = {k[start:]: v for k, v in tensors.items() if k.startswith(REFERENCE)}
-        return cls(
-            linear,
-            sensors,
-            mismatch,
-            SeatNetwork(tensors),
-            directions=configuration["directions"],
-            friction=tuple(configuration["friction"]),
-            kinds=kinds,
-            reference=NoveltyReference.of(known) if known else None,
+        directions, friction = _figures(configuration, Path(folder) / CONFIGURATION)
+        try:
+            return cls(
+                linear,
+                sensors,
+                mismatch,
+                SeatNetwork(tensors),
+                directions=directions,
+                friction=friction,
+                kinds=kinds,
+                reference=NoveltyReference.of(known) if known else None,
+            )
+        except (InvalidData, KeyError, TypeError, ValueError, IndexError) as error:
+            raise InvalidData(f"{Path(folder) / WEIGHTS}: {error}") from error
+
+
+def _figures(configuration: Mapping[str, Any], file: Path) -> tuple[int, tuple[float, float]]:
+    """Directions of a link, and range of the friction."""
+    directions, friction = configuration["directions"], configuration["friction"]
+    if type(directions) is not int or not 1 <= directions <= _MOST_DIRECTIONS:
+        raise InvalidData(
+            f"{file}: directions is a whole number, 1 to {_MOST_DIRECTIONS}, got {directions!r:.60}"
         )
+    if (
+        not isinstance(friction, list)
+        or len(friction) != 2
+        or not all(type(f) in (int, float) for f in friction)
+        or not 0 < friction[0] <= friction[1] < _MOST_FRICTION
+    ):
+        raise InvalidData(
+            f"{file}: friction is a range [low, high] above zero, got {friction!r:.60}"
+        )
+    return directions, (float(friction[0]), float(friction[1]))
 
 
 def read_network(folder: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -276,13 +302,14 @@ def read_network(folder: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
             f"no trained posterior in {where}: {CONFIGURATION} and {WEIGHTS} are needed; train one "
             "with scripts/train_posterior.py"
         ) from error
-    except (json.JSONDecodeError, SafetensorError) as error:
-        raise InvalidData(f"the trained posterior in {where} cannot be read: {error}") from error
+    except (ValueError, RecursionError, OSError, SafetensorError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise InvalidData(f"the trained posterior in {where} cannot be read: {reason}") from error
     found = configuration.get("format") if isinstance(configuration, dict) else None
     if found != FORMAT:
         raise InvalidData(
-            f"the posterior in {where} has format {found!r}, not {FORMAT!r}; train it again with "
-            "scripts/train_posterior.py"
+            f"the posterior in {where} has format {found!r:.60}, not {FORMAT!r}; train it again "
+            "with scripts/train_posterior.py"
         )
     missing = [name for name in ("arm", "directions", "friction") if name not in configuration]
     if missing:

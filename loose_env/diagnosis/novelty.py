@@ -279,6 +279,8 @@ _MIXTURE = ("weights", "means", "covariances")
 
 def _mixture(tensors: Mapping[str, Array], name: str) -> GaussianMixture:
     weights, means, covariances = (tensors[f"{name}.{part}"] for part in _MIXTURE)
+    if not (np.isfinite(weights).all() and weights.sum() > 0):
+        raise InvalidData(f"{name}.weights has to be finite with a positive sum")
     return GaussianMixture(weights=weights / weights.sum(), means=means, covariances=covariances)
 
 

@@ -52,11 +52,15 @@ class ResetOptions:
         >>> ResetOptions.of({"fault": "backlash@joint2", "mismatch_scale": 3}, planar(2)).fault
         'backlash@joint2'
         """
+        if given is not None and not isinstance(given, Mapping):
+            raise InvalidSetting(
+                f"options of reset() are a mapping such as {{'fault': 'healthy'}}, got {given!r:.60}"
+            )
         options = dict(given or {})
         unknown = set(options) - set(_KNOWN)
         if unknown:
             raise UnknownName(
-                f"unknown reset options {sorted(unknown)}; known: {', '.join(_KNOWN)}"
+                f"unknown reset options {sorted(unknown, key=str)}; known: {', '.join(_KNOWN)}"
             )
         scale = _number("mismatch_scale", options.get("mismatch_scale"), 1.0)
         if scale < 0:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -90,6 +90,11 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         options: dict[str, Any] | None = None,
     ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode in every environment, or in those of `options["reset_mask"]`."""
+        if options is not None and not isinstance(options, Mapping):
+            raise InvalidSetting(
+                f"options of reset() are a mapping such as {{'fault': 'healthy'}}, got "
+                f"{options!r:.60}"
+            )
         given = dict(options or {})
         chosen = self._reset_mask(given.pop("reset_mask", None))
         if any(self.batch.episode(int(i)) is None for i in np.flatnonzero(~chosen)):

@@ -176,9 +176,13 @@ def nearest(given: str, names: Sequence[str]) -> str:
 
 
 def _header(file: str, column: str) -> str:
-    return f"{file}: column {column!r}, row 0 (the header)"
+    return f"{file}: column {_short(column)}, row 0 (the header)"
+
+
+def _short(name: str, most: int = 80) -> str:
+    return repr(name if len(name) <= most else f"{name[:most]}...")
 
 
 def _few(names: Sequence[str], most: int = 12) -> str:
-    shown = ", ".join(map(repr, names[:most])) or "none"
+    shown = ", ".join(map(_short, names[:most])) or "none"
     return shown + (f" and {len(names) - most} more" if len(names) > most else "")

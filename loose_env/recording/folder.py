@@ -40,18 +40,18 @@ def inside(folder: Path, given: str, place: str) -> Path:
     """
     if not given or not given.isprintable() or "\\" in given:
         raise InvalidData(
-            f"{place}: {given!r} is no path; give one from the recording's folder, with / "
+            f"{place}: {given!r:.200} is no path; give one from the recording's folder, with / "
             "between its parts"
         )
     if PurePosixPath(given).is_absolute() or PureWindowsPath(given).drive:
-        raise InvalidData(f"{place}: {given!r} is absolute; give a path from the folder")
+        raise InvalidData(f"{place}: {given!r:.200} is absolute; give a path from the folder")
     try:
         found = (folder / given).resolve()
     except (OSError, RuntimeError, ValueError) as error:
-        raise InvalidData(f"{place}: {given!r} leads nowhere: {error}") from None
+        raise InvalidData(f"{place}: {given!r:.200} leads nowhere: {error}") from None
     if not found.is_relative_to(folder):
         raise InvalidData(
-            f"{place}: {given!r} leaves the folder of the recording; copy the file into it"
+            f"{place}: {given!r:.200} leaves the folder of the recording; copy the file into it"
         )
     return found
 
@@ -68,7 +68,7 @@ def existing_file(folder: Path, given: str, place: str) -> Path:
     try:
         there = found.is_file()
     except OSError as error:
-        raise InvalidData(f"{place}: {given!r} cannot be read: {error.strerror}") from None
+        raise InvalidData(f"{place}: {given!r:.200} cannot be read: {error.strerror}") from None
     if not there:
-        raise InvalidData(f"{place}: there is no file {given!r} in {folder}")
+        raise InvalidData(f"{place}: there is no file {given!r:.200} in {folder}")
     return found

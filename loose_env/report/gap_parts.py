@@ -1,4 +1,4 @@
-"""Sections of the page of a comparison, and how its numbers are written."""
+"""Sections of a report, and how its numbers are written."""
 
 from __future__ import annotations
 
@@ -19,8 +19,12 @@ def group(
     plates: Sequence[Plate] = (),
     points: Sequence[str] = (),
     code: str = "",
+    beside: bool = False,
 ) -> dict[str, Any]:
-    """A section of the page; nothing where it would be empty."""
+    """A section of the page; nothing where it would be empty.
+
+    With ``beside`` the first table stands beside the first picture where there is room.
+    """
     if not (tables or plates or points or code):
         return {}
     name = "".join(c for c in heading.lower() if c.isalpha())
@@ -40,6 +44,7 @@ def group(
         "plates": [shown(plate, f"{name}{k}") for k, plate in enumerate(plates)],
         "points": list(points),
         "code": code,
+        "beside": beside and bool(plates) and bool(tables),
     }
 
 

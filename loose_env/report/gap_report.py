@@ -40,6 +40,8 @@ def write_outputs(
         If the corrected model does not compile.
     """
     place = Path(folder)
+    # An earlier result must not stand beside a later model if this run is cut short.
+    place.joinpath("result.json").unlink(missing_ok=True)
     evidence = gather(outputs, say=say)
     result = result_of(outputs, evidence)
     say("writing the model, the result and the page")

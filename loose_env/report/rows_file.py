@@ -131,23 +131,49 @@ def read_rows(path: str | os.PathLike[str]) -> tuple[list[dict[str, Any]], dict[
         If the file is none that `write_rows` wrote, or its configuration was changed.
     """
     file = Path(path)
-    if file.suffix == ".json":
-        whole = json.loads(file.read_text(encoding="utf-8"))
-        if not isinstance(whole, dict) or not {"configuration", "rows"} <= whole.keys():
-            raise InvalidData(f"{file} holds no rows of a comparison with their configuration")
-        rows, configuration, digest = whole["rows"], whole["configuration"], whole.get("hash")
-    elif file.suffix == ".parquet":
-        table = _parquet().read_table(file)
-        metadata = table.schema.metadata or {}
-        if _METADATA not in metadata:
-            raise InvalidData(f"{file} was not written by compare: it holds no configuration")
-        configuration, digest = json.loads(metadata[_METADATA]), metadata[_HASH].decode()
-        rows = table.drop_columns([COLUMN]).to_pylist()
-    else:
+    readers = {".json": _read_json, ".parquet": _read_parquet}
+    if file.suffix not in readers:
         raise InvalidData(f"rows are kept in .parquet or .json files, not in {file.name!r}")
-    if digest != configuration_hash(configuration):
-        raise InvalidData(f"the configuration in {file} does not match its hash {digest}")
+    if file.suffix == ".parquet":
+        _parquet()
+    try:
+        rows, configuration, digest = readers[file.suffix](file)
+    except InvalidData:
+        raise
+    except Exception as error:  # json, pyarrow and the codecs raise a dozen kinds
+        reason = " ".join(str(error).split())[:200]
+        raise InvalidData(f"{file}: the rows cannot be read: {reason}") from error
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        raise InvalidData(f"{file}: rows is a list of objects, one an episode")
+    if not isinstance(configuration, dict) or digest != configuration_hash(configuration):
+        raise InvalidData(f"the configuration in {file} does not match its hash {str(digest)[:64]}")
     return rows, configuration
+
+
+def _read_json(file: Path) -> tuple[Any, Any, Any]:
+    whole = json.loads(file.read_text(encoding="utf-8"), parse_constant=_no_constant)
+    if not isinstance(whole, dict) or not {"configuration", "rows"} <= whole.keys():
+        raise InvalidData(f"{file} holds no rows of a comparison with their configuration")
+    return whole["rows"], whole["configuration"], whole.get("hash")
+
+
+def _no_constant(word: str) -> Any:
+    # Python writes NaN where a row has no number; infinities are none of a row.
+    if word == "NaN":
+        return float("nan")
+    raise ValueError(f"{word} is no number of a row")
+
+
+def _read_parquet(file: Path) -> tuple[Any, Any, Any]:
+    # Threads of pyarrow would not survive a fork of the caller.
+    stored = _parquet().ParquetFile(file, page_checksum_verification=True)
+    with stored:
+        table = stored.read(use_threads=False)
+    metadata = table.schema.metadata or {}
+    if _METADATA not in metadata or _HASH not in metadata:
+        raise InvalidData(f"{file} was not written by compare: it holds no configuration")
+    configuration = json.loads(metadata[_METADATA])
+    return table.drop_columns([COLUMN]).to_pylist(), configuration, metadata[_HASH].decode()
 
 
 def _write_parquet(
@@ -174,7 +200,7 @@ def _write_parquet(
     text = json.dumps(configuration, sort_keys=True)
     metadata = {_METADATA: text.encode("utf-8"), _HASH: digest.encode("ascii")}
     table = pyarrow.table(columns).replace_schema_metadata(metadata)
-    parquet.write_table(table, path, compression="zstd")
+    parquet.write_table(table, path, compression="zstd", write_page_checksum=True)
 
 
 def _plain(value: Any) -> Any:

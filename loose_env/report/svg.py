@@ -12,7 +12,7 @@ from loose_env.errors import InvalidData
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["THEMED", "inline", "to_svg"]
+__all__ = ["THEMED", "inline", "standalone", "to_svg"]
 
 THEMED = {
     ink.PAPER: "paper",
@@ -21,6 +21,9 @@ THEMED = {
     ink.FAINT: "faint",
     ink.BODY: "body",
     ink.EDGE: "edge",
+    ink.CAP: "cap",
+    ink.HELD_CAP: "held-cap",
+    ink.SHADOW: "shadow",
     ink.MEASURED: "measured",
     ink.TRUTH: "truth",
 }
@@ -79,3 +82,35 @@ def inline(svg: bytes, name: str) -> str:
     head, rest = text.split(">", 1)
     head = re.sub(r'\s(?:width|height)="[^"]*"', "", head)
     return f"{head}>{rest}"
+
+
+def standalone(svg: bytes, name: str) -> str:
+    """Make a file of an SVG, for documents that show it as an image.
+
+    It stands on paper of its own and follows the reader's choice of light or dark.
+
+    Parameters
+    ----------
+    svg, name
+        As for `inline`.
+
+    Raises
+    ------
+    InvalidData
+        If it is no SVG, holds a script or loads something from elsewhere.
+
+    Examples
+    --------
+    >>> text = standalone(b'<svg viewBox="0 0 4 3"><g id="a"/></svg>', "f1")
+    >>> text.startswith('<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 4 3"><style>')
+    True
+    """
+    from loose_env.report.style import DARK, FONT, LIGHT, declared
+
+    head, rest = inline(svg, name).split(">", 1)
+    if "xmlns=" not in head:
+        head = head.replace("<svg", '<svg xmlns="http://www.w3.org/2000/svg"', 1)
+    return (
+        f"{head}><style>svg {{ --font: {FONT}; {declared(LIGHT)} background: var(--paper); }} "
+        f"@media (prefers-color-scheme: dark) {{ svg {{ {declared(DARK)} }} }}</style>{rest}\n"
+    )

@@ -11,6 +11,7 @@ from typing import Any
 
 from loose_env.errors import MissingExtra
 from loose_env.report.plate import Plate
+from loose_env.report.style import style
 from loose_env.report.svg import inline, to_svg
 
 __all__ = ["paragraphs", "shown", "template", "write_whole"]
@@ -47,6 +48,7 @@ def template(name: str) -> Any:
         trim_blocks=True,
         undefined=StrictUndefined,
     )
+    environment.globals["style"] = style
     return environment.get_template(name)
 
 

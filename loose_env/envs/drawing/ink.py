@@ -4,13 +4,16 @@ from __future__ import annotations
 
 __all__ = [
     "BODY",
+    "CAP",
     "EDGE",
     "FAINT",
+    "HELD_CAP",
     "INK",
     "MEASURED",
     "MUTED",
     "ON_SHAKEN",
     "PAPER",
+    "SHADOW",
     "SHAKEN",
     "TRUTH",
 ]
@@ -27,6 +30,12 @@ BODY = "#d5dde4"
 """Links."""
 EDGE = "#46525e"
 """Outline of links and joints."""
+CAP = "#eef1f4"
+"""Lit ends of joints at rest."""
+HELD_CAP = "#5d6a77"
+"""Lit ends of held joints."""
+SHADOW = "#e4e8ec"
+"""Shadow of the arm on the floor."""
 SHAKEN = "#f0a30a"
 """Joints that are shaken."""
 ON_SHAKEN = "#16191d"

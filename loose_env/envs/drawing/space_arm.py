@@ -9,7 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.envs.drawing.ink import BODY, EDGE, FAINT, INK, ON_SHAKEN, PAPER, SHAKEN, TRUTH
+from loose_env.envs.drawing.ink import (
+    BODY,
+    CAP,
+    EDGE,
+    FAINT,
+    HELD_CAP,
+    INK,
+    ON_SHAKEN,
+    PAPER,
+    SHADOW,
+    SHAKEN,
+    TRUTH,
+)
 from loose_env.envs.drawing.scenery import arrow, half_height
 from loose_env.envs.drawing.space_shapes import Prism, draw_rod, draw_turn
 from loose_env.envs.drawing.space_view import SpacePose
@@ -28,8 +40,8 @@ __all__ = ["SpaceDrawing"]
 
 Array = NDArray[np.float64]
 
-_CAP, _HELD_CAP, _SHAKEN_SIDE = "#eef1f4", "#5d6a77", "#cf8a05"
-"""Ends of joints at rest and held, sides of shaken ones: as the ink, lit or in shade."""
+_SHAKEN_SIDE = "#cf8a05"
+"""Sides of shaken joints: as the ink, in shade."""
 
 
 class SpaceDrawing:
@@ -92,7 +104,7 @@ class SpaceDrawing:
         axes.plot(
             shadow[:, 0],
             shadow[:, 1],
-            color="#e4e8ec",
+            color=SHADOW,
             linewidth=width,
             solid_capstyle="round",
             solid_joinstyle="round",
@@ -226,7 +238,7 @@ class SpaceDrawing:
         held = excited is not None and not on
         body = self._body(pose, j)
         face = _SHAKEN_SIDE if on else (EDGE if held else BODY)
-        cap = SHAKEN if on else (_HELD_CAP if held else _CAP)
+        cap = SHAKEN if on else (HELD_CAP if held else CAP)
         body.draw(axes, face=face, cap=cap, zorder=order)
         # The number stands on the end that is seen, or on the side of a can seen sidewise.
         ends = abs(float(body.axis[2])) > 0.45

@@ -1,0 +1,121 @@
+"""Say what is loose in an arm, by runs in which joints were shaken while it held a pose.
+
+Reads a recording (a folder with recording.json, the nominal model and measured runs; healthy
+reference runs help where there are any), weighs every link's looseness, every joint's backlash and
+a sound arm, and says what to measure next where that is not settled.
+
+Written to the output folder: result.json, what was found; report.html, the same to be read. The
+same command on a recording with more runs takes their place. Exit codes: 0 done, whatever was
+found; 1 something given cannot be used; 2 the command line makes no sense; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+from loose_env.cli.options import add_settings, settings_of
+from loose_env.cli.output_folder import OutputFolder
+from loose_env.errors import InvalidSetting, MissingExtra
+from loose_env.instrument.diagnose import diagnose
+from loose_env.instrument.machine import Machine
+from loose_env.instrument.result import HEALTHY, Diagnosis
+from loose_env.instrument.settings import DiagnoseSettings
+from loose_env.recording import read_recording
+
+__all__ = ["add_options", "run", "summary"]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this command."""
+    parser.add_argument("recording", type=Path, metavar="RECORDING", help="folder of the recording")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder for what is written"
+    )
+    parser.add_argument(
+        "--model",
+        type=Path,
+        metavar="OTHER.xml",
+        help="MJCF file that takes the place of the recording's model",
+    )
+    parser.add_argument("--quiet", action="store_true", help="say nothing on the way")
+    add_settings(parser, DiagnoseSettings)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Diagnose and write it down."""
+    settings = settings_of(options, DiagnoseSettings)
+    folder = OutputFolder(options.out)
+    if options.model is not None and options.model.resolve().is_relative_to(folder.path):
+        raise InvalidSetting(
+            f"--model {options.model} lies in the output folder, where it would be overwritten; "
+            "give another --out"
+        )
+    if options.recording.resolve() == folder.path:
+        raise InvalidSetting("--out is the recording itself; give another folder")
+    recording = read_recording(options.recording, model=options.model)
+    folder.prepared()
+    start = time.monotonic()
+
+    def say(line: str) -> None:
+        if not options.quiet:
+            print(f"{time.monotonic() - start:7.1f} s  {line}", file=sys.stderr, flush=True)
+
+    found = diagnose(recording, settings, say=say)
+    written = []
+    try:
+        from loose_env.report.diagnosis_page import write_page
+
+        arm = Machine(recording.model_path).arm
+        name = options.recording.resolve().name
+        written.append(write_page(folder.path / "report.html", found, arm, recording=name))
+    except MissingExtra as error:
+        (folder.path / "report.html").unlink(missing_ok=True)  # that of an earlier result
+        say(f"no report.html: {error}")
+    written.append(found.write(folder.path / "result.json"))  # last: it says that all is there
+    folder.note(written)
+    for warning in found.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    print(summary(found))
+    print("written: " + ", ".join(str(path) for path in written))
+
+
+def summary(found: Diagnosis) -> str:
+    """What was found, in a few lines."""
+    fault = found.fault
+    if fault.kind == HEALTHY:
+        lines = [f"healthy, probability {found.probability:.3f}: nothing is seen to be loose"]
+    else:
+        lines = [f"{fault.kind} at {fault.where}, probability {found.probability:.3f}"]
+    if fault.direction is not None:
+        along = ", ".join(f"{x:.3f}" for x in fault.direction)
+        half = fault.direction_half_angle_deg
+        within = "" if half is None else f", within {half:.1f} degrees (95 %)"
+        lines.append(f"  along ({along}) of the link's frame{within}")
+    if fault.gap_m is not None:
+        ends = fault.gap_interval_m
+        between = "" if ends is None else f" ({ends[0]:.2g} to {ends[1]:.2g})"
+        unit = "m" if fault.kind == "structural_looseness" else "rad (m where the joint slides)"
+        lines.append(f"  free travel {fault.gap_m:.2g}{between} {unit}")
+    others = sorted(
+        ((p, name) for name, p in found.posterior.items() if name != fault.hypothesis), reverse=True
+    )
+    lines += [f"  or {name}, probability {p:.3f}" for p, name in others[:3] if p >= 0.01]
+    following = found.next
+    if following is None:
+        lines.append("nothing more needs to be measured")
+        return "\n".join(lines)
+    pose = ", ".join(f"{joint} {q:.3f}" for joint, q in following.pose.items())
+    played = ", ".join(
+        f"{joint} at {torque:.3g} rms"
+        for joint, torque in zip(following.joints, following.torques, strict=True)
+    )
+    lines += [
+        f"measure next: {following.reason}",
+        f"  pose: {pose} [rad or m]",
+        f"  shake: {played} [N·m or N], {following.band_hz[0]:g} to {following.band_hz[1]:g} Hz, "
+        f"{following.seconds:g} s",
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,43 @@
+"""Show what can be expected of a diagnosis of an arm, from its model alone.
+
+Reads an MJCF or URDF file and prints one screen: the joints with ranges, torque limits and drives,
+where the accelerometer is thought to sit, the modes of the held arm, a band and a level to shake
+each joint with, and for every fault whether it could be found and how small a gap would show.
+
+Nothing is written unless --json names a file. Exit codes: 0 done; 1 something given cannot be
+used; 2 the command line makes no sense.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from loose_env.cli.options import add_settings, settings_of
+from loose_env.gap.files import write_text
+from loose_env.instrument.inspect import inspect_model
+from loose_env.instrument.inspect_words import screen
+from loose_env.instrument.next_pose import NextSettings
+from loose_env.instrument.plan_settings import ModelSettings
+
+__all__ = ["add_options", "run"]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this command."""
+    parser.add_argument("model", type=Path, metavar="MODEL", help="MJCF or URDF of the arm")
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="file to write the same to, for programs"
+    )
+    add_settings(parser, ModelSettings)
+    add_settings(parser, NextSettings, leave_out=("in_turn",))
+
+
+def run(options: argparse.Namespace) -> None:
+    """Look at the model and say what was found."""
+    found = inspect_model(
+        options.model, settings_of(options, NextSettings), settings_of(options, ModelSettings)
+    )
+    if options.json is not None:
+        write_text(options.json, found.to_json())
+    print(screen(found))

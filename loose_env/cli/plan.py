@@ -1,0 +1,73 @@
+"""Say what to measure next: the pose, the joint to shake and the signal to play.
+
+Reads the model of an arm (MJCF or URDF) and what is known so far: nothing at first, then the
+result of 'loose diagnose'. Plan, measure and diagnose in turn until the fault has a name.
+
+Written to the output folder: plan.html, what to do at the machine; plan.json, the same for
+programs; signal.csv and signal.parquet, a command for every actuator in its own unit; recording,
+a folder that the measured run is put into and that 'loose diagnose' reads. A folder of an earlier
+plan is gone on with: its measured runs stay. Exit codes: 0 done; 1 something given cannot be
+used; 2 the command line makes no sense.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from loose_env.cli.options import add_settings, settings_of
+from loose_env.errors import MissingExtra
+from loose_env.instrument.next_pose import NextSettings
+from loose_env.instrument.plan import plan
+from loose_env.instrument.plan_files import PlanFiles, write_plan
+from loose_env.instrument.plan_settings import ModelSettings, PlanSettings
+from loose_env.instrument.result import read_diagnosis
+
+__all__ = ["add_options", "run"]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this command."""
+    parser.add_argument("model", type=Path, metavar="MODEL", help="MJCF or URDF of the arm")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder for what is written"
+    )
+    parser.add_argument(
+        "--known",
+        type=Path,
+        metavar="RESULT",
+        help="what is known so far: result.json of 'loose diagnose', or the folder with it",
+    )
+    add_settings(parser, ModelSettings)
+    add_settings(parser, NextSettings)
+    add_settings(parser, PlanSettings)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Plan the next measurement and write it down."""
+    known = None if options.known is None else read_diagnosis(options.known)
+    made = plan(
+        options.model,
+        known,
+        arm=settings_of(options, ModelSettings),
+        choice=settings_of(options, NextSettings),
+        own=settings_of(options, PlanSettings),
+    )
+    files = PlanFiles(options.out, made.machine.recordable.xml)
+    runs = files.next_names(len(made.signals))
+    written = write_plan(files, made, known="" if options.known is None else str(options.known))
+    from loose_env.report.plan_words import summary
+
+    try:
+        from loose_env.report.plan_page import write_plan_page
+
+        written.append(write_plan_page(files.folder / "plan.html", made, runs))
+    except MissingExtra as error:
+        print(f"note: no plan.html: {error}", file=sys.stderr)
+    for warning in made.warnings:
+        print(f"note: {warning}", file=sys.stderr)
+    print(summary(made))
+    names = sorted({path.relative_to(files.folder).parts[0] for path in written})
+    print(f"written to {files.folder}: {', '.join(names)}")
+    print(f"put the measured run into {', '.join(str(files.recording / name) for name in runs)}")

@@ -1,0 +1,14 @@
+"""Import of measured data from loggers: MCAP, tables in text, universal files of recorders."""
+
+from loose_env.importing.describing import describe_sources
+from loose_env.importing.importing import ImportSettings, import_recording
+from loose_env.importing.mapping import ImportMapping
+from loose_env.importing.mapping_file import read_mapping
+
+__all__ = [
+    "ImportMapping",
+    "ImportSettings",
+    "describe_sources",
+    "import_recording",
+    "read_mapping",
+]

@@ -1,0 +1,190 @@
+"""Channels of a table that a logger wrote: any names, separators, decimal commas, dates."""
+
+from __future__ import annotations
+
+import re
+from array import array
+from collections.abc import Callable, Iterator, Sequence
+from decimal import Decimal
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData
+from loose_env.importing.csv_lines import cells, header_of, open_text
+from loose_env.importing.mapping import CsvLayout, TimeSource
+from loose_env.importing.samples import ChannelKey, Samples, checked
+from loose_env.importing.times import date_ns
+from loose_env.importing.units import unit_named
+from loose_env.recording.columns import nearest
+
+__all__ = ["column_index", "number_of", "read_csv_logger"]
+
+Array = NDArray[np.float64]
+
+_MOST_VALUES = 100_000_000
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|[+-]?inf", re.IGNORECASE | re.ASCII)
+_PLAIN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d{1,3})?", re.IGNORECASE | re.ASCII)
+_LATEST_NS = 2**63
+_WHOLE = re.compile(r"\d{1,5}", re.ASCII)
+
+
+def read_csv_logger(
+    path: Path, name: str, keys: Sequence[ChannelKey], layout: CsvLayout, time: TimeSource
+) -> dict[ChannelKey, Samples]:
+    """Read columns of a table, row by row; only the columns asked for are kept.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    name : str
+        What errors call it.
+    keys : sequence of ChannelKey
+        The columns: their names, or "#3" for the third.
+    layout : CsvLayout
+        How the table is written.
+    time : TimeSource
+        Where the time comes from.
+
+    Raises
+    ------
+    InvalidData
+        If a column is missing, a cell holds no number, a row is cut short, or time runs
+        backwards. The message names the column and the line.
+    """
+    for key in keys:
+        if key.topic:
+            raise InvalidData(f"{name}: a table has no topics; leave out topic = {key.topic!r}")
+    if not time.column and time.rate_hz is None:
+        raise InvalidData(
+            f"{name}: say where its time comes from: time.column, or time.rate_hz where the "
+            "samples are evenly spaced"
+        )
+    wanted = list(dict.fromkeys(key.channel for key in keys))
+    values: list[array[float]] = [array("d") for _ in wanted]
+    stamps, lines = array("d"), array("q")
+    origin = 0
+    stamp_of: Callable[[str, str], tuple[int, float]] | None = None
+    with open_text(path, name, layout.encoding) as file:
+        rows: Iterator[tuple[int, list[str]]] = cells(file, name, layout)
+        first = next(rows, None)
+        if first is None:
+            raise InvalidData(f"{name}: there is no table after {layout.skip} lines skipped")
+        header = header_of(first[1], layout)
+        indices = [column_index(name, header, channel) for channel in wanted]
+        time_index = -1
+        if time.rate_hz is None:
+            time_index = column_index(name, header, time.column)
+            stamp_of = _stamps(name, layout, time)
+        for _ in range(layout.skip_after_header):
+            next(rows, None)
+        if not layout.header:
+            rows = chain([first], rows)
+        most = _MOST_VALUES // (len(wanted) + 2)
+        for line, row in rows:
+            if len(row) < len(header) and not _only_ending(row, header):
+                raise InvalidData(
+                    f"{name}: line {line}: {len(row)} cells, and {len(header)} columns are named; "
+                    "the row was cut short, or the separator is another"
+                )
+            if len(lines) == most:
+                raise InvalidData(f"{name}: more than {most} rows; split the file")
+            lines.append(line)
+            if stamp_of is not None:
+                whole, rest = stamp_of(_cell(row, time_index), f"{name}: line {line}")
+                if len(lines) == 1:
+                    origin = whole
+                stamps.append((whole - origin) * 1e-9 + rest)
+            for into, index in zip(values, indices, strict=True):
+                into.append(number_of(_cell(row, index), layout, name, header[index], line))
+    if time.rate_hz is not None:
+        at = np.arange(len(lines)) / time.rate_hz
+    else:
+        at = np.frombuffer(stamps, dtype=np.float64)
+    columns = dict(zip(wanted, values, strict=True))
+    found = {}
+    for key in keys:
+        column = np.frombuffer(columns[key.channel], dtype=np.float64)
+        place = f"{name}: column {key.channel!r}"
+        found[key] = checked(place, at, column, origin_ns=origin, rows=lines, row_word="line")
+    return found
+
+
+def column_index(name: str, header: Sequence[str], channel: str) -> int:
+    """Place of a column by its name, or by its number as "#3"."""
+    if channel in header:
+        if header.count(channel) > 1:
+            numbers = [f"#{i + 1}" for i, each in enumerate(header) if each == channel]
+            raise InvalidData(
+                f"{name}: column {channel!r} is there {len(numbers)} times; take one by its "
+                f"number, {' or '.join(numbers)}"
+            )
+        return list(header).index(channel)
+    if channel.startswith("#") and _WHOLE.fullmatch(channel[1:]):
+        number = int(channel[1:])
+        if 1 <= number <= len(header):
+            return number - 1
+    shown = ", ".join(map(repr, header[:20]))
+    raise InvalidData(
+        f"{name}: there is no column {channel!r}; there are {shown[:600]}{nearest(channel, header)}"
+    )
+
+
+def number_of(cell: str, layout: CsvLayout, name: str, column: str, line: int) -> float:
+    """Read a cell; NaN where it says that the sample is missing.
+
+    Raises
+    ------
+    InvalidData
+        If it holds something else than a number.
+    """
+    plain = cell.strip()
+    if not plain or plain in layout.missing:
+        return float("nan")
+    if layout.decimal == ",":
+        if "." in plain:
+            raise InvalidData(
+                f"{name}: line {line}, column {column!r}: {cell[:40]!r} has a point, and the "
+                "source's decimal is ','"
+            )
+        plain = plain.replace(",", ".")
+    if not _NUMBER.fullmatch(plain):
+        hint = "; give decimal = ','" if "," in plain else ""
+        raise InvalidData(
+            f"{name}: line {line}, column {column!r}: {cell[:40]!r} is no number{hint}"
+        )
+    return float(plain)
+
+
+def _stamps(
+    name: str, layout: CsvLayout, time: TimeSource
+) -> Callable[[str, str], tuple[int, float]]:
+    """What reads a cell of time: whole nanoseconds, and the rest in seconds."""
+    if time.date_format:
+        return lambda cell, place: (date_ns(cell, time.date_format, place), 0.0)
+    nanos = round(unit_named(time.unit, f"{name}: time.unit").factor * 1e9)
+
+    def number(cell: str, place: str) -> tuple[int, float]:
+        plain = cell.strip()
+        if layout.decimal == ",":
+            plain = plain.replace(",", ".")
+        # Seconds since 1970 with their microseconds have more digits than a float holds.
+        value = Decimal(plain) * nanos if _PLAIN.fullmatch(plain) else None
+        if value is None or not abs(value) < _LATEST_NS:
+            raise InvalidData(f"{place}, column {time.column!r}: {cell[:40]!r} is no time")
+        whole = int(value)
+        return whole, float(value - whole) * 1e-9
+
+    return number
+
+
+def _cell(row: list[str], index: int) -> str:
+    return row[index] if index < len(row) else ""
+
+
+def _only_ending(row: list[str], header: Sequence[str]) -> bool:
+    """Whether a row lacks no more than a nameless last column, left by a separator at the end."""
+    return len(row) == len(header) - 1 and not header[-1]

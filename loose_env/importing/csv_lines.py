@@ -1,0 +1,97 @@
+"""Lines and cells of a table in text, however its logger writes it."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+from loose_env.errors import InvalidData
+from loose_env.importing.mapping import CsvLayout
+
+__all__ = ["cells", "header_of", "open_text"]
+
+_LONGEST_LINE = 2**20
+_MOST_COLUMNS = 10_000
+
+
+@contextmanager
+def open_text(path: Path, name: str, encoding: str) -> Iterator[IO[str]]:
+    """Open a file as text; what cannot be read or decoded is refused.
+
+    Raises
+    ------
+    InvalidData
+        With the encoding that fits better, where the first bytes tell.
+    """
+    try:
+        with path.open("rb") as raw:
+            start = raw.read(2)
+        other = start in (b"\xff\xfe", b"\xfe\xff")
+        if other and encoding != "utf-16":
+            raise InvalidData(f"{name}: the file looks like UTF-16; give encoding = 'utf-16'")
+        own = "utf-8-sig" if encoding == "utf-8" else encoding
+        with path.open("r", encoding=own, newline="") as file:
+            yield file
+    except UnicodeError as error:
+        raise InvalidData(
+            f"{name}: it is not {encoding}: {str(error)[:120]}; give encoding = 'latin-1', "
+            "'cp1252' or 'utf-16' with the source"
+        ) from None
+    except OSError as error:
+        raise InvalidData(f"{name}: it cannot be read: {error.strerror or error}") from None
+
+
+def cells(file: IO[str], name: str, layout: CsvLayout) -> Iterator[tuple[int, list[str]]]:
+    """Rows of a table from its line of names on, each with its line; blank lines are left out.
+
+    Raises
+    ------
+    InvalidData
+        If a line is endless, or a quote is not closed.
+    """
+    reader = csv.reader(
+        _lines(file, name),
+        delimiter=layout.separator,
+        skipinitialspace=layout.separator == " ",
+        strict=True,
+    )
+    try:
+        for row in _rows(reader):
+            if reader.line_num > layout.skip and any(cell.strip() for cell in row):
+                if len(row) > _MOST_COLUMNS:
+                    raise InvalidData(
+                        f"{name}: line {reader.line_num}: {len(row)} cells; at most "
+                        f"{_MOST_COLUMNS} are read"
+                    )
+                yield reader.line_num, row
+    except csv.Error as error:
+        raise InvalidData(
+            f"{name}: line {reader.line_num}: not a table: {error}; look for a quote that is "
+            "not closed, or skip lines of words before the table"
+        ) from None
+
+
+def header_of(row: list[str], layout: CsvLayout) -> list[str]:
+    """Names of the columns: those of the row, or numbers where a table has no names."""
+    if not layout.header:
+        return [str(i + 1) for i in range(len(row))]
+    return [" ".join(cell.split()) for cell in row]
+
+
+def _rows(reader: Iterator[list[str]]) -> Iterator[list[str]]:
+    yield from reader
+
+
+def _lines(file: IO[str], name: str) -> Iterator[str]:
+    number = 0
+    while line := file.readline(_LONGEST_LINE):
+        number += 1
+        if len(line) == _LONGEST_LINE and line[-1] not in "\r\n":
+            raise InvalidData(
+                f"{name}: line {number} is longer than {_LONGEST_LINE} characters; is it a table "
+                "in text?"
+            )
+        yield line

@@ -1,0 +1,152 @@
+"""A list of a file's channels that is a mapping to fill in at the same time."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+
+from loose_env.importing.channel_list import Channel, FileList, Stream
+from loose_env.importing.mapping_file import MAPPING_FORMAT
+from loose_env.importing.sources import given_files, list_file
+from loose_env.importing.units import column_quantity
+from loose_env.recording import joint_sensors
+from loose_env.recording.columns import ModelColumns
+
+__all__ = ["describe_sources"]
+
+_WIDE = 300
+_UNKNOWN = "sensor.?"
+_OF_JOINT = re.compile(r"(position|velocity|effort)\[(.+)\]")
+_DOWN = re.compile(r"\d+-R?[XYZ]")
+
+
+def describe_sources(sources: Sequence[str], model: mujoco.MjModel | None = None) -> str:
+    """Describe files in the words of a mapping file: what is known as TOML, the rest as comments.
+
+    Every channel is a line to be uncommented; in it ``sensor.?`` is to be replaced by a column of
+    the model. The text reads as TOML as it stands.
+
+    Parameters
+    ----------
+    sources : sequence of str
+        Files, or ``NAME=PATH``.
+    model : mujoco.MjModel, optional
+        The model, whose columns are listed too.
+
+    Raises
+    ------
+    InvalidData
+        If a file cannot be read.
+    """
+    lists = {_name(name): list_file(path) for name, path in given_files(sources).items()}
+    lines = [f"format = {_text(MAPPING_FORMAT)}", 'model = "model.xml"  # MJCF, beside this file']
+    if model is not None:
+        lines += ["", "# Columns that the model allows:"]
+        for column in ModelColumns.of(model).known:
+            quantity = column_quantity(model, column)
+            lines.append(f"#   {_text(column)}{f'  {quantity}' if quantity else ''}")
+    for name, each in lists.items():
+        lines += ["", f"[sources.{name}]", f"file = {_text(each.name)}", f'kind = "{each.kind}"']
+        lines += each.options
+    lines += [
+        "",
+        "# Columns of all runs; a run's own [runs.columns] come on top. Take the mark off",
+    ]
+    lines += ["# the lines that are wanted, and put the model's column in the place of sensor.?"]
+    lines += ["[columns]"]
+    for name, each in lists.items():
+        for stream in each.streams:
+            lines += _stream_lines(name, each, stream, model)
+    lines += [
+        "",
+        "[[runs]]",
+        'file = "run-01"',
+        'condition = "suspect"  # or "healthy", a reference taken before the fault',
+        '# excited = ["joint1"]',
+        '# pose = "measured"  # or { joint1 = 0.1, joint2 = "30 deg" }',
+        "# start = 0.0  # [s] after the first time that all columns have, or a date",
+        "# stop = 10.0",
+        "# rate_hz = 1000  # rows as the samples of the fastest channel without it",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _stream_lines(
+    name: str, file: FileList, stream: Stream, model: mujoco.MjModel | None
+) -> list[str]:
+    about = [_comment(stream.topic), _comment(stream.kind)]
+    if stream.samples:
+        about.append(f"{stream.samples} samples")
+    if stream.rate_hz is not None:
+        about.append(f"{stream.rate_hz:.6g} Hz over {stream.seconds:.3f} s")
+    if stream.start_ns is not None:
+        about.append(f"from {_date(stream.start_ns)}")
+    about.append(_comment(stream.note))
+    lines = ["", f"# {file.words}: {', '.join(filter(None, about))}"[:_WIDE]]
+    for channel in stream.channels:
+        lines.append("# " + _channel_line(name, channel, _likely(channel, model)))
+    return lines
+
+
+def _likely(channel: Channel, model: mujoco.MjModel | None) -> str:
+    """Column of the model that a channel means by its name, or one to be replaced."""
+    if model is None:
+        return _UNKNOWN
+    words = channel.key.channel
+    if words in ModelColumns.of(model).known:
+        return words
+    found = _OF_JOINT.fullmatch(words)
+    joints = joint_sensors(model)
+    if found is None or found.group(2) not in joints:
+        return _UNKNOWN
+    kind, joint = found.groups()
+    own = joints[joint]
+    if kind == "effort":
+        return f"torque.{joint}"
+    sensors = own.position if kind == "position" else own.velocity
+    return f"sensor.{sensors[0]}" if sensors else _UNKNOWN
+
+
+def _channel_line(name: str, channel: Channel, column: str) -> str:
+    parts = [f"source = {_text(name)}"]
+    if channel.key.topic:
+        parts.append(f"topic = {_text(channel.key.topic)}")
+    parts.append(f"channel = {_text(channel.key.channel)}")
+    if channel.unit:
+        parts.append(f"unit = {_text(channel.unit)}")
+    if _DOWN.fullmatch(channel.key.channel):
+        parts.append("sign = -1")  # the recorder counts it against the axis
+    seen = ", ".join(f"{value:.6g}" for value in channel.first)
+    note = "; ".join(filter(None, (seen, _comment(channel.words))))
+    return f"{_text(column)} = {{ {', '.join(parts)} }}{f'  # {note}' if note else ''}"
+
+
+def _text(words: str) -> str:
+    """Text as TOML takes it, which is as JSON does but for one control character."""
+    return json.dumps(words, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _comment(words: str) -> str:
+    return "".join(c if c.isprintable() else " " for c in words)
+
+
+def _name(given: str) -> str:
+    """Name of a source from that of its file."""
+    stem = Path(given).stem
+    plain = "".join(c if (c.isascii() and c.isalnum()) or c in "-_" else "-" for c in stem).strip(
+        "-_"
+    )
+    return plain or "source"
+
+
+def _date(ns: int) -> str:
+    try:
+        whole = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(ns // 10**9))
+    except (OverflowError, ValueError, OSError):
+        return f"{ns} ns"
+    return f"{whole}.{ns % 10**9:09d}Z"

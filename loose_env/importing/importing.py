@@ -1,0 +1,170 @@
+"""From files of loggers and a mapping to a recording that reads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+import mujoco
+
+from loose_env.arms.model_file import compile_spec, load_spec
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.importing.joining import Joined, joined_run, shifts_of
+from loose_env.importing.mapping import ImportMapping
+from loose_env.importing.mapping_file import read_mapping
+from loose_env.importing.samples import ChannelKey, Samples
+from loose_env.importing.sources import files_of_runs, given_files, read_source
+from loose_env.recording import FileFormat, Recording, write_recording
+from loose_env.recording.columns import ModelColumns
+from loose_env.recording.folder import existing_file
+
+__all__ = ["ImportSettings", "import_recording"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportSettings:
+    """How a recording is written."""
+
+    file_format: FileFormat = "parquet"
+    """Format of the runs' tables."""
+    overwrite: bool = False
+    """Whether a recording that lies at the output is replaced."""
+
+    def __post_init__(self) -> None:
+        if self.file_format not in get_args(FileFormat):
+            raise InvalidSetting(
+                f"file_format is one of {list(get_args(FileFormat))}, not {self.file_format!r}"
+            )
+
+
+def import_recording(
+    sources: Sequence[str | Path],
+    mapping: str | Path,
+    out: str | Path,
+    settings: ImportSettings | None = None,
+    *,
+    model: str | Path | None = None,
+    say: Callable[[str], None] | None = None,
+) -> Recording:
+    """Make a recording of files that loggers wrote.
+
+    Parameters
+    ----------
+    sources : sequence of str or Path
+        The files; ``NAME=PATH`` names a source of the mapping. No other file is read, but for
+        the model and its assets.
+    mapping : str or Path
+        Mapping file, TOML or JSON.
+    out : str or Path
+        Folder of the recording. It is written beside its place, read back, and renamed.
+    settings : ImportSettings, optional
+        How it is written.
+    model : str or Path, optional
+        MJCF file in the place of the mapping's.
+    say : callable, optional
+        Is given lines on what was done.
+
+    Returns
+    -------
+    Recording
+        As it reads from the folder.
+
+    Raises
+    ------
+    InvalidData
+        If a file is damaged or does not hold what the mapping asks for; the message names the
+        file and the place.
+    InvalidSetting
+        If a file is not there or not used, or the output holds something.
+    MissingExtra
+        If a kind of file needs a library that is not installed.
+    """
+    settings = settings or ImportSettings()
+    say = say or _silent
+    plan = read_mapping(mapping)
+    given = given_files([str(each) for each in sources])
+    model_file = _model_file(plan, Path(mapping), model)
+    compiled = _compiled(model_file)
+    _check_names(plan, compiled)
+    files = files_of_runs(plan, given)
+    pool = _read(plan, files, say)
+    joined: list[Joined] = []
+    for run, own in zip(plan.runs, files, strict=True):
+        shifts = shifts_of(plan, own, pool, say)
+        joined.append(joined_run(run, own, pool, shifts, compiled))
+        for line in joined[-1].lines:
+            say(line)
+    return write_recording(
+        out,
+        model_xml=model_file,
+        runs=[each.run for each in joined],
+        file_format=settings.file_format,
+        overwrite=settings.overwrite,
+    )
+
+
+def _model_file(plan: ImportMapping, mapping: Path, model: str | Path | None) -> Path:
+    if model is not None:
+        path = Path(model)
+        if not path.is_file():
+            raise InvalidSetting(f"there is no model {str(model)!r}")
+        return path
+    if not plan.model:
+        raise InvalidData(
+            f"{plan.name}: a recording needs a model: name an MJCF file beside the mapping by "
+            "model = '...', or give --model"
+        )
+    home = mapping.resolve().parent
+    try:
+        return existing_file(home, plan.model, f"{plan.name}: model")
+    except InvalidData as error:
+        raise InvalidData(f"{error}; a model from elsewhere is given by --model") from None
+
+
+def _compiled(path: Path) -> mujoco.MjModel:
+    try:
+        file, kind, spec = load_spec(path)
+    except OSError as error:
+        raise InvalidData(f"{path.name}: it cannot be read: {error.strerror or error}") from None
+    if kind != "mujoco":
+        raise InvalidData(f"{file.name}: a URDF; a recording's model is an MJCF, <mujoco>")
+    return compile_spec(spec, file)
+
+
+def _check_names(plan: ImportMapping, model: mujoco.MjModel) -> None:
+    """Refuse names that the model lacks, before files of gigabytes are read."""
+    allowed = ModelColumns.of(model)
+    for run in plan.runs:
+        allowed.check_header(run.place, ["time", *(each.column for each in run.columns)])
+        for joint in run.excited:
+            allowed.check_joint(f"{run.place}.excited", joint)
+        if isinstance(run.pose, dict):
+            for joint in run.pose:
+                allowed.check_joint(f"{run.place}.pose", joint)
+
+
+def _read(
+    plan: ImportMapping, files: list[dict[str, Path]], say: Callable[[str], None]
+) -> dict[tuple[str, Path, ChannelKey], Samples]:
+    """Read every file once for each source that it is, with all channels that runs take of it."""
+    wanted: dict[tuple[str, Path], dict[ChannelKey, None]] = {}
+    for run, own in zip(plan.runs, files, strict=True):
+        for column in run.columns:
+            wanted.setdefault((column.source, own[column.source]), {})[column.key] = None
+        for name, path in own.items():
+            align = plan.sources[name].align
+            if align is not None:
+                wanted.setdefault((name, path), {})[align.own] = None
+                wanted.setdefault((align.to, own[align.to]), {})[align.other] = None
+    pool: dict[tuple[str, Path, ChannelKey], Samples] = {}
+    for (name, path), keys in wanted.items():
+        found = read_source(path, plan.sources[name], list(keys))
+        pool |= {(name, path, key): samples for key, samples in found.items()}
+        say(f"{path.name}: {len(found)} channels read")
+    return pool
+
+
+def _silent(_: str) -> None:
+    pass

@@ -1,0 +1,315 @@
+"""Reading of mapping files, TOML or JSON; nothing in them is executed."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import tomllib
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from loose_env.errors import InvalidData
+from loose_env.importing.fields import Fields, got, number
+from loose_env.importing.mapping import (
+    Align,
+    ColumnEntry,
+    CsvLayout,
+    FileKind,
+    ImportMapping,
+    Method,
+    RunPlan,
+    SourceEntry,
+    TimeSource,
+)
+from loose_env.importing.samples import ChannelKey
+from loose_env.importing.times import date_ns
+from loose_env.importing.units import unit_named
+from loose_env.recording import Condition
+from loose_env.recording.columns import nearest
+from loose_env.recording.text_file import read_text
+
+__all__ = ["MAPPING_FORMAT", "mapping_of", "read_mapping"]
+
+MAPPING_FORMAT = "loose-mapping/1"
+"""The format read here."""
+
+_MOST_BYTES = 2**22
+_MOST_RUNS = 10_000
+_KEYS = ("format", "model", "sources", "columns", "runs")
+_TIME = ("column", "unit", "date_format", "stamp", "rate_hz", "even", "from_start", "offset_s",
+         "drift_ppm")  # fmt: skip
+_SOURCE = ("file", "kind", "separator", "decimal", "encoding", "skip", "header",
+           "skip_after_header", "missing", "time", "topics", "align")  # fmt: skip
+_COLUMN = ("source", "topic", "channel", "unit", "scale", "sign", "offset", "method", "delay_s",
+           "gap_s")  # fmt: skip
+_RUN = ("file", "columns", "sources", "pose", "excited", "condition", "start", "stop", "rate_hz")
+_ALIGN = ("to", "channel", "topic", "to_channel", "to_topic", "most_s", "band_hz", "sign",
+          "least_correlation")  # fmt: skip
+_ENCODINGS = ("utf-8", "utf-16", "latin-1", "cp1252")
+_SEPARATORS = (",", ";", "\t", " ", "|")
+_YEAR = 3.2e7  # [s]
+
+
+def read_mapping(file: str | Path) -> ImportMapping:
+    """Read a mapping file.
+
+    Parameters
+    ----------
+    file : str or Path
+        A file that ends in .toml or .json.
+
+    Returns
+    -------
+    ImportMapping
+        What it says, checked as far as it can be without the sources and the model.
+
+    Raises
+    ------
+    InvalidData
+        If it is no such file; the message says where and what is allowed.
+    """
+    path = Path(file)
+    ending = path.suffix.lower()
+    if ending not in (".toml", ".json"):
+        raise InvalidData(f"{path.name}: a mapping ends in .toml or .json")
+    if not path.is_file():
+        raise InvalidData(f"there is no mapping file {str(file)!r}")
+    text = read_text(path, path.name, _MOST_BYTES)
+    try:
+        if ending == ".toml":
+            whole = tomllib.loads(text)
+        else:
+            whole = json.loads(text, object_pairs_hook=_once)
+    except RecursionError:
+        raise InvalidData(f"{path.name}: nested too deeply") from None
+    except ValueError as error:
+        kind = ending[1:].upper()
+        raise InvalidData(f"{path.name}: not {kind}: {' '.join(str(error).split())}") from None
+    return mapping_of(whole, path.name)
+
+
+def mapping_of(whole: Any, name: str) -> ImportMapping:
+    """Check a mapping that was read from a file; errors as `read_mapping`."""
+    top = Fields(name, whole, _KEYS)
+    if top.text("format") != MAPPING_FORMAT:
+        raise InvalidData(
+            f"{name}: format is {top.given['format']!r:.60}; this version reads {MAPPING_FORMAT!r}"
+        )
+    sources = {
+        key: _source(f"{name}: sources.{key}", key, value)
+        for key, value in top.table("sources").items()
+    }
+    if not sources:
+        raise InvalidData(f"{name}: [sources.NAME] is missing; a mapping has at least one")
+    for each in sources.values():
+        if each.align is not None:
+            place = f"{name}: sources.{each.name}.align.to"
+            _known(place, each.align.to, sources)
+            if each.align.to == each.name or sources[each.align.to].align is not None:
+                raise InvalidData(f"{place} is a source that is not aligned itself")
+    shared = top.table("columns")
+    runs = whole.get("runs")
+    if not isinstance(runs, list) or not 0 < len(runs) <= _MOST_RUNS:
+        raise InvalidData(
+            f"{name}: runs is a list of 1 to {_MOST_RUNS} tables, [[runs]] in TOML, {got(runs)}"
+        )
+    plans = tuple(_run(name, i, run, shared, sources) for i, run in enumerate(runs))
+    return ImportMapping(name=name, model=top.text("model", ""), sources=sources, runs=plans)
+
+
+def _source(place: str, name: str, given: Any) -> SourceEntry:
+    fields = Fields(place, given, _SOURCE)
+    if not name.replace("_", "").replace("-", "").isalnum():
+        raise InvalidData(f"{place}: a source's name is of letters, digits, _ and -")
+    kind = fields.text("kind", among=get_args(FileKind)) if fields.has("kind") else None
+    separator = fields.text("separator", ",", among=_SEPARATORS)
+    decimal = fields.text("decimal", ".", among=(".", ","))
+    if separator == decimal:
+        raise InvalidData(
+            f"{place}: separator and decimal are both {separator!r}; a table with decimal commas "
+            "has another separator, mostly ';'"
+        )
+    return SourceEntry(
+        name=name,
+        file=fields.text("file", ""),
+        kind=kind,  # type: ignore[arg-type]
+        csv=CsvLayout(
+            separator=separator,
+            decimal=decimal,
+            encoding=fields.text("encoding", "utf-8", among=_ENCODINGS),
+            skip=fields.whole("skip", 0, 10_000),
+            header=fields.flag("header", True),
+            skip_after_header=fields.whole("skip_after_header", 0, 100),
+            missing=fields.texts("missing"),
+        ),
+        time=_time(fields.at("time"), given.get("time", {})),
+        topics={
+            topic: _time(f"{place}.topics.{topic}", value)
+            for topic, value in fields.table("topics").items()
+        },
+        align=_align(fields.at("align"), given["align"]) if fields.has("align") else None,
+    )
+
+
+def _time(place: str, given: Any) -> TimeSource:
+    fields = Fields(place, given, _TIME)
+    unit = fields.text("unit", "s")
+    if unit_named(unit, fields.at("unit")).quantity != "time":
+        raise InvalidData(f"{fields.at('unit')}: {unit!r} is no unit of time; s, ms, us, ns are")
+    return TimeSource(
+        column=fields.text("column", ""),
+        unit=unit,
+        date_format=fields.text("date_format", ""),
+        stamp=fields.text("stamp", "log"),
+        rate_hz=fields.optional("rate_hz", 1e-6, 1e9),
+        even=fields.flag("even", False),
+        from_start=fields.flag("from_start", False),
+        offset_s=fields.number("offset_s", 0.0, -1e10, 1e10),
+        drift_ppm=fields.number("drift_ppm", 0.0, -1e5, 1e5),
+    )
+
+
+def _align(place: str, given: Any) -> Align:
+    fields = Fields(place, given, _ALIGN)
+    band = None
+    if fields.has("band_hz"):
+        ends = given["band_hz"]
+        if not isinstance(ends, list) or len(ends) != 2:
+            raise InvalidData(f"{fields.at('band_hz')} is two frequencies, {got(ends)}")
+        low, high = (number(fields.at("band_hz"), end, 0.0, 1e9) for end in ends)
+        if low >= high:
+            raise InvalidData(f"{fields.at('band_hz')}: {low:g} is not below {high:g}")
+        band = (low, high)
+    return Align(
+        to=fields.text("to"),
+        own=ChannelKey(fields.text("channel"), fields.text("topic", "")),
+        other=ChannelKey(fields.text("to_channel"), fields.text("to_topic", "")),
+        most_s=fields.number("most_s", 1.0, 1e-6, 1e5),
+        band_hz=band,
+        sign=fields.sign("sign"),
+        least_correlation=fields.number("least_correlation", 0.6, 0.0, 1.0),
+    )
+
+
+def _run(
+    name: str, index: int, given: Any, shared: Any, sources: dict[str, SourceEntry]
+) -> RunPlan:
+    place = f"{name}: runs[{index}]"
+    fields = Fields(place, given, _RUN)
+    columns = {
+        column: _column(f"{name}: columns.{column!r}", column, value, sources)
+        for column, value in shared.items()
+    }
+    for column, value in fields.table("columns").items():
+        if value is False:  # a shared column that this run does without
+            if columns.pop(column, None) is None:
+                raise InvalidData(f"{place}.columns.{column!r} is false, and no shared column")
+            continue
+        columns[column] = _column(f"{place}.columns.{column!r}", column, value, sources)
+    if not columns:
+        raise InvalidData(f"{place}: it has no columns; give [columns] for all runs or its own")
+    files = {}
+    for source, file in fields.table("sources").items():
+        _known(f"{place}.sources", source, sources)
+        if not isinstance(file, str) or not file:
+            raise InvalidData(f"{place}.sources.{source} is the name of a file, {got(file)}")
+        files[source] = file
+    start, stop = (_moment(fields, key) for key in ("start", "stop"))
+    if type(start) is type(stop) and start is not None and stop is not None and start >= stop:
+        raise InvalidData(f"{place}: start is not before stop")
+    return RunPlan(
+        place=place,
+        file=fields.text("file", f"run-{index + 1:02d}"),
+        columns=tuple(columns.values()),
+        sources=files,
+        pose=_pose(fields) if fields.has("pose") else None,
+        excited=fields.texts("excited"),
+        condition=fields.text("condition", "suspect", among=get_args(Condition)),  # type: ignore[arg-type]
+        start=start,
+        stop=stop,
+        rate_hz=fields.optional("rate_hz", 1e-6, 1e9),
+    )
+
+
+def _column(place: str, column: str, given: Any, sources: dict[str, SourceEntry]) -> ColumnEntry:
+    fields = Fields(place, given, _COLUMN)
+    source = fields.text("source", next(iter(sources)) if len(sources) == 1 else None)
+    _known(fields.at("source"), source, sources)
+    unit = fields.text("unit", "")
+    if unit:
+        unit_named(unit, fields.at("unit"))
+    scale = fields.number("scale", 1.0)
+    if scale == 0:
+        raise InvalidData(f"{fields.at('scale')} is 0, which leaves nothing of the channel")
+    method = fields.text("method", among=get_args(Method)) if fields.has("method") else None
+    return ColumnEntry(
+        place=place,
+        column=column,
+        source=source,
+        key=ChannelKey(fields.text("channel"), fields.text("topic", "")),
+        unit=unit,
+        scale=scale,
+        sign=fields.sign("sign"),
+        offset=fields.number("offset", 0.0),
+        method=method,  # type: ignore[arg-type]
+        delay_s=fields.number("delay_s", 0.0, -1e4, 1e4),
+        gap_s=fields.optional("gap_s", 1e-9, 1e9),
+    )
+
+
+def _pose(fields: Fields) -> dict[str, float] | Literal["measured"]:
+    if fields.given["pose"] == "measured":
+        return "measured"
+    pose = {}
+    for joint, value in fields.table("pose").items():
+        place = f"{fields.place}.pose.{joint}"
+        if isinstance(value, str):
+            words = value.split()
+            try:
+                amount = float(words[0]) if len(words) == 2 else None
+            except ValueError:
+                amount = None
+            if amount is None:
+                raise InvalidData(
+                    f"{place} is a number [rad or m] or such as '30 deg', {got(value)}"
+                )
+            unit = unit_named(words[1], place)
+            if unit.quantity not in ("angle", "length"):
+                raise InvalidData(f"{place}: {words[1]!r} measures no angle and no length")
+            value = amount * unit.factor
+        pose[joint] = number(place, value, -1e9, 1e9)
+    return pose
+
+
+def _moment(fields: Fields, key: str) -> float | int | None:
+    value = fields.given.get(key)
+    if value is None:
+        return None
+    if isinstance(value, datetime.datetime):
+        value = value.isoformat()
+    if isinstance(value, str):
+        return date_ns(value, "iso", fields.at(key))
+    if isinstance(value, (int, float)) and not isinstance(value, bool) and value > _YEAR:
+        raise InvalidData(
+            f"{fields.at(key)} is in seconds after the first time that all columns have, and "
+            f"{value!s:.30} is more than a year; give a date in quotes, such as "
+            "'2024-05-01T10:00:03.5Z'"
+        )
+    return fields.number(key, low=0.0, high=_YEAR)
+
+
+def _known(place: str, source: str, sources: dict[str, SourceEntry]) -> None:
+    if source not in sources:
+        raise InvalidData(
+            f"{place}: there is no source {source[:60]!r}; there are {', '.join(sources)}"
+            f"{nearest(source[:60], list(sources))}"
+        )
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise ValueError(f"the key {key[:60]!r} stands twice in one object")
+        found[key] = value
+    return found

@@ -1,0 +1,260 @@
+"""Channels of an MCAP file: those that a mapping asks for, or a list of all."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from loose_env.errors import InvalidData
+from loose_env.importing.channel_list import Channel, FileList, Stream
+from loose_env.importing.field_path import FieldPath, fields_of, leaves, stamp_ns
+from loose_env.importing.mapping import TimeSource
+from loose_env.importing.mcap_messages import Decoder, decoder_of, encoding_of
+from loose_env.importing.mcap_records import Message, walk
+from loose_env.importing.samples import ChannelKey, Samples, checked
+from loose_env.importing.units import unit_named
+from loose_env.recording.columns import nearest
+
+__all__ = ["list_mcap", "read_mcap"]
+
+_MOST_SAMPLES = 100_000_000
+_MOST_LISTED = 200
+"""Channels listed of one topic."""
+_LATEST_NS = 2**63 - 1
+_CLOCKS = ("log", "publish", "header")
+
+
+def read_mcap(
+    path: Path, name: str, keys: Sequence[ChannelKey], times: Mapping[str, TimeSource]
+) -> dict[ChannelKey, Samples]:
+    """Read channels of a file in one pass; only their numbers are kept.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    name : str
+        What errors call it.
+    keys : sequence of ChannelKey
+        The channels, each with its topic.
+    times : mapping
+        Where each topic's time comes from.
+
+    Raises
+    ------
+    InvalidData
+        If the file is damaged, a topic or a field is missing, a value is no number, or time
+        runs backwards.
+    """
+    for key in keys:
+        if not key.topic:
+            raise InvalidData(
+                f"{name}: channel {key.channel!r}: an MCAP file has topics; say which by "
+                "topic = '/...'"
+            )
+    topics: dict[str, _Topic] = {}
+    for key in dict.fromkeys(keys):
+        if key.topic not in topics:
+            topics[key.topic] = _Topic(f"{name}: topic {key.topic!r}", times[key.topic])
+        topics[key.topic].add(key)
+    seen: set[str] = set()
+    for message in walk(path, name, frozenset(topics)):
+        topics[message.channel.topic].take(message)
+        seen.add(message.channel.topic)
+    missing = [topic for topic in topics if topic not in seen]
+    if missing:
+        there = list_mcap(path, name, decode=False).topics()
+        raise InvalidData(
+            f"{name}: it has no messages of topic {missing[0]!r}; it has "
+            f"{', '.join(map(repr, there[:20])) or 'none'}{nearest(missing[0], there)}"
+        )
+    return {key: topic.samples(key) for topic in topics.values() for key in topic.kept}
+
+
+class _Kept(NamedTuple):
+    """What is kept of one channel."""
+
+    path: FieldPath
+    values: array[float]
+    stamps: array[int]
+    """Times [ns]."""
+    numbers: array[int]
+    """Which message of the topic each is, from 1."""
+
+
+class _Topic:
+    """What is gathered of one topic."""
+
+    def __init__(self, place: str, time: TimeSource) -> None:
+        self.place, self.time = place, time
+        self.kept: dict[ChannelKey, _Kept] = {}
+        self.decoders: dict[int, Decoder] = {}
+        self.count = 0
+        self.stamp_path = None
+        if time.stamp not in _CLOCKS:
+            self.stamp_path = FieldPath.parse(time.stamp, f"{place}: time.stamp")
+        elif time.stamp == "header":
+            self.stamp_path = FieldPath.parse("header.stamp", place)
+
+    def add(self, key: ChannelKey) -> None:
+        path = FieldPath.parse(key.channel, self.place)
+        self.kept[key] = _Kept(path, array("d"), array("q"), array("q"))
+
+    def take(self, message: Message) -> None:
+        self.count += 1
+        channel = message.channel
+        if channel.id not in self.decoders:
+            self.decoders[channel.id] = decoder_of(channel, message.schema, self.place)
+        try:
+            decoded = self.decoders[channel.id](message.data)
+        except Exception as error:  # whatever a library raises on damaged bytes
+            raise self._refused(f"it is damaged: {type(error).__name__}") from error
+        try:
+            stamp = self._stamp(message, decoded)
+            for path, values, stamps, numbers in self.kept.values():
+                value = self._number(path, path.find(decoded))
+                if value is None:
+                    continue
+                if len(values) == _MOST_SAMPLES:
+                    raise self._refused(f"more than {_MOST_SAMPLES} samples; cut the file")
+                values.append(value)
+                stamps.append(stamp)
+                numbers.append(self.count)
+        except KeyError as error:
+            raise self._refused(str(error.args[0])) from None
+
+    def samples(self, key: ChannelKey) -> Samples:
+        place = f"{self.place}, channel {key.channel!r}"
+        kept = self.kept[key]
+        stamps = np.frombuffer(kept.stamps, dtype=np.int64)
+        values = np.frombuffer(kept.values, dtype=np.float64)
+        if not stamps.size:
+            raise InvalidData(
+                f"{place}: none of its {self.count} messages has this entry; "
+                "loose import --describe lists those that are there"
+            )
+        origin = int(stamps.min())
+        if self.time.rate_hz is not None:
+            time = np.arange(stamps.size, dtype=np.float64) / self.time.rate_hz
+        else:
+            time = np.asarray((stamps - origin) * 1e-9, dtype=np.float64)
+        rows = np.frombuffer(kept.numbers, dtype=np.int64)
+        return checked(place, time, values, origin_ns=origin, rows=rows, row_word="message")
+
+    def _stamp(self, message: Message, decoded: Any) -> int:
+        if self.time.stamp == "log":
+            found = message.log_ns
+        elif self.time.stamp == "publish":
+            found = message.publish_ns
+        else:
+            assert self.stamp_path is not None
+            told = self._told(self.stamp_path.find(decoded))
+            if told is None:
+                raise self._refused(f"{self.stamp_path.words!r} holds no time")
+            found = told
+        if not 0 <= found <= _LATEST_NS:
+            raise self._refused(f"its time is {found} ns, which is no date")
+        return found
+
+    def _told(self, raw: Any) -> int | None:
+        """Time that a field holds [ns]: a stamp, or a number in the unit of the mapping."""
+        if isinstance(raw, bool) or not isinstance(raw, (int, float)):
+            return None if raw is None else stamp_ns(raw)
+        nanos = round(unit_named(self.time.unit, f"{self.place}: time.unit").factor * 1e9)
+        return round(raw * nanos) if math.isfinite(raw) else None
+
+    def _number(self, path: FieldPath, value: Any) -> float | None:
+        if value is None:
+            return None
+        if not isinstance(value, (bool, int, float)):
+            held = f"; it holds {', '.join(fields_of(value)[:12])}" if fields_of(value) else ""
+            raise self._refused(f"{path.words!r} is no number{held}")
+        try:
+            return float(value)
+        except OverflowError:
+            raise self._refused(f"{path.words!r} is too large a number") from None
+
+    def _refused(self, why: str) -> InvalidData:
+        return InvalidData(f"{self.place}: message {self.count}: {why}")
+
+
+@dataclass
+class _Seen:
+    """What is noted of a topic while it is listed."""
+
+    kind: str
+    encoding: str
+    count: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+    channels: tuple[Channel, ...] = ()
+    note: str = ""
+    decoders: dict[int, Decoder] = field(default_factory=dict)
+
+
+def list_mcap(path: Path, name: str, *, decode: bool = True) -> FileList:
+    """List topics and channels of a file, with rates and first values.
+
+    Raises
+    ------
+    InvalidData
+        If the file is damaged. A topic that cannot be decoded is listed with the reason.
+    """
+    seen: dict[str, _Seen] = {}
+    for message in walk(path, name):
+        topic = message.channel.topic
+        each = seen.get(topic)
+        if each is None:
+            kind = "" if message.schema is None else message.schema.name
+            each = _Seen(kind, encoding_of(message.channel, message.schema))
+            each.first_ns = each.last_ns = message.log_ns
+            seen[topic] = each
+            if decode:
+                each.channels, each.note = _first(message, f"{name}: topic {topic!r}")
+        each.count += 1
+        each.first_ns = min(each.first_ns, message.log_ns)
+        each.last_ns = max(each.last_ns, message.log_ns)
+    streams = tuple(
+        Stream(
+            topic=topic,
+            kind=f"{each.kind or 'no schema'}, {each.encoding}",
+            samples=each.count,
+            start_ns=each.first_ns,
+            seconds=(each.last_ns - each.first_ns) * 1e-9,
+            channels=each.channels,
+            note=each.note,
+        )
+        for topic, each in sorted(seen.items())
+    )
+    return FileList(name=name, kind="mcap", words="MCAP", streams=streams)
+
+
+def _first(message: Message, place: str) -> tuple[tuple[Channel, ...], str]:
+    try:
+        decoder = decoder_of(message.channel, message.schema, place)
+    except InvalidData as error:
+        return (), str(error).removeprefix(f"{place}: ")
+    try:
+        decoded = decoder(message.data)
+        found = [
+            Channel(key=ChannelKey(words, message.channel.topic), first=(value,))
+            for words, value in leaves(decoded, _MOST_LISTED + 1)
+        ]
+    except Exception as error:  # whatever a library raises on damaged bytes
+        return (), f"its first message cannot be decoded: {type(error).__name__}"
+    note = ""
+    if len(found) > _MOST_LISTED:
+        note = f"more than {_MOST_LISTED} numbers a message; the first are listed"
+    try:
+        stamp = FieldPath.parse("header.stamp", place).find(decoded)
+    except KeyError:
+        stamp = None
+    if stamp is not None and stamp_ns(stamp) is not None:
+        note = "; ".join(filter(None, (note, "has header.stamp")))
+    return tuple(found[:_MOST_LISTED]), note

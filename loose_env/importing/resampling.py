@@ -1,0 +1,218 @@
+"""One time base for channels of different rates; nothing is made up across a gap."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+__all__ = ["Resampled", "bridged", "held", "is_even", "median_step", "resampled", "rows_of"]
+
+Array = NDArray[np.float64]
+
+EVEN = 0.01
+"""Stamps within this share of a step of a straight line are evenly spaced."""
+_GAP_EVEN, _GAP_UNEVEN = 1.5, 3.0
+"""A pause of more median steps than this is a gap."""
+_SAME = 1e-3
+"""Rows within this share of a step of a sample take it as it is."""
+_CROSSINGS = 32
+"""Zero crossings of the kernel on each side."""
+_FINE = 2048
+"""Points of the tabulated kernel between two zero crossings."""
+_KAISER = 9.0
+"""Shape of the kernel's window: what it does not let through is 90 dB down."""
+_SHARE = 0.91
+"""Cutoff over half the lower rate, so that the kernel's slope ends near half that rate."""
+_AT_ONCE = 2_000_000
+
+
+class Resampled(NamedTuple):
+    """Values at the rows, and what was done in words."""
+
+    values: Array
+    how: str
+
+
+def median_step(time: Array) -> float:
+    """Median time between samples [s]."""
+    return float(np.median(np.diff(time)))
+
+
+def is_even(time: Array) -> bool:
+    """Whether samples are evenly spaced, but for some that are missing."""
+    steps = np.diff(time) / median_step(time)
+    return bool(np.all(np.abs(steps - np.round(steps)) <= 2 * EVEN) and np.all(steps > 0.5))
+
+
+def bridged(time: Array, gap_s: float | None) -> float:
+    """Longest pause between two samples that is no gap [s].
+
+    One and a half steps where samples are evenly spaced, so that one missing sample is seen, and
+    three where they are not; or what the mapping says.
+    """
+    if gap_s is not None:
+        return gap_s
+    return (_GAP_EVEN if is_even(time) else _GAP_UNEVEN) * median_step(time)
+
+
+def rows_of(time: Array, start: float, stop: float, gap: float, most: int) -> Array | None:
+    """Times of the rows, from a channel's own samples: gaps are filled with rows at its step.
+
+    Parameters
+    ----------
+    time : ndarray of shape (T,)
+        The channel's times [s].
+    start, stop : float
+        First and last time [s].
+    gap : float
+        Longest pause that is no gap [s].
+    most : int
+        Most rows.
+
+    Returns
+    -------
+    ndarray of shape (N,) or None
+        None where it would be more rows than allowed.
+    """
+    step = median_step(time)
+    # The ends are other channels' samples, and may be a rounding away from this one's.
+    kept = time[(time >= start - _SAME * step) & (time <= stop + _SAME * step)]
+    if len(kept) < 2:
+        return kept
+    pauses = np.diff(kept)
+    extra = np.where(pauses > gap, np.maximum(np.round(pauses / step) - 1, 0), 0)
+    if len(kept) + extra.sum() > most:
+        return None
+    parts, last = [], 0
+    for i in np.flatnonzero(extra):
+        parts += [kept[last : i + 1], kept[i] + step * np.arange(1, int(extra[i]) + 1)]
+        last = int(i) + 1
+    rows = np.concatenate([*parts, kept[last:]])
+    return rows[np.concatenate([[True], np.diff(rows) > 0.25 * step])] if parts else rows
+
+
+def held(time: Array, values: Array, rows: Array, longest: float) -> Array:
+    """Last value at or before each row; NaN before the first and after a pause."""
+    # A row that a rounding puts before its own sample still means that sample.
+    at = np.searchsorted(time, rows + _SAME * median_step(time), side="right") - 1
+    found = values[np.maximum(at, 0)].copy()
+    found[(at < 0) | (rows - time[np.maximum(at, 0)] > longest)] = np.nan
+    return found
+
+
+def resampled(time: Array, values: Array, rows: Array, longest: float) -> Resampled:
+    """Bring a channel to the times of the rows, band-limited, and NaN across gaps.
+
+    Where the channel has a sample at every row, samples are taken as they are. A slower channel is
+    interpolated by a windowed sinc, which leaves its band alone and adds nothing above it; a
+    faster one passes a low-pass of half the rows' rate first. Where samples are not evenly spaced,
+    a cubic spline through them takes the place of the sinc.
+
+    Parameters
+    ----------
+    time, values : ndarray of shape (T,)
+        Samples.
+    rows : ndarray of shape (N,)
+        Times of the rows, increasing.
+    longest : float
+        Longest pause that is bridged [s].
+
+    Returns
+    -------
+    Resampled
+        Values of shape (N,), NaN outside the samples and in gaps.
+
+    Examples
+    --------
+    >>> slow = np.arange(400) / 100
+    >>> rows = np.arange(1000, 3000) / 1000
+    >>> found = resampled(slow, np.sin(2 * np.pi * 20 * slow), rows, 0.015)
+    >>> found.how, bool(np.abs(found.values - np.sin(2 * np.pi * 20 * rows)).max() < 1e-3)
+    ('band-limited from 100 Hz', True)
+    """
+    step = median_step(time)
+    out_step = median_step(rows) if len(rows) > 1 else step
+    near = np.clip(np.searchsorted(time, rows), 1, len(time) - 1)
+    near -= (rows - time[near - 1]) < (time[near] - rows)
+    same = np.abs(time[near] - rows) <= _SAME * step
+    found = np.full(len(rows), np.nan)
+    if step >= 0.99 * out_step:
+        found[same] = values[near[same]]
+        inside = _inside(time, rows, longest)
+        if not np.any(inside & ~same):
+            return Resampled(found, "taken as it is")
+    found[:] = np.nan
+    even = True
+    edges = np.flatnonzero(np.diff(time) > longest) + 1
+    for first, last in zip([0, *edges], [*edges, len(time)], strict=True):
+        part = slice(int(first), int(last))
+        lo, hi = np.searchsorted(rows, [time[first] - _SAME * step, time[last - 1] + _SAME * step])
+        if last - first < 2:
+            found[lo:hi] = values[first]  # a lone sample speaks for its own moment
+        elif lo < hi:
+            found[lo:hi], own = _segment(time[part], values[part], rows[lo:hi], out_step)
+            even &= own
+    rate = f"{1 / step:.6g} Hz"
+    if step < 0.99 * out_step:
+        return Resampled(found, f"low-passed at {0.5 * _SHARE / out_step:.4g} Hz, from {rate}")
+    return Resampled(found, f"{'band-limited' if even else 'spline, uneven samples'} from {rate}")
+
+
+def _inside(time: Array, rows: Array, longest: float) -> NDArray[np.bool_]:
+    """Whether a row lies between two samples that are no gap apart."""
+    after = np.clip(np.searchsorted(time, rows, side="left"), 1, len(time) - 1)
+    near = time[after] - time[after - 1] <= longest
+    return np.asarray((rows >= time[0]) & (rows <= time[-1]) & near)
+
+
+def _segment(time: Array, values: Array, rows: Array, out_step: float) -> tuple[Array, bool]:
+    count = len(time)
+    step = (time[-1] - time[0]) / (count - 1)
+    line = time[0] + step * np.arange(count)
+    even = bool(np.max(np.abs(time - line)) <= EVEN * step)
+    if not even:
+        spline = CubicSpline(time, values) if count > 2 else None
+        if step >= 0.99 * out_step:
+            smooth = np.interp(rows, time, values) if spline is None else spline(rows)
+            return np.asarray(smooth), False
+        values = np.asarray(np.interp(line, time, values) if spline is None else spline(line))
+    return _sinc(values, (rows - time[0]) / step, min(1.0, step / out_step)), even
+
+
+def _sinc(values: Array, at: Array, ratio: float) -> Array:
+    """Values at places counted in samples, nothing above ``ratio`` of half the rate left.
+
+    Before the first and after the last sample the signal is continued by its point reflection.
+    """
+    cutoff = ratio * (_SHARE if ratio < 0.99 else 1.0)
+    half = int(np.ceil(_CROSSINGS / cutoff))
+    padded = np.pad(values, half + 1, mode="reflect", reflect_type="odd")
+    table = _kernel()
+    offsets = np.arange(-half, half + 2)
+    found = np.empty(len(at))
+    block = max(1, _AT_ONCE // len(offsets))
+    for first in range(0, len(at), block):
+        here = np.clip(at[first : first + block], 0, len(values) - 1)
+        whole = np.floor(here).astype(np.int64)
+        places = whole[:, None] + offsets
+        x = np.abs(places - here[:, None]) * (cutoff * _FINE)
+        np.minimum(x, _CROSSINGS * _FINE, out=x)
+        lower = x.astype(np.int64)
+        weights = table[lower] + (x - lower) * (table[lower + 1] - table[lower])
+        weights /= weights.sum(axis=1, keepdims=True)  # a constant stays what it is
+        found[first : first + block] = np.einsum("ij,ij->i", weights, padded[places + half + 1])
+    return found
+
+
+@lru_cache(maxsize=1)
+def _kernel() -> Array:
+    """Half of a windowed sinc, tabulated, with zeros after its end."""
+    x = np.arange(_CROSSINGS * _FINE + 1) / _FINE
+    window = np.i0(_KAISER * np.sqrt(np.maximum(1 - (x / _CROSSINGS) ** 2, 0))) / np.i0(_KAISER)
+    table = np.concatenate([np.sinc(x) * window, [0.0, 0.0]])
+    table[_CROSSINGS * _FINE :] = 0.0
+    return table

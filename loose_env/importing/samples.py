@@ -1,0 +1,112 @@
+"""Samples of one channel: when, and how much, as a file holds them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData
+
+__all__ = ["ChannelKey", "Samples", "checked"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, order=True)
+class ChannelKey:
+    """What names a channel in a file."""
+
+    channel: str
+    """Column of a table, field of a message, or measured point of a universal file."""
+    topic: str = ""
+    """Topic of an MCAP file; empty elsewhere."""
+
+    def __str__(self) -> str:
+        return f"{self.topic} {self.channel}".strip()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Samples:
+    """One channel of one file; missing samples are left out."""
+
+    place: str
+    """File and channel, as errors say it."""
+    origin_ns: int
+    """Where its time is counted from [ns since 1970], or 0 where the file knows no date."""
+    time: Array
+    """Times [s] after the origin, shape (T,), increasing strictly."""
+    values: Array
+    """Values as the file holds them, shape (T,)."""
+    unit: str = ""
+    """Unit that the file itself gives, where it does."""
+
+    @property
+    def step(self) -> float:
+        """Median time between samples [s]."""
+        return float(np.median(np.diff(self.time)))
+
+    def since(self, origin_ns: int) -> Array:
+        """Times [s] after another origin, shape (T,)."""
+        return self.time + (self.origin_ns - origin_ns) * 1e-9
+
+
+def checked(
+    place: str,
+    time: Array,
+    values: Array,
+    *,
+    origin_ns: int = 0,
+    unit: str = "",
+    rows: Sequence[int] | NDArray[np.int64] | None = None,
+    row_word: str = "row",
+) -> Samples:
+    """Samples of a channel, refused where time runs backwards or a value is infinite.
+
+    Parameters
+    ----------
+    place : str
+        File and channel.
+    time, values : ndarray of shape (T,)
+        Times [s] and values; NaN values are missing samples and are left out.
+    origin_ns : int
+        Where time is counted from [ns].
+    unit : str
+        Unit that the file gives.
+    rows : sequence of int, optional
+        Where in the file each sample stands; from 1 on by default.
+    row_word : str
+        What the file's rows are called.
+
+    Raises
+    ------
+    InvalidData
+        With the row.
+    """
+
+    def row(i: int) -> str:
+        return f"{place}: {row_word} {i + 1 if rows is None else rows[i]}"
+
+    bad = np.flatnonzero(~np.isfinite(time))
+    if bad.size:
+        raise InvalidData(f"{row(int(bad[0]))}: the time is missing or not finite")
+    still = np.flatnonzero(np.diff(time) <= 0)
+    if still.size:
+        i = int(still[0]) + 1
+        same = time[i] == time[i - 1]
+        raise InvalidData(
+            f"{row(i)}: time {'stands still' if same else 'runs backwards'}: {time[i]:.9g} s "
+            f"follows {time[i - 1]:.9g} s; choose another time for this source (a finer stamp, "
+            "or rate_hz where the samples are evenly spaced)"
+        )
+    infinite = np.flatnonzero(np.isinf(values))
+    if infinite.size:
+        raise InvalidData(f"{row(int(infinite[0]))}: the value is infinite")
+    there = ~np.isnan(values)
+    if np.count_nonzero(there) < 2:
+        raise InvalidData(f"{place}: it has {np.count_nonzero(there)} samples; at least 2 needed")
+    return Samples(
+        place=place, origin_ns=origin_ns, time=time[there], values=values[there], unit=unit
+    )

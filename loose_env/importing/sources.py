@@ -1,0 +1,217 @@
+"""Which file a source of the mapping is, of what kind, and its channels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.importing.channel_list import FileList
+from loose_env.importing.csv_file import read_csv_logger
+from loose_env.importing.csv_list import list_csv
+from loose_env.importing.mapping import FileKind, ImportMapping, RunPlan, SourceEntry, TimeSource
+from loose_env.importing.mcap_file import list_mcap, read_mcap
+from loose_env.importing.mcap_records import MAGIC
+from loose_env.importing.resampling import median_step
+from loose_env.importing.samples import ChannelKey, Samples
+from loose_env.importing.uff_file import list_uff, read_uff
+from loose_env.recording.columns import nearest
+
+__all__ = ["Given", "files_of_runs", "given_files", "kind_of", "list_file", "read_source"]
+
+Given = Mapping[str, Path]
+"""Files of the command line by the names that a mapping may call them."""
+
+_ENDINGS: dict[str, FileKind] = {
+    ".mcap": "mcap", ".csv": "csv", ".txt": "csv", ".tsv": "csv", ".dat": "csv", ".log": "csv",
+    ".asc": "csv", ".uff": "uff", ".unv": "uff", ".uf58": "uff", ".bunv": "uff",
+}  # fmt: skip
+_ADVICE = {
+    ".db3": "convert it by 'ros2 bag convert' to MCAP",
+    ".bag": "convert it by 'mcap convert' to MCAP, from ROS 1 to ROS 2 first",
+    ".mat": "save its columns as CSV",
+    ".tdms": "export it as CSV or universal file",
+    ".xlsx": "save the sheet as CSV",
+    ".h5": "export it as CSV or MCAP",
+    ".parquet": "a recording takes Parquet as it is, see the recording format",
+    ".pkl": "files that can hold code are not read",
+    ".npy": "save it as CSV",
+}
+_EVEN_OFF = 3.0
+"""Steps that a stamp may be off the straight line through them."""
+
+
+def given_files(words: Sequence[str]) -> Given:
+    """Read the SOURCEs of a command line: ``PATH``, or ``NAME=PATH`` to name a source.
+
+    Raises
+    ------
+    InvalidSetting
+        If a file is not there or two have one name.
+    """
+    found: dict[str, Path] = {}
+    for word in words:
+        name, equals, rest = word.partition("=")
+        named = bool(equals) and "/" not in name and not Path(word).exists()
+        path = Path(rest if named else word)
+        if not path.is_file():
+            raise InvalidSetting(f"there is no file {str(path)!r}")
+        key = name if named else path.name
+        if key in found:
+            raise InvalidSetting(
+                f"two sources are called {key!r}; give one as NAME=PATH, where NAME is the "
+                "mapping's source or file"
+            )
+        found[key] = path
+    return found
+
+
+def files_of_runs(mapping: ImportMapping, given: Given) -> list[dict[str, Path]]:
+    """Find, for each run, the file of each of its sources.
+
+    Only files of the command line are ever read; a mapping chooses among them by name.
+
+    Raises
+    ------
+    InvalidData
+        If a source's file is not among them.
+    InvalidSetting
+        If a file is given and not used.
+    """
+    unused = set(given)
+    found = []
+    for run in mapping.runs:
+        files = {}
+        for name in dict.fromkeys(_needed(mapping, run)):
+            entry = mapping.sources[name]
+            told = run.sources.get(name, "")
+            call = _called(told, name, entry.file, given)
+            if call is None and not told and len(mapping.sources) == len(given) == 1:
+                call = next(iter(given))
+            if call is None:
+                wanted = told or entry.file or name
+                raise InvalidData(
+                    f"{run.place}: source {name!r} is the file {wanted!r}, which is not among "
+                    f"those given ({', '.join(map(repr, given)) or 'none'}); name it on the "
+                    f"command line, or give {name}=PATH{nearest(wanted, list(given))}"
+                )
+            files[name] = given[call]
+            unused.discard(call)
+        found.append(files)
+    if unused:
+        raise InvalidSetting(
+            f"{mapping.name} uses no file {sorted(unused)[0]!r}; leave it out, or name it in the "
+            "mapping (file of a source, or sources of a run)"
+        )
+    return found
+
+
+def kind_of(path: Path, told: FileKind | None = None) -> FileKind:
+    """Tell the kind of a file: as told, by its ending, else by its first bytes.
+
+    Raises
+    ------
+    InvalidData
+        If it is a kind that is not read; the message says what to do.
+    """
+    if told is not None:
+        return told
+    try:
+        with path.open("rb") as file:
+            start = file.read(len(MAGIC))
+    except OSError as error:
+        raise InvalidData(f"{path.name}: it cannot be read: {error.strerror or error}") from None
+    if start == MAGIC:
+        return "mcap"
+    ending = path.suffix.lower()
+    if ending in _ADVICE:
+        raise InvalidData(f"{path.name}: {ending} is not read; {_ADVICE[ending]}")
+    if ending in _ENDINGS:
+        return _ENDINGS[ending]
+    if start.startswith(b"    -1"):
+        return "uff"
+    raise InvalidData(
+        f"{path.name}: of what kind is it? Read are {', '.join(_ENDINGS)}; say kind = 'csv', "
+        "'mcap' or 'uff' with the source"
+    )
+
+
+def list_file(path: Path) -> FileList:
+    """List the channels of a file; errors as `read_source`."""
+    kind = kind_of(path)
+    return {"mcap": list_mcap, "csv": list_csv, "uff": list_uff}[kind](path, path.name)
+
+
+def read_source(
+    path: Path, entry: SourceEntry, keys: Sequence[ChannelKey]
+) -> dict[ChannelKey, Samples]:
+    """Read channels of a source, with its clock as the mapping corrects it.
+
+    Raises
+    ------
+    InvalidData
+        If the file is damaged or does not hold them.
+    """
+    kind = kind_of(path, entry.kind)
+    name = path.name
+    if kind == "mcap":
+        times = {key.topic: entry.time_of(key.topic) for key in keys}
+        found = read_mcap(path, name, keys, times)
+    elif kind == "csv":
+        found = read_csv_logger(path, name, keys, entry.csv, entry.time)
+    else:
+        found = read_uff(path, name, keys, entry.time)
+    earliest = min(each.origin_ns + round(each.time[0] * 1e9) for each in found.values())
+    return {
+        key: _corrected(each, entry.time_of(key.topic), earliest) for key, each in found.items()
+    }
+
+
+def _called(told: str, name: str, file: str, given: Given) -> str | None:
+    """What the command line calls a source: as a run tells, by its own name, or by its file's."""
+    if told:
+        return told if told in given else None
+    stems = [call for call, path in given.items() if call == path.name and path.stem == name]
+    return next((call for call in (name, file, *stems[:1]) if call in given), None)
+
+
+def _needed(mapping: ImportMapping, run: RunPlan) -> list[str]:
+    """Sources that a run needs, those its clocks are set by included."""
+    names = [column.source for column in run.columns]
+    aligned = (mapping.sources[name].align for name in names)
+    return names + [align.to for align in aligned if align is not None]
+
+
+def _corrected(samples: Samples, time: TimeSource, earliest_ns: int) -> Samples:
+    at, origin = samples.time, samples.origin_ns
+    if time.even and time.rate_hz is None:
+        at = _straightened(samples)
+    start = (earliest_ns - origin) * 1e-9
+    if time.from_start:
+        at, origin, start = at - start, 0, 0.0
+    if time.drift_ppm:
+        at = start + (at - start) * (1 + 1e-6 * time.drift_ppm)
+    # Whole nanoseconds: an offset of years would cost the stamps their microseconds.
+    return replace(samples, time=at, origin_ns=origin + round(time.offset_s * 1e9))
+
+
+def _straightened(samples: Samples) -> NDArray[np.float64]:
+    """Stamps on the straight line through them, in the place of those that jitter about it."""
+    time = samples.time
+    step = median_step(time)
+    count = np.arange(len(time))
+    slope, start = np.polyfit(count, time, 1)
+    line = start + slope * count
+    off = np.abs(time - line)
+    if off.max() > _EVEN_OFF * step:
+        i = int(np.argmax(off))
+        raise InvalidData(
+            f"{samples.place}: even = true, but sample {i + 1} is {off[i]:.4g} s off the straight "
+            f"line through the stamps, {off[i] / step:.0f} steps; samples are missing, so leave "
+            "even out"
+        )
+    return np.asarray(line)

@@ -1,0 +1,192 @@
+"""The units that a mapping may name, and which of them fit a column of a recording."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+
+from loose_env.errors import InvalidData
+from loose_env.recording.columns import nearest
+
+__all__ = ["UNITS", "Unit", "column_quantity", "known_units", "unit_named"]
+
+STANDARD_GRAVITY = 9.80665
+"""[m/s²], by definition."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unit:
+    """A unit: what it measures, and how much one of it is in SI units."""
+
+    quantity: str
+    factor: float
+
+
+def _table() -> dict[str, Unit]:
+    by_quantity: dict[str, dict[str, float]] = {
+        "angle": {
+            "rad": 1.0,
+            "mrad": 1e-3,
+            "deg": math.pi / 180,
+            "°": math.pi / 180,
+            "arcmin": math.pi / 180 / 60,
+            "rev": 2 * math.pi,
+        },
+        "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "in": 0.0254},
+        "time": {
+            "s": 1.0,
+            "ms": 1e-3,
+            "us": 1e-6,
+            "µs": 1e-6,
+            "ns": 1e-9,
+            "min": 60.0,
+            "h": 3600.0,
+        },
+        "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "in/s": 0.0254},
+        "angular speed": {
+            "rad/s": 1.0,
+            "mrad/s": 1e-3,
+            "deg/s": math.pi / 180,
+            "°/s": math.pi / 180,
+            "rpm": 2 * math.pi / 60,
+            "rev/s": 2 * math.pi,
+        },
+        "acceleration": {
+            "m/s^2": 1.0,
+            "cm/s^2": 1e-2,
+            "mm/s^2": 1e-3,
+            "g": STANDARD_GRAVITY,
+            "mg": 1e-3 * STANDARD_GRAVITY,
+            "in/s^2": 0.0254,
+        },
+        "angular acceleration": {"rad/s^2": 1.0, "deg/s^2": math.pi / 180},
+        "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "lbf": 4.4482216152605},
+        "torque": {
+            "N*m": 1.0,
+            "mN*m": 1e-3,
+            "kN*m": 1e3,
+            "N*cm": 1e-2,
+            "N*mm": 1e-3,
+            "lbf*in": 0.1129848290276167,
+            "lbf*ft": 1.3558179483314004,
+        },
+        "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6},
+        "current": {"A": 1.0, "mA": 1e-3},
+        "number": {"1": 1.0, "%": 1e-2},
+    }
+    return {
+        name: Unit(quantity=quantity, factor=factor)
+        for quantity, units in by_quantity.items()
+        for name, factor in units.items()
+    }
+
+
+UNITS = _table()
+"""Name -> unit. Also read are ``m/s2`` and ``m/s²``, and ``Nm``, ``N·m`` and ``N.m``."""
+
+_SAME = {"Nm": "N*m", "mNm": "mN*m", "kNm": "kN*m", "Ncm": "N*cm", "Nmm": "N*mm", "μm": "um",
+         "μs": "us", "°C": "°C", "degree": "deg", "degrees": "deg", "sec": "s", "g's": "g",
+         "gn": "g", "radians": "rad", "volt": "V"}  # fmt: skip
+_QUANTITIES = {
+    "mjSENS_ACCELEROMETER": "acceleration",
+    "mjSENS_FRAMELINACC": "acceleration",
+    "mjSENS_FRAMEANGACC": "angular acceleration",
+    "mjSENS_VELOCIMETER": "speed",
+    "mjSENS_FRAMELINVEL": "speed",
+    "mjSENS_SUBTREELINVEL": "speed",
+    "mjSENS_GYRO": "angular speed",
+    "mjSENS_FRAMEANGVEL": "angular speed",
+    "mjSENS_FORCE": "force",
+    "mjSENS_TOUCH": "force",
+    "mjSENS_TORQUE": "torque",
+    "mjSENS_FRAMEPOS": "length",
+    "mjSENS_RANGEFINDER": "length",
+    "mjSENS_FRAMEXAXIS": "number",
+    "mjSENS_FRAMEYAXIS": "number",
+    "mjSENS_FRAMEZAXIS": "number",
+}
+_BY_JOINT = {
+    "mjSENS_JOINTPOS": ("angle", "length"),
+    "mjSENS_JOINTVEL": ("angular speed", "speed"),
+    "mjSENS_JOINTACTFRC": ("torque", "force"),
+    "mjSENS_JOINTLIMITFRC": ("torque", "force"),
+}
+
+
+def unit_named(name: str, place: str) -> Unit:
+    """Find a unit by its name; nothing is evaluated, a table is looked up.
+
+    Parameters
+    ----------
+    name : str
+        Name such as "deg" or "m/s^2".
+    place : str
+        Where it was given, as errors say it.
+
+    Raises
+    ------
+    InvalidData
+        If the table has no such unit; the message lists what it has.
+
+    Examples
+    --------
+    >>> unit_named("rpm", "here").quantity
+    'angular speed'
+    >>> unit_named("m/s²", "here") == unit_named("m/s2", "here") == UNITS["m/s^2"]
+    True
+    """
+    found = UNITS.get(_plain(name))
+    if found is None:
+        raise InvalidData(
+            f"{place}: unknown unit {name[:40]!r}; known are {known_units()}"
+            f"{nearest(name[:40], list(UNITS))}"
+        )
+    return found
+
+
+def known_units() -> str:
+    """All units in words, by what they measure."""
+    quantities = dict.fromkeys(unit.quantity for unit in UNITS.values())
+    return "; ".join(
+        f"{quantity}: {' '.join(n for n, unit in UNITS.items() if unit.quantity == quantity)}"
+        for quantity in quantities
+    )
+
+
+def column_quantity(model: mujoco.MjModel, column: str) -> str | None:
+    """What a column of a recording measures, or None where the model does not tell.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The model.
+    column : str
+        A column that the model allows, such as "sensor.tool.x".
+    """
+    group, _, name = column.partition(".")
+    if group == "torque":
+        return _of_joint(model, int(model.joint(name).id), ("torque", "force"))
+    if group != "sensor":
+        return None  # an actuator's input is in the unit that its gain takes
+    names = {model.sensor(i).name: i for i in range(model.nsensor)}
+    index = names.get(name, names.get(name[:-2]))
+    if index is None:
+        return None
+    kind = mujoco.mjtSensor(int(model.sensor_type[index])).name
+    if kind in _BY_JOINT:
+        return _of_joint(model, int(model.sensor_objid[index]), _BY_JOINT[kind])
+    return _QUANTITIES.get(kind)
+
+
+def _of_joint(model: mujoco.MjModel, joint: int, kinds: tuple[str, str]) -> str:
+    return kinds[int(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE)]
+
+
+def _plain(name: str) -> str:
+    plain = "".join(name.split()).strip("[]()")
+    for given, taken in (("²", "^2"), ("**2", "^2"), ("s2", "s^2"), ("·", "*"), ("⋅", "*"),
+                         ("N.m", "N*m"), ("N-m", "N*m")):  # fmt: skip
+        plain = plain.replace(given, taken)
+    return _SAME.get(plain, plain)

@@ -1,0 +1,262 @@
+"""From a recording of a suspect arm to what is loose, how sure that is, and what to measure next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData
+from loose_env.instrument.correlation_loops import loops_of
+from loose_env.instrument.directions import cone, seen_in_tool
+from loose_env.instrument.evidence import Evidence
+from loose_env.instrument.held_poses import Held, held_in
+from loose_env.instrument.judging import Judged, judge, probabilities_of
+from loose_env.instrument.lines import Lines, lines_of, thinned
+from loose_env.instrument.machine import Machine
+from loose_env.instrument.model_arm import ModelArm, load_model_arm
+from loose_env.instrument.next_pose import NextSettings
+from loose_env.instrument.plan import next_for
+from loose_env.instrument.result import (
+    HEALTHY,
+    Diagnosis,
+    Fault,
+    NextMeasurement,
+    RecordSeen,
+    Vector,
+)
+from loose_env.instrument.seat_travel import Travel, travel_of
+from loose_env.instrument.settings import DiagnoseSettings
+from loose_env.instrument.uncertain import UncertainMachine
+from loose_env.instrument.warnings import warnings_of
+from loose_env.instrument.weighing import fit_hypothesis, seats_of
+from loose_env.recording import Recording, Run
+
+__all__ = ["Workbench", "diagnose"]
+
+Array = NDArray[np.float64]
+
+_STORY = 24
+"""Lines of a run when probabilities are followed from run to run."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Taken:
+    """A run and what was made of it."""
+
+    run: Run
+    held: Held | None
+    lines: Lines | None
+    notes: tuple[str, ...]
+
+
+class Workbench:
+    """A machine and its runs, which may become more.
+
+    Parameters
+    ----------
+    model : Path
+        MJCF file of the nominal model.
+    settings : DiagnoseSettings
+        What is known beforehand.
+
+    Raises
+    ------
+    InvalidData
+        If the model is no serial arm on a fixed base.
+    """
+
+    def __init__(self, model: Path, settings: DiagnoseSettings) -> None:
+        self.settings = settings
+        self.machine = Machine(model)
+        self.uncertain = UncertainMachine(self.machine, settings.tolerances)
+        self._arm: ModelArm | None = None
+        self._taken: list[_Taken] = []
+
+    @property
+    def suspect(self) -> list[Lines]:
+        """Lines of the runs under test that can be used."""
+        return [t.lines for t in self._taken if t.lines is not None and not t.lines.healthy]
+
+    def add(self, run: Run) -> None:
+        """Take a run up; one that cannot be used is kept with the reason.
+
+        Raises
+        ------
+        InvalidData
+            If nothing in the run can be read at all.
+        """
+        held = held_in(self.machine, run)
+        lines = lines_of(self.machine, run, held.pose, held.excited)
+        self._taken.append(_Taken(run=run, held=held, lines=lines, notes=held.notes))
+
+    def leave_out(self, run: Run, why: str) -> None:
+        """Keep a run that cannot be used, for the record."""
+        self._taken.append(_Taken(run=run, held=None, lines=None, notes=(why,)))
+
+    def diagnosis(self, *, plan: bool = True, say: Callable[[str], None] = lambda _: None) -> Diagnosis:
+        """Weigh what all runs say together.
+
+        Parameters
+        ----------
+        plan : bool
+            Whether to say what to measure next.
+        say : callable
+            Told what goes on, line by line.
+        """
+        lines = [t.lines for t in self._taken if t.lines is not None]
+        say(f"weighing {len(self.machine.hypotheses)} hypotheses by {len(lines)} runs")
+        judged = judge(self.uncertain, lines, sound=self.settings.sound)
+        best = judged.best
+        travel = None
+        if best != HEALTHY and self.suspect:
+            say(f"following the seat of {best}")
+            travel = travel_of(judged, best)
+        fault = _fault(self.machine, judged, travel)
+        say("following the probabilities from run to run")
+        records = self._records(judged)
+        found = Diagnosis(
+            fault=fault,
+            probability=judged.posterior[best],
+            posterior=judged.posterior,
+            warnings=warnings_of(
+                self.machine, judged, [n for t in self._taken for n in t.notes], travel
+            ),
+            records=records,
+            model=self.machine.path.name,
+            settings=asdict(self.settings),
+        )
+        if plan and not (found.probability > self.settings.sure and self.suspect):
+            say("choosing the next measurement")
+            try:
+                found = replace(found, next=self._next(found))
+            except InvalidData as error:
+                found = replace(found, warnings=(*found.warnings, f"nothing next: {error}"))
+        return found
+
+    def _next(self, found: Diagnosis) -> NextMeasurement:
+        if self._arm is None:
+            self._arm = load_model_arm(self.machine.path)
+        settings = self.settings
+        rate = 1 / self.suspect[-1].period if self.suspect else 1000.0
+        chosen = NextSettings(
+            seconds=settings.seconds, poses=settings.poses, seed=settings.seed, rate_hz=rate
+        )
+        return next_for(self._arm, found, chosen)
+
+    def _records(self, judged: Judged) -> tuple[RecordSeen, ...]:
+        """What each run showed, with the probabilities after it."""
+        hypotheses = self.machine.hypotheses
+        seats = seats_of(hypotheses, self.machine.n)
+        found: list[RecordSeen] = []
+        so_far: list[Lines] = []
+        healthy = [
+            thinned(t.lines, _STORY) for t in self._taken if t.lines is not None and t.lines.healthy
+        ]
+        count = len(self.suspect)
+        for taken in self._taken:
+            probabilities: dict[str, float] = {}
+            direction: Vector | None = None
+            angle = None
+            if taken.lines is not None and not taken.lines.healthy:
+                so_far.append(thinned(taken.lines, _STORY))
+                if len(so_far) == count:
+                    probabilities = dict(judged.posterior)
+                else:
+                    evidence = Evidence(machine=self.uncertain, lines=[*healthy, *so_far])
+                    values = {
+                        name: fit_hypothesis(
+                            evidence, name, seat, start=judged.fits[name], steps=1
+                        ).evidence
+                        for name, seat in seats.items()
+                    }
+                    probabilities = probabilities_of(values, sound=self.settings.sound)
+                direction, angle = seen_in_tool(self.uncertain, judged, taken.lines)
+            noted = taken.run.pose or {}
+            pose = self.machine.named(
+                self.machine.pose_of(noted) if taken.held is None or noted else taken.held.pose
+            )
+            excited = (
+                tuple(taken.run.excited)
+                if taken.held is None
+                else tuple(self.machine.joints[j] for j in taken.held.excited)
+            )
+            found.append(
+                RecordSeen(
+                    file=taken.run.name,
+                    pose=pose,
+                    excited=excited,
+                    condition=taken.run.condition,
+                    probabilities=probabilities,
+                    direction_tool=direction,
+                    half_angle_deg=angle,
+                    loops=() if taken.lines is None else loops_of(self.uncertain, judged, taken.lines),
+                    notes=taken.notes,
+                )
+            )
+        return tuple(found)
+
+
+def diagnose(
+    recording: Recording,
+    settings: DiagnoseSettings | None = None,
+    *,
+    say: Callable[[str], None] = lambda _: None,
+) -> Diagnosis:
+    """Say what is loose in the arm of a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        Runs that hold a pose each and shake a joint; healthy reference runs, if there are any.
+    settings : DiagnoseSettings, optional
+        What is known beforehand.
+    say : callable
+        Told what goes on, line by line.
+
+    Returns
+    -------
+    Diagnosis
+
+    Raises
+    ------
+    InvalidData
+        If the model is no serial arm, or no run can be used.
+    """
+    bench = Workbench(recording.model_path, DiagnoseSettings() if settings is None else settings)
+    refused: list[str] = []
+    for run in recording.runs:
+        try:
+            bench.add(run)
+        except InvalidData as error:
+            bench.leave_out(run, str(error))
+            refused.append(str(error))
+    if not bench.suspect:
+        raise InvalidData(
+            refused[0]
+            if refused
+            else "all runs are healthy references; a diagnosis needs a run of the arm under test: "
+            'one without "condition": "healthy" in recording.json'
+        )
+    return bench.diagnosis(say=say)
+
+
+def _fault(machine: Machine, judged: Judged, travel: Travel | None) -> Fault:
+    best = judged.best
+    if best == HEALTHY:
+        return Fault(kind="healthy")
+    kind, where = best.split("@", 1)
+    fit = judged.fits[best]
+    direction, angle = (None, None) if kind == "backlash" else cone(fit)
+    gap = None if travel is None else travel.gap
+    return Fault(
+        kind="backlash" if kind == "backlash" else "structural_looseness",
+        where=where,
+        direction=direction,
+        direction_half_angle_deg=angle,
+        gap_m=gap,
+        gap_interval_m=None if travel is None or gap is None else travel.interval,
+    )

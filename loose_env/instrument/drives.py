@@ -1,0 +1,207 @@
+"""How a model's actuators hold and drive its joints: torque per command, spring and damper.
+
+An actuator of MuJoCo gives a joint the torque ``gain u + offset - stiffness q - damping q'``: a
+motor has a gain alone, a position servo a stiffness too, and its command is a position. All
+figures are at the joint, the gear ratio included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.arm import Arm, Holding
+
+__all__ = ["JointDrive", "drives_of", "held_by_drives"]
+
+Array = NDArray[np.float64]
+
+_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+_LAGS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointDrive:
+    """What one actuator of a model does to the joint that it drives."""
+
+    actuator: str
+    """Name in the model."""
+    joint: str
+    """Name in the model."""
+    gain: float
+    """Torque per command [N·m per unit of the command; N where the joint slides]."""
+    stiffness: float = 0.0
+    """Of a position servo [N·m/rad, N/m where the joint slides]; 0: a motor."""
+    damping: float = 0.0
+    """Of a servo [N·m·s/rad, N·s/m where the joint slides]."""
+    offset: float = 0.0
+    """Torque at the command 0 with the joint at 0 and at rest [N·m, N]."""
+    lag: float = 0.0
+    """Time constant of a first-order lag between command and torque [s]."""
+    limit: float = np.inf
+    """Largest torque of the actuator [N·m, N]."""
+    command_range: tuple[float, float] = (-np.inf, np.inf)
+    """Allowed commands [unit of the command]."""
+
+    @property
+    def servo(self) -> bool:
+        """Whether it holds a position by itself."""
+        return self.stiffness > 0
+
+    def command(self, torque: Array | float, position: float) -> Array | float:
+        """Command that gives a steady torque beside the spring's, at a position and at rest.
+
+        Parameters
+        ----------
+        torque : ndarray or float
+            What the actuator shall give [N·m, N].
+        position : float
+            Where the joint is [rad or m].
+
+        Examples
+        --------
+        >>> servo = JointDrive(actuator="a", joint="j", gain=100.0, stiffness=100.0)
+        >>> servo.command(5.0, 0.3)
+        0.35
+        """
+        return (torque - self.offset + self.stiffness * position) / self.gain
+
+
+def drives_of(
+    model: mujoco.MjModel, joints: Sequence[str]
+) -> tuple[tuple[JointDrive | None, ...], tuple[str, ...]]:
+    """Find the actuator of each joint.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The compiled model with its actuators.
+    joints : sequence of str
+        Joints of interest.
+
+    Returns
+    -------
+    tuple of JointDrive or None
+        Of each joint; None where nothing drives it, or nothing that can be told in figures.
+    tuple of str
+        Why actuators were passed over, in sentences.
+
+    Examples
+    --------
+    >>> xml = '''<mujoco><worldbody><body><joint name="turn"/><geom size=".1"/></body></worldbody>
+    ... <actuator><position name="servo" joint="turn" kp="50" kv="2" forcerange="-9 9"/></actuator>
+    ... </mujoco>'''
+    >>> found, notes = drives_of(mujoco.MjModel.from_xml_string(xml), ["turn"])
+    >>> found[0].stiffness, found[0].damping, found[0].limit
+    (50.0, 2.0, 9.0)
+    """
+    found: dict[str, JointDrive] = {}
+    notes: list[str] = []
+    for a in range(model.nu):
+        if int(model.actuator_trntype[a]) not in _JOINT:
+            continue
+        joint = model.joint(int(model.actuator_trnid[a, 0])).name
+        if joint not in joints:
+            continue
+        name = model.actuator(a).name
+        why = _unusable(model, a, name)
+        if why:
+            notes.append(
+                f"actuator {name!r} of joint {joint!r} {why}; its joint counts as undriven"
+            )
+        elif joint in found:
+            notes.append(
+                f"joint {joint!r} has several actuators; {found[joint].actuator!r} is played, "
+                f"{name!r} left at rest"
+            )
+        else:
+            found[joint] = _drive(model, a, name, joint)
+    return tuple(found.get(joint) for joint in joints), tuple(notes)
+
+
+def held_by_drives(arm: Arm, drives: Sequence[JointDrive | None]) -> Arm:
+    """Hold the joints of an arm as the actuators of its model do, excited or not.
+
+    A joint with a position servo is on that servo's spring and damper, also while it is shaken:
+    its command moves the spring's rest. A torque motor holds nothing by itself: its joint is kept
+    near its place by a controller that is slow beside the band, the arm's soft centring spring,
+    and is free within the band.
+
+    Parameters
+    ----------
+    arm : Arm
+        The arm, held by brakes.
+    drives : sequence of JointDrive or None (n,)
+        Of each joint, base first.
+
+    Returns
+    -------
+    Arm
+        Held by "servo"; its springs are in `Arm.centring`, since they act on excited joints too.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> servo = JointDrive(actuator="a", joint="joint1", gain=900.0, stiffness=900.0, damping=30.0)
+    >>> arm = held_by_drives(planar(2), [servo, None])
+    >>> arm.hold, arm.centring.stiffness[0], arm.holding.stiffness
+    ('servo', 900.0, (0.0, 0.0))
+    """
+    soft = arm.centring
+    servos = [d if d is not None and d.servo else None for d in drives]
+    stiffness = tuple(soft.stiffness[j] if d is None else d.stiffness for j, d in enumerate(servos))
+    damping = tuple(soft.damping[j] if d is None else d.damping for j, d in enumerate(servos))
+    none = (0.0,) * arm.n
+    return replace(
+        arm,
+        hold="servo",
+        centring=Holding(stiffness=stiffness, damping=damping),
+        servo=Holding(stiffness=none, damping=none),
+    )
+
+
+def _unusable(model: mujoco.MjModel, a: int, name: str) -> str:
+    """Why an actuator is no spring, damper and gain with a lag; "" if it is."""
+    gain, bias = int(model.actuator_gaintype[a]), int(model.actuator_biastype[a])
+    dynamics = int(model.actuator_dyntype[a])
+    affine = int(mujoco.mjtGain.mjGAIN_AFFINE)
+    if not name:
+        return "has no name"
+    if dynamics not in (int(mujoco.mjtDyn.mjDYN_NONE), *_LAGS):
+        return f"has dynamics of its own ({mujoco.mjtDyn(dynamics).name.removeprefix('mjDYN_')})"
+    varies = gain == affine and bool(np.any(model.actuator_gainprm[a, 1:3]))
+    if gain not in (int(mujoco.mjtGain.mjGAIN_FIXED), affine) or varies:
+        return "has a gain that depends on the motion"
+    if bias not in (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)):
+        return "has a torque of its own that is no spring and damper"
+    if model.actuator_gainprm[a, 0] * model.actuator_gear[a, 0] == 0:
+        return "has no gain"
+    return ""
+
+
+def _drive(model: mujoco.MjModel, a: int, name: str, joint: str) -> JointDrive:
+    gear = float(model.actuator_gear[a, 0])
+    affine = int(model.actuator_biastype[a]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    bias = model.actuator_biasprm[a, :3] if affine else np.zeros(3)
+    limit, commands = np.inf, (-np.inf, np.inf)
+    if model.actuator_forcelimited[a]:
+        limit = float(np.abs(model.actuator_forcerange[a]).min() * abs(gear))
+    if model.actuator_ctrllimited[a]:
+        low, high = (float(x) for x in model.actuator_ctrlrange[a])
+        commands = (low, high)
+    lagging = int(model.actuator_dyntype[a]) in _LAGS
+    return JointDrive(
+        actuator=name,
+        joint=joint,
+        gain=float(model.actuator_gainprm[a, 0]) * gear,
+        stiffness=0.0 - float(bias[1]) * gear**2,
+        damping=0.0 - float(bias[2]) * gear**2,
+        offset=float(bias[0]) * gear,
+        lag=float(model.actuator_dynprm[a, 0]) if lagging else 0.0,
+        limit=limit,
+        command_range=commands,
+    )

@@ -1,0 +1,300 @@
+"""A run as Fourier lines of the band that was excited, with the noise of every reading.
+
+The commands of a real recorder do not repeat after the record, so records are tapered (Hann)
+before they are transformed; what a linear arm answers then holds line by line wherever the taper
+is long against the arm's memory.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from loose_env.errors import InvalidData
+from loose_env.instrument.machine import Machine, Reading
+from loose_env.recording import Run
+
+__all__ = ["Lines", "lines_of", "thinned", "uniform"]
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_WEAK = 0.02
+"""Power of a line's command over that of the strongest part of the band below which it is left."""
+_LOWEST = 2.0
+"""Lowest frequency that is used [Hz]: slower motion is gravity's and friction's."""
+_HIGHEST = 0.45
+"""Highest frequency that is used, over the sampling rate."""
+_MOST = 20_000
+"""Most lines of a run that are kept, evenly spread."""
+_SMOOTH = 3.0
+"""Width over which powers are averaged [Hz]."""
+_WORTH = 0.1
+"""Least information of a position beside that of the same joint's velocity."""
+_INDEPENDENT = 1.5
+"""Lines of a tapered record that are worth one."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lines:
+    """Lines of one run: K lines, A commands, c readings."""
+
+    run: str
+    """File of the run."""
+    pose: Array
+    """Pose held (n,) [rad or m]."""
+    healthy: bool
+    """Whether the run is a reference of the sound arm."""
+    excited: NDArray[np.intp]
+    """Joints that were excited, from 0."""
+    frequency: Array
+    """Frequencies (K,) [Hz]."""
+    command: Complex
+    """Commands of the drives' actuators (K, A); zero where none was recorded."""
+    force: Complex
+    """Measured forces of the joints that stand for their drives (K, n)."""
+    measured: NDArray[np.bool_]
+    """Joints whose force was measured and stands for their drives (n,)."""
+    blind: NDArray[np.bool_]
+    """Joints of whose drive nothing is known (n,)."""
+    readings: Complex
+    """All readings (K, c)."""
+    row: tuple[tuple[Reading, int], ...]
+    """Sensor and axis of each reading (c,)."""
+    noise: Array
+    """Variance of what the sensors add (K, c)."""
+    power: Array
+    """Smoothed power against which errors of the model are measured (K, c)."""
+    independent: float
+    """Independent values per line [1]."""
+    period: float
+    """Time for which a command is held [s]."""
+    seconds: float
+    """Length of the run [s]."""
+
+    @property
+    def spacing(self) -> float:
+        """Between lines [Hz]."""
+        return float(np.median(np.diff(self.frequency)))
+
+
+def thinned(lines: Lines, most: int) -> Lines:
+    """Fewer lines of a run, evenly spread."""
+    if len(lines.frequency) <= most:
+        return lines
+    kept = np.linspace(0, len(lines.frequency) - 1, most).round().astype(int)
+    names = ("frequency", "command", "force", "readings", "noise", "power")
+    return replace(lines, **{name: getattr(lines, name)[kept] for name in names})
+
+
+def uniform(time: Array, values: Array) -> tuple[float, Array]:
+    """Samples at an even rate, gaps filled along straight lines.
+
+    Parameters
+    ----------
+    time : ndarray (T,)
+        [s], increasing.
+    values : ndarray (T, c)
+        NaN where nothing was read.
+
+    Returns
+    -------
+    float
+        Rate [Hz].
+    ndarray (N, c)
+        Values at that rate.
+
+    Examples
+    --------
+    >>> rate, even = uniform(np.array([0.0, 0.1, 0.3]), np.array([[0.0], [np.nan], [3.0]]))
+    >>> round(rate, 6), even.ravel().round(6).tolist()
+    (10.0, [0.0, 1.0, 2.0, 3.0])
+    """
+    step = float(np.median(np.diff(time)))
+    count = int(np.floor((time[-1] - time[0]) / step + 1e-6)) + 1
+    even = time[0] + step * np.arange(count)
+    out = np.empty((count, values.shape[1]))
+    for k, column in enumerate(values.T):
+        there = np.isfinite(column)
+        if not there.any():
+            out[:, k] = 0.0
+        elif there.all() and len(time) == count and np.abs(even - time).max() < 0.02 * step:
+            out[:, k] = column
+        else:
+            out[:, k] = np.interp(even, time[there], column[there])
+    return 1 / step, out
+
+
+def lines_of(machine: Machine, run: Run, pose: Array, excited: NDArray[np.intp]) -> Lines:
+    """Transform a run.
+
+    Parameters
+    ----------
+    machine : Machine
+        The machine.
+    run : Run
+        The run, with commands or joint torques.
+    pose : ndarray (n,)
+        Pose held.
+    excited : ndarray of int
+        Joints that were excited, from 0.
+
+    Returns
+    -------
+    Lines
+
+    Raises
+    ------
+    InvalidData
+        If the run has no accelerometer of the arm, too few samples, or nothing in it that moves.
+    """
+    rows = tuple(
+        (r, axis)
+        for r in machine.readings
+        if r.sensor in run.sensors
+        for axis in range(r.axes)
+    )
+    if not any(r.kind == "acceleration" for r, _ in rows):
+        names = [r.sensor for r in machine.readings if r.kind == "acceleration"]
+        raise InvalidData(
+            f"{run.name}: no accelerometer of the arm was recorded; the model has {names}: record "
+            f"'sensor.{names[0]}.x', '.y' and '.z'"
+        )
+    drives, n = machine.drives, machine.n
+    columns = [
+        run.sensors[r.sensor] if r.axes == 1 else run.sensors[r.sensor][:, axis] for r, axis in rows
+    ]
+    commands = [run.controls.get(a, np.zeros(run.samples)) for a in drives.names]
+    forces = [run.torques.get(j, np.zeros(run.samples)) for j in machine.joints]
+    rate, even = uniform(run.time, np.stack([*columns, *commands, *forces], axis=1))
+    c, a = len(rows), len(commands)
+    driven = np.zeros(n, dtype=bool)
+    for name in drives.names:
+        if name in run.controls:
+            driven[machine.driven_joint(name)] = True
+    recorded = np.array([j in run.torques for j in machine.joints])
+    measured = recorded & ~driven
+    has_servo = drives.stiffness > 0
+    # A joint without a command on record is held by its servo, if it has one and rests.
+    resting = has_servo & ~driven & ~measured
+    resting[excited] = False
+    blind = ~driven & ~measured & ~resting
+    if len(even) < 64:
+        raise InvalidData(
+            f"{run.name}: a run of {len(even)} samples at {rate:g} Hz is too short to be used"
+        )
+    return _lines(
+        machine, run, rate, even, rows, c, a,
+        pose=pose, excited=excited, measured=measured, blind=blind,
+    )  # fmt: skip
+
+
+def _lines(
+    machine: Machine,
+    run: Run,
+    rate: float,
+    even: Array,
+    rows: tuple[tuple[Reading, int], ...],
+    c: int,
+    a: int,
+    *,
+    pose: Array,
+    excited: NDArray[np.intp],
+    measured: NDArray[np.bool_],
+    blind: NDArray[np.bool_],
+) -> Lines:
+    count = len(even)
+    taper = signal.windows.hann(count, sym=False)
+    taper /= np.sqrt(np.mean(taper**2))
+    spectrum = np.fft.rfft(signal.detrend(even, axis=0) * taper[:, None], axis=0)
+    frequency = np.fft.rfftfreq(count, 1 / rate)
+    inputs = np.abs(spectrum[:, c:]) ** 2
+    if blind[excited].any() or not inputs.any():
+        inputs = np.abs(spectrum[:, :3]) ** 2
+    width = max(1, round(_SMOOTH * count / rate))
+    total = _smoothed(inputs, width).sum(axis=1)
+    inside = (frequency >= _LOWEST) & (frequency <= _HIGHEST * rate)
+    if not inside.any() or total[inside].max() <= 0:
+        raise InvalidData(f"{run.name}: nothing moves between {_LOWEST:g} Hz and half the rate")
+    kept = np.flatnonzero(inside & (total > _WEAK * total[inside].max()))
+    if len(kept) < 8:
+        raise InvalidData(
+            f"{run.name}: only {len(kept)} Fourier lines of {count / rate:.2g} s are excited; "
+            "take a longer record or a wider band"
+        )
+    if len(kept) > _MOST:
+        kept = kept[np.linspace(0, len(kept) - 1, _MOST).round().astype(int)]
+    readings = spectrum[kept, :c]
+    noise = np.stack([_floor(spectrum[:, k], frequency, r, rate) for k, (r, _) in enumerate(rows)])
+    floor = np.maximum(noise[:, kept].T, 1e-30)
+    power = _power(spectrum[:, :c], rows, width)[kept]
+    measured_force = np.where(measured, spectrum[kept, c + a :], 0.0)
+    told = _telling(rows, frequency[kept], floor)
+    rows = tuple(rows[k] for k in told)
+    readings, floor, power = readings[:, told], floor[:, told], power[:, told]
+    return Lines(
+        run=run.name,
+        pose=pose,
+        healthy=run.condition == "healthy",
+        excited=excited,
+        frequency=frequency[kept],
+        command=spectrum[kept, c : c + a],
+        force=measured_force,
+        measured=measured,
+        blind=blind,
+        readings=readings,
+        row=rows,
+        noise=floor,
+        power=power,
+        independent=min(1.0, float(np.median(np.diff(kept))) / _INDEPENDENT),
+        period=1 / rate,
+        seconds=count / rate,
+    )
+
+
+def _telling(rows: tuple[tuple[Reading, int], ...], frequency: Array, noise: Array) -> list[int]:
+    """Readings that add something: not a position where the same joint's velocity is far better."""
+    omega2 = (2 * np.pi * frequency) ** 2
+    by_velocity: dict[int, float] = {}
+    for k, (r, _) in enumerate(rows):
+        if r.kind == "velocity":
+            told = float(np.mean(omega2 / noise[:, k]))
+            by_velocity[r.at] = max(told, by_velocity.get(r.at, 0.0))
+    return [
+        k
+        for k, (r, _) in enumerate(rows)
+        if r.kind != "position"
+        or float(np.mean(1 / noise[:, k])) > _WORTH * by_velocity.get(r.at, 0.0)
+    ]
+
+
+def _smoothed(power: Array, width: int) -> Array:
+    kernel = np.ones(width) / width
+    return np.stack([np.convolve(column, kernel, mode="same") for column in power.T], axis=1)
+
+
+def _power(spectrum: Complex, rows: tuple[tuple[Reading, int], ...], width: int) -> Array:
+    """Power of each reading, smoothed; the axes of a sensor count together."""
+    power = _smoothed(np.abs(spectrum) ** 2, width)
+    out = power.copy()
+    for sensor in {r.sensor for r, _ in rows}:
+        own = [k for k, (r, _) in enumerate(rows) if r.sensor == sensor]
+        out[:, own] = power[:, own].mean(axis=1, keepdims=True)
+    return out
+
+
+def _floor(spectrum: Complex, frequency: Array, reading: Reading, rate: float) -> Array:
+    """Power of the sensor's own noise: the lowest level that any part of the spectrum has.
+
+    The noise of the sensors in use is white in what they read; a median over a part is 0.69 of
+    its mean. Parts below 2 Hz and the last tenth, where filters cut, are left out.
+    """
+    power = np.abs(spectrum) ** 2
+    inside = (frequency > _LOWEST) & (frequency < _HIGHEST * rate)
+    parts = np.array_split(power[inside], 12)
+    levels = [float(np.median(part)) / np.log(2) for part in parts if len(part) >= 4]
+    lowest = min(levels) if levels else float(power.min())
+    return np.full(len(frequency), 1.15 * lowest)

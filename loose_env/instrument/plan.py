@@ -1,0 +1,309 @@
+"""The next step of a session at the machine: the pose, the joint and the signal to play.
+
+`plan` takes a model and what is known so far, a `loose_env.instrument.result.Diagnosis` or
+nothing, and says what to measure next and what to expect. Where the diagnosis says already what
+to measure next, that is what is planned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.linear import LinearArm
+from loose_env.diagnosis.proposal import propose_excitation
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.instrument.candidates import pose_range
+from loose_env.instrument.expected import Expected, expected_of
+from loose_env.instrument.ground import Ground
+from loose_env.instrument.known import Known, known_of
+from loose_env.instrument.model_arm import ModelArm, load_model_arm
+from loose_env.instrument.next_pose import NextSettings, next_measurement
+from loose_env.instrument.plan_settings import ModelSettings, PlanSettings
+from loose_env.instrument.result import Diagnosis, NextMeasurement
+from loose_env.instrument.signals import Signal, make_signal
+
+__all__ = ["Plan", "load", "next_for", "plan"]
+
+Array = NDArray[np.float64]
+
+_SURE = 0.95
+"""Probability above which a plan says that it is hardly needed [1]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """What to do next."""
+
+    machine: ModelArm
+    """The arm."""
+    next: NextMeasurement
+    """Pose, joints, band, levels, length and why."""
+    signals: tuple[Signal, ...]
+    """What to play, one for each joint of it."""
+    expected: Mapping[str, Expected]
+    """What each hypothesis expects of the first of them."""
+    warnings: tuple[str, ...]
+    """What to know before."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Everything that the plan depends on besides the model and the diagnosis."""
+
+    @property
+    def pose(self) -> Array:
+        """Joint positions, base first [rad or m] (n,)."""
+        return np.array([self.next.pose[name] for name in self.machine.joints])
+
+
+def load(path: str | Path, settings: ModelSettings | None = None) -> ModelArm:
+    """Read a model with settings; see `load_model_arm`."""
+    given = ModelSettings() if settings is None else settings
+    return load_model_arm(
+        path,
+        tool=given.tool,
+        hold=given.hold,
+        payload_kg=given.payload_kg,
+        payload_at_m=given.payload_at_m,
+    )
+
+
+def next_for(
+    machine: ModelArm,
+    known: Diagnosis | Known | None = None,
+    settings: NextSettings | None = None,
+    own: PlanSettings | None = None,
+) -> NextMeasurement:
+    """Choose the next measurement of an arm from a file, clear of collisions and of the ground.
+
+    What `plan` uses, and what a diagnosis can put into `Diagnosis.next`, so that both agree.
+
+    Parameters
+    ----------
+    machine : ModelArm
+        From `load_model_arm`.
+    known : Diagnosis or Known, optional
+        What is known; nothing by default. `Diagnosis.next` is not looked at.
+    settings : NextSettings, optional
+        How it is chosen.
+    own : PlanSettings, optional
+        What the user has decided.
+
+    Returns
+    -------
+    NextMeasurement
+
+    Raises
+    ------
+    InvalidData
+        If the diagnosis is of another model, or no pose will do.
+
+    Examples
+    --------
+    >>> from loose_env.arms.from_file import DESK_ARM
+    >>> desk = load_model_arm(DESK_ARM)
+    >>> first = next_for(desk, settings=NextSettings(poses=2))
+    >>> set(first.pose) == set(desk.joints)
+    True
+    """
+    own = PlanSettings() if own is None else own
+    arm = machine.arm
+    so_far = (
+        known_of(known, machine.links, machine.joints) if isinstance(known, Diagnosis) else known
+    )
+    ground = Ground.of(arm, own.ground_m)
+
+    def allowed(pose: Array) -> bool:
+        return ground.clear(pose) and not machine.collisions.touch(pose)
+
+    def reachable(here: Array, pose: Array) -> bool:
+        return not machine.collisions.touch_between(here, pose)
+
+    start = _typed(machine, "from_deg", own.from_deg)
+    if start is None and not (so_far and so_far.records):
+        start = machine.home
+    return next_measurement(
+        arm,
+        LinearArm(arm),
+        so_far,
+        settings,
+        links=machine.links,
+        joints=machine.joints,
+        allowed=allowed,
+        reachable=reachable,
+        start=start,
+        shakable=[d.joint for d in machine.drives if d is not None],
+        only=own.joint,
+        pose=_typed(machine, "pose_deg", own.pose_deg),
+    )
+
+
+def plan(
+    model: str | Path,
+    known: Diagnosis | None = None,
+    *,
+    arm: ModelSettings | None = None,
+    choice: NextSettings | None = None,
+    own: PlanSettings | None = None,
+) -> Plan:
+    """Plan the next step of a session.
+
+    Parameters
+    ----------
+    model : str or Path
+        MJCF or URDF of the arm.
+    known : Diagnosis, optional
+        What is known so far; nothing by default.
+    arm : ModelSettings, optional
+        What the file does not say.
+    choice : NextSettings, optional
+        How the pose is chosen; the length, rate and noise of records.
+    own : PlanSettings, optional
+        Layout of the signal, and what the user has decided.
+
+    Returns
+    -------
+    Plan
+        The same for the same model, diagnosis and settings.
+
+    Raises
+    ------
+    InvalidSetting, InvalidData, UnknownName
+        If the model cannot be used, the diagnosis is of another one, or no pose will do.
+    """
+    choice = NextSettings() if choice is None else choice
+    own = PlanSettings() if own is None else own
+    machine = load(model, arm)
+    so_far = None if known is None else known_of(known, machine.links, machine.joints)
+    decided = own.joint is not None or bool(own.pose_deg)
+    if known is not None and known.next is not None and not decided:
+        chosen = known.next
+        _check_next(machine, chosen)
+    else:
+        chosen = next_for(machine, so_far, choice, own)
+    linear = LinearArm(machine.arm)
+    pose = np.array([chosen.pose[name] for name in machine.joints])
+    seed = np.random.SeedSequence([choice.seed, 0 if so_far is None else len(so_far.records), 1])
+    signals = tuple(
+        make_signal(
+            machine,
+            linear,
+            pose,
+            joint,
+            torque_rms=torque,
+            band=chosen.band_hz,
+            seconds=chosen.seconds,
+            rate=chosen.rate_hz,
+            ramp=own.ramp_s,
+            hold=own.hold_s,
+            rng=np.random.default_rng(child),
+            torque_share=choice.torque_share,
+        )
+        for joint, torque, child in zip(
+            chosen.joints, chosen.torques, seed.spawn(len(chosen.joints)), strict=True
+        )
+    )
+    chosen = replace(
+        chosen,
+        levels=tuple(signal.joint_rms for signal in signals),
+        torques=tuple(signal.torque_rms for signal in signals),
+    )
+    return Plan(
+        machine=machine,
+        next=chosen,
+        signals=signals,
+        expected=expected_of(machine, linear, so_far, chosen, choice),
+        warnings=_warnings(machine, known, chosen, signals, own),
+        settings={**asdict(arm or ModelSettings()), **asdict(choice), **asdict(own)},
+    )
+
+
+def _typed(machine: ModelArm, name: str, given: tuple[float, ...]) -> Array | None:
+    """A pose as it was typed in: degrees, and millimetres where a joint slides."""
+    if not given:
+        return None
+    arm = machine.arm
+    if len(given) != arm.n or not np.isfinite(given).all():
+        raise InvalidSetting(
+            f"{name} has one finite number for each of {', '.join(machine.joints)}, got {given}"
+        )
+    pose = np.where(arm.sliding, np.array(given) * 1e-3, np.radians(given))
+    outside = np.flatnonzero(~arm.within_ranges(pose))
+    if len(outside):
+        j = int(outside[0])
+        allowed = arm.joint_ranges[j]
+        assert allowed is not None
+        raise InvalidSetting(
+            f"{name}: joint {machine.joints[j]} at {given[j]:g} is outside its range "
+            f"{_shown(arm.sliding[j], allowed[0])} to {_shown(arm.sliding[j], allowed[1])}"
+        )
+    return np.asarray(pose)
+
+
+def _shown(slides: np.bool_, value: float) -> str:
+    return f"{value * 1e3:.4g} mm" if slides else f"{np.degrees(value):.4g} degrees"
+
+
+def _check_next(machine: ModelArm, chosen: NextMeasurement) -> None:
+    """Refuse what a diagnosis wants next if it does not fit the model."""
+    lacking = [name for name in machine.joints if name not in chosen.pose]
+    foreign = [name for name in (*chosen.joints, *chosen.pose) if name not in machine.joints]
+    if lacking or foreign:
+        raise InvalidData(
+            f"the next measurement of the diagnosis is of another model: it has the joints "
+            f"{', '.join(chosen.pose)}, the model {', '.join(machine.joints)}"
+        )
+    pose = np.array([chosen.pose[name] for name in machine.joints])
+    if not machine.arm.within_ranges(pose).all():
+        raise InvalidData(
+            f"the pose of the diagnosis, {dict(chosen.pose)}, is outside the ranges of the model's "
+            f"joints: {machine.arm.joint_ranges}"
+        )
+
+
+def _warnings(
+    machine: ModelArm,
+    known: Diagnosis | None,
+    chosen: NextMeasurement,
+    signals: tuple[Signal, ...],
+    own: PlanSettings,
+) -> tuple[str, ...]:
+    said: list[str] = []
+    pose = np.array([chosen.pose[name] for name in machine.joints])
+    if known is not None and known.probability >= _SURE:
+        said.append(
+            f"the diagnosis names {known.fault.hypothesis} with {known.probability:.1%} already; "
+            "this measurement would only confirm it"
+        )
+    if not machine.collisions.known:
+        said.append(
+            "the model has no shapes that collide: nothing is known about collisions; look before "
+            "the arm moves, and take another pose with --pose-deg if it would touch anything"
+        )
+    touching = machine.collisions.touch(pose)
+    if touching:
+        said.append(f"in this pose the model's bodies touch: {', '.join(touching)}")
+    if not Ground.of(machine.arm, own.ground_m).clear(pose):
+        said.append("in this pose a part of the arm is below its base or the ground given")
+    low, high = pose_range(machine.arm, 0.0)
+    for j in np.flatnonzero((pose < low + 1e-3) | (pose > high - 1e-3)):
+        said.append(f"joint {machine.joints[j]} is at the end of its range")
+    for signal in signals:
+        if signal.scale < 0.99:
+            said.append(
+                f"joint {signal.joint}: {signal.limited_by} allows {signal.scale:.0%} of the level"
+            )
+    said += [
+        note
+        for note in machine.named(propose_excitation(machine.arm, pose).warnings)
+        if not note.startswith("the lowest holding mode")  # above its modes an arm is free
+    ]
+    if machine.hold != "model":
+        said.append(
+            f"joints are taken to be held by {machine.held_by}; 'loose diagnose' reckons with what "
+            "the model's actuators do, so put such springs into the model"
+        )
+    return tuple(dict.fromkeys((*said, *machine.notes)))

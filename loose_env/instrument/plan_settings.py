@@ -1,0 +1,62 @@
+"""What a user says about the arm at the machine and about the signal, besides the model file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from loose_env.errors import InvalidSetting
+from loose_env.instrument.model_arm import Hold
+
+__all__ = ["ModelSettings", "PlanSettings"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelSettings:
+    """What the model file does not say about the arm at the machine."""
+
+    tool: str | None = None
+    """Site or body that carries the accelerometer; by default where the model's own accelerometer
+    is, else the site 'tool', else the last site or body."""
+    hold: Hold = "model"
+    """What holds the joints: 'model', the model's own position servos, and a slow controller for
+    joints with torque motors, which is what 'loose diagnose' reckons with; or 'brake', 'servo',
+    'compliant' for brakes, servos of 25 Hz, or brakes behind elastic gears."""
+    payload_kg: float = 0.0
+    """Mass at the tool that the model lacks [kg]."""
+    payload_at_m: tuple[float, ...] = (0.0, 0.0, 0.0)
+    """Its centre in the tool frame, x y z [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanSettings:
+    """How the signal is laid out, and what the user has decided already."""
+
+    joint: str | None = None
+    """Joint to excite; by default the one that tells most."""
+    pose_deg: tuple[float, ...] = ()
+    """Pose to take, every joint from the base [degrees; mm where it slides]; by default the one
+    that tells most."""
+    from_deg: tuple[float, ...] = ()
+    """Where the arm stands now, as pose_deg; by default in the pose of the last record."""
+    ramp_s: float = 0.25
+    """Time over which the noise swells, and dies away [s]."""
+    hold_s: float = 0.5
+    """Time of standing still before and after [s]."""
+    ground_m: float | None = None
+    """Height that no link may go below, in the model's frame [m]; by default that of the base
+    where the arm stands on it."""
+
+    def __post_init__(self) -> None:
+        """Check.
+
+        Raises
+        ------
+        InvalidSetting
+            If a time is negative, too long or not finite.
+        """
+        for name in ("ramp_s", "hold_s"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and 0 <= value <= 60):
+                raise InvalidSetting(f"{name} is 0 to 60 s, got {value!r}")

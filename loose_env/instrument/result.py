@@ -1,0 +1,320 @@
+"""What was diagnosed, as dataclasses and as the file ``result.json`` of ``loose-diagnosis/1``."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from loose_env.errors import InvalidData
+from loose_env.gap.files import write_text
+from loose_env.gap.plain import restored
+
+__all__ = [
+    "FORMAT",
+    "HEALTHY",
+    "Diagnosis",
+    "Fault",
+    "FaultKind",
+    "Loop",
+    "NextMeasurement",
+    "RecordSeen",
+    "hypothesis_of",
+    "read_diagnosis",
+]
+
+FORMAT = "loose-diagnosis/1"
+"""Format of the file."""
+HEALTHY = "healthy"
+"""Name of the hypothesis that nothing is loose."""
+FaultKind = Literal["healthy", "structural_looseness", "backlash"]
+"""What can be the matter with the arm."""
+Vector = tuple[float, float, float]
+
+_DIGITS = 7
+"""Significant digits of a number in the file."""
+_SUM = 0.02
+"""How far the probabilities of a file may be from a sum of 1."""
+
+
+def hypothesis_of(kind: str, where: str | None) -> str:
+    """Name of a hypothesis, as the keys of a posterior have it.
+
+    Examples
+    --------
+    >>> hypothesis_of("backlash", "elbow"), hypothesis_of("healthy", None)
+    ('backlash@elbow', 'healthy')
+    """
+    return kind if where is None else f"{kind}@{where}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """What is the matter with the arm.
+
+    Examples
+    --------
+    >>> Fault(kind="structural_looseness", where="forearm", direction=(0.0, 0.6, 0.8)).hypothesis
+    'structural_looseness@forearm'
+    >>> Fault(kind="healthy", where="forearm")
+    Traceback (most recent call last):
+    ...
+    loose_env.errors.InvalidData: a healthy arm has no place, got 'forearm'
+    """
+
+    kind: FaultKind
+    """"healthy", "structural_looseness" or "backlash"."""
+    where: str | None = None
+    """The model's own name of the body that is loose on its joint, or of the joint that has play;
+    None for a healthy arm."""
+    direction: Vector | None = None
+    """Unit vector along which the body slides, in its own frame, axial; None for a healthy arm,
+    for backlash, and where the data do not say."""
+    direction_half_angle_deg: float | None = None
+    """Half the opening of the cone about ``direction`` that holds the truth with 95 %
+    probability [degrees]."""
+    gap_m: float | None = None
+    """Free travel [m]; of backlash the free turn [rad], where the joint slides [m]. None where the
+    data do not say."""
+    gap_interval_m: tuple[float, float] | None = None
+    """Ends of its 95 % interval, in the unit of ``gap_m``."""
+
+    def __post_init__(self) -> None:
+        """Check.
+
+        Raises
+        ------
+        InvalidData
+            If kind and place do not go together, the direction is no unit vector, or an interval
+            is upside down.
+        """
+        if self.kind not in get_args(FaultKind):
+            raise InvalidData(
+                f"the kind of a fault is one of {list(get_args(FaultKind))}, not {self.kind!r}"
+            )
+        if self.kind == HEALTHY and self.where is not None:
+            raise InvalidData(f"a healthy arm has no place, got {self.where!r}")
+        if self.kind != HEALTHY and not self.where:
+            raise InvalidData(f"{self.kind} needs the name of a place, got {self.where!r}")
+        if self.direction is not None:
+            if self.kind != "structural_looseness":
+                raise InvalidData(f"{self.kind} has no direction, got {self.direction}")
+            length = math.sqrt(sum(x * x for x in self.direction))
+            if not abs(length - 1) < 1e-3:
+                raise InvalidData(f"the direction is a unit vector, got {self.direction}")
+        ends = self.gap_interval_m
+        if ends is not None and not 0 <= ends[0] <= ends[1]:
+            raise InvalidData(f"an interval of the gap goes upwards from zero or more, got {ends}")
+
+    @property
+    def hypothesis(self) -> str:
+        """Key of the posterior."""
+        return hypothesis_of(self.kind, self.where)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NextMeasurement:
+    """What to measure next, and why."""
+
+    pose: Mapping[str, float]
+    """Position of every joint to hold [rad, m where it slides]."""
+    joints: tuple[str, ...]
+    """Joints to excite, one after the other, each in a run of its own."""
+    band_hz: tuple[float, float]
+    """Band of the noise to play [Hz]."""
+    levels: tuple[float, ...]
+    """Rms acceleration of each of these joints [rad/s², m/s² where it slides]."""
+    torques: tuple[float, ...]
+    """Rms torque that is expected to do that [N·m, N where it slides]."""
+    seconds: float
+    """Length of each run [s]."""
+    rate_hz: float
+    """Sampling rate [Hz]."""
+    reason: str
+    """Why, in a sentence."""
+    gain: float = 0.0
+    """Information that is expected of it about what is loose [bits]."""
+
+    def __post_init__(self) -> None:
+        """Check.
+
+        Raises
+        ------
+        InvalidData
+            If no joint is named, or there is not one level and one torque for each.
+        """
+        if not self.joints or not len(self.joints) == len(self.levels) == len(self.torques):
+            raise InvalidData(
+                "a next measurement has one or more joints, with a level and a torque for each, "
+                f"got {len(self.joints)}, {len(self.levels)} and {len(self.torques)}"
+            )
+        if not 0 < self.band_hz[0] < self.band_hz[1]:
+            raise InvalidData(f"a band goes upwards from above 0 Hz, got {self.band_hz}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loop:
+    """Correlation of the tool's motion with the excited joint's, by direction in a plane.
+
+    Drawn over the full circle it is the loop whose waist lies across what the joint transmits.
+    """
+
+    joint: str
+    """The excited joint."""
+    plane: Literal["xy", "xz", "yz"]
+    """Plane of the tool frame."""
+    angle_deg: tuple[float, ...]
+    """Directions in the plane, from its first axis [degrees] (P,)."""
+    correlation: tuple[float, ...]
+    """Measured, -1 to 1 (P,)."""
+    expected: tuple[float, ...]
+    """Of the sound arm, by the model (P,)."""
+
+    def __post_init__(self) -> None:
+        """Check."""
+        if not len(self.angle_deg) == len(self.correlation) == len(self.expected):
+            raise InvalidData("a loop has one correlation, measured and expected, for each angle")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordSeen:
+    """One run of the recording, in the order in which it was looked at."""
+
+    file: str
+    """The run's file."""
+    pose: Mapping[str, float]
+    """Positions held [rad, m where a joint slides]."""
+    excited: tuple[str, ...]
+    """Joints that were excited."""
+    condition: str
+    """"suspect" or "healthy"."""
+    probabilities: Mapping[str, float]
+    """Of every hypothesis after this run and all before it; empty for a healthy reference and
+    for a run that could not be used."""
+    direction_tool: Vector | None = None
+    """Direction of what this pose shows beyond the sound arm, tool frame, axial; None where
+    nothing is seen."""
+    half_angle_deg: float | None = None
+    """Half the opening of its 95 % cone [degrees]."""
+    loops: tuple[Loop, ...] = ()
+    """For the figure of this run."""
+    notes: tuple[str, ...] = ()
+    """What was remarkable about it, in sentences."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diagnosis:
+    """The content of ``result.json``."""
+
+    fault: Fault
+    """The most probable one."""
+    probability: float
+    """That it is the one, of those asked for [1]."""
+    posterior: Mapping[str, float]
+    """Probability of "healthy", of "structural_looseness@LINK" for every link and of
+    "backlash@JOINT" for every joint."""
+    next: NextMeasurement | None = None
+    """What would tell most; None where nothing more is needed."""
+    warnings: tuple[str, ...] = ()
+    """What a reader should know before trusting it."""
+    records: tuple[RecordSeen, ...] = ()
+    """The runs."""
+    model: str = "model.xml"
+    """File of the nominal model."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Everything that the result depends on besides recording and model."""
+    format: str = FORMAT
+    """Of the file."""
+
+    def __post_init__(self) -> None:
+        """Check.
+
+        Raises
+        ------
+        InvalidData
+            If the format is another, or the posterior is none or does not have the fault.
+        """
+        if self.format != FORMAT:
+            raise InvalidData(
+                f"a diagnosis of the format {FORMAT!r} is needed, not {self.format!r}"
+            )
+        total = math.fsum(self.posterior.values())
+        if not abs(total - 1) < _SUM or min(self.posterior.values(), default=-1.0) < 0:
+            raise InvalidData(f"the posterior has probabilities of sum 1, got {self.posterior}")
+        if self.fault.hypothesis not in self.posterior:
+            raise InvalidData(
+                f"the posterior does not have the fault {self.fault.hypothesis!r}; it has "
+                f"{list(self.posterior)}"
+            )
+
+    def to_json(self) -> str:
+        """Text of ``result.json``; numbers that are not finite become null."""
+        whole = {"format": self.format, **asdict(self)}
+        return json.dumps(_plain(whole), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str) -> Diagnosis:
+        """Read the text of ``result.json``.
+
+        Raises
+        ------
+        InvalidData
+            If it is none of the format ``loose-diagnosis/1``.
+
+        Examples
+        --------
+        >>> Diagnosis.from_json('{"format": "loose-gap/1"}')
+        Traceback (most recent call last):
+        ...
+        loose_env.errors.InvalidData: a diagnosis of the format 'loose-diagnosis/1' is needed, ...
+        """
+        try:
+            whole = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise InvalidData(f"the diagnosis is no JSON: {error}") from None
+        if not isinstance(whole, dict) or whole.get("format") != FORMAT:
+            given = whole.get("format") if isinstance(whole, dict) else whole
+            raise InvalidData(f"a diagnosis of the format {FORMAT!r} is needed, not {given!r:.60}")
+        return restored(cls, whole, "diagnosis")
+
+    def write(self, path: str | Path) -> Path:
+        """Write ``result.json`` beside its place and rename it."""
+        return write_text(Path(path), self.to_json())
+
+
+def read_diagnosis(path: str | Path) -> Diagnosis:
+    """Read a diagnosis, from its file or from the folder that holds ``result.json``.
+
+    Raises
+    ------
+    InvalidData
+        If there is none, or it is none of the format.
+    """
+    file = Path(path)
+    if file.is_dir():
+        file = file / "result.json"
+    try:
+        text = file.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidData(f"{file}: the diagnosis cannot be read: {error}") from None
+    try:
+        return Diagnosis.from_json(text)
+    except InvalidData as error:
+        raise InvalidData(f"{file}: {error}") from None
+
+
+def _plain(value: Any) -> Any:
+    """Numbers and strings that JSON has, numbers with as many digits as they are worth."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if value is None or isinstance(value, (bool, str, int)):
+        return value
+    if isinstance(value, Path):
+        return str(value)
+    number = float(value)
+    return float(f"{number:.{_DIGITS}g}") if math.isfinite(number) else None

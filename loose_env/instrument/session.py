@@ -1,0 +1,197 @@
+"""A session at the machine as a Python loop: what to measure, the measurement, what it says.
+
+Any object with ``measure(pose, excitation)`` is a machine. It takes the arm to the pose, plays the
+excitation, and returns what was recorded: a `loose_env.recording.Run` with the columns of the
+recording format, or a `loose_env.rig.Measurement`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.excitation import Excitation
+from loose_env.instrument.diagnose import Workbench
+from loose_env.instrument.machine import Machine
+from loose_env.instrument.result import Diagnosis, NextMeasurement
+from loose_env.instrument.settings import DiagnoseSettings
+from loose_env.recording import Run
+from loose_env.rig.measurement import Measurement
+
+__all__ = ["Found", "Machinery", "Session", "find_fault", "run_of"]
+
+Array = NDArray[np.float64]
+
+
+class Machinery(Protocol):
+    """Something that measures: a robot with its recorder, a simulation, a recording."""
+
+    def measure(self, pose: Array, excitation: Excitation) -> Run | Measurement:
+        """Take the arm to a pose, play the excitation, and return what was recorded."""
+        ...
+
+
+class Session:
+    """What is known of one arm, measurement by measurement.
+
+    Parameters
+    ----------
+    model : str or Path
+        MJCF file of the nominal model.
+    settings : DiagnoseSettings, optional
+        What is known beforehand.
+
+    Raises
+    ------
+    InvalidData
+        If the model is no serial arm on a fixed base.
+    """
+
+    def __init__(self, model: str | Path, settings: DiagnoseSettings | None = None) -> None:
+        self.settings = DiagnoseSettings() if settings is None else settings
+        self._bench = Workbench(Path(model), self.settings)
+        self._last: Diagnosis | None = None
+        self._count = 0
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joints in the order of poses and excitations, base first."""
+        return self._bench.machine.joints
+
+    def next(self) -> NextMeasurement | None:
+        """Say what to measure next; None where the fault has been named."""
+        if self._last is None:
+            self._last = self._bench.diagnosis()
+        return self._last.next
+
+    def add(self, measurement: Run | Measurement) -> Diagnosis:
+        """Take up a measurement and weigh all of them anew.
+
+        Raises
+        ------
+        InvalidData
+            If it cannot be used; what was known before still is.
+        """
+        self._count += 1
+        run = measurement
+        if isinstance(measurement, Measurement):
+            run = run_of(self._bench.machine, measurement, f"run-{self._count:02d}")
+        assert isinstance(run, Run)
+        self._bench.add(run)
+        self._last = self._bench.diagnosis()
+        return self._last
+
+    def excitation(self, wanted: NextMeasurement, joint: str) -> Excitation:
+        """The excitation of one joint of a measurement that `next` asked for."""
+        torque = dict(zip(wanted.joints, wanted.torques, strict=True))[joint]
+        return Excitation(
+            torque_rms=tuple(torque if name == joint else 0.0 for name in self.joints),
+            duration=wanted.seconds,
+            band=wanted.band_hz,
+        )
+
+    def pose(self, wanted: NextMeasurement) -> Array:
+        """The pose of a measurement, base first (n,) [rad or m]."""
+        return np.array([wanted.pose[name] for name in self.joints])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """How a session ended."""
+
+    diagnosis: Diagnosis
+    measurements: int
+    """Runs that were taken."""
+    named: bool
+    """Whether it ended because the fault was named."""
+
+
+def find_fault(
+    machinery: Machinery,
+    model: str | Path,
+    settings: DiagnoseSettings | None = None,
+    *,
+    most: int = 12,
+    say: Callable[[Diagnosis], None] = lambda _: None,
+) -> Found:
+    """Measure and diagnose in turn until the fault has a name.
+
+    Parameters
+    ----------
+    machinery : Machinery
+        What measures.
+    model : str or Path
+        MJCF file of the nominal model.
+    settings : DiagnoseSettings, optional
+        What is known beforehand.
+    most : int
+        Most runs that are taken.
+    say : callable
+        Told every diagnosis on the way.
+
+    Returns
+    -------
+    Found
+
+    Raises
+    ------
+    InvalidSetting
+        If ``most`` is below one.
+    InvalidData
+        If a measurement cannot be used.
+    """
+    if most < 1:
+        raise InvalidSetting(f"most is a number of runs, one or more, got {most!r}")
+    session = Session(model, settings)
+    wanted = session.next()
+    found, count = None, 0
+    while wanted is not None and count < most:
+        for joint in wanted.joints:
+            run = machinery.measure(session.pose(wanted), session.excitation(wanted, joint))
+            found, count = session.add(run), count + 1
+            say(found)
+            if found.next is None or count >= most:
+                break
+        assert found is not None
+        wanted = found.next
+    if found is None:
+        raise InvalidData("nothing could be measured: no pose of this arm tells anything")
+    return Found(diagnosis=found, measurements=count, named=found.next is None)
+
+
+def run_of(machine: Machine, measurement: Measurement, name: str) -> Run:
+    """A measurement of a rig as a run of a recording.
+
+    Raises
+    ------
+    InvalidData
+        If it failed, does not fit the machine, or its tool has not three axes.
+    """
+    if measurement.failure is not None:
+        raise InvalidData(f"{name}: the measurement failed: {measurement.failure}")
+    if len(measurement.pose) != machine.n or len(measurement.tool) != 3:
+        raise InvalidData(
+            f"{name}: the model has {machine.n} joints and an accelerometer of three axes; the "
+            f"measurement has {len(measurement.pose)} and {len(measurement.tool)}"
+        )
+    tool = next(r.sensor for r in machine.readings if r.kind == "acceleration" and r.at == 0)
+    sensors: dict[str, Array] = {tool: measurement.tool.T}
+    for reading in machine.readings:
+        if reading.kind == "position":
+            sensors[reading.sensor] = measurement.encoder[reading.at, 1:-1]
+    samples = measurement.tool.shape[1]
+    on = np.flatnonzero(measurement.excited)
+    return Run(
+        name=name,
+        time=np.arange(samples) / measurement.rate,
+        sensors=sensors,
+        torques={machine.joints[j]: measurement.command[j] for j in on},
+        excited=tuple(machine.joints[j] for j in on),
+        pose=machine.named(measurement.pose),
+    )

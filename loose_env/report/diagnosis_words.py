@@ -1,0 +1,260 @@
+"""A diagnosis in plain words: what is loose, how sure that is, what to do now."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from loose_env.arms.arm import Arm
+from loose_env.errors import InvalidData
+from loose_env.instrument.result import HEALTHY, Diagnosis, NextMeasurement
+
+__all__ = [
+    "headline",
+    "joint_words",
+    "link_words",
+    "place_value",
+    "questions",
+    "short_name",
+    "steps",
+    "sure_words",
+]
+
+DECIDED, LEANING = 0.95, 0.6
+"""Probabilities from which a diagnosis is said to stand, and to be probable."""
+_RIVAL = 0.01
+"""Probability from which the next best explanation is worth a word."""
+
+
+def joint_words(arm: Arm, joint: str) -> str:
+    """Name a joint, with its number from the base where the name does not have it.
+
+    Examples
+    --------
+    >>> from loose_env.arms import DESK_ARM, Arm
+    >>> joint_words(Arm.from_file(DESK_ARM), "elbow")
+    'joint 3 (elbow)'
+    """
+    return _named("joint", arm.joints, joint, arm)
+
+
+def link_words(arm: Arm, body: str) -> str:
+    """Name a link, with its number from the base where the name does not have it.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> link_words(planar(2), "link2")
+    'link 2'
+    """
+    return _named("link", arm.seat_bodies, body, arm)
+
+
+def _named(noun: str, names: tuple[str, ...], name: str, arm: Arm) -> str:
+    if name not in names:
+        raise InvalidData(
+            f"the diagnosis names {name!r}, which is no {noun} of arm {arm.name!r}; it has "
+            f"{', '.join(names)}: give the model that was diagnosed"
+        )
+    number = names.index(name) + 1
+    plain = f"{noun} {number}"
+    return (
+        plain
+        if name.lower().replace("_", " ") in (plain, f"{noun}{number}")
+        else (f"{plain} ({name})")
+    )
+
+
+def short_name(arm: Arm, hypothesis: str) -> str:
+    """Say a hypothesis in a few words.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> short_name(planar(2), "backlash@joint1"), short_name(planar(2), "healthy")
+    ('joint 1 has play', 'nothing is loose')
+    """
+    kind, _, where = hypothesis.partition("@")
+    if kind == HEALTHY:
+        return "nothing is loose"
+    if kind == "backlash":
+        return f"{joint_words(arm, where)} has play"
+    return f"{link_words(arm, where)} is loose"
+
+
+def headline(diagnosis: Diagnosis, arm: Arm) -> str:
+    """The outcome in one sentence, no surer than it is."""
+    said = short_name(arm, diagnosis.fault.hypothesis)
+    if diagnosis.probability >= DECIDED:
+        return f"{_begun(said)}."
+    if diagnosis.probability >= LEANING:
+        return f"Probably {said}."
+    return f"Not decided yet. Most likely so far: {said}."
+
+
+def sure_words(diagnosis: Diagnosis, arm: Arm) -> list[str]:
+    """How sure the outcome is, and what else it could be."""
+    own = diagnosis.fault.hypothesis
+    others = sorted(
+        ((p, name) for name, p in diagnosis.posterior.items() if name != own), reverse=True
+    )
+    found = [f"{percent(diagnosis.probability)} of all that was considered."]
+    rivals = [f"{short_name(arm, name)} ({percent(p)})" for p, name in others[:2] if p >= _RIVAL]
+    if rivals:
+        found.append(f"What else it could be: {', or '.join(rivals)}.")
+    found.append(
+        f"Considered were {len(diagnosis.posterior)} possibilities: a sound arm, one loose link, "
+        "or play in one joint. Two faults at once, or one of another kind, are not among them."
+    )
+    return found
+
+
+def percent(p: float) -> str:
+    """A probability in per cent, never rounded to certainty.
+
+    Examples
+    --------
+    >>> percent(0.9996), percent(0.42), percent(0.0002)
+    ('over 99.9 %', '42 %', 'under 0.1 %')
+    """
+    if p > 0.999:
+        return "over 99.9 %"
+    if p < 0.001:
+        return "under 0.1 %"
+    digits = 1 if p > 0.99 or p < 0.01 else 0
+    return f"{100 * p:.{digits}f} %"
+
+
+def place_value(arm: Arm, joint: str, value: float) -> str:
+    """Position of a joint in the unit that a teach panel shows.
+
+    Examples
+    --------
+    >>> from loose_env.arms import scara
+    >>> place_value(scara(), "joint1", 0.5), place_value(scara(), "joint3", -0.05)
+    ('28.6°', '−50.0 mm')
+    """
+    slides = joint in arm.joints and bool(arm.sliding[arm.joints.index(joint)])
+    shown = f"{1e3 * value:.1f} mm" if slides else f"{np.degrees(value):.1f}°"
+    return shown.replace("-0.0", "0.0").replace("-", "−")
+
+
+def questions(diagnosis: Diagnosis, arm: Arm) -> list[tuple[str, list[str]]]:
+    """What a reader asks first, with the answers."""
+    found = [
+        ("What is loose", _what(diagnosis, arm)),
+        ("How sure", sure_words(diagnosis, arm)),
+    ]
+    if diagnosis.fault.kind != HEALTHY:
+        found.append(("How much travel", [_travel(diagnosis, arm)]))
+    found.append(("What to do next", steps(diagnosis, arm)))
+    found.append(("What was looked at", [_looked(diagnosis)]))
+    return found
+
+
+def _what(diagnosis: Diagnosis, arm: Arm) -> list[str]:
+    fault = diagnosis.fault
+    if fault.where is None:
+        return [
+            "Nothing was found that is not transmitted as the model of the sound arm says. A seat "
+            "that stayed shut, by its own friction or by weight, looks the same."
+        ]
+    if fault.kind == "backlash":
+        return [
+            f"{_begun(joint_words(arm, fault.where))}: its motor and its link are not tightly "
+            "connected."
+        ]
+    joint = arm.joints[arm.seat_bodies.index(fault.where)] if fault.where in arm.seat_bodies else ""
+    link = link_words(arm, fault.where)
+    said = f"{_begun(link)}: it slides where it is fastened to {joint_words(arm, joint)}."
+    if fault.direction is None:
+        return [said, "The data do not say in which direction."]
+    axis = ", ".join(f"{x:.2f}".replace("-", "−") for x in fault.direction)
+    within = (
+        ""
+        if fault.direction_half_angle_deg is None
+        else f", within {fault.direction_half_angle_deg:.0f}° (95 %)"
+    )
+    return [said, f"It slides along ({axis}) of its own frame{within}."]
+
+
+def _travel(diagnosis: Diagnosis, arm: Arm) -> str:
+    fault = diagnosis.fault
+    if fault.gap_m is None:
+        return "The data do not say how far it travels."
+    turns = fault.kind == "backlash" and not (
+        fault.where in arm.joints and bool(arm.sliding[arm.joints.index(fault.where)])
+    )
+    scale, unit = (60 * 180 / np.pi, "arc minutes") if turns else (1e3, "mm")
+    ends = fault.gap_interval_m
+    between = (
+        "" if ends is None else f", 95 % between {scale * ends[0]:.2g} and {scale * ends[1]:.2g}"
+    )
+    return f"{scale * fault.gap_m:.2g} {unit} from stop to stop{between}."
+
+
+def _looked(diagnosis: Diagnosis) -> str:
+    suspect = [r for r in diagnosis.records if r.condition != HEALTHY]
+    poses = {tuple(round(v, 3) for v in r.pose.values()) for r in suspect}
+    healthy = len(diagnosis.records) - len(suspect)
+    said = f"{_count(len(suspect), 'record')} in {_count(len(poses), 'pose')}"
+    if healthy:
+        return f"{said}, beside {_count(healthy, 'record')} of the sound arm."
+    return f"{said}. There is no record of the sound arm: the model stands in its place."
+
+
+def _begun(words: str) -> str:
+    """Words as a sentence begins."""
+    return words[:1].upper() + words[1:]
+
+
+def _count(number: int, noun: str) -> str:
+    return f"one {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def steps(diagnosis: Diagnosis, arm: Arm) -> list[str]:
+    """What to do now, in the order in which to do it."""
+    found = []
+    fault, decided = diagnosis.fault, diagnosis.probability >= DECIDED
+    if diagnosis.next is not None:
+        found.append(_measure(diagnosis.next, arm))
+    if not decided:
+        if diagnosis.next is None:
+            found.append(
+                "Measure in further poses, each far from those before, or louder: what is at hand "
+                "does not decide it."
+            )
+        return found
+    if fault.kind == HEALTHY:
+        found.append(
+            "Keep this recording: it is the reference of the sound arm for the next time."
+            if diagnosis.next is None
+            else "Without another measurement, take this for now as a sound arm."
+        )
+    elif fault.kind == "backlash" and fault.where is not None:
+        found.append(
+            f"Look at the drive of {joint_words(arm, fault.where)}: gear, coupling, key, belt."
+        )
+    elif fault.where is not None:
+        found.append(
+            f"Look at what fastens {link_words(arm, fault.where)}: bolts, dowels, cracks at the "
+            "flange."
+        )
+    if fault.kind != HEALTHY:
+        found.append(
+            "Measure once more in the same poses after the repair: the correlations should lie on "
+            "the dashed lines again."
+        )
+    return found
+
+
+def _measure(following: NextMeasurement, arm: Arm) -> str:
+    names = [joint_words(arm, joint) for joint in following.joints]
+    shaken = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]} in turn"
+    reason = following.reason.strip()
+    reason = f" {_begun(reason)}" if reason else ""
+    if reason and reason[-1] not in ".!?":
+        reason += "."
+    return (
+        f"Measure once more in the pose shown below: shake {shaken} for {following.seconds:g} s, "
+        f"hold the others.{reason}"
+    )

@@ -1,0 +1,116 @@
+"""A plan in words: what to do, step by step, for somebody who stands at the machine."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from loose_env.instrument.plan import Plan
+from loose_env.instrument.plan_files import run_columns, signal_stems
+from loose_env.report.diagnosis_words import percent, place_value, short_name
+
+__all__ = ["pose_rows", "steps", "summary"]
+
+_LISTED = 0.02
+"""Probability from which a hypothesis is mentioned [1]."""
+
+
+def pose_rows(plan: Plan) -> list[tuple[str, str]]:
+    """Joint and where to hold it, base first."""
+    return [
+        (name, place_value(plan.machine.arm, own, plan.next.pose[name]))
+        for name, own in zip(plan.machine.joints, plan.machine.arm.joints, strict=True)
+    ]
+
+
+def steps(plan: Plan, runs: tuple[str, ...], folder: str = "DIR") -> list[str]:
+    """What to do, a sentence or two a step; ``folder`` is where the plan lies."""
+    machine, chosen = plan.machine, plan.next
+    made = machine.recordable
+    said = [
+        "Move the arm to the pose: "
+        + ", ".join(f"{name} {value}" for name, value in pose_rows(plan))
+        + ". Look first that nothing is in its way; keep everybody out of its reach.",
+    ]
+    rate = f"{chosen.rate_hz:g} times a second"
+    for signal, run, stem in zip(plan.signals, runs, signal_stems(plan.signals), strict=True):
+        j = machine.joints.index(signal.joint)
+        drive = machine.drives[j]
+        assert drive is not None
+        what = "position commands (rad)" if drive.servo else "torque commands"
+        if machine.arm.sliding[j]:
+            what = "position commands (m)" if drive.servo else "force commands"
+        others = (
+            "The other columns are constant: they hold the arm."
+            if drive.servo
+            else "Torque alone holds no pose: let your controller keep every joint near its place, "
+            f"slow enough to leave the noise alone (below {chosen.band_hz[0] / 4:.0f} Hz), and add "
+            "the signal to what it gives."
+        )
+        commands = (
+            f"those of {stem}.csv"
+            if drive.servo
+            else "the torques that were really given, the controller's part included"
+        )
+        said.append(
+            f"Start the recorder at {rate} or faster, then play {stem}.csv (or {stem}.parquet): "
+            f"{what} for {drive.actuator}, {signal.time[-1]:.2f} s long, noise from "
+            f"{chosen.band_hz[0]:g} to {chosen.band_hz[1]:g} Hz. {others}"
+        )
+        said.append(
+            f"Save the readings as recording/{run} with the columns "
+            f"{', '.join(run_columns(plan))}. The commands are {commands}; "
+            "accelerations are in m/s² as the sensor gives them, gravity included, along the axes "
+            f"of the site {made.site!r}."
+        )
+    said.append(f"Then: loose diagnose {folder}/recording --out {folder}/diagnosis")
+    said.append(
+        f"And for the next pose: loose plan {machine.path.name} --out {folder} "
+        f"--known {folder}/diagnosis"
+    )
+    return said
+
+
+def summary(plan: Plan) -> str:
+    """A plan in a few lines, for a terminal."""
+    machine, chosen = plan.machine, plan.next
+    arm = machine.arm
+    width = max(len(name) for name in machine.joints)
+    lines = [f"why: {chosen.reason}", "pose"]
+    lines += [f"  {name.ljust(width)}  {value:>10}" for name, value in pose_rows(plan)]
+    for signal in plan.signals:
+        j = machine.joints.index(signal.joint)
+        unit, turn = ("N", "m/s²") if arm.sliding[j] else ("N·m", "rad/s²")
+        lines.append(f"shake {signal.joint}")
+        lines.append(
+            f"  noise from {chosen.band_hz[0]:g} to {chosen.band_hz[1]:g} Hz for "
+            f"{chosen.seconds:g} s, {chosen.rate_hz:g} samples a second"
+        )
+        lines.append(
+            f"  joint {signal.joint_rms:.3g} {turn} rms, tool {signal.tool_rms:.3g} m/s² rms, "
+            f"moves up to {_small(signal.travel[j], bool(arm.sliding[j]))}"
+        )
+        lines.append(
+            f"  torque {signal.drive_rms:.3g} {unit} rms, peaks {signal.torque_peaks[j]:.3g} of "
+            f"{arm.torque_limits[j]:g} {unit} with what holds the pose"
+        )
+    known = sorted(plan.expected.items(), key=lambda item: -item[1].probability)
+    if any("@" in name and one.probability > 0.3 for name, one in known):
+        lines.append("in question")
+        for name, one in known:
+            if one.probability >= _LISTED:
+                lines.append(
+                    f"  {percent(one.probability):>8}  {short_name(arm, _own(plan, name))}"
+                )
+    return "\n".join(lines)
+
+
+def _own(plan: Plan, name: str) -> str:
+    """A hypothesis by the names that the arm uses: its own of reserved ones."""
+    kind, _, where = name.partition("@")
+    if kind == "backlash":
+        where = plan.machine.arm.joints[plan.machine.joints.index(where)]
+    return f"{kind}@{where}" if where else kind
+
+
+def _small(travel: float, slides: bool) -> str:
+    return f"{travel * 1e3:.2g} mm" if slides else f"{np.degrees(travel):.2g}°"

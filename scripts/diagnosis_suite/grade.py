@@ -1,0 +1,100 @@
+"""Marks and the table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from scripts.diagnosis_suite.measuring import SHOWS
+
+Rows = Sequence[dict[str, Any]]
+BINS = (0.0, 0.5, 0.7, 0.9, 0.98, 1.0)
+
+
+def table(rows: Rows, title: str) -> str:
+    """All figures of one form."""
+    lines = [title, f"  cases: {len(rows)}"]
+    healthy = [r for r in rows if r["kind"] == "healthy"]
+    lines.append(f"  healthy called healthy: {_share([r['said'] == 'healthy' for r in healthy])}")
+    for kind in ("structural_looseness", "backlash"):
+        own = [r for r in rows if r["kind"] == kind]
+        seen = [r for r in own if r["shown"] > SHOWS]
+        lines.append(f"  {kind}: kind and place right: {_share(_right(own))}")
+        lines.append(f"    where the fault shows: {_share(_right(seen))}")
+        lines.append(f"    kind right: {_share([r['said'].startswith(kind) for r in own])}")
+    for reference in (False, True):
+        own = [r for r in rows if r["reference"] == reference]
+        words = "with" if reference else "without"
+        lines.append(f"  all, {words} healthy runs: {_share(_right(own))}")
+    most = max((len(r["steps"]) for r in rows), default=0)
+    faulty = [r for r in rows if r["kind"] != "healthy"]
+    for count in range(1, most + 1):
+        after = [_best(r["steps"][min(count, len(r["steps"])) - 1]) == r["true"] for r in rows]
+        of_faults = [_best(r["steps"][min(count, len(r["steps"])) - 1]) == r["true"] for r in faulty]
+        lines.append(f"  after {count} run(s): {_share(after)}; of faults {_share(of_faults)}")
+    lines += _numbers(rows) + _calibration(rows)
+    if rows and "named" in rows[0]:
+        taken = [r["measurements"] for r in rows]
+        lines.append(
+            f"  runs taken: median {np.median(taken):g}, mean {np.mean(taken):.2f}; named "
+            f"{_share([r['named'] for r in rows])}; of those right "
+            f"{_share(_right([r for r in rows if r['named']]))}"
+        )
+    return "\n".join(lines)
+
+
+def _numbers(rows: Rows) -> list[str]:
+    right = [r for r in rows if r["said"] == r["true"]]
+    angles = [r["angle"] for r in right if r.get("angle") is not None]
+    lines = []
+    if angles:
+        inside = [r["angle"] <= r["half_angle"] for r in right if r.get("angle") is not None]
+        lines.append(
+            f"  direction: median {np.median(angles):.1f} degrees, nine of ten within "
+            f"{np.percentile(angles, 90):.1f}; inside its 95 % cone {_share(inside)}"
+        )
+    faults = [r for r in right if r["kind"] != "healthy"]
+    given = [r for r in faults if r.get("gap_said") is not None]
+    if faults:
+        lines.append(f"  gap given: {_share([r.get('gap_said') is not None for r in faults])}")
+    if given:
+        ratio = [abs(r["gap_said"] / r["gap"] - 1) for r in given]
+        inside = [r["gap_interval"][0] <= r["gap"] <= r["gap_interval"][1] for r in given]
+        lines.append(
+            f"  gap off by: median {np.median(ratio):.0%}; inside its 95 % interval {_share(inside)}"
+        )
+    return lines
+
+
+def _calibration(rows: Rows) -> list[str]:
+    if not rows:
+        return []
+    said = np.array([r["probability"] for r in rows])
+    right = np.array(_right(rows), dtype=float)
+    error, lines = 0.0, []
+    for low, high in zip(BINS, BINS[1:], strict=False):
+        inside = (said > low) & (said <= high)
+        if inside.any():
+            gap = abs(float(said[inside].mean() - right[inside].mean()))
+            error += gap * inside.mean()
+            lines.append(
+                f"    said {low:.2f} to {high:.2f}: {inside.sum()} cases, mean "
+                f"{said[inside].mean():.3f}, right {right[inside].mean():.3f}"
+            )
+    return [f"  calibration error (ECE): {error:.3f}", *lines]
+
+
+def _best(probabilities: dict[str, float]) -> str:
+    return max(probabilities, key=lambda name: probabilities[name])
+
+
+def _right(rows: Rows) -> list[bool]:
+    return [r["said"] == r["true"] for r in rows]
+
+
+def _share(values: Sequence[bool]) -> str:
+    if not values:
+        return "no case"
+    return f"{sum(values)} of {len(values)} ({sum(values) / len(values):.0%})"

@@ -1,0 +1,1 @@
+"""What is tried to break the package: malformed files, kills, long runs."""

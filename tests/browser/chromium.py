@@ -1,0 +1,163 @@
+"""A headless Chromium, driven by its DevTools protocol: loads pages, measures them, draws them."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import json
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-dev-shm-usage",
+    "--hide-scrollbars",
+    # Whatever a page asks of a network fails, and is heard of.
+    "--host-resolver-rules=MAP * ~NOTFOUND",
+)
+WAIT = 60.0
+"""How long an answer may take before the browser counts as hung [s]."""
+
+
+def executable() -> str | None:
+    """Path of a Chromium on this machine."""
+    return next((found for name in NAMES if (found := shutil.which(name))), None)
+
+
+class Page:
+    """One tab. What its console and its loading complain about gathers in `errors`."""
+
+    def __init__(self, socket: Any) -> None:
+        self.socket = socket
+        self.number = 0
+        self.errors: list[str] = []
+        self.asked: list[str] = []
+        self.events: list[str] = []
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self.call(f"{domain}.enable")
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """Ask the browser for something and wait for its answer."""
+        self.number += 1
+        self.socket.send(json.dumps({"id": self.number, "method": method, "params": parameters}))
+        while True:
+            message = json.loads(self.socket.recv(timeout=WAIT))
+            if message.get("id") == self.number:
+                if "error" in message:
+                    raise RuntimeError(f"{method}: {message['error']}")
+                return dict(message["result"])
+            self._hear(message)
+
+    def _hear(self, message: dict[str, Any]) -> None:
+        method, told = message.get("method", ""), message.get("params", {})
+        self.events.append(method)
+        if method == "Runtime.exceptionThrown":
+            self.errors.append(str(told["exceptionDetails"].get("text")))
+        elif method == "Runtime.consoleAPICalled" and told["type"] in ("error", "warning"):
+            self.errors.append(" ".join(str(a.get("value")) for a in told["args"]))
+        elif method == "Log.entryAdded" and told["entry"]["level"] in ("error", "warning"):
+            self.errors.append(f"{told['entry']['text']} {told['entry'].get('url', '')}")
+        elif method == "Network.loadingFailed" and not told.get("canceled"):
+            self.errors.append(f"not loaded: {told.get('errorText')}")
+        elif method == "Network.requestWillBeSent":
+            self.asked.append(told["request"]["url"])
+
+    def open(self, path: Path, *, width: int, height: int = 900, dark: bool = False) -> None:
+        """Load a file in a window of a size and wait until it is there."""
+        self.errors.clear()
+        self.asked.clear()
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=width < 600,
+        )
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self.call("Emulation.setEmulatedMedia", media="", features=[scheme])
+        self.events.clear()
+        self.call("Page.navigate", url=path.resolve().as_uri())
+        until = time.monotonic() + WAIT
+        while "Page.loadEventFired" not in self.events and time.monotonic() < until:
+            with contextlib.suppress(TimeoutError):
+                self._hear(json.loads(self.socket.recv(timeout=1.0)))
+        self.value("new Promise(done => requestAnimationFrame(() => setTimeout(done, 50)))")
+
+    def value(self, expression: str) -> Any:
+        """Value of a JavaScript expression; a promise is waited for."""
+        found = self.call(
+            "Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True
+        )
+        if "exceptionDetails" in found:
+            raise RuntimeError(f"{expression}: {found['exceptionDetails']}")
+        return found["result"].get("value")
+
+    def picture(self, path: Path) -> None:
+        """Draw the whole page into a PNG."""
+        size = self.call("Page.getLayoutMetrics")["cssContentSize"]
+        clip = {"x": 0, "y": 0, "width": size["width"], "height": size["height"], "scale": 1}
+        shot = self.call("Page.captureScreenshot", captureBeyondViewport=True, clip=clip)
+        path.write_bytes(base64.b64decode(shot["data"]))
+
+    def paper(self, path: Path) -> None:
+        """Print the page as a PDF."""
+        found = self.call(
+            "Page.printToPDF", printBackground=True, paperWidth=8.27, paperHeight=11.7
+        )
+        path.write_bytes(base64.b64decode(found["data"]))
+
+
+@contextlib.contextmanager
+def chromium(profile: Path) -> Iterator[Page]:
+    """Start a browser with an empty profile of its own; end it afterwards."""
+    from websockets.sync.client import connect
+
+    found = executable()
+    assert found is not None, f"no Chromium: looked for {', '.join(NAMES)}"
+    process = subprocess.Popen(
+        [found, *FLAGS, f"--user-data-dir={profile}", "--remote-debugging-port=0", "about:blank"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        address = _address(profile, process)
+        with connect(address, max_size=None, compression=None, proxy=None) as socket:
+            yield Page(socket)
+    finally:
+        process.terminate()
+        try:
+            process.wait(timeout=10)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _address(profile: Path, process: subprocess.Popen[bytes]) -> str:
+    """Where the browser's one tab listens."""
+    from urllib.request import ProxyHandler, build_opener
+
+    told, until = profile / "DevToolsActivePort", time.monotonic() + WAIT
+    straight = build_opener(ProxyHandler({}))  # past any proxy: the browser is on this machine
+    while time.monotonic() < until and process.poll() is None:
+        try:
+            port = int(told.read_text().splitlines()[0])
+            with straight.open(f"http://127.0.0.1:{port}/json/list", timeout=5) as answer:
+                tabs = [tab for tab in json.load(answer) if tab["type"] == "page"]
+            if tabs:
+                return str(tabs[0]["webSocketDebuggerUrl"])
+        except (OSError, ValueError, IndexError):
+            pass
+        time.sleep(0.1)
+    raise RuntimeError(f"the browser did not answer (exit status {process.poll()})")

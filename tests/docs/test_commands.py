@@ -1,0 +1,100 @@
+"""The commands that the documents print exist, with every option that is shown."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from loose_env.cli.main import COMMANDS, parser
+from tests.docs.pages import PAGES, ROOT, commands
+
+FOUND = [(page.name, words) for page in PAGES for words in commands(page)]
+NAMES = {".venv/bin/python": "python", "python3": "python", ".venv/bin/loose": "loose"}
+
+
+def of(program: str) -> list[tuple[str, list[str]]]:
+    return [(page, words[1:]) for page, words in FOUND if NAMES.get(words[0], words[0]) == program]
+
+
+def test_the_pages_show_commands_of_every_kind() -> None:
+    assert {NAMES.get(words[0], words[0]) for _, words in FOUND} == {
+        "python", "loose", "make", "pip",
+    }  # fmt: skip
+
+
+@cache
+def options_of(script: str) -> str:
+    done = subprocess.run(
+        [sys.executable, script, "--help"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("script", sorted({w[0] for _, w in of("python") if w[0][0] != "-"}))
+def test_scripts_exist_and_know_the_options_shown(script: str) -> None:
+    assert (ROOT / script).is_file(), f"{script} is shown and does not exist"
+    shown = {
+        (page, word.partition("=")[0])
+        for page, words in of("python")
+        for word in words[1:]
+        if words[0] == script and re.match(r"-{1,2}[a-zA-Z]", word)
+    }
+    known = set(re.findall(r"(?<![\w-])-{1,2}[a-zA-Z][\w-]*", options_of(script)))
+    unknown = sorted(f"{page}: {option}" for page, option in shown if option not in known)
+    assert not unknown, f"{script} has no {unknown}"
+
+
+@pytest.mark.parametrize(("page", "words"), of("loose"))
+def test_command_lines_of_loose_are_understood(page: str, words: list[str]) -> None:
+    del page
+    if len(words) == 1:
+        assert words[0] in COMMANDS or words[0].startswith("--")  # mentioned, not typed
+    elif words[0] in COMMANDS and "--help" not in words:
+        assert parser().parse_args(words).command == words[0]
+    else:
+        with pytest.raises(SystemExit) as ended:
+            parser().parse_args(words)
+        assert ended.value.code == 0
+
+
+def test_make_knows_every_verb_shown() -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    verbs = set(re.findall(r"^([a-z-]+):", makefile, flags=re.MULTILINE))
+    for page, words in of("make"):
+        for word in words:
+            assert "=" in word or word in verbs, f"{page} shows make {word}; there are {verbs}"
+
+
+def test_every_verb_of_make_has_its_line_of_help() -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    phony = re.search(r"^\.PHONY: (.*)$", makefile, flags=re.MULTILINE)
+    assert phony is not None
+    helped = re.findall(r"^([a-z-]+):.*## ", makefile, flags=re.MULTILINE)
+    assert sorted(helped) == sorted(phony[1].split())
+    contributing = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    for verb in ("run", "docs", "test", "check", "build"):
+        assert f"`make {verb}`" in contributing
+
+
+def test_pip_installs_extras_that_exist() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = set(project["optional-dependencies"])
+    for page, words in of("pip"):
+        named = {e for w in words for part in re.findall(r"\[(.*?)\]", w) for e in part.split(",")}
+        assert named <= extras, f"{page}: pip installs {named - extras}, which are no extras"
+
+
+def test_files_that_pages_link_to_exist() -> None:
+    for page in PAGES:
+        text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+        for target in re.findall(r"\]\((?!https?:|#)([^)\s]+)\)", text):
+            file = page.parent / target.partition("#")[0]
+            assert file.exists(), f"{page.name} links to {target}"
+            assert Path(target).is_absolute() is False

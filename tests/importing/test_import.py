@@ -1,0 +1,343 @@
+"""A known motion, written by loggers' own libraries, comes back as a recording."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import CompressionType
+
+from loose_env.cli.main import main
+from loose_env.importing import ImportSettings, import_recording
+from loose_env.recording import Run, read_recording, write_recording
+from tests.importing.sample_files import (
+    ARM,
+    START_NS,
+    motion,
+    write_csv,
+    write_json_mcap,
+    write_protobuf_mcap,
+    write_robot,
+    write_uff,
+)
+
+Mapped = Callable[..., Path]
+
+ROBOT = """
+[sources.robot]
+[columns]
+"sensor.shoulder_angle" = { topic = "/joint_states", channel = "position[shoulder]" }
+"sensor.elbow_angle" = { topic = "/joint_states", channel = "position[elbow]" }
+"sensor.shoulder_rate" = { topic = "/joint_states", channel = "velocity[0]" }
+"sensor.tool.x" = { topic = "/imu", channel = "linear_acceleration.x" }
+"sensor.tool.y" = { topic = "/imu", channel = "linear_acceleration.y" }
+"sensor.tool.z" = { topic = "/imu", channel = "linear_acceleration.z" }
+"ctrl.lift" = { topic = "/commands", channel = "data[0]" }
+[[runs]]
+file = "swing"
+excited = ["shoulder"]
+pose = { shoulder = "30 deg", elbow = -0.2 }
+condition = "healthy"
+"""
+
+
+def known(time: np.ndarray) -> dict[str, np.ndarray]:
+    signals = motion(time)
+    return {
+        "shoulder_angle": signals["shoulder"],
+        "elbow_angle": signals["elbow"],
+        "shoulder_rate": signals["rate"],
+        "tool": np.stack([signals[axis] for axis in "xyz"], axis=1),
+    }
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_a_bag_of_ros2_comes_back_to_the_last_bit(
+    home: Path, mapping: Mapped, compression: CompressionType
+) -> None:
+    bag = write_robot(home / "robot.mcap", compression=compression)
+    found = import_recording([bag], mapping(ROBOT), home / "out")
+    time = np.arange(400) / 200
+    whole = known(time)
+    direct = write_recording(
+        home / "direct",
+        model_xml=ARM,
+        runs=[
+            Run(
+                name="swing",
+                time=time,
+                sensors=whole,
+                controls={"lift": motion(time)["lift"]},
+                excited=("shoulder",),
+                pose={"shoulder": np.pi / 6, "elbow": -0.2},
+                condition="healthy",
+            )
+        ],
+    )
+    one, other = found.runs[0], direct.runs[0]
+    np.testing.assert_allclose(one.time, other.time, atol=2e-9)
+    for name, values in other.sensors.items():
+        np.testing.assert_array_equal(one.sensors[name], values)
+    np.testing.assert_array_equal(one.controls["lift"], other.controls["lift"])
+    assert (one.excited, one.condition, one.name) == (other.excited, "healthy", other.name)
+    assert one.pose == pytest.approx(other.pose)
+    assert read_recording(home / "out").model().nu == 2
+
+
+def test_the_command_line_writes_what_the_gap_reads(
+    home: Path, mapping: Mapped, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = write_robot(home / "robot.mcap")
+    told = ["import", str(bag), "--mapping", str(mapping(ROBOT)), "--out", str(home / "out")]
+    assert main(told) == 0
+    said = capsys.readouterr()
+    assert "written:" in said.out
+    assert "400 rows, 1.995 s at 200 Hz" in said.err
+    recording = read_recording(home / "out")
+    recording.check_comparison()
+    assert recording.runs[0].comparison == "forward"
+    assert main(told) == 1
+    assert "is not empty" in capsys.readouterr().err
+    assert main([*told, "--overwrite", "--file-format", "csv", "--quiet"]) == 0
+    assert capsys.readouterr().err == ""
+    assert (home / "out" / "swing.csv").is_file()
+
+
+def test_json_and_protobuf_say_the_same(home: Path, mapping: Mapped) -> None:
+    time = np.arange(300) / 100
+    signals = motion(time)
+    rows = [
+        (
+            START_NS + round(t * 1e9),
+            {"at": START_NS * 1e-9 + t, "a": [signals[axis][i] for axis in "xyz"]},
+        )
+        for i, t in enumerate(time)
+    ]
+    write_json_mcap(home / "j.mcap", rows)
+    write_protobuf_mcap(home / "p.mcap", time)
+    columns = "\n".join(
+        f'"sensor.tool.{axis}" = {{ topic = "/tool", channel = "FIELD[{i}]" }}'
+        for i, axis in enumerate("xyz")
+    )
+    text = "[sources.tool]\n{time}\n[columns]\n{columns}\n[[runs]]\n"
+    for name, field, clock in (("j", "a", ""), ("p", "axes", 'time = { stamp = "timestamp" }')):
+        mapped = mapping(text.format(time=clock, columns=columns.replace("FIELD", field)))
+        found = import_recording([home / f"{name}.mcap"], mapped, home / name).runs[0]
+        np.testing.assert_allclose(found.time, time, atol=2e-9)
+        np.testing.assert_array_equal(found.sensors["tool"], known(time)["tool"])
+
+
+def test_a_table_with_commas_units_and_lines_of_words(home: Path, mapping: Mapped) -> None:
+    time = np.arange(500) / 1000
+    signals = motion(time)
+    rows = np.stack(
+        [1e3 * time, signals["x"] / 9.80665e-3, np.degrees(signals["shoulder"]), signals["rate"]], 1
+    )
+    write_csv(
+        home / "daq.csv",
+        rows,
+        ["Zeit [ms]", "ax", "Winkel", "rpm"],
+        separator=";",
+        decimal=",",
+        before=["Logger 5", "Serial; 12"],
+        after=["ms;mg;deg;1/min"],
+        encoding="latin-1",
+    )
+    mapped = mapping(
+        """
+[sources.daq]
+file = "daq.csv"
+separator = ";"
+decimal = ","
+encoding = "latin-1"
+skip = 2
+skip_after_header = 1
+time = { column = "Zeit [ms]", unit = "ms" }
+[columns]
+"sensor.shoulder_angle" = { channel = "Winkel", unit = "deg", sign = -1, offset = 0.25 }
+"sensor.shoulder_rate" = { channel = "#4", unit = "rpm" }
+"torque.elbow" = { channel = "ax", unit = "N·m", scale = 0.001 }
+[[runs]]
+"""
+    )
+    found = import_recording([home / "daq.csv"], mapped, home / "out").runs[0]
+    np.testing.assert_allclose(found.time, time, atol=1e-12)
+    np.testing.assert_allclose(
+        found.sensors["shoulder_angle"], 0.25 - signals["shoulder"], atol=1e-10
+    )
+    np.testing.assert_allclose(
+        found.sensors["shoulder_rate"], signals["rate"] * 2 * np.pi / 60, atol=1e-9
+    )
+    np.testing.assert_allclose(found.torques["elbow"], signals["x"] / 9.80665, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("stamp", "clock"),
+    [
+        (lambda ns: str(ns), 'unit = "ns"'),
+        (lambda ns: str(ns // 1000), 'unit = "us"'),
+        (lambda ns: f"{ns // 10**9}.{ns % 10**9:09d}", 'unit = "s"'),
+        (
+            lambda ns: f"2024-05-01T10:00:{ns // 10**9 % 60:02d}.{ns % 10**9:09d}+00:00",
+            'date_format = "iso"',
+        ),
+        (
+            lambda ns: f"01.05.2024 10:00:{ns // 10**9 % 60:02d}.{ns // 1000 % 10**6:06d}",
+            'date_format = "%d.%m.%Y %H:%M:%S.%f"',
+        ),
+    ],
+    ids=["ns", "us", "seconds", "iso", "strptime"],
+)
+def test_dates_in_a_table_keep_their_microseconds(
+    home: Path, mapping: Mapped, stamp: Callable[[int], str], clock: str
+) -> None:
+    time = np.arange(100) / 1000
+    stamps = [START_NS + round(t * 1e9) for t in time]
+    lines = ["t,q", *(f"{stamp(ns)},{i}" for i, ns in enumerate(stamps))]
+    (home / "log.csv").write_text("\n".join(lines))
+    mapped = mapping(
+        f'[sources.log]\ntime = {{ column = "t", {clock} }}\n[columns]\n'
+        '"sensor.elbow_angle" = { channel = "q" }\n[[runs]]\nstart = "2024-05-01T10:00:00.02Z"\n'
+    )
+    found = import_recording([home / "log.csv"], mapped, home / "out").runs[0]
+    assert found.sensors["elbow_angle"][0] == 20
+    np.testing.assert_allclose(found.time, time[:80], atol=3e-7)
+
+
+@pytest.mark.parametrize("binary", [0, 1])
+def test_a_universal_file_keeps_its_rate(home: Path, mapping: Mapped, binary: int) -> None:
+    # 1/48000 s has more digits than the file keeps: a minute would end a millisecond off.
+    time = np.arange(4800) / 48000
+    signals = motion(time)
+    histories = {(7, 1): signals["x"], (7, -2): -signals["y"], (7, 3): signals["z"]}
+    write_uff(home / "v.uff", time, {k: v / 9.80665 for k, v in histories.items()}, unit="g",
+              binary=binary)  # fmt: skip
+    mapped = mapping(
+        """
+[sources.v]
+[columns]
+"sensor.tool.x" = { channel = "7+X" }
+"sensor.tool.y" = { channel = "7-Y", sign = -1 }
+"sensor.tool.z" = { channel = "#3", unit = "g" }
+[[runs]]
+"""
+    )
+    found = import_recording([home / "v.uff"], mapped, home / "out").runs[0]
+    np.testing.assert_allclose(found.time, time, atol=1e-12)
+    np.testing.assert_allclose(found.sensors["tool"], known(time)["tool"], atol=1e-9)
+
+
+def test_sources_of_different_rates_and_clocks_are_joined(home: Path, mapping: Mapped) -> None:
+    write_robot(home / "robot.mcap", seconds=6.0)
+    skew = 0.0237
+    # The recorder starts 1 s after the robot, and its clock counts from its own start.
+    time = np.arange(4000) / 1000
+    signals = motion(time + 1.0 + skew)
+    write_uff(home / "v.uff", time, {(1, 1): signals["shoulder"], (1, 2): signals["elbow"]})
+    mapped = mapping(
+        """
+[sources.robot]
+time = { from_start = true }
+[sources.v]
+[sources.v.time]
+offset_s = 1.0
+[sources.v.align]
+to = "robot"
+channel = "1+X"
+to_topic = "/joint_states"
+to_channel = "position[shoulder]"
+most_s = 0.5
+[[runs]]
+[runs.columns]
+"sensor.elbow_angle" = { source = "v", channel = "1+Y", unit = "rad" }
+[runs.columns."sensor.shoulder_angle"]
+source = "robot"
+topic = "/joint_states"
+channel = "position[shoulder]"
+"""
+    )
+    said: list[str] = []
+    found = import_recording(
+        [f"robot={home / 'robot.mcap'}", home / "v.uff"], mapped, home / "out", say=said.append
+    ).runs[0]
+    shift = next(line for line in said if "shifted by" in line)
+    assert abs(float(shift.split("by ")[1].split(" s")[0]) - skew) < 2e-5
+    assert "sensor.shoulder_angle: band-limited from 200 Hz" in "\n".join(said)
+    inner = slice(200, -200)
+    true = motion(found.time + 1.0 + skew)
+    assert found.samples == 4000
+    for sensor, signal in (("elbow_angle", "elbow"), ("shoulder_angle", "shoulder")):
+        assert np.abs(found.sensors[sensor] - true[signal])[inner].max() < 1e-2
+
+
+def test_many_runs_take_their_files_in_turn(home: Path, mapping: Mapped) -> None:
+    time = np.arange(50) / 100
+    files = []
+    for i in range(3):
+        rows = np.stack([time, np.full(50, float(i)), time * i], 1)
+        files.append(write_csv(home / f"pose-{i}.csv", rows, ["t", "q", "a"]))
+    runs = "".join(
+        f'[[runs]]\nfile = "run-{i}"\npose = "measured"\nsources = {{ log = "pose-{i}.csv" }}\n'
+        for i in range(3)
+    )
+    mapped = mapping(
+        '[sources.log]\ntime = { column = "t" }\n[columns]\n"sensor.elbow_angle" = '
+        f'{{ channel = "q" }}\n{runs}[runs.columns]\n"torque.elbow" = {{ channel = "a" }}\n'
+    )
+    found = import_recording(files, mapped, home / "out")
+    assert [run.pose for run in found.runs] == [{"elbow": 0.0}, {"elbow": 1.0}, {"elbow": 2.0}]
+    assert [list(run.torques) for run in found.runs] == [[], [], ["elbow"]]
+
+
+def test_a_mapping_may_be_json_and_a_model_lie_elsewhere(home: Path, tmp_path: Path) -> None:
+    write_csv(home / "log.csv", np.stack([np.arange(20) / 10, np.ones(20)], 1), ["t", "q"])
+    mapping = home / "map.json"
+    mapping.write_text(
+        json.dumps(
+            {
+                "format": "loose-mapping/1",
+                "sources": {"log": {"time": {"column": "t"}}},
+                "runs": [{"columns": {"sensor.elbow_angle": {"channel": "q"}}}],
+            }
+        )
+    )
+    elsewhere = tmp_path / "models"
+    elsewhere.mkdir()
+    (elsewhere / "other.xml").write_text(ARM)
+    found = import_recording(
+        [home / "log.csv"],
+        mapping,
+        home / "out",
+        ImportSettings(file_format="csv"),
+        model=elsewhere / "other.xml",
+    )
+    assert found.model_path == home / "out" / "other.xml"
+    assert found.runs[0].name == "run-01.csv"
+
+
+def test_a_gap_stays_a_gap(home: Path, mapping: Mapped) -> None:
+    time = np.arange(1000) / 1000
+    fast = write_csv(home / "fast.csv", np.stack([time, time], 1), ["t", "q"])
+    slow_time = np.arange(100) / 100
+    kept = (slow_time < 0.4) | (slow_time > 0.45)
+    rows = np.stack([slow_time, np.sin(slow_time)], 1)[kept]
+    slow = write_csv(home / "slow.csv", rows, ["t", "w"])
+    mapped = mapping(
+        """
+[sources.fast]
+time = { column = "t" }
+[sources.slow]
+time = { column = "t" }
+[[runs]]
+[runs.columns]
+"sensor.elbow_angle" = { source = "fast", channel = "q" }
+"sensor.shoulder_rate" = { source = "slow", channel = "w" }
+"""
+    )
+    run = import_recording([f"fast={fast}", f"slow={slow}"], mapped, home / "out").runs[0]
+    missing = np.isnan(run.sensors["shoulder_rate"])
+    np.testing.assert_array_equal(missing, (run.time > 0.3905) & (run.time < 0.4595))
+    assert not np.isnan(run.sensors["elbow_angle"]).any()

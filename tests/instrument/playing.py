@@ -1,0 +1,78 @@
+"""Play a planned signal on the model it was made for, with MuJoCo and nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from loose_env.instrument.plan import Plan
+
+
+@dataclass(frozen=True, kw_only=True)
+class Played:
+    """What the simulated arm did."""
+
+    tool_rms: float
+    joint_rms: float
+    torque_peaks: np.ndarray
+    travel: np.ndarray
+    standing: float
+    """Largest acceleration of the tool before the noise begins, less gravity [m/s²]."""
+    columns: dict[str, np.ndarray]
+    """The run, as a recording has it."""
+
+
+def play(plan: Plan, *, step: float = 2e-4) -> Played:
+    """Play the first signal; joints with motors are on the soft controller that is assumed."""
+    machine, signal = plan.machine, plan.signals[0]
+    spec = mujoco.MjSpec.from_string(machine.recordable.xml)
+    spec.option.timestep = step
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    m = spec.compile()
+    joints = [m.joint(name) for name in machine.joints]
+    at = [int(j.qposadr[0]) for j in joints]
+    dofs = [int(j.dofadr[0]) for j in joints]
+    for k, drive in enumerate(machine.drives):
+        if drive is None or not drive.servo:
+            m.jnt_stiffness[joints[k].id] += machine.arm.centring.stiffness[k]
+            m.dof_damping[dofs[k]] += machine.arm.centring.damping[k]
+            m.qpos_spring[at[k]] = plan.pose[k]
+    data = mujoco.MjData(m)
+    data.qpos[at] = plan.pose
+    names = [m.actuator(a).name for a in range(m.nu)]
+    u = np.array([signal.commands[name] for name in names]).T
+    data.ctrl[:] = u[0]
+    for a in range(m.nu):
+        if m.actuator_actadr[a] >= 0:
+            data.act[m.actuator_actadr[a]] = u[0, a]
+    sensor = int(m.sensor(machine.recordable.accelerometer).adr[0])
+    each = round(1 / (step * plan.next.rate_hz))
+    tool, q, torque, qacc = [], [], [], []
+    for t in range(len(u)):
+        mujoco.mj_forward(m, data)
+        tool.append(data.sensordata[sensor : sensor + 3].copy())
+        q.append(data.qpos[at].copy())
+        torque.append(data.qfrc_actuator[dofs].copy())
+        qacc.append(data.qacc[dofs].copy())
+        for s in range(each):
+            data.ctrl[:] = u[t] + (u[min(t + 1, len(u) - 1)] - u[t]) * s / each
+            mujoco.mj_step(m, data)
+    a, angle = np.array(tool), np.array(q)
+    on = (signal.time >= signal.steady_s[0]) & (signal.time < signal.steady_s[1])
+    still = signal.time < 0.9 * (signal.steady_s[0] - 0.25)
+    j = machine.joints.index(signal.joint)
+    around = a[on] - a[on].mean(axis=0)
+    columns = {"time": signal.time, **{f"ctrl.{n}": v for n, v in signal.commands.items()}}
+    name = machine.recordable.accelerometer
+    columns |= {f"sensor.{name}.{axis}": a[:, k] for k, axis in enumerate("xyz")}
+    columns |= {f"sensor.{s}": angle[:, k] for k, s in enumerate(machine.recordable.positions)}
+    return Played(
+        tool_rms=float(np.sqrt((around**2).sum(axis=1).mean())),
+        joint_rms=float(np.array(qacc)[on][:, j].std()),
+        torque_peaks=np.abs(torque).max(axis=0),
+        travel=np.abs(angle - plan.pose).max(axis=0),
+        standing=float(np.abs(a[still] - a[0]).max()),
+        columns=columns,
+    )

@@ -1,0 +1,83 @@
+"""What a model's actuators do to its joints."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from loose_env.instrument.collisions import Collisions
+from loose_env.instrument.drives import drives_of
+from loose_env.instrument.ground import Ground
+from loose_env.instrument.plan import load
+from loose_env.instrument.signals import holding_commands
+from tests.instrument.plan_arms import SERVOED, written
+
+
+def test_a_servo_behind_a_gear_is_told_at_the_joint() -> None:
+    model = mujoco.MjModel.from_xml_string(SERVOED)
+    (elbow,), notes = drives_of(model, ["elbow"])
+    assert not notes
+    assert elbow is not None
+    assert (elbow.gain, elbow.stiffness, elbow.damping) == (900.0, 1800.0, 48.0)
+    assert (elbow.limit, elbow.lag, elbow.command_range) == (50.0, 0.002, (-5.3, 5.3))
+
+
+@pytest.mark.parametrize(
+    ("actuator", "why"),
+    [
+        ('<intvelocity name="a" joint="pan" kp="5" actrange="-1 1"/>', "INTEGRATOR"),
+        ('<general name="a" joint="pan" gaintype="affine" gainprm="1 2 0"/>', "depends on the"),
+        ('<motor name="a" joint="pan" gear="0"/>', "no gain"),
+    ],
+)
+def test_an_actuator_that_is_no_spring_and_gain_is_passed_over(actuator: str, why: str) -> None:
+    start, end = SERVOED.index("<actuator>"), SERVOED.index("</mujoco>")
+    text = f"{SERVOED[:start]}<actuator>{actuator}</actuator>{SERVOED[end:]}"
+    found, notes = drives_of(mujoco.MjModel.from_xml_string(text), ["pan"])
+    assert found == (None,)
+    assert len(notes) == 1
+    assert re.search(why, notes[0])
+
+
+def test_the_commands_hold_the_model_where_it_is_asked_to_be(tmp_path: Path) -> None:
+    machine = load(written(tmp_path, SERVOED))
+    pose = np.array([0.2, -0.4, 0.9])
+    commands, load_torques = holding_commands(machine, pose)
+    model = machine.recordable.model
+    data = mujoco.MjData(model)
+    data.qpos[:] = pose
+    for a in range(model.nu):
+        data.ctrl[a] = commands[model.actuator(a).name]
+        if model.actuator_actadr[a] >= 0:
+            data.act[model.actuator_actadr[a]] = data.ctrl[a]
+    mujoco.mj_forward(model, data)
+    assert data.qacc == pytest.approx(0.0, abs=1e-6)
+    assert data.qfrc_actuator == pytest.approx(load_torques)
+
+
+def test_bodies_that_always_touch_are_no_collision() -> None:
+    text = SERVOED.replace('fromto="0 0 0 .4 0 0"', 'fromto="-.2 0 -.25 .4 0 0"')
+    look = Collisions.of(mujoco.MjSpec.from_string(text), ["pan", "lift", "elbow"])
+    assert not look.touch([0.0, 0.0, 0.0])
+
+
+def test_a_way_through_the_floor_is_seen_between_two_poses_above_it() -> None:
+    look = Collisions.of(mujoco.MjSpec.from_string(SERVOED), ["pan", "lift", "elbow"])
+    folded, other = [0.0, -0.5, 0.3], [0.0, 0.9, -0.9]
+    assert not look.touch(folded)
+    assert not look.touch(other)
+    low = [0.0, 1.3, 0.2]
+    assert look.touch_between(folded, low)
+
+
+def test_an_arm_that_hangs_has_no_ground(tmp_path: Path) -> None:
+    hanging = SERVOED.replace(
+        '<body name="post" pos="0 0 .25">', '<body name="post" pos="0 0 2" quat="0 1 0 0">'
+    )
+    arm = load(written(tmp_path, hanging)).arm
+    assert Ground.of(arm).height == -float("inf")
+    assert Ground.of(arm, 0.5).height == 0.5

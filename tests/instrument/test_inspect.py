@@ -1,0 +1,123 @@
+"""What a model says about measuring its arm."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loose_env.arms.linear import LinearArm
+from loose_env.instrument.inspect import Inspection, inspect_model
+from loose_env.instrument.inspect_words import screen
+from loose_env.instrument.next_pose import NextSettings, seat_features
+from loose_env.instrument.plan import load
+from loose_env.instrument.plan_settings import ModelSettings
+from loose_env.instrument.sensitivity import SEEN, sensitivity
+from tests.instrument.plan_arms import MOTORS, SERVOED, written
+
+FEW = NextSettings(poses=6)
+
+
+@pytest.fixture(scope="module")
+def servoed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("servoed"), SERVOED)
+
+
+@pytest.fixture(scope="module")
+def seen(servoed: Path) -> Inspection:
+    return inspect_model(servoed, FEW)
+
+
+def test_every_fault_of_a_diagnosis_is_judged(seen: Inspection) -> None:
+    assert tuple(f.hypothesis for f in seen.faults) == seen.machine.hypotheses[1:]
+    assert {f.verdict for f in seen.faults} <= {"yes", "mostly", "hardly", "no"}
+
+
+def test_gravity_keeps_a_seat_under_a_vertical_axis_shut_along_it(servoed: Path) -> None:
+    seen = inspect_model(servoed, NextSettings(poses=4, torque_share=0.15))
+    post = next(f for f in seen.faults if f.hypothesis == "structural_looseness@post")
+    assert post.directions < 1
+    assert post.shut_along is not None
+    assert abs(post.shut_along[2]) > 0.9  # the whole arm weighs on it in every pose
+    fore = next(f for f in seen.faults if f.hypothesis == "structural_looseness@fore")
+    assert fore.directions > post.directions
+
+
+def test_play_in_a_joint_whose_axis_meets_the_tool_is_not_found(tmp_path: Path) -> None:
+    text = SERVOED.replace(
+        '<site name="tool" pos=".35 .03 0"/>', '<site name="tool" pos="0 .03 0"/>'
+    )
+    found = inspect_model(written(tmp_path, text), FEW)
+    play = found.faults[-1]
+    assert play.hypothesis == "backlash@elbow"
+    assert play.verdict in ("hardly", "no")
+    assert "axis" in play.why
+
+
+def test_a_smaller_gap_shows_with_a_healthy_reference_than_without(seen: Inspection) -> None:
+    for fault in seen.faults:
+        if fault.smallest_gap is not None and fault.smallest_gap_model is not None:
+            assert fault.smallest_gap <= fault.smallest_gap_model
+
+
+def test_more_noise_hides_larger_gaps(servoed: Path) -> None:
+    machine = load(servoed)
+    linear, pose = LinearArm(machine.arm), np.array([0.3, -0.5, 1.0])
+    torque = np.array([5.0, 0.0, 0.0])
+    quiet, loud = (
+        sensitivity(seat_features(linear, NextSettings(noise_ug=noise)), pose, torque, 1.2)
+        for noise in (20.0, 20000.0)
+    )
+    assert (quiet.smallest_gap(reference=True) <= loud.smallest_gap(reference=True)).all()
+    assert np.median(loud.by_noise) < 0.1 * np.median(quiet.by_noise)
+
+
+def test_a_gap_as_large_as_the_smallest_that_shows_is_just_seen(servoed: Path) -> None:
+    machine = load(servoed)
+    linear, pose = LinearArm(machine.arm), np.array([0.3, -0.5, 1.0])
+    found = sensitivity(seat_features(linear, FEW), pose, np.array([5.0, 0.0, 0.0]), 1.2)
+    smallest = found.smallest_gap(reference=False)
+    shows = np.isfinite(smallest)
+    assert shows.any()
+    change = (found.lost(smallest) * found.by_model)[shows]
+    assert change == pytest.approx(SEEN, rel=1e-6)
+
+
+def test_levels_and_modes_are_those_of_the_servos(seen: Inspection) -> None:
+    assert seen.machine.held_by == "the model's position servos"
+    inertia = LinearArm(seen.machine.arm).at(np.zeros(3)).inertia
+    slowest = np.sqrt(800 / inertia[0, 0]) / (2 * np.pi)
+    assert 0.3 * slowest < seen.modes_hz[0] < 3 * slowest
+    for joint, limit in zip(seen.joints, (80.0, 90.0, 50.0), strict=True):
+        assert joint.torque_limit == limit
+        assert 0 < 3 * joint.torque_rms <= 0.8 * limit
+
+
+def test_the_models_own_accelerometer_says_where_the_tool_is(tmp_path: Path) -> None:
+    found = inspect_model(written(tmp_path, MOTORS), NextSettings(poses=2))
+    made = found.machine.recordable
+    assert (made.site, made.accelerometer) == ("tip", "vibration")
+    assert made.positions == ("lift_position", "q2")
+    assert "torque alone" in found.machine.held_by
+
+
+def test_the_screen_names_joints_tool_band_and_faults(seen: Inspection) -> None:
+    text = screen(seen)
+    for word in ("pan_servo", "80 N·m", "accelerometer: at tool", "Hz", "backlash@elbow", "mm"):
+        assert word in text
+    assert max(map(len, text.splitlines())) < 200
+
+
+def test_the_file_holds_the_same(seen: Inspection) -> None:
+    whole = json.loads(seen.to_json())
+    assert whole["format"] == "loose-inspection/1"
+    assert [f["hypothesis"] for f in whole["faults"]] == list(seen.machine.hypotheses[1:])
+    assert whole["settings"]["poses"] == 6
+
+
+def test_a_tool_can_be_named(servoed: Path) -> None:
+    found = inspect_model(servoed, NextSettings(poses=2), ModelSettings(tool="fore"))
+    assert (found.machine.report.tool, found.joints[-1].name) == ("fore", "elbow")
+    assert found.joints[-1].level_tool == 0  # it turns about the tool

@@ -1,0 +1,188 @@
+"""A full disk and a folder that cannot be written to give one clear line, and no half file."""
+
+from __future__ import annotations
+
+import os
+import resource
+import runpy
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("sb3_contrib")
+pytest.importorskip("safetensors")
+pytest.importorskip("yaml")
+pytest.importorskip("jinja2")
+pytest.importorskip("matplotlib")
+
+from loose_env.cli.main import main as loose
+from scripts.trust.commands import make_recording
+
+ROOT = Path(__file__).resolve().parents[2]
+ROOM = 96
+"""Size of the small disk [kB]; the model of a training and a page of results do not fit."""
+TINY = ["--env", "loose_env/Planar-v0"]
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("disk") / "recording"
+    make_recording(folder)
+    return folder
+
+
+def script(name: str, *words: str) -> Callable[[], None]:
+    """A script of the repository, run in this process."""
+
+    def run() -> None:
+        before, path = sys.argv, list(sys.path)
+        sys.argv = [name, *words]
+        try:
+            runpy.run_path(str(ROOT / "scripts" / f"{name}.py"), run_name="__main__")
+        finally:
+            sys.argv, sys.path[:] = before, path
+
+    return run
+
+
+def commands(out: Path, recording: Path) -> dict[str, Callable[[], None]]:
+    """Every command that writes, as short as it can be."""
+    two = ["--arguments", '{"n_links": 2}']
+    agents = ["--agents", "posterior/random", "--episodes", "160", "--workers", "1"]
+    short = ["--threads", "1", "--shard", "1"]
+    training = [
+        *("--env-kwargs", "n_links:2", "durations:[0.2]", "threads:1", "-n", "8", "-params"),
+        *("n_envs:2", "n_steps:4", "batch_size:8", "n_epochs:1", "policy_kwargs:dict()"),
+    ]
+    pose_sets = ["--quick", "--cases", "1", "--level", "directions", "--arm", "planar2"]
+
+    def gap() -> None:
+        words = ["gap", str(recording), "--out", str(out), "--kinds", "viscous_friction"]
+        if code := loose([*words, "--threads", "1", "--quiet"]):
+            sys.exit(code)
+
+    return {
+        "train": script("train", *TINY, "-f", str(out), "--eval-freq", "-1", *training),
+        "compare": script("compare", *TINY, *two, *agents, *short, "--out", str(out)),
+        "run": script("run", *TINY, *two, *agents, *short, "--out", str(out)),
+        "reproduce_thesis": script(
+            "reproduce_thesis", "--only", "index_tables", "--workers", "1", "--out", str(out)
+        ),
+        "evaluate_pose_sets": script(
+            "evaluate_pose_sets", *pose_sets, "--workers", "1", "--out", str(out)
+        ),
+        "example_recording": script("example_recording", "--out", str(out / "example")),
+        "gap": gap,
+    }
+
+
+NAMES = list(commands(Path("out"), Path("recording")))
+SAID = {"run": "compare", "gap": "loose gap"}
+
+
+def refused(
+    name: str, run: Callable[[], None], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It ends with one line that begins with the command and says what is wrong."""
+    with pytest.raises(SystemExit) as ended:
+        run()
+    said = capsys.readouterr()
+    message = str(ended.value.code)
+    if ended.value.code == 1:  # said on the error stream by the command itself
+        message = said.err.strip().splitlines()[-1]
+    assert message.startswith(f"{SAID.get(name, name)}: "), message
+    assert words in message and "\n" not in message and "Traceback" not in said.err, message
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk with little room; as root a disk of its own."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={ROOM}k", "tmpfs", str(place)]
+    if os.geteuid() or subprocess.run(mount, capture_output=True).returncode:
+        pytest.skip("only root can mount a small disk")
+    try:
+        place.joinpath("filled").write_bytes(bytes((ROOM - 8) * 1024))
+        yield place
+    finally:
+        subprocess.run(["umount", "-l", str(place)], check=True)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_full_disk_is_said_in_one_line(
+    small_disk: Path, recording: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = commands(small_disk / "out", recording)[name]
+    refused(name, run, "the disk is full", capsys)
+    # What has its final name is whole: nothing half-written lies there.
+    for file in small_disk.joinpath("out").rglob("*"):
+        if file.is_file() and file.suffix in (".json", ".parquet", ".zip", ".html", ".xml"):
+            assert file.stat().st_size > 0, file
+
+
+@pytest.fixture
+def short_files() -> Iterator[None]:
+    """No file may grow beyond a few kilobytes, as on a full disk, for anybody."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2048, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, before)
+
+
+@pytest.mark.parametrize("name", ["train", "compare", "example_recording"])
+def test_a_file_that_cannot_grow_is_said_in_one_line(
+    tmp_path: Path,
+    recording: Path,
+    name: str,
+    short_files: None,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    run = commands(tmp_path / "out", recording)[name]
+    refused(name, run, "the disk is full", capsys)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_output_folder_below_a_file_is_refused_in_one_line(
+    tmp_path: Path, recording: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tmp_path.joinpath("file").write_text("mine")
+    run = commands(tmp_path / "file" / "out", recording)[name]
+    refused(name, run, "a file lies where a folder is needed", capsys)
+    assert tmp_path.joinpath("file").read_text() == "mine"
+
+
+@pytest.fixture
+def closed(tmp_path: Path) -> Iterator[Path]:
+    """A folder that cannot be written to, not by root either."""
+    place = tmp_path / "closed"
+    place.mkdir()
+    if os.geteuid():
+        place.chmod(0o500)
+        yield place
+        place.chmod(0o700)
+        return
+    mount = ["mount", "-t", "tmpfs", "-o", "ro,size=64k", "tmpfs", str(place)]
+    if subprocess.run(mount, capture_output=True).returncode:
+        pytest.skip("no disk can be mounted")
+    try:
+        yield place
+    finally:
+        subprocess.run(["umount", "-l", str(place)], check=True)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_folder_without_the_right_to_write_is_said_in_one_line(
+    closed: Path, recording: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = commands(closed / "out", recording)[name]
+    refused(name, run, "no permission", capsys)
+    assert list(closed.iterdir()) == []

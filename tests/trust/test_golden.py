@@ -1,0 +1,84 @@
+"""The same seeds give the same figures: on any number of threads, and in every release."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("safetensors")
+
+from scripts.trust.golden import GOLDEN, PARTS
+
+CHANGELOG = Path(__file__).resolve().parents[2] / "CHANGELOG.md"
+MEANT = (
+    "the same seeds give other figures than before. If that is not meant, something broke. If it "
+    "is, put a line into CHANGELOG.md and run: python -m scripts.trust_golden --because 'that line'"
+)
+# Another processor may round another way, and a simulation carries that on.
+RELATIVE, ABSOLUTE = 1e-4, 1e-5
+FITTED = 2e-2  # a search ends where it no longer gains
+
+
+@pytest.fixture(scope="module")
+def golden() -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(GOLDEN.read_text(encoding="utf-8"))
+    return found
+
+
+def differences(kept: Any, now: Any, place: str, relative: float) -> list[str]:
+    """Places where two trees differ; numbers by more than rounding."""
+    if isinstance(kept, dict) and isinstance(now, dict):
+        if kept.keys() != now.keys():
+            return [f"{place}: {sorted(kept)} before, {sorted(now)} now"]
+        parts = [differences(kept[k], now[k], f"{place}.{k}", relative) for k in kept]
+        return [each for part in parts for each in part]
+    if isinstance(kept, list) and isinstance(now, list):
+        if len(kept) != len(now):
+            return [f"{place}: {len(kept)} before, {len(now)} now"]
+        both = zip(kept, now, strict=True)
+        parts = [differences(a, b, f"{place}[{i}]", relative) for i, (a, b) in enumerate(both)]
+        return [each for part in parts for each in part]
+    if isinstance(kept, float) and isinstance(now, (int, float)):
+        if np.isclose(now, kept, rtol=relative, atol=ABSOLUTE, equal_nan=True):
+            return []
+    elif kept == now:
+        return []
+    return [f"{place}: {kept} before, {now} now"]
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_the_same_seeds_give_the_same_figures_in_every_release(
+    golden: dict[str, Any], part: str
+) -> None:
+    now = json.loads(json.dumps(PARTS[part]()))
+    found = differences(golden[part]["found"], now, part, FITTED if part == "gap" else RELATIVE)
+    assert not found, f"{MEANT}\n" + "\n".join(found[:10])
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_a_change_of_golden_results_has_its_line_in_the_changelog(
+    golden: dict[str, Any], part: str
+) -> None:
+    said = " ".join(CHANGELOG.read_text(encoding="utf-8").split())
+    because = " ".join(golden[part]["because"].split())
+    assert because and because in said, f"CHANGELOG.md does not say {because!r}"
+
+
+@pytest.mark.parametrize("part", ["environments", "comparison", "gap"])
+def test_one_thread_and_many_give_the_same_to_the_last_digit(part: str) -> None:
+    make: Any = PARTS[part]
+    assert make(threads=1) == make(threads=3)
+
+
+def test_a_small_change_is_found() -> None:
+    kept = {"a": [1.0, {"b": 2.0}], "c": "healthy"}
+    assert not differences(kept, {"a": [1.0 + 1e-6, {"b": 2.0}], "c": "healthy"}, "", RELATIVE)
+    assert differences(kept, {"a": [1.001, {"b": 2.0}], "c": "healthy"}, "x", RELATIVE) == [
+        "x.a[0]: 1.0 before, 1.001 now"
+    ]
+    assert differences(kept, {"a": [1.0], "c": "healthy"}, "x", RELATIVE)
+    assert differences(kept, {"a": [1.0, {"b": 2.0}], "c": "backlash"}, "x", RELATIVE)

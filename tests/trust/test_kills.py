@@ -1,0 +1,127 @@
+"""Killed at any moment, a command goes on: nothing half-written counts, no row is lost or doubled.
+
+`python -m scripts.trust_kills` kills each 20 times; here a few times.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("sb3_contrib")
+pytest.importorskip("safetensors")
+pytest.importorskip("yaml")
+pytest.importorskip("jinja2")
+pytest.importorskip("matplotlib")
+
+from agents.evaluation_shards import EvaluationTask, play_task
+from loose_env.cli.main import COMMANDS as LOOSE
+from scripts.trust.commands import commands
+from scripts.trust.killing import Command, kill_often
+
+NAMES = ("training", "comparison", "gap", *(("diagnosis",) if "diagnose" in LOOSE else ()))
+KILLS = 2
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_killed_command_goes_on_and_ends_as_if_it_had_not_been_killed(
+    tmp_path: Path, name: str
+) -> None:
+    command = commands(tmp_path)[name]
+    found = kill_often(command, tmp_path / "killed", kills=KILLS, rng=np.random.default_rng(3))
+    assert found.problems == []
+    assert found.kills == KILLS
+    assert found.equal == found.runs >= 1
+
+
+WRITER = """
+import sys, time, pathlib
+out = pathlib.Path(sys.argv[1]); out.mkdir(exist_ok=True)
+for k in range(4):
+    with (out / f"{k}.json").open("w") as file:
+        file.write('[1, 2'); file.flush(); time.sleep(0.05); file.write(', 3]')
+"""
+
+
+def test_a_command_that_writes_in_place_is_found_out(tmp_path: Path) -> None:
+    def problems(out: Path) -> list[str]:
+        found = []
+        for file in out.glob("*.json"):
+            try:
+                json.loads(file.read_text())
+            except ValueError:
+                found.append(f"{file.name} is cut short")
+        return found
+
+    command = Command(
+        name="writer",
+        words=lambda out: ("-c", WRITER, str(out)),
+        problems=problems,
+        result=lambda out: sorted(p.name for p in out.iterdir()),
+    )
+    found = kill_often(command, tmp_path, kills=6, rng=np.random.default_rng(1))
+    assert any("cut short" in problem for problem in found.problems)
+
+
+def test_a_command_whose_result_depends_on_kills_is_found_out(tmp_path: Path) -> None:
+    script = (
+        "import sys, time, pathlib; out = pathlib.Path(sys.argv[1]); out.mkdir(exist_ok=True)\n"
+        "for k in range(5):\n"
+        "    file = out / 'rows'; file.open('a').write(f'{k}\\n'); time.sleep(0.05)\n"
+    )
+    command = Command(
+        name="appender",
+        words=lambda out: ("-c", script, str(out)),
+        problems=lambda out: [],
+        result=lambda out: (out / "rows").read_text(),
+    )
+    found = kill_often(command, tmp_path, kills=4, rng=np.random.default_rng(2))
+    assert any("another result" in problem for problem in found.problems)
+
+
+def test_a_run_killed_while_it_tidies_up_plays_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import agents.evaluation_shards as shards
+
+    task = EvaluationTask(
+        agent="random",
+        env_id="loose_env/Planar-v0",
+        arguments={"n_links": 2, "durations": [0.2], "max_records": 2},
+        count=2,
+        seed=1,
+        width=2,
+    )
+    rmtree = shards.shutil.rmtree
+
+    def killed(folder: Path, ignore_errors: bool = False) -> None:
+        if not Path(folder).exists():
+            return
+        (Path(folder) / "configuration.json").unlink()  # the first of the files to go
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(shards.shutil, "rmtree", killed)
+    with pytest.raises(KeyboardInterrupt):
+        play_task(task, tmp_path)
+    monkeypatch.setattr(shards.shutil, "rmtree", rmtree)
+    rows = play_task(task, tmp_path)
+    assert [row["episode"] for row in rows] == [0, 1]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_old_result_stands_beside_a_new_model(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import loose_env.report.gap_report as report
+
+    def killed(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    tmp_path.joinpath("result.json").write_text("of an earlier run")
+    monkeypatch.setattr(report, "gather", killed)
+    with pytest.raises(KeyboardInterrupt):
+        report.write_outputs(tmp_path, None)  # type: ignore[arg-type]
+    assert not tmp_path.joinpath("result.json").exists()

@@ -1,0 +1,305 @@
+"""Loading a model, a recording or weights never runs code from them."""
+
+from __future__ import annotations
+
+import ast
+import base64
+import io
+import json
+import pickle
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from loose_env.errors import InvalidData, LooseEnvError
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class Trap:
+    """Unpickling it leaves a file behind."""
+
+    def __init__(self, place: Path) -> None:
+        self.place = place
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (self.place,)
+
+
+@pytest.fixture
+def trap(tmp_path: Path) -> Iterator[bytes]:
+    """A pickle; whoever loads it is found out."""
+    place = tmp_path / "executed"
+    data = pickle.dumps(Trap(place))
+    yield data
+    assert not place.exists(), "code of the file was run"
+
+
+def test_the_trap_works(tmp_path: Path) -> None:
+    pickle.loads(pickle.dumps(Trap(tmp_path / "executed")))
+    assert (tmp_path / "executed").exists()
+
+
+# ---- nothing in the sources could
+
+OWN = {
+    (
+        "agents/shard_pools.py",
+        "pickle.loads",
+    ): "what the same line has pickled, to see if it can be",
+}
+"""Calls that are allowed, and why."""
+NEVER = {
+    *("eval", "exec", "compile", "__import__", "os.system", "os.popen", "pickle.load"),
+    *("pickle.loads", "pickle.Unpickler", "marshal.loads", "marshal.load", "shelve.open"),
+    *("joblib.load", "cloudpickle.loads", "cloudpickle.load", "dill.load", "dill.loads"),
+    *("yaml.load", "yaml.unsafe_load", "yaml.full_load", "pandas.read_pickle", "runpy.run_path"),
+    *("mujoco.mj_loadPluginLibrary", "mujoco.mj_loadAllPluginLibraries", "ctypes.CDLL"),
+    *("model_class.load", "PPO.load", "RecurrentPPO.load", "MaskablePPO.load"),
+    *("load_from_zip_file", "json_to_data"),
+}
+"""Calls that run, or may run, what a file says."""
+SAFE_WITH = {"torch.load": ("weights_only", True), "np.load": ("allow_pickle", False)}
+"""Calls that are safe with one keyword."""
+
+
+def calls(source: str) -> Iterator[tuple[str, ast.Call]]:
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Call):
+            yield ast.unparse(node.func), node
+
+
+def faults(source: str, name: str) -> list[str]:
+    """Calls in a source that could run a file's code."""
+    found = []
+    for called, node in calls(source):
+        keywords = {k.arg: ast.unparse(k.value) for k in node.keywords}
+        word, value = SAFE_WITH.get(called, ("", None))
+        if called in NEVER and (name, called) not in OWN:
+            found.append(f"{name}:{node.lineno}: {called}")
+        elif word and keywords.get(word) != repr(value):
+            found.append(f"{name}:{node.lineno}: {called} without {word}={value}")
+        elif keywords.get("shell") == "True" or keywords.get("allow_pickle") == "True":
+            found.append(f"{name}:{node.lineno}: {called} with {keywords}")
+    return found
+
+
+def test_no_source_calls_what_could_run_a_file() -> None:
+    # The soak gives memory back to the system by its C library; nothing of a file is in it.
+    allowed = {"scripts/trust_soak.py"}
+    found = []
+    for folder in ("loose_env", "agents", "scripts"):
+        for file in sorted((ROOT / folder).rglob("*.py")):
+            name = str(file.relative_to(ROOT))
+            if name not in allowed:
+                found += faults(file.read_text(encoding="utf-8"), name)
+    assert found == []
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        *("eval(text)", "pickle.load(file)", "torch.load(path)", "np.load(path)"),
+        *("torch.load(p, weights_only=False)", "np.load(p, allow_pickle=True)"),
+        *("yaml.load(text)", "model_class.load(path)", "subprocess.run(a, shell=True)"),
+    ],
+)
+def test_the_search_finds_what_it_looks_for(line: str) -> None:
+    assert len(faults(line, "a.py")) == 1
+
+
+# ---- and no loader does
+
+Read = Callable[[Path, bytes], Any]
+
+
+def _recording(suffix: str) -> Read:
+    def read(place: Path, data: bytes) -> Any:
+        from loose_env.recording import read_recording
+        from scripts.trust.documents import recording
+
+        names = {"csv": "run.csv", "parquet": "run.parquet", "xml": "model.xml"}
+        for name, own in {**recording(), names[suffix]: data}.items():
+            place.joinpath(name).write_bytes(own)
+        return read_recording(place)
+
+    return read
+
+
+def _arm(place: Path, data: bytes) -> Any:
+    from loose_env.arms import Arm
+
+    place.joinpath("arm.xml").write_bytes(data)
+    return Arm.from_file(place / "arm.xml")
+
+
+def _result(place: Path, data: bytes) -> Any:
+    from loose_env.gap.result import read_result
+
+    place.joinpath("result.json").write_bytes(data)
+    return read_result(place)
+
+
+def _rows(place: Path, data: bytes) -> Any:
+    from loose_env.report.rows_file import read_rows
+
+    place.joinpath("rows.parquet").write_bytes(data)
+    return read_rows(place / "rows.parquet")
+
+
+def _shard(kind: str) -> Read:
+    def read(place: Path, data: bytes) -> Any:
+        from agents.shard_store import ArrayCodec, RowCodec
+
+        file = place / "shard"
+        file.write_bytes(data)
+        return (ArrayCodec if kind == "arrays" else RowCodec)().read(file)
+
+    return read
+
+
+def _hyperparameters(place: Path, data: bytes) -> Any:
+    pytest.importorskip("yaml")
+    from agents.hyperparameters import read_hyperparameters
+
+    place.joinpath("a.yml").write_bytes(data)
+    return read_hyperparameters(place / "a.yml", "loose_env/Vera-v0")
+
+
+def _policy(place: Path, data: bytes) -> Any:
+    pytest.importorskip("safetensors")
+    from scripts.trust.cases import _policy as load
+    from scripts.trust.documents import WEIGHTS
+
+    source = WEIGHTS / "ppo-vera-default"
+    place.joinpath("configuration.json").write_bytes((source / "configuration.json").read_bytes())
+    place.joinpath("policy.safetensors").write_bytes(data)
+    return load(place)
+
+
+def _model(place: Path, data: bytes) -> Any:
+    pytest.importorskip("torch")
+    from agents.checkpoint import read_model
+
+    place.joinpath("checkpoint.zip").write_bytes(data)
+    return read_model(place / "checkpoint.zip")
+
+
+READERS: dict[str, Read] = {
+    "CSV": _recording("csv"),
+    "Parquet": _recording("parquet"),
+    "model of a recording": _recording("xml"),
+    "arm": _arm,
+    "gap result": _result,
+    "rows": _rows,
+    "shard of arrays": _shard("arrays"),
+    "shard of rows": _shard("rows"),
+    "hyperparameters": _hyperparameters,
+    "policy": _policy,
+    "checkpoint": _model,
+}
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_a_pickle_in_the_place_of_a_file_is_refused(tmp_path: Path, trap: bytes, kind: str) -> None:
+    home = tmp_path / "home"
+    home.mkdir()
+    with pytest.raises(LooseEnvError):
+        READERS[kind](home, trap)
+
+
+@pytest.mark.parametrize("kind", ["arrays", "stages"])
+def test_arrays_of_objects_are_not_unpickled(tmp_path: Path, trap: bytes, kind: str) -> None:
+    array = np.array([Trap(tmp_path / "executed")], dtype=object)
+    stored = io.BytesIO()
+    np.savez(stored, tree=array, a0=array)
+    home = tmp_path / "home"
+    home.mkdir()
+    if kind == "arrays":
+        with pytest.raises(InvalidData):
+            READERS["shard of arrays"](home, stored.getvalue())
+        return
+    from loose_env.gap.stages import Stages
+
+    home.joinpath("fit.npz").write_bytes(stored.getvalue())
+    assert Stages(home, "k")("fit", lambda: 1) == 1  # made anew
+
+
+def zipped(tmp_path: Path, *, tensors: object, described: dict[str, Any]) -> Path:
+    """A model's file as stable-baselines3 lays it out."""
+    torch = pytest.importorskip("torch")
+    stored = io.BytesIO()
+    torch.save(tensors, stored)
+    file = tmp_path / "model.zip"
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("data", json.dumps(described))
+        archive.writestr("policy.pth", stored.getvalue())
+    return file
+
+
+def test_the_settings_of_a_stored_model_are_not_unpickled(tmp_path: Path, trap: bytes) -> None:
+    pytest.importorskip("sb3_contrib")
+    from agents.checkpoint import network_arguments, read_model
+
+    serialized = base64.b64encode(trap).decode()
+    kwargs = {":type:": "<class 'dict'>", ":serialized:": serialized, "net_arch": [4]}
+    described = {"policy_kwargs": kwargs, "learning_rate": {":serialized:": serialized}}
+    stored = read_model(zipped(tmp_path, tensors={}, described=described))
+    assert network_arguments(stored) == {"net_arch": [4]}
+    for odd in ({"activation_fn": "<class 'os.system'>"}, {"optimizer_class": "x"}):
+        stored = read_model(zipped(tmp_path, tensors={}, described={"policy_kwargs": odd}))
+        with pytest.raises(InvalidData, match="activation_fn"):
+            network_arguments(stored)
+
+
+def test_tensors_of_a_stored_model_are_tensors(tmp_path: Path, trap: bytes) -> None:
+    from agents.checkpoint import read_model
+
+    file = zipped(tmp_path, tensors={"a": Trap(tmp_path / "executed")}, described={})
+    with pytest.raises(InvalidData, match=r"model\.zip holds no model that can be read"):
+        read_model(file)
+
+
+def test_a_training_is_not_continued_from_a_model_that_would_run_something(
+    tmp_path: Path, trap: bytes
+) -> None:
+    pytest.importorskip("sb3_contrib")
+    pytest.importorskip("yaml")
+    from scripts import train
+
+    described = {"policy_kwargs": {":serialized:": base64.b64encode(trap).decode()}}
+    file = zipped(tmp_path, tensors={"a": Trap(tmp_path / "executed")}, described=described)
+    words = ["--env", "loose_env/Planar-v0", "--env-kwargs", "n_links:2", "-n", "8"]
+    with pytest.raises(SystemExit, match=r"cannot continue .* holds no model"):
+        train.main([*words, "-f", str(tmp_path / "runs"), "-i", str(file)])
+
+
+def test_the_posterior_s_checkpoint_is_read_without_its_code(tmp_path: Path, trap: bytes) -> None:
+    torch = pytest.importorskip("torch")
+    from agents.posterior_training import PosteriorTraining
+
+    file = tmp_path / "checkpoint.pt"
+    torch.save({"layers": Trap(tmp_path / "executed")}, file)
+    with pytest.raises(InvalidData, match=r"cannot go on from .*checkpoint\.pt"):
+        PosteriorTraining._restore(None, file)  # type: ignore[arg-type]
+
+
+def test_words_of_a_command_line_are_not_run(tmp_path: Path) -> None:
+    from agents.hyperparameters import value_of
+
+    place = tmp_path / "executed"
+    for text in (
+        f"__import__('pathlib').Path({str(place)!r}).touch()",
+        f"[open({str(place)!r}, 'w')]",
+        f"dict(a=open({str(place)!r}, 'w'))",
+        "().__class__.__bases__",
+        "f'{1}'",
+    ):
+        with suppress(LooseEnvError):
+            value_of(text)
+    assert not place.exists()
