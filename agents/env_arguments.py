@@ -16,6 +16,9 @@ from loose_env.errors import InvalidSetting, UnknownName
 
 __all__ = ["arguments_of", "diagnosis_env", "refused_in_words"]
 
+MOST_SHOWN = 300
+"""Letters of the arguments that an error repeats."""
+
 
 def arguments_of(text: str) -> dict[str, Any]:
     """Read the environment's arguments from the option ``--arguments``.
@@ -37,7 +40,7 @@ def arguments_of(text: str) -> dict[str, Any]:
             f"--arguments must be JSON such as '{{\"n_links\": 3}}': {error}"
         ) from error
     if not isinstance(found, dict):
-        raise InvalidSetting(f"--arguments must be a JSON object, got {text!r}")
+        raise InvalidSetting(f"--arguments must be a JSON object, got {text!r:.100}")
     return found
 
 
@@ -84,7 +87,7 @@ def refused_in_words(env_id: str, arguments: Mapping[str, Any]) -> Iterator[None
     Raises
     ------
     InvalidSetting
-        In place of a TypeError.
+        In place of a TypeError, or an OverflowError.
 
     Examples
     --------
@@ -97,7 +100,9 @@ def refused_in_words(env_id: str, arguments: Mapping[str, Any]) -> Iterator[None
     """
     try:
         yield
-    except TypeError as error:
+    except (TypeError, OverflowError) as error:
         # Gymnasium adds the arguments once more.
         reason = " ".join(str(error).split()).partition(" was raised from the environment")[0]
-        raise InvalidSetting(f"{env_id} does not take {dict(arguments)}: {reason}") from error
+        shown = str(dict(arguments))
+        shown = shown if len(shown) <= MOST_SHOWN else f"{shown[:MOST_SHOWN]}..."
+        raise InvalidSetting(f"{env_id} does not take {shown}: {reason}") from error

@@ -54,7 +54,8 @@ class ResetOptions:
         """
         if given is not None and not isinstance(given, Mapping):
             raise InvalidSetting(
-                f"options of reset() are a mapping such as {{'fault': 'healthy'}}, got {given!r:.60}"
+                "options of reset() are a mapping such as {'fault': 'healthy'}, got "
+                f"{given!r:.60}"
             )
         options = dict(given or {})
         unknown = set(options) - set(_KNOWN)

@@ -20,6 +20,7 @@ from loose_env.instrument.machine import Machine
 from loose_env.instrument.model_arm import ModelArm, load_model_arm
 from loose_env.instrument.next_pose import NextSettings
 from loose_env.instrument.plan import next_for
+from loose_env.instrument.response import with_leakage
 from loose_env.instrument.result import (
     HEALTHY,
     Diagnosis,
@@ -91,6 +92,7 @@ class Workbench:
         """
         held = held_in(self.machine, run)
         lines = lines_of(self.machine, run, held.pose, held.excited)
+        lines = with_leakage(self.uncertain.at(held.pose), lines)
         self._taken.append(_Taken(run=run, held=held, lines=lines, notes=held.notes))
 
     def leave_out(self, run: Run, why: str) -> None:

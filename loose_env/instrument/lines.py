@@ -56,6 +56,11 @@ class Lines:
     """Commands of the drives' actuators (K, A); zero where none was recorded."""
     force: Complex
     """Measured forces of the joints that stand for their drives (K, n)."""
+    lean: tuple[Complex, Complex]
+    """Commands (K, A) and forces (K, n) that the taper leaks in from the next lines: what they do
+    goes with the difference between the arm's answers there and here."""
+    leaked: Complex
+    """Readings that this makes (K, c); zero until `loose_env.instrument.response.with_leakage`."""
     measured: NDArray[np.bool_]
     """Joints whose force was measured and stands for their drives (n,)."""
     blind: NDArray[np.bool_]
@@ -70,6 +75,8 @@ class Lines:
     """Smoothed power against which errors of the model are measured (K, c)."""
     independent: float
     """Independent values per line [1]."""
+    next: float
+    """Frequency from a line of the whole transform to the next one [Hz]."""
     period: float
     """Time for which a command is held [s]."""
     seconds: float
@@ -86,8 +93,9 @@ def thinned(lines: Lines, most: int) -> Lines:
     if len(lines.frequency) <= most:
         return lines
     kept = np.linspace(0, len(lines.frequency) - 1, most).round().astype(int)
-    names = ("frequency", "command", "force", "readings", "noise", "power")
-    return replace(lines, **{name: getattr(lines, name)[kept] for name in names})
+    names = ("frequency", "command", "force", "leaked", "readings", "noise", "power")
+    fewer = {name: getattr(lines, name)[kept] for name in names}
+    return replace(lines, **fewer, lean=(lines.lean[0][kept], lines.lean[1][kept]))
 
 
 def uniform(time: Array, values: Array) -> tuple[float, Array]:
@@ -109,9 +117,10 @@ def uniform(time: Array, values: Array) -> tuple[float, Array]:
 
     Examples
     --------
-    >>> rate, even = uniform(np.array([0.0, 0.1, 0.3]), np.array([[0.0], [np.nan], [3.0]]))
+    >>> time, values = np.array([0.0, 0.1, 0.2, 0.4]), np.array([[0.0], [np.nan], [2.0], [4.0]])
+    >>> rate, even = uniform(time, values)
     >>> round(rate, 6), even.ravel().round(6).tolist()
-    (10.0, [0.0, 1.0, 2.0, 3.0])
+    (10.0, [0.0, 1.0, 2.0, 3.0, 4.0])
     """
     step = float(np.median(np.diff(time)))
     count = int(np.floor((time[-1] - time[0]) / step + 1e-6)) + 1
@@ -209,7 +218,10 @@ def _lines(
     count = len(even)
     taper = signal.windows.hann(count, sym=False)
     taper /= np.sqrt(np.mean(taper**2))
-    spectrum = np.fft.rfft(signal.detrend(even, axis=0) * taper[:, None], axis=0)
+    even = signal.detrend(even, axis=0)
+    spectrum = np.fft.rfft(even * taper[:, None], axis=0)
+    whole = np.fft.rfft(even[:, c:], axis=0)
+    lean = 0.5 * float(taper.mean()) * (np.roll(whole, 1, axis=0) - np.roll(whole, -1, axis=0))
     frequency = np.fft.rfftfreq(count, 1 / rate)
     inputs = np.abs(spectrum[:, c:]) ** 2
     if blind[excited].any() or not inputs.any():
@@ -243,6 +255,8 @@ def _lines(
         frequency=frequency[kept],
         command=spectrum[kept, c : c + a],
         force=measured_force,
+        lean=(lean[kept, :a], np.where(measured, lean[kept, a:], 0.0)),
+        leaked=np.zeros_like(readings),
         measured=measured,
         blind=blind,
         readings=readings,
@@ -250,6 +264,7 @@ def _lines(
         noise=floor,
         power=power,
         independent=min(1.0, float(np.median(np.diff(kept))) / _INDEPENDENT),
+        next=rate / count,
         period=1 / rate,
         seconds=count / rate,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from loose_env.instrument.lines import Lines
 from loose_env.instrument.uncertain import PoseModel
 
-__all__ = ["Response", "respond"]
+__all__ = ["Response", "respond", "with_leakage"]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -218,12 +218,12 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
     jump = np.zeros_like(force)
     jump[:, :n] = np.where(free, 0.0, force[:, :n] - lines.force) * (1 / hold - 1)[:, None]
     jump = np.linalg.solve(inertia[:m, :m], jump.T).T
-    step = _stepped(at, lines, jacobian, jump)
+    step = _stepped(at, lines, jacobian, jump, made.motion)
     for sensor, matrix in sensing.items():
         k = [i for i, (r, _) in enumerate(lines.row) if r.sensor == sensor]
         late_site = np.exp(-s * t.sensor_delay * errors[of.delays][1])[:, None]
         step[:, k] = late_site * (step[:, k] @ matrix.T)
-    mean = (rows @ made.motion[:, :, None])[:, :, 0] + errors[of.delays][2] * step
+    mean = (rows @ made.motion[:, :, None])[:, :, 0] + errors[of.delays][2] * step + lines.leaked
     return Response(
         at=at, lines=lines, errors=errors, compliance=compliance, rows=rows, columns=columns,
         sudden=_sudden(made, inertia, jacobian, sensing),
@@ -235,6 +235,22 @@ def _each(matrices: Array, rows: Complex) -> Complex:
     """Every matrix (G, i, j) times every row (K, j): (K, G, i)."""
     flat = rows @ matrices.reshape(-1, matrices.shape[-1]).T
     return np.asarray(flat.reshape(len(rows), *matrices.shape[:2]))
+
+
+def with_leakage(at: PoseModel, lines: Lines) -> Lines:
+    """Lines with the readings that the taper leaks from line to line.
+
+    The taper mixes every line with its two neighbours. Where the arm's answer changes from line to
+    line, what comes from the neighbours was answered a little otherwise; to first order that is
+    the slope of the answer times what the neighbours differ by. The nominal arm is good enough.
+    """
+    none = np.zeros(len(at.of.names))
+    none[at.of.delays.start + 2] = 0.5
+    command, force = lines.lean
+    here = replace(lines, command=command, force=force, leaked=np.zeros_like(lines.readings))
+    there = replace(here, frequency=lines.frequency + lines.next)
+    leaked = respond(at, there, none).mean - respond(at, here, none).mean
+    return replace(lines, leaked=leaked)
 
 
 def _held(omega: Array, period: float) -> Complex:
@@ -267,12 +283,21 @@ def _stepping(response: Response, jacobian: Array, sensing: dict[str, Array], ea
     return rows
 
 
-def _stepped(at: PoseModel, lines: Lines, jacobian: Array, motion: Complex) -> Complex:
-    """Readings of the accelerometers for accelerations of the moving coordinates (K, m)."""
+def _stepped(
+    at: PoseModel, lines: Lines, jacobian: Array, jump: Complex, moved: Complex
+) -> Complex:
+    """Readings just after commands have stepped, less what a held command makes on average (K, c).
+
+    ``jump`` is the sudden acceleration of the moving coordinates, ``moved`` their motion (K, m).
+    """
     step = np.zeros_like(lines.readings)
+    half = np.pi * lines.frequency * lines.period
     for k, (reading, axis) in enumerate(lines.row):
         if reading.kind == "acceleration":
-            step[:, k] = motion @ jacobian[reading.at, axis, : at.size]
+            step[:, k] = jump @ jacobian[reading.at, axis, : at.size]
+        elif reading.kind == "velocity":
+            # Of a path of parabolas from sample to sample, as a held force makes it.
+            step[:, k] = 2j * half / lines.period * (np.tan(half) / half - 1) * moved[:, reading.at]
     return step
 
 

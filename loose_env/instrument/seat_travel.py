@@ -30,8 +30,8 @@ _TAPER = 0.5
 """Least height of the taper at samples that are used."""
 _STRUCK = 0.02
 """Least share of the time at each stop for a gap to be told."""
-_BETTER = 0.04
-"""Least share of the force's variance that a gap explains beyond a spring without one."""
+_BETTER = 0.75
+"""What a gap may leave of the force, at most, over what a spring without a gap leaves."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -114,8 +114,8 @@ def seat_in_time(piece: Piece, seat: Seat, axis: Array) -> tuple[Array, Array]:
 def law_of(path: Array, force: Array) -> float | None:
     """Free travel that explains the force across a seat best; None where one stop or none is struck.
 
-    The force is a constant, plus one stiffness beyond either end of the gap. Widths and places of
-    the gap are tried one by one.
+    The force is a constant, and beyond either end of the gap a stiffness and a damping of their
+    own. Widths and places of the gap are tried one by one.
 
     Parameters
     ----------
@@ -135,33 +135,35 @@ def law_of(path: Array, force: Array) -> float | None:
     wide = float(high - low)
     if not wide > 0 or len(path) < 50:
         return None
+    speed = np.gradient(path)
     every = max(1, len(path) // _SAMPLES)
-    path, force = path[::every], force[::every]
+    path, force, speed = path[::every], force[::every], speed[::every]
     ends = np.linspace(low, high, _ENDS)
-    total = float(np.var(force))
-    below = np.minimum(path[:, None] - ends, 0.0)
-    above = np.maximum(path[:, None] - ends, 0.0)
-    columns = np.column_stack([below, above]) / wide
+    under, over = path[:, None] < ends, path[:, None] > ends
+    gone = np.where(under, path[:, None] - ends, 0.0), np.where(over, path[:, None] - ends, 0.0)
+    fast = speed[:, None] / max(float(np.std(speed)), 1e-30)
+    columns = np.column_stack([*(g / wide for g in gone), under * fast, over * fast])
     columns -= columns.mean(axis=0)
     centred = force - force.mean()
     gram, onto = columns.T @ columns, columns.T @ centred
-    best = spring = float(centred @ centred)
+    total = float(centred @ centred)
+    best = spring = total
     found = None
     for i in range(_ENDS - 1):
         for j in range(i, _ENDS - 1):
-            pair = [i, _ENDS + j]
-            part = gram[np.ix_(pair, pair)]
-            if not np.linalg.det(part) > 1e-9 * part[0, 0] * part[1, 1]:
+            four = np.array([i, _ENDS + j, 2 * _ENDS + i, 3 * _ENDS + j])
+            part = gram[np.ix_(four, four)]
+            scale = np.sqrt(np.maximum(np.diag(part), 1e-300))
+            shape = part / np.outer(scale, scale) + 1e-6 * np.eye(4)
+            values = np.linalg.solve(shape, onto[four] / scale)
+            if values[:2].min() <= 0:
                 continue
-            values = np.linalg.solve(part, onto[pair])
-            if values.min() <= 0:
-                continue
-            left = float(centred @ centred - values @ onto[pair])
+            left = total - float(values @ (onto[four] / scale))
             if i == j:
                 spring = min(spring, left)
             elif left < best:
                 best, found = left, (ends[i], ends[j])
-    if found is None or best > spring - _BETTER * total * len(path):
+    if found is None or best > _BETTER * spring:
         return None
     struck = min(float(np.mean(path < found[0])), float(np.mean(path > found[1])))
     return None if struck < _STRUCK else float(found[1] - found[0])

@@ -60,6 +60,11 @@ class Session:
         self._count = 0
 
     @property
+    def machine(self) -> Machine:
+        """The machine of the model."""
+        return self._bench.machine
+
+    @property
     def joints(self) -> tuple[str, ...]:
         """Joints in the order of poses and excitations, base first."""
         return self._bench.machine.joints

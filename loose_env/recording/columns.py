@@ -157,7 +157,7 @@ class ModelColumns:
         """Refuse what is no hinge or slide of the model; ``place`` says where it was given."""
         if joint not in self.joints:
             raise InvalidData(
-                f"{place}: {joint!r} is no hinge or slide of the model; it has "
+                f"{place}: {_short(joint)} is no hinge or slide of the model; it has "
                 f"{_few(self.joints)}{nearest(joint, self.joints)}"
             )
 
