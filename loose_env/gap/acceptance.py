@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
@@ -14,7 +15,31 @@ from loose_env.gap.judgement import Judge, Judged, Lead, lead_of
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.parameter import free_of, values_of
 
-__all__ = ["Acceptance"]
+__all__ = ["Acceptance", "share_above_noise"]
+
+
+Array = NDArray[np.float64]
+
+_MOST = 0.5
+"""Share of a gain that counts as most of it."""
+
+
+def share_above_noise(before: Array, after: Array) -> float:
+    """Share of a fall in mean square that lies above the noise.
+
+    Parameters
+    ----------
+    before, after : ndarray (N,)
+        Residuals in noise standard deviations.
+
+    Examples
+    --------
+    >>> ones = np.ones(4)
+    >>> round(share_above_noise(3.0 * ones, 1.1 * ones), 2), share_above_noise(ones, 0.9 * ones)
+    (1.0, 0.0)
+    """
+    high, low = float(np.mean(before**2)), float(np.mean(after**2))
+    return max(0.0, high - max(low, 1.0)) / (high - low) if high > low else 0.0
 
 
 class Acceptance:
@@ -82,6 +107,25 @@ class Acceptance:
         residual = self.comparison.residuals([hypothesis_of(fitted.effects, free)])[0]
         rigid = self.judge.judge(replace(fitted, free=free, residual=residual))
         return self._believed(lead_of(judged, rigid))
+
+    def above_the_noise(self, judged: Judged) -> bool:
+        """Whether what an added motion gains backwards is more than noise that it shuts out.
+
+        The torque that a motion needs carries the noise of the measured acceleration. Behind a
+        spring there is less of it, whether or not there is a spring in the machine: so most of the
+        gain has to come from what exceeds the noise.
+        """
+        inverse = [c.rows.inverse for c in (self.comparison, self.judge.held_out)]
+        new = judged.fitted.effects[-self._new(judged) :]
+        if not any(effect.adds_motion for effect in new) or not any(i.any() for i in inverse):
+            return True
+        before, after = (
+            np.concatenate(
+                [j.fitted.residual[inverse[0]], j.held_residual[inverse[1]]],
+            )
+            for j in (self.before, judged)
+        )
+        return share_above_noise(before, after) > _MOST
 
     def accept(self, judged: Judged) -> tuple[Judged, list[Effect]]:
         """Fit on, and leave out what has become idle.

@@ -161,6 +161,9 @@ def _step(
         if not acceptance.ahead_of_its_limit(judged):
             say(f"  {judged.fitted.effects[-1]!r}: no better than if it were rigid")
             continue
+        if not acceptance.above_the_noise(judged):
+            say(f"  {judged.fitted.effects[-1]!r}: shuts out noise of the motion, no more")
+            continue
         accepted, dropped = acceptance.accept(judged)
         return Step(rivals=ranked, accepted=accepted, dropped=dropped)
     return Step(rivals=ranked, accepted=None)

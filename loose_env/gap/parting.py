@@ -35,7 +35,8 @@ STIFFER, LESS_SPRINGY = 1.3, 1.5
 """Factors on stiffness and damping of the stops that do not matter: no law of contact is that
 exact."""
 LOOKED_AT = 2.0
-"""How much of a run is simulated to see whether trajectories part [s]."""
+"""How much of a run is simulated to see whether trajectories part, where it is least like the
+nominal model [s]."""
 _NOMINAL = Hypothesis(effects=(), values=())
 
 
@@ -70,8 +71,7 @@ def parting_runs(
         Threads of the simulation; 0: all processors.
     """
     striking = [effect for effect in candidates if effect.kind in STRIKING]
-    shaken = [trial for trial in trials if _driven(trial, machine)]
-    runs = [trial.until(LOOKED_AT) for trial in shaken]
+    runs = [trial for trial in trials if _driven(trial, machine)]
     if not striking or not runs:
         return frozenset()
     nominal = Simulator(machine, runs, channels, threads=threads).predict([_NOMINAL])[0]
@@ -79,7 +79,8 @@ def parting_runs(
     for run, seen in zip(runs, nominal, strict=True):
         features = RandomFeatures.of_trial(run, machine, channels, floors)
         if np.isfinite(seen[:, features.used]).all() and features.incoherence(seen) > LOUD:
-            loud.append((run, features))
+            window = _least_like(run, seen, floors)
+            loud.append((window, RandomFeatures.of_trial(window, machine, channels, floors)))
     if not loud:
         return frozenset()
     simulator = Simulator(machine, [run for run, _ in loud], channels, threads=threads)
@@ -91,6 +92,17 @@ def parting_runs(
                 if finite and features.redrawn(one, two) > PARTED:
                     return frozenset(run.name for run, _ in loud)
     return frozenset()
+
+
+def _least_like(run: Trial, seen: Array, floors: Array) -> Trial:
+    """The window of a run that is least like a simulation of it (T, C)."""
+    size = round(LOOKED_AT * run.rate)
+    apart = np.nansum(((run.measured - seen) / floors) ** 2, axis=1)
+    summed = np.concatenate([[0.0], np.cumsum(apart)])
+    if size >= len(apart):
+        return run
+    first = int(np.argmax(summed[size:] - summed[:-size]))
+    return run.between(first, first + size)
 
 
 def _pairs(effect: Effect, runs: int, joints: int) -> list[Hypothesis]:
