@@ -228,7 +228,7 @@ def draw_arm(
     drawing, at = ArmDrawing(arm.reach, arm.n, vertical=False), view.at(pose)
     room = drawing.room(at)
     low, high = room.min(axis=0), room.max(axis=0)
-    half, middle = 0.47 * arm.reach, 0.5 * (low + high)
+    half, middle = 0.57 * arm.reach, 0.5 * (low + high)
     axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
     drawing.links(axes, at, loose=(fault.link,))
     excited = None if shaken is None else np.arange(arm.n) == shaken

@@ -39,12 +39,18 @@ def warnings_of(
     said += _of_seats(machine, judged, suspect)
     if travel is not None and travel.linear:
         said.append(
-            "the force across the seat is as well that of a spring without free travel: it may be a "
-            "loose seat pressed to one stop, or a part that bends; a pose in which gravity does not "
-            "press on it tells them apart"
+            "the force across the seat is as well that of a spring without free travel: it may be "
+            "a loose seat pressed to one stop, or a part that bends; a pose in which gravity does "
+            "not press on it tells them apart"
         )
     for one in suspect:
         said += _of_run(machine, one)
+    if any(one.folded > 0 for one in judged.lines):
+        said.append(
+            "the sensors seem to be sampled without a filter: what is faster than half the rate "
+            "is folded into the band, whose upper part is trusted less; switch on the recorder's "
+            "filter"
+        )
     unknown = machine.drives.unknown
     if unknown:
         said.append(
@@ -71,7 +77,8 @@ def _of_model(judged: Judged) -> list[str]:
 def _of_seats(machine: Machine, judged: Judged, suspect: Sequence[Lines]) -> list[str]:
     """Seats that no run could open."""
     grid = axes_grid(24)
-    never, pressed = [], []
+    never: list[str] = []
+    pressed: list[str] = []
     pieces = judged.evidence.pieces(judged.fits[judged.best].errors, 0.05)
     for name, seat in seats_of(machine.hypotheses, machine.n).items():
         if not isinstance(seat, Seat):
@@ -97,8 +104,8 @@ def _of_seats(machine: Machine, judged: Judged, suspect: Sequence[Lines]) -> lis
         )
     if pressed:
         said.append(
-            f"gravity kept seats at {', '.join(pressed)} shut in every run: {what}; take poses that "
-            "lay other directions across gravity, or shake harder"
+            f"gravity kept seats at {', '.join(pressed)} shut in every run: {what}; take poses "
+            "that lay other directions across gravity, or shake harder"
         )
     return said
 

@@ -1,4 +1,4 @@
-"""From a recording of a suspect arm to what is loose, how sure that is, and what to measure next."""
+"""From a recording of a suspect arm to what is loose, how sure that is, and what comes next."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
+from loose_env.instrument.cautions import warnings_of
 from loose_env.instrument.correlation_loops import loops_of
 from loose_env.instrument.directions import cone, seen_in_tool
 from loose_env.instrument.evidence import Evidence
@@ -32,7 +33,6 @@ from loose_env.instrument.result import (
 from loose_env.instrument.seat_travel import Travel, travel_of
 from loose_env.instrument.settings import DiagnoseSettings
 from loose_env.instrument.uncertain import UncertainMachine
-from loose_env.instrument.warnings import warnings_of
 from loose_env.instrument.weighing import fit_hypothesis, seats_of
 from loose_env.recording import Recording, Run
 
@@ -40,6 +40,8 @@ __all__ = ["Workbench", "diagnose"]
 
 Array = NDArray[np.float64]
 
+_LEAST_RUNS = 2
+"""Runs before nothing more is asked for: neighbouring links can look alike in one pose."""
 _STORY = 24
 """Lines of a run when probabilities are followed from run to run."""
 
@@ -99,7 +101,9 @@ class Workbench:
         """Keep a run that cannot be used, for the record."""
         self._taken.append(_Taken(run=run, held=None, lines=None, notes=(why,)))
 
-    def diagnosis(self, *, plan: bool = True, say: Callable[[str], None] = lambda _: None) -> Diagnosis:
+    def diagnosis(
+        self, *, plan: bool = True, say: Callable[[str], None] = lambda _: None
+    ) -> Diagnosis:
         """Weigh what all runs say together.
 
         Parameters
@@ -116,7 +120,7 @@ class Workbench:
         travel = None
         if best != HEALTHY and self.suspect:
             say(f"following the seat of {best}")
-            travel = travel_of(judged, best)
+            travel = travel_of(judged, best, self._whole())
         fault = _fault(self.machine, judged, travel)
         say("following the probabilities from run to run")
         records = self._records(judged)
@@ -131,12 +135,24 @@ class Workbench:
             model=self.machine.path.name,
             settings=asdict(self.settings),
         )
-        if plan and not (found.probability > self.settings.sure and self.suspect):
+        settled = found.probability > self.settings.sure and len(self.suspect) >= _LEAST_RUNS
+        if plan and not settled:
             say("choosing the next measurement")
             try:
                 found = replace(found, next=self._next(found))
             except InvalidData as error:
                 found = replace(found, warnings=(*found.warnings, f"nothing next: {error}"))
+        return found
+
+    def _whole(self) -> list[Lines]:
+        """All lines of the runs under test, those that were not excited too."""
+        found = []
+        for taken in self._taken:
+            if taken.held is None or taken.lines is None or taken.lines.healthy:
+                continue
+            held = taken.held
+            lines = lines_of(self.machine, taken.run, held.pose, held.excited, whole=True)
+            found.append(with_leakage(self.uncertain.at(held.pose), lines))
         return found
 
     def _next(self, found: Diagnosis) -> NextMeasurement:
@@ -156,7 +172,9 @@ class Workbench:
         found: list[RecordSeen] = []
         so_far: list[Lines] = []
         healthy = [
-            thinned(t.lines, _STORY) for t in self._taken if t.lines is not None and t.lines.healthy
+            thinned(judged.as_sampled(t.lines), _STORY)
+            for t in self._taken
+            if t.lines is not None and t.lines.healthy
         ]
         count = len(self.suspect)
         for taken in self._taken:
@@ -164,7 +182,7 @@ class Workbench:
             direction: Vector | None = None
             angle = None
             if taken.lines is not None and not taken.lines.healthy:
-                so_far.append(thinned(taken.lines, _STORY))
+                so_far.append(thinned(judged.as_sampled(taken.lines), _STORY))
                 if len(so_far) == count:
                     probabilities = dict(judged.posterior)
                 else:
@@ -195,7 +213,9 @@ class Workbench:
                     probabilities=probabilities,
                     direction_tool=direction,
                     half_angle_deg=angle,
-                    loops=() if taken.lines is None else loops_of(self.uncertain, judged, taken.lines),
+                    loops=()
+                    if taken.lines is None
+                    else loops_of(self.uncertain, judged, taken.lines),
                     notes=taken.notes,
                 )
             )
@@ -226,7 +246,7 @@ def diagnose(
     Raises
     ------
     InvalidData
-        If the model is no serial arm, or no run can be used.
+        If the model is no serial arm, no run can be used, or figures are beyond reckoning.
     """
     bench = Workbench(recording.model_path, DiagnoseSettings() if settings is None else settings)
     refused: list[str] = []
@@ -243,7 +263,13 @@ def diagnose(
             else "all runs are healthy references; a diagnosis needs a run of the arm under test: "
             'one without "condition": "healthy" in recording.json'
         )
-    return bench.diagnosis(say=say)
+    try:
+        return bench.diagnosis(say=say)
+    except np.linalg.LinAlgError as error:
+        raise InvalidData(
+            f"model and runs cannot be reckoned with ({error}): are masses, gains and readings in "
+            "SI units?"
+        ) from None
 
 
 def _fault(machine: Machine, judged: Judged, travel: Travel | None) -> Fault:

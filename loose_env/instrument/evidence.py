@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +21,20 @@ from loose_env.instrument.openness import open_probability
 from loose_env.instrument.response import Response, respond
 from loose_env.instrument.uncertain import UncertainMachine
 
-__all__ = ["SHARES", "Evidence", "Piece", "Seat", "band_terms", "explained", "seat_powers", "seat_products"]
+__all__ = [
+    "SHARES",
+    "Evidence",
+    "Piece",
+    "Seat",
+    "band_terms",
+    "explained",
+    "seat_powers",
+    "seat_products",
+]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Products = tuple[Array, Array, Complex, Complex, Complex]
 
 SHARES = np.geomspace(1e-3, 4.0, 14)
 """Shares of a floating seat's motion that are tried [1]."""
@@ -32,7 +43,7 @@ _FOLDED = 0.2
 _FOLDS = 0.05
 """Frequency over the sampling rate at which sampling without a filter doubles the error."""
 _STUCK = 0.03
-"""Share of a floating seat's motion below which a seat does not follow a sudden force either [1]."""
+"""Share of a floating seat's motion below which it does not follow a sudden force either [1]."""
 _OPEN = SHARES > 0.1
 """Those that an open seat is expected to have."""
 _SPREAD = 1.0
@@ -117,7 +128,7 @@ class Evidence:
         for one, drive in zip(self.lines, self._drive, strict=True):
             response = respond(self.machine.at(one.pose), one, errors)
             # Readings of what is faster than the samples fold back; more of it the higher the line.
-            folded = abs(response.sampled) * (one.frequency * one.period / _FOLDS) ** 2
+            folded = one.folded * (one.frequency * one.period / _FOLDS) ** 2
             allowed = model_error * (1 + folded)[:, None]
             size = np.where(one.blind, _BLIND, _DRIVE * model_error)
             joints = response.joint_columns() * (size * np.sqrt(drive))[:, None, :]
@@ -144,9 +155,7 @@ class Evidence:
             )
         return found
 
-    def seat_terms(
-        self, pieces: Sequence[Piece], seat: Seat, axes: Array
-    ) -> Array:
+    def seat_terms(self, pieces: Sequence[Piece], seat: Seat, axes: Array) -> Array:
         """Log-likelihood of a seat against none, by axis.
 
         Parameters
@@ -191,7 +200,7 @@ class Evidence:
         if not by_run:
             return np.zeros(len(axes))
         top = total.max(axis=1, keepdims=True)
-        return np.log(np.exp(total - top) @ shut_weight) + top[:, 0]
+        return np.asarray(np.log(np.exp(total - top) @ shut_weight) + top[:, 0])
 
 
 def band_terms(piece: Piece, seat: Seat, axes: Array) -> Array:
@@ -205,7 +214,7 @@ def band_terms(piece: Piece, seat: Seat, axes: Array) -> Array:
     return np.asarray(np.add.reduceat(gain, edges, axis=2).transpose(1, 2, 0))
 
 
-def seat_products(piece: Piece, seat: Seat, axes: Array) -> tuple[Array, ...]:
+def seat_products(piece: Piece, seat: Seat, axes: Array) -> Products:
     """Products of a seat's patterns with each other and with the residual, weighted.
 
     A seat that strikes its stops moves faster than samples follow. What of that is folded back
@@ -225,7 +234,7 @@ def seat_products(piece: Piece, seat: Seat, axes: Array) -> tuple[Array, ...]:
 
     pairs = (axes[:, :, None] * axes[:, None, :]).reshape(len(axes), -1)
 
-    def form(left: Complex, right: Complex) -> Complex:
+    def form(left: Any, right: Complex) -> Complex:
         gram = left.conj().swapaxes(-2, -1) @ right
         return np.asarray(pairs @ gram.reshape(len(gram), -1).T)
 
@@ -255,14 +264,12 @@ def seat_powers(response: Response, share: Array, floating: Array) -> tuple[Arra
     """
     omega, period = 2 * np.pi * response.lines.frequency, response.lines.period
     late = np.abs(np.exp(0.5j * omega * period) / np.sinc(omega * period / (2 * np.pi)) - 1)
-    stepped = (late * response.sampled) ** 2 * share**2 / (share**2 + _STUCK**2)
+    stepped = (late * response.lines.sampled) ** 2 * share**2 / (share**2 + _STUCK**2)
     first = share**2 * floating
     return first, _FOLDED**2 * first + stepped * floating
 
 
-def explained(
-    terms: tuple[Array, ...], first: Array, second: Array
-) -> tuple[Array, Array]:
+def explained(terms: Products, first: Array, second: Array) -> tuple[Array, Array]:
     """Misfit that a seat's motion of some powers takes away, and the logarithm of its spread.
 
     Parameters

@@ -118,7 +118,7 @@ def _shaken(machine: Machine, run: Run) -> list[str]:
             power[j] = 0.0 if q is None else _wobble(q)
     if not power.any():
         raise InvalidData(
-            f"{run.name}: nothing says which joint was excited: note \"excited\" in "
+            f'{run.name}: nothing says which joint was excited: note "excited" in '
             "recording.json, or record the commands"
         )
     return [machine.joints[j] for j in np.flatnonzero(power > _SHARE * power.max())]

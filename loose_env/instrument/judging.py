@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.instrument.evidence import Evidence
+from loose_env.instrument.evidence import Evidence, Seat
 from loose_env.instrument.lines import Lines, thinned
 from loose_env.instrument.result import HEALTHY
 from loose_env.instrument.uncertain import UncertainMachine
@@ -24,6 +24,8 @@ a model are alike at neighbouring lines, so that more would cost time and say li
 _BEHIND = 120.0
 """Log-evidence by which a hypothesis may be behind after the first look to be looked at again."""
 _MOST = 4
+_PROBED = 2
+"""Likely hypotheses by which it is judged how the sensors were sampled."""
 _ELSE = 0.004
 """Probability that something is not as any hypothesis has it: then data say nothing."""
 
@@ -42,15 +44,19 @@ class Judged:
     lines: tuple[Lines, ...]
     """All lines of all runs."""
 
+    def as_sampled(self, lines: Lines) -> Lines:
+        """Lines of a run, with what was found of how the sensors are sampled."""
+        if not self.lines:
+            return lines
+        return replace(lines, sampled=self.lines[0].sampled, folded=self.lines[0].folded)
+
     @property
     def best(self) -> str:
         """The most probable hypothesis."""
         return max(self.posterior, key=lambda name: self.posterior[name])
 
 
-def judge(
-    machine: UncertainMachine, lines: Sequence[Lines], *, sound: float
-) -> Judged:
+def judge(machine: UncertainMachine, lines: Sequence[Lines], *, sound: float) -> Judged:
     """Weigh all hypotheses.
 
     Parameters
@@ -64,12 +70,15 @@ def judge(
     """
     hypotheses = machine.machine.hypotheses
     seats = seats_of(hypotheses, machine.machine.n)
-    coarse = Evidence(machine=machine, lines=[thinned(one, _COARSE) for one in lines])
-    fits = {name: fit_hypothesis(coarse, name, seat, steps=4) for name, seat in seats.items()}
+    coarse, fits = _first_look(machine, lines, seats)
     top = max(fit.evidence for fit in fits.values())
     order = sorted(fits, key=lambda name: -fits[name].evidence)
     likely = [name for name in order if fits[name].evidence > top - _BEHIND][:_MOST]
-    fine = Evidence(machine=machine, lines=[thinned(one, _FINE) for one in lines])
+    whole = [
+        replace(one, sampled=few.sampled, folded=few.folded)
+        for one, few in zip(lines, coarse.lines, strict=True)
+    ]
+    fine = Evidence(machine=machine, lines=[thinned(one, _FINE) for one in whole])
     values = {name: fit.evidence for name, fit in fits.items()}
     if len(lines):
         again = {name: fit_hypothesis(fine, name, seats[name], start=fits[name]) for name in likely}
@@ -83,8 +92,33 @@ def judge(
         fits=fits,
         evidence=fine,
         coarse=coarse,
-        lines=tuple(lines),
+        lines=tuple(whole),
     )
+
+
+def _first_look(
+    machine: UncertainMachine, lines: Sequence[Lines], seats: Mapping[str, Seat | None]
+) -> tuple[Evidence, dict[str, Fit]]:
+    """Fit all hypotheses to few lines, and find out how the sensors were sampled."""
+    few = [thinned(one, _COARSE) for one in lines]
+
+    def of(sampled: float, folded: float) -> Evidence:
+        taken = [replace(one, sampled=sampled, folded=folded) for one in few]
+        return Evidence(machine=machine, lines=taken)
+
+    def fit(evidence: Evidence, name: str) -> Fit:
+        return fit_hypothesis(evidence, name, seats[name], steps=4)
+
+    filtered, stepped = of(0.0, 0.0), of(1.0, 1.0)
+    if lines and any(np.any(one.command) for one in lines):
+        fits = {name: fit(stepped, name) for name in seats}
+        order = sorted(fits, key=lambda name: -fits[name].evidence)
+        # Compared with the same allowance for errors, or the wider one would pay for it.
+        alike = of(0.0, 1.0)
+        other = max(fit(alike, name).evidence for name in {HEALTHY, *order[:_PROBED]})
+        if fits[order[0]].evidence > other:
+            return stepped, fits
+    return filtered, {name: fit(filtered, name) for name in seats}
 
 
 def probabilities_of(evidence: Mapping[str, float], *, sound: float) -> dict[str, float]:
@@ -102,6 +136,4 @@ def probabilities_of(evidence: Mapping[str, float], *, sound: float) -> dict[str
     top = max(log.values())
     weight = {name: float(np.exp(value - top)) for name, value in log.items()}
     total = sum(weight.values())
-    return {
-        name: (1 - _ELSE) * weight[name] / total + _ELSE * prior[name] for name in evidence
-    }
+    return {name: (1 - _ELSE) * weight[name] / total + _ELSE * prior[name] for name in evidence}

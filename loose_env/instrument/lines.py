@@ -30,6 +30,12 @@ _HIGHEST = 0.45
 """Highest frequency that is used, over the sampling rate."""
 _MOST = 20_000
 """Most lines of a run that are kept, evenly spread."""
+_SLOWEST = 0.5
+"""Lowest line that is kept for a seat's path, over the lowest that was excited."""
+_MOST_READ = 1e6
+"""Largest reading that is taken for one [m/s², rad/s, rad, m]."""
+_MOST_PLAYED = 1e9
+"""The same of a command or a torque [its own unit]."""
 _SMOOTH = 3.0
 """Width over which powers are averaged [Hz]."""
 _WORTH = 0.1
@@ -77,6 +83,11 @@ class Lines:
     """Independent values per line [1]."""
     next: float
     """Frequency from a line of the whole transform to the next one [Hz]."""
+    folded: float
+    """How much of what is faster than the samples is to be expected in the band, 0 to 1."""
+    sampled: float
+    """How much the sensors see of a command's step: 0 where filters smooth it, 1 where they are
+    read just after it."""
     period: float
     """Time for which a command is held [s]."""
     seconds: float
@@ -137,7 +148,14 @@ def uniform(time: Array, values: Array) -> tuple[float, Array]:
     return 1 / step, out
 
 
-def lines_of(machine: Machine, run: Run, pose: Array, excited: NDArray[np.intp]) -> Lines:
+def lines_of(
+    machine: Machine,
+    run: Run,
+    pose: Array,
+    excited: NDArray[np.intp],
+    *,
+    whole: bool = False,
+) -> Lines:
     """Transform a run.
 
     Parameters
@@ -150,6 +168,8 @@ def lines_of(machine: Machine, run: Run, pose: Array, excited: NDArray[np.intp])
         Pose held.
     excited : ndarray of int
         Joints that were excited, from 0.
+    whole : bool
+        Whether lines that were not excited are kept too: a seat moves at all of them.
 
     Returns
     -------
@@ -163,14 +183,14 @@ def lines_of(machine: Machine, run: Run, pose: Array, excited: NDArray[np.intp])
     rows = tuple(
         (r, axis)
         for r in machine.readings
-        if r.sensor in run.sensors
+        if r.sensor in run.sensors and _alive(run, r.sensor)
         for axis in range(r.axes)
     )
     if not any(r.kind == "acceleration" for r, _ in rows):
         names = [r.sensor for r in machine.readings if r.kind == "acceleration"]
         raise InvalidData(
-            f"{run.name}: no accelerometer of the arm was recorded; the model has {names}: record "
-            f"'sensor.{names[0]}.x', '.y' and '.z'"
+            f"{run.name}: no accelerometer of the arm was recorded, or it stands still; the model "
+            f"has {names}: record 'sensor.{names[0]}.x', '.y' and '.z'"
         )
     drives, n = machine.drives, machine.n
     columns = [
@@ -180,6 +200,8 @@ def lines_of(machine: Machine, run: Run, pose: Array, excited: NDArray[np.intp])
     forces = [run.torques.get(j, np.zeros(run.samples)) for j in machine.joints]
     rate, even = uniform(run.time, np.stack([*columns, *commands, *forces], axis=1))
     c, a = len(rows), len(commands)
+    if not np.abs(even[:, c:]).max(initial=0.0) < _MOST_PLAYED:
+        raise InvalidData(f"{run.name}: commands or torques beyond {_MOST_PLAYED:g} are no arm's")
     driven = np.zeros(n, dtype=bool)
     for name in drives.names:
         if name in run.controls:
@@ -197,8 +219,27 @@ def lines_of(machine: Machine, run: Run, pose: Array, excited: NDArray[np.intp])
         )
     return _lines(
         machine, run, rate, even, rows, c, a,
-        pose=pose, excited=excited, measured=measured, blind=blind,
+        pose=pose, excited=excited, measured=measured, blind=blind, whole=whole,
     )  # fmt: skip
+
+
+def _alive(run: Run, sensor: str) -> bool:
+    """Whether a sensor shows anything: one that stands still, or on one step, tells nothing.
+
+    Raises
+    ------
+    InvalidData
+        If it shows numbers that no arm makes.
+    """
+    values = run.sensors[sensor]
+    there = values[np.isfinite(values)]
+    largest = float(np.abs(there).max()) if there.size else 0.0
+    if largest > _MOST_READ:
+        raise InvalidData(
+            f"{run.name}: column 'sensor.{sensor}' reaches {largest:.3g}; no arm does: is it in SI "
+            "units?"
+        )
+    return bool(there.size and np.any(np.ptp(np.atleast_2d(values.T), axis=-1) > 0))
 
 
 def _lines(
@@ -214,15 +255,16 @@ def _lines(
     excited: NDArray[np.intp],
     measured: NDArray[np.bool_],
     blind: NDArray[np.bool_],
+    whole: bool,
 ) -> Lines:
     count = len(even)
     taper = signal.windows.hann(count, sym=False)
     taper /= np.sqrt(np.mean(taper**2))
     even = signal.detrend(even, axis=0)
     spectrum = np.fft.rfft(even * taper[:, None], axis=0)
-    whole = np.fft.rfft(even[:, c:], axis=0)
-    lean = 0.5 * float(taper.mean()) * (np.roll(whole, 1, axis=0) - np.roll(whole, -1, axis=0))
-    frequency = np.fft.rfftfreq(count, 1 / rate)
+    plain = np.fft.rfft(even[:, c:], axis=0)
+    lean = 0.5 * float(taper.mean()) * (np.roll(plain, 1, axis=0) - np.roll(plain, -1, axis=0))
+    frequency = np.asarray(np.fft.rfftfreq(count, 1 / rate), dtype=float)
     inputs = np.abs(spectrum[:, c:]) ** 2
     if blind[excited].any() or not inputs.any():
         inputs = np.abs(spectrum[:, :3]) ** 2
@@ -237,6 +279,8 @@ def _lines(
             f"{run.name}: only {len(kept)} Fourier lines of {count / rate:.2g} s are excited; "
             "take a longer record or a wider band"
         )
+    if whole:  # slower still, errors of gravity and servos look like a drift of the seat
+        kept = np.flatnonzero(inside & (frequency >= _SLOWEST * frequency[kept[0]]))
     if len(kept) > _MOST:
         kept = kept[np.linspace(0, len(kept) - 1, _MOST).round().astype(int)]
     readings = spectrum[kept, :c]
@@ -265,6 +309,8 @@ def _lines(
         power=power,
         independent=min(1.0, float(np.median(np.diff(kept))) / _INDEPENDENT),
         next=rate / count,
+        folded=0.0,
+        sampled=0.0,
         period=1 / rate,
         seconds=count / rate,
     )

@@ -1,4 +1,4 @@
-"""The machine of a recording: its nominal arm with all seats, its drives, and what its sensors read."""
+"""The machine of a recording: its nominal arm with all seats, its drives, what its sensors read."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from loose_env.arms.arm import Arm
 from loose_env.arms.from_file import arm_from_file
 from loose_env.arms.linear import LinearArm
-from loose_env.arms.model_file import read_model_file
+from loose_env.arms.model_file import compile_spec, load_spec, read_model_file
 from loose_env.arms.serial_chain import find_chain
 from loose_env.errors import InvalidData
 from loose_env.instrument.result import HEALTHY, hypothesis_of
@@ -86,12 +86,12 @@ class Machine:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        from loose_env.arms.model_file import compile_spec, load_spec
-
         file, _, spec = load_spec(path)
         self.model = model = compile_spec(spec, file)
         accelerometers = [
-            s for s in range(model.nsensor) if _KINDS.get(int(model.sensor_type[s])) == "acceleration"
+            s
+            for s in range(model.nsensor)
+            if _KINDS.get(int(model.sensor_type[s])) == "acceleration"
         ]
         if not accelerometers:
             raise InvalidData(
@@ -199,10 +199,14 @@ class Machine:
         return int(np.argmax(np.abs(self.drives.force[:, self.drives.names.index(actuator)])))
 
     def pose_of(self, pose: Mapping[str, float]) -> Array:
-        """Joint positions (n,) of a pose by names; joints that it does not name are at their
-        reference in the model."""
+        """Joint positions (n,) of a pose by names.
+
+        Joints that it does not name are at their reference in the model.
+        """
         reference = self.model.qpos0[[self.model.joint(j).qposadr[0] for j in self.joints]]
-        return np.array([pose.get(j, float(q)) for j, q in zip(self.joints, reference, strict=True)])
+        return np.array(
+            [pose.get(j, float(q)) for j, q in zip(self.joints, reference, strict=True)]
+        )
 
     def named(self, pose: Array) -> dict[str, float]:
         """Positions by joint."""

@@ -19,9 +19,7 @@ _OVERCOME = 0.6
 """Rms force over static load at which a seat begins to open: peaks do it."""
 
 
-def seat_forces(
-    response: Response, seats: NDArray[np.intp], axes: Array
-) -> tuple[Array, Array]:
+def seat_forces(response: Response, seats: NDArray[np.intp], axes: Array) -> tuple[Array, Array]:
     """Rms force across a shut seat in a run, and the static load on it, by axis (U,) each."""
     across, lines = response.across(seats, axes), response.lines
     # Lines that were left out between those that are there count too.

@@ -47,12 +47,6 @@ class Response:
     """Readings of the sound arm (K, c)."""
 
     @property
-    def sampled(self) -> float:
-        """How much the accelerometers see of a command's step: 0 where filters smooth it, 1 where
-        they are read just after it."""
-        return float(self.errors[self.at.of.delays][2])
-
-    @property
     def residual(self) -> Complex:
         """What the sound arm leaves of the readings (K, c)."""
         return np.asarray(self.lines.readings - self.mean)
@@ -110,7 +104,7 @@ class Response:
         whole = np.concatenate([-(omega**2)[:, None] * motion, seat], axis=1)  # accelerations
         slopes = np.zeros((*lines.readings.shape, len(of.names)), dtype=complex)
         push = self.rows @ self.compliance  # readings per force (K, c, m)
-        sampled = self.sampled
+        sampled = lines.sampled
         inertia, jacobian = at.parts(self.errors)
         force = -_each(at.inertia[:, :m], whole)
         eased = -_each(at.inertia[:, :m, :m], sampled * self.jump)
@@ -137,7 +131,8 @@ class Response:
             for part, values in enumerate(kept):
                 slopes[:, :, of.springs.start + part * n + j] = push[:, :, j] * values[:, j, None]
         # Gains and delays act on what steps as on what is held.
-        per_force = _stepping(self, jacobian, sensing, np.linalg.inv(inertia[:m, :m]))
+        ease = np.asarray(np.linalg.inv(inertia[:m, :m]))
+        per_force = _stepping(self, jacobian, sensing, ease)
         hold = _held(omega, lines.period)
         unheld = sampled * (self.force[:, :n] - lines.force) * (1 / hold - 1)[:, None]
         unheld[:, ~of_drive] = 0.0
@@ -157,7 +152,6 @@ class Response:
         slopes[:, on_sites, of.delays.start + 1] = (
             -t.sensor_delay * s[:, None] * readings[:, on_sites]
         )
-        slopes[:, :, of.delays.start + 2] = self.step
         for at_sensor, k in enumerate(of.sensors):
             sensor = machine.readings[k].sensor
             own = [i for i, (r, _) in enumerate(lines.row) if r.sensor == sensor]
@@ -165,9 +159,9 @@ class Response:
                 continue
             for i in range(3):
                 for j in range(3):
-                    size = t.sensor_gain if i == j else t.cross_axis
+                    spread = t.sensor_gain if i == j else t.cross_axis
                     column = of.sensing.start + 9 * at_sensor + 3 * i + j
-                    slopes[:, own[i], column] = size * readings[:, own[j]]
+                    slopes[:, own[i], column] = spread * readings[:, own[j]]
         return slopes
 
 
@@ -177,7 +171,7 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
     machine, t = of.machine, of.tolerances
     n, m = machine.n, at.size
     omega = 2 * np.pi * lines.frequency
-    s = 1j * omega
+    s = np.asarray(1j * omega, dtype=complex)
     inertia, jacobian = at.parts(errors)
     stiffness, damping = at.springs(errors)
     drives = machine.drives
@@ -189,8 +183,7 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
     dynamic = -(omega**2)[:, None, None] * inertia[:m, :m] + at.weight[:m]
     dynamic = dynamic.astype(complex)
     dynamic[:, np.arange(m), np.arange(m)] += stiffness + s[:, None] * damping
-    compliance = np.linalg.inv(dynamic)
-    gain = drives.force.T[None] * 1.0
+    compliance: Complex = np.asarray(np.linalg.inv(dynamic), dtype=complex)
     hold = _held(omega, lines.period)
     late = hold * np.exp(-s * t.command_delay * errors[of.delays][0])
     command = lines.command * late[:, None] / (1 + s[:, None] * drives.lag)
@@ -198,14 +191,15 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
     factor = (1 + t.figures * held * (drives.stiffness > 0)) * (
         1 + _gain_error(at) * errors[of.gains]
     )
-    force[:, :n] = np.where(free, 0.0, factor * (command @ gain[0])) + lines.force
+    force[:, :n] = np.where(free, 0.0, factor * (command @ drives.force.T)) + lines.force
     coupling = inertia[:m, m:] - at.weight[m:].T / (omega**2)[:, None, None]
-    by_seat = -compliance @ coupling
+    by_seat = np.asarray(-compliance @ coupling, dtype=complex)
+    motion = np.asarray((compliance @ force[:, :, None])[:, :, 0], dtype=complex)
     rows, own = _rows(at, lines, jacobian, s)
     made = Response(
         at=at, lines=lines, errors=errors, compliance=compliance, rows=rows, columns=own,
         sudden=np.zeros(own.shape[1:]),
-        by_seat=by_seat, force=force, motion=(compliance @ force[:, :, None])[:, :, 0],
+        by_seat=by_seat, force=force, motion=motion,
         jump=force, step=np.zeros_like(lines.readings), mean=np.zeros_like(lines.readings),
     )  # fmt: skip
     sensing = _sensing(made)
@@ -217,17 +211,17 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
     columns = own + rows @ by_seat
     jump = np.zeros_like(force)
     jump[:, :n] = np.where(free, 0.0, force[:, :n] - lines.force) * (1 / hold - 1)[:, None]
-    jump = np.linalg.solve(inertia[:m, :m], jump.T).T
-    step = _stepped(at, lines, jacobian, jump, made.motion)
+    jump = np.asarray(np.linalg.solve(inertia[:m, :m], jump.T).T, dtype=complex)
+    step = _stepped(at, lines, jacobian, jump, motion)
     for sensor, matrix in sensing.items():
         k = [i for i, (r, _) in enumerate(lines.row) if r.sensor == sensor]
         late_site = np.exp(-s * t.sensor_delay * errors[of.delays][1])[:, None]
         step[:, k] = late_site * (step[:, k] @ matrix.T)
-    mean = (rows @ made.motion[:, :, None])[:, :, 0] + errors[of.delays][2] * step + lines.leaked
+    mean = (rows @ motion[:, :, None])[:, :, 0] + lines.sampled * step + lines.leaked
     return Response(
         at=at, lines=lines, errors=errors, compliance=compliance, rows=rows, columns=columns,
         sudden=_sudden(made, inertia, jacobian, sensing),
-        by_seat=by_seat, force=force, motion=made.motion, jump=jump, step=step, mean=mean,
+        by_seat=by_seat, force=force, motion=motion, jump=jump, step=step, mean=mean,
     )  # fmt: skip
 
 
@@ -245,7 +239,6 @@ def with_leakage(at: PoseModel, lines: Lines) -> Lines:
     the slope of the answer times what the neighbours differ by. The nominal arm is good enough.
     """
     none = np.zeros(len(at.of.names))
-    none[at.of.delays.start + 2] = 0.5
     command, force = lines.lean
     here = replace(lines, command=command, force=force, leaked=np.zeros_like(lines.readings))
     there = replace(here, frequency=lines.frequency + lines.next)
@@ -263,7 +256,9 @@ def _sudden(
     response: Response, inertia: Array, jacobian: Array, sensing: dict[str, Array]
 ) -> Array:
     lines, m = response.lines, response.at.size
-    whole = np.vstack([-np.linalg.solve(inertia[:m, :m], inertia[:m, m:]), np.eye(len(inertia) - m)])
+    whole = np.vstack(
+        [-np.linalg.solve(inertia[:m, :m], inertia[:m, m:]), np.eye(len(inertia) - m)]
+    )
     found = np.zeros((len(lines.row), whole.shape[1]))
     for k, (reading, axis) in enumerate(lines.row):
         if reading.kind == "acceleration":

@@ -8,6 +8,7 @@ the data say how far apart they are.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,18 +17,23 @@ from scipy import signal
 
 from loose_env.instrument.evidence import Evidence, Piece, Seat
 from loose_env.instrument.judging import Judged
-from loose_env.instrument.weighing import best_powers, seats_of
+from loose_env.instrument.lines import Lines
+from loose_env.instrument.weighing import seats_of
 
 __all__ = ["Travel", "law_of", "travel_of"]
 
 Array = NDArray[np.float64]
 
+_FOLDED = 0.04
+"""Power that samples fold back over that which they follow [1]."""
 _ENDS = 25
 _BLOCKS = 6
 _SAMPLES = 500
 """Most samples by which a law is judged."""
 _TAPER = 0.5
 """Least height of the taper at samples that are used."""
+_OFF = 0.15
+"""Relative error of a gap by what is slower than the band, and by stops that give way at first."""
 _STRUCK = 0.02
 """Least share of the time at each stop for a gap to be told."""
 _BETTER = 0.75
@@ -48,11 +54,21 @@ class Travel:
     """Whether a spring without a gap explains the force as well: then it may be no looseness."""
 
 
-def travel_of(judged: Judged, hypothesis: str) -> Travel:
-    """Estimate the free travel of the most likely seat from all runs under test."""
+def travel_of(judged: Judged, hypothesis: str, lines: Sequence[Lines]) -> Travel:
+    """Estimate the free travel of the most likely seat.
+
+    Parameters
+    ----------
+    judged : Judged
+        What all runs say.
+    hypothesis : str
+        The seat.
+    lines : sequence of Lines
+        Runs under test with all their lines, those that were not excited too: between its stops a
+        seat drifts slowly, and strikes them fast.
+    """
     machine = judged.evidence.machine
-    tested = [one for one in judged.lines if not one.healthy]
-    evidence = Evidence(machine=machine, lines=tested)
+    evidence = Evidence(machine=machine, lines=[judged.as_sampled(one) for one in lines])
     seat = seats_of(machine.machine.hypotheses, machine.machine.n)[hypothesis]
     fit = judged.fits[hypothesis]
     assert isinstance(seat, Seat)
@@ -77,7 +93,7 @@ def travel_of(judged: Judged, hypothesis: str) -> Travel:
         return Travel(gap=None, interval=None, range=widest, linear=all(linear))
     middle = float(np.median(gaps))
     spread = 1.4826 * float(np.median(np.abs(np.array(gaps) - middle)))
-    half = 2.0 * np.hypot(1.25 * spread / np.sqrt(len(gaps) / 2), 0.1 * middle)
+    half = 2.0 * np.hypot(1.25 * spread / np.sqrt(len(gaps) / 2), _OFF * middle)
     return Travel(
         gap=middle,
         interval=(max(middle - half, 0.0), middle + half),
@@ -94,7 +110,9 @@ def seat_in_time(piece: Piece, seat: Seat, axis: Array) -> tuple[Array, Array]:
     both = np.stack([first, second], axis=2)
     weighted = piece.weight @ both
     inside = both.conj().swapaxes(1, 2) @ weighted
-    inside[:, [0, 1], [0, 1]] += 1 / best_powers(piece, seat, axis)
+    # A seat may move at any line by as much as one that floats does at any.
+    most = max(float(response.floating(seat.columns, axis[None]).max()) ** 2, 1e-30)
+    inside[:, [0, 1], [0, 1]] += 1 / np.array([most, _FOLDED * most])
     seen = weighted.conj().swapaxes(1, 2) @ response.residual[:, :, None]
     moved = np.linalg.solve(inside, seen)[:, 0, 0]
     load, mass = response.across_seat(seat.columns)
@@ -112,7 +130,7 @@ def seat_in_time(piece: Piece, seat: Seat, axis: Array) -> tuple[Array, Array]:
 
 
 def law_of(path: Array, force: Array) -> float | None:
-    """Free travel that explains the force across a seat best; None where one stop or none is struck.
+    """Free travel that explains the force across a seat best; None unless both stops are struck.
 
     The force is a constant, and beyond either end of the gap a stiffness and a damping of their
     own. Widths and places of the gap are tried one by one.

@@ -27,7 +27,7 @@ class DiagnoseSettings:
     sound: float = 0.5
     """Probability, before any data, that nothing is loose."""
     sure: float = 0.98
-    """Probability from which nothing more is to be measured."""
+    """Probability from which, after two runs, nothing more is to be measured."""
     figures: float = Tolerances.figures
     """Standard deviation of masses, inertias, rotors and drive gains of the model, relative."""
     damping: float = Tolerances.damping

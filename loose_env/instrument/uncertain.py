@@ -97,7 +97,6 @@ class UncertainMachine:
         self.gains = slice(self.springs.stop, len(names))
         names.append("command_delay")
         names.append("accelerometer_delay")
-        names.append("accelerometer_step")
         self.delays = slice(self.gains.stop, len(names))
         self.sensors = tuple(
             k for k, r in enumerate(machine.readings) if r.kind in ("acceleration", "turning")

@@ -119,7 +119,7 @@ def fit_hypothesis(
     value = now.cost - 0.5 * float(np.linalg.slogdet(normal)[1])
     covariance = None
     if seat is not None and seat.slides and now.axis is not None:
-        covariance = np.linalg.inv(normal)[count:, count:]
+        covariance = np.asarray(np.linalg.inv(normal)[count:, count:])
         if float(np.linalg.eigvalsh(covariance)[-1]) > _VAGUE**2:
             # Too vague for a curvature: the mean over all directions instead.
             terms = evidence.seat_terms(now.pieces, seat, np.vstack([now.axis, axes_grid(_AXES)]))

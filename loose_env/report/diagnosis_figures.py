@@ -105,7 +105,7 @@ def posterior_figure(
             if share >= 0.085:
                 on_it = "#16191d" if is_light(colour) else "#fefefe"
                 axes.text(
-                    start + share / 2, -k, f"{100 * share:.0f}", color=on_it, fontsize=9.5,
+                    start + share / 2, -k, _whole(share), color=on_it, fontsize=9.5,
                     ha="center", va="center_baseline", zorder=3,
                 )  # fmt: skip
             start += share
@@ -118,6 +118,11 @@ def posterior_figure(
     _bare(axes)
     axes.tick_params(axis="y", labelcolor=INK)
     return figure
+
+
+def _whole(share: float) -> str:
+    """A share in whole per cent, never rounded to all."""
+    return "over 99" if share > 0.995 else f"{100 * share:.0f}"
 
 
 def _rows_of(words: Sequence[str]) -> list[tuple[int, float]]:
@@ -181,9 +186,12 @@ def _loop(axes: Axes, loop: Loop, record: RecordSeen, *, named: bool) -> None:
         )  # fmt: skip
     if named:
         axes.text(-1.3, 1.3, loop.joint, color=MUTED, fontsize=9, ha="left", va="top")
-    angle = np.radians(np.asarray(loop.angle_deg))
+    # Half a turn further the correlation has the other sign, and the point is the same: closed.
+    angle = np.radians(np.asarray([*loop.angle_deg, *loop.angle_deg[:1]]))
     way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    measured, expected = np.asarray(loop.correlation), np.asarray(loop.expected)
+    measured, expected = (
+        np.asarray([*values, *values[:1]]) for values in (loop.correlation, loop.expected)
+    )
     points = measured[:, None] * way
     axes.add_patch(Polygon(points, facecolor=MEASURED, alpha=0.22, linewidth=0, zorder=2))
     axes.plot(*(expected[:, None] * way).T, color=MUTED, linewidth=1.3, dashes=(4, 2.5), zorder=3)

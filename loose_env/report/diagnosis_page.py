@@ -16,6 +16,7 @@ from loose_env.report.diagnosis_words import (
     percent,
     place_value,
     questions,
+    sentence,
     short_name,
 )
 from loose_env.report.gap_parts import group
@@ -76,7 +77,7 @@ def page_of(diagnosis: Diagnosis, arm: Arm, *, recording: str = "") -> str:
         title=headline(diagnosis, arm),
         kicker=" · ".join(filter(None, [recording, "which part of the arm is loose"])),
         questions=questions(diagnosis, arm),
-        warnings=list(diagnosis.warnings),
+        warnings=[sentence(warning) for warning in diagnosis.warnings],
         groups=[each for each in groups if each],
         notes=_notes(diagnosis, arm),
     )
@@ -252,7 +253,7 @@ def _loop_words(record: RecordSeen, arm: Arm) -> str:
     pose = ", ".join(place_value(arm, joint, value) for joint, value in record.pose.items())
     said = f"Pose {pose}." if pose else ""
     if record.direction_tool is None:
-        return f"{said} Nothing was seen that the sound arm does not do.".strip()
+        return f"{said} No direction in which motion is lost stands out of this record.".strip()
     axis = ", ".join(f"{x:.2f}".replace("-", "−") for x in record.direction_tool)
     within = "" if record.half_angle_deg is None else f", within {record.half_angle_deg:.0f}°"
     return f"{said} Motion is lost along ({axis}) of the tool's frame{within}.".strip()
@@ -275,7 +276,7 @@ def _records_group(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:
             }
         )
     notes = [
-        f"Record {number}: {note}"
+        f"Record {number}: {sentence(note)}"
         for number, record in enumerate(diagnosis.records, 1)
         for note in record.notes
     ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from loose_env.arms.arm import Arm
@@ -9,11 +11,15 @@ from loose_env.errors import InvalidData
 from loose_env.instrument.result import HEALTHY, Diagnosis, NextMeasurement
 
 __all__ = [
+    "begun",
+    "decided",
     "headline",
     "joint_words",
     "link_words",
+    "percent",
     "place_value",
     "questions",
+    "sentence",
     "short_name",
     "steps",
     "sure_words",
@@ -84,11 +90,17 @@ def short_name(arm: Arm, hypothesis: str) -> str:
 def headline(diagnosis: Diagnosis, arm: Arm) -> str:
     """The outcome in one sentence, no surer than it is."""
     said = short_name(arm, diagnosis.fault.hypothesis)
-    if diagnosis.probability >= DECIDED:
-        return f"{_begun(said)}."
+    if decided(diagnosis):
+        return f"{begun(said)}."
     if diagnosis.probability >= LEANING:
         return f"Probably {said}."
     return f"Not decided yet. Most likely so far: {said}."
+
+
+def decided(diagnosis: Diagnosis) -> bool:
+    """Whether the diagnosis stands: by its own setting ``sure`` where it has one."""
+    sure = diagnosis.settings.get("sure")
+    return diagnosis.probability >= (sure if isinstance(sure, float) else DECIDED)
 
 
 def sure_words(diagnosis: Diagnosis, arm: Arm) -> list[str]:
@@ -160,12 +172,12 @@ def _what(diagnosis: Diagnosis, arm: Arm) -> list[str]:
         ]
     if fault.kind == "backlash":
         return [
-            f"{_begun(joint_words(arm, fault.where))}: its motor and its link are not tightly "
+            f"{begun(joint_words(arm, fault.where))}: its motor and its link are not tightly "
             "connected."
         ]
     joint = arm.joints[arm.seat_bodies.index(fault.where)] if fault.where in arm.seat_bodies else ""
     link = link_words(arm, fault.where)
-    said = f"{_begun(link)}: it slides where it is fastened to {joint_words(arm, joint)}."
+    said = f"{begun(link)}: it slides where it is fastened to {joint_words(arm, joint)}."
     if fault.direction is None:
         return [said, "The data do not say in which direction."]
     axis = ", ".join(f"{x:.2f}".replace("-", "−") for x in fault.direction)
@@ -196,15 +208,27 @@ def _looked(diagnosis: Diagnosis) -> str:
     suspect = [r for r in diagnosis.records if r.condition != HEALTHY]
     poses = {tuple(round(v, 3) for v in r.pose.values()) for r in suspect}
     healthy = len(diagnosis.records) - len(suspect)
-    said = f"{_count(len(suspect), 'record')} in {_count(len(poses), 'pose')}"
+    said = begun(f"{_count(len(suspect), 'record')} in {_count(len(poses), 'pose')}")
     if healthy:
         return f"{said}, beside {_count(healthy, 'record')} of the sound arm."
     return f"{said}. There is no record of the sound arm: the model stands in its place."
 
 
-def _begun(words: str) -> str:
+def begun(words: str) -> str:
     """Words as a sentence begins."""
     return words[:1].upper() + words[1:]
+
+
+def sentence(words: str) -> str:
+    """Words as a sentence.
+
+    Examples
+    --------
+    >>> sentence("the step is coarse"), sentence("Is it?")
+    ('The step is coarse.', 'Is it?')
+    """
+    ended = words.rstrip()
+    return begun(ended) + ("" if ended[-1:] in (".", "!", "?", "") else ".")
 
 
 def _count(number: int, noun: str) -> str:
@@ -214,10 +238,10 @@ def _count(number: int, noun: str) -> str:
 def steps(diagnosis: Diagnosis, arm: Arm) -> list[str]:
     """What to do now, in the order in which to do it."""
     found = []
-    fault, decided = diagnosis.fault, diagnosis.probability >= DECIDED
+    fault = diagnosis.fault
     if diagnosis.next is not None:
-        found.append(_measure(diagnosis.next, arm))
-    if not decided:
+        found.append(_measure(diagnosis.next, arm, diagnosis.posterior))
+    if not decided(diagnosis):
         if diagnosis.next is None:
             found.append(
                 "Measure in further poses, each far from those before, or louder: what is at hand "
@@ -247,13 +271,14 @@ def steps(diagnosis: Diagnosis, arm: Arm) -> list[str]:
     return found
 
 
-def _measure(following: NextMeasurement, arm: Arm) -> str:
+def _measure(following: NextMeasurement, arm: Arm, names_of: Iterable[str]) -> str:
     names = [joint_words(arm, joint) for joint in following.joints]
     shaken = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]} in turn"
     reason = following.reason.strip()
-    reason = f" {_begun(reason)}" if reason else ""
-    if reason and reason[-1] not in ".!?":
-        reason += "."
+    for name in sorted(names_of, key=len, reverse=True):
+        if "@" in name:
+            reason = reason.replace(name, f"“{short_name(arm, name)}”")
+    reason = f" {sentence(reason)}" if reason else ""
     return (
         f"Measure once more in the pose shown below: shake {shaken} for {following.seconds:g} s, "
         f"hold the others.{reason}"

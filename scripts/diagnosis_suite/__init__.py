@@ -1,8 +1,8 @@
-"""Blind recordings for `loose diagnose`: made by an arm integrated without MuJoCo, truth kept apart.
+"""Blind recordings for `loose diagnose`: an arm integrated without MuJoCo, truth kept apart.
 
-`cases` draws the arms and what is loose in them, `measuring` takes their runs with the integrator of
-`scripts.gap_suite`, `blind` writes recordings and runs the tool on them in a folder that holds no
-truth, `grade` marks what it said and prints the table. Run it as
+`cases` draws the arms and what is loose in them, `measuring` takes their runs with the integrator
+of `scripts.gap_suite`, `blind` writes recordings and runs the tool on them in a folder that holds
+no truth, `grade` marks what it said and prints the table. Run it as
 
     python -m scripts.diagnosis_suite --out DIR
 

@@ -10,7 +10,7 @@ from scripts.diagnosis_suite.blind import in_session, kept, recorded
 from scripts.diagnosis_suite.cases import draw
 from scripts.diagnosis_suite.grade import table
 
-SEED = 40_507
+SEED = 60_713
 """Of the printed tables; nothing was developed on it."""
 
 

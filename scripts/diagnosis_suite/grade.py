@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -24,7 +25,8 @@ def table(rows: Rows, title: str) -> str:
         lines.append(f"  {kind}: kind and place right: {_share(_right(own))}")
         lines.append(f"    where the fault shows: {_share(_right(seen))}")
         lines.append(f"    kind right: {_share([r['said'].startswith(kind) for r in own])}")
-    for reference in (False, True):
+    in_session = bool(rows) and "named" in rows[0]
+    for reference in () if in_session else (False, True):
         own = [r for r in rows if r["reference"] == reference]
         words = "with" if reference else "without"
         lines.append(f"  all, {words} healthy runs: {_share(_right(own))}")
@@ -32,10 +34,12 @@ def table(rows: Rows, title: str) -> str:
     faulty = [r for r in rows if r["kind"] != "healthy"]
     for count in range(1, most + 1):
         after = [_best(r["steps"][min(count, len(r["steps"])) - 1]) == r["true"] for r in rows]
-        of_faults = [_best(r["steps"][min(count, len(r["steps"])) - 1]) == r["true"] for r in faulty]
+        of_faults = [
+            _best(r["steps"][min(count, len(r["steps"])) - 1]) == r["true"] for r in faulty
+        ]
         lines.append(f"  after {count} run(s): {_share(after)}; of faults {_share(of_faults)}")
     lines += _numbers(rows) + _calibration(rows)
-    if rows and "named" in rows[0]:
+    if in_session:
         taken = [r["measurements"] for r in rows]
         lines.append(
             f"  runs taken: median {np.median(taken):g}, mean {np.mean(taken):.2f}; named "
@@ -63,7 +67,8 @@ def _numbers(rows: Rows) -> list[str]:
         ratio = [abs(r["gap_said"] / r["gap"] - 1) for r in given]
         inside = [r["gap_interval"][0] <= r["gap"] <= r["gap_interval"][1] for r in given]
         lines.append(
-            f"  gap off by: median {np.median(ratio):.0%}; inside its 95 % interval {_share(inside)}"
+            f"  gap off by: median {np.median(ratio):.0%}; inside its 95 % interval "
+            f"{_share(inside)}"
         )
     return lines
 
@@ -74,7 +79,7 @@ def _calibration(rows: Rows) -> list[str]:
     said = np.array([r["probability"] for r in rows])
     right = np.array(_right(rows), dtype=float)
     error, lines = 0.0, []
-    for low, high in zip(BINS, BINS[1:], strict=False):
+    for low, high in itertools.pairwise(BINS):
         inside = (said > low) & (said <= high)
         if inside.any():
             gap = abs(float(said[inside].mean() - right[inside].mean()))

@@ -64,7 +64,9 @@ class Page:
         method, told = message.get("method", ""), message.get("params", {})
         self.events.append(method)
         if method == "Runtime.exceptionThrown":
-            self.errors.append(str(told["exceptionDetails"].get("text")))
+            thrown = told["exceptionDetails"]
+            said = thrown.get("exception", {}).get("description", "")
+            self.errors.append(f"{thrown.get('text')} {said}")
         elif method == "Runtime.consoleAPICalled" and told["type"] in ("error", "warning"):
             self.errors.append(" ".join(str(a.get("value")) for a in told["args"]))
         elif method == "Log.entryAdded" and told["entry"]["level"] in ("error", "warning"):

@@ -121,7 +121,7 @@ def test_the_checks_find_what_is_wrong(browser: Page, tmp_path: Path) -> None:
         r"is 9\d\d wide": "<div style='width: 900px'>wide</div>",
         "asks for": "<img src='http://example.org/a.png'>",
         "broken": "<script>throw new Error('broken')</script>",
-        "SVG": "<figure><svg width='300' height='200'></svg></figure>",
+        "svg": "<figure><svg width='300' height='200'></svg></figure>",
     }
     is_in_order(browser, page("words"), width=390)
     for said, body in wrong.items():

@@ -73,7 +73,11 @@ def _is_command(line: str) -> bool:
 
 
 def _words(line: str) -> list[str]:
-    """Words of a command, without what it is piped into."""
-    words = shlex.split(line.removeprefix("$ "), comments=True)
+    """Words of a command, without what it is piped into, and without what is said about it.
+
+    What is said about a command stands three spaces or more behind it.
+    """
+    typed, _, _ = line.removeprefix("$ ").partition("   ")
+    words = shlex.split(typed, comments=True)
     ends = [k for k, word in enumerate(words) if word in (">", "|", "&&")]
     return words[: min(ends, default=len(words))]

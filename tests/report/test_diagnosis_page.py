@@ -24,7 +24,7 @@ from loose_env.report.diagnosis_figures import (
     shown_hypotheses,
 )
 from loose_env.report.diagnosis_page import page_of, write_page
-from loose_env.report.diagnosis_words import headline, percent, questions, steps
+from loose_env.report.diagnosis_words import headline, percent, questions, sentence, steps
 from loose_env.report.svg import THEMED, to_svg
 from tests.report.diagnosis_case import CASES, desk, diagnosis, flat
 from tests.report.test_gap_page import Balanced
@@ -70,7 +70,7 @@ def test_the_posterior_and_every_record_stand_in_numbers(
         for note in record.notes:
             assert note in said
     for warning in found.warnings:
-        assert warning in said
+        assert sentence(warning) in said
 
 
 def test_the_page_is_the_same_every_time_and_written_whole(tmp_path: Path) -> None:
@@ -90,6 +90,19 @@ def test_the_page_is_the_same_every_time_and_written_whole(tmp_path: Path) -> No
 )
 def test_the_headline_is_no_surer_than_the_probability(probability: float, said: str) -> None:
     assert headline(diagnosis(flat(), course=(probability,)), flat()) == said
+
+
+def test_the_diagnosis_s_own_threshold_counts() -> None:
+    found = replace(diagnosis(flat(), course=(0.97,)), settings={"sure": 0.98})
+    assert headline(found, flat()) == "Probably link 2 is loose."
+
+
+def test_the_reason_for_the_next_pose_is_in_words() -> None:
+    found = diagnosis(flat(), course=(0.5,), following=True)
+    assert found.next is not None
+    reason = "it tells structural_looseness@link2 from backlash@joint1"
+    said = steps(replace(found, next=replace(found.next, reason=reason)), flat())[0]
+    assert said.endswith("It tells “link 2 is loose” from “joint 1 has play”.")
 
 
 def test_certainty_is_never_rounded_up_to() -> None:

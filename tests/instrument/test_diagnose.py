@@ -1,0 +1,168 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loose_env.cli.main import main
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.instrument.diagnose import Workbench, diagnose
+from loose_env.instrument.result import Diagnosis, read_diagnosis
+from loose_env.instrument.settings import DiagnoseSettings
+from loose_env.recording import Run, read_recording, write_recording
+from tests.instrument.blind_arm import SLIDE, runs, write_model
+
+QUICK = DiagnoseSettings(poses=2, seconds=1.0)
+
+
+def weighed(folder: Path, given: tuple[Run, ...], *, plan: bool = False) -> Diagnosis:
+    bench = Workbench(write_model(folder), QUICK)
+    for run in given:
+        bench.add(run)
+    return bench.diagnosis(plan=plan)
+
+
+@pytest.fixture(scope="module")
+def slide(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
+    return weighed(tmp_path_factory.mktemp("slide"), runs("slide"))
+
+
+def test_a_loose_link_of_an_arm_that_mujoco_never_saw_is_named(slide: Diagnosis) -> None:
+    assert slide.fault.hypothesis == "structural_looseness@link2"
+    assert slide.probability > 0.95
+    assert slide.fault.direction is not None
+    true = np.array(SLIDE.parameters["direction"])
+    off = np.degrees(np.arccos(min(1.0, abs(float(true @ np.array(slide.fault.direction))))))
+    assert off < 8.0
+    assert slide.fault.direction_half_angle_deg is not None
+    assert off < slide.fault.direction_half_angle_deg
+
+
+def test_every_run_has_its_probabilities_its_direction_and_its_loop(slide: Diagnosis) -> None:
+    assert [record.file for record in slide.records] == ["run-1.parquet", "run-2.parquet"]
+    for record in slide.records:
+        assert np.isclose(sum(record.probabilities.values()), 1.0)
+        assert record.direction_tool is not None
+        assert np.isclose(np.linalg.norm(record.direction_tool), 1.0)
+        (loop,) = record.loops
+        assert loop.joint == record.excited[0]
+        assert max(map(abs, loop.correlation)) <= 1.0
+    assert slide.records[-1].probabilities == slide.posterior
+
+
+def test_play_is_told_from_a_slide(tmp_path: Path) -> None:
+    found = weighed(tmp_path, runs("play"))
+    assert found.fault.hypothesis == "backlash@joint2"
+    assert found.fault.direction is None
+
+
+def test_a_healthy_arm_is_called_healthy(tmp_path: Path) -> None:
+    found = weighed(tmp_path, runs("healthy", 3))
+    assert found.fault.kind == "healthy" and found.probability > 0.6
+    assert found.fault.direction is None and found.fault.gap_m is None
+
+
+def test_a_whisper_does_not_prove_health(tmp_path: Path) -> None:
+    """At a level that opens no seat the data say little, and the reader is told."""
+    loud = weighed(tmp_path, runs("healthy", 3))
+    faint = weighed(tmp_path, runs("healthy", 3, 0.002))
+    assert faint.posterior["healthy"] < loud.posterior["healthy"]
+    assert faint.posterior["healthy"] < 0.9
+    assert any("open a seat" in words or "shut" in words for words in faint.warnings)
+
+
+def test_references_of_the_sound_arm_are_used_and_not_judged(tmp_path: Path) -> None:
+    found = weighed(tmp_path, runs("slide", sound=True) + runs("slide", 1))
+    assert found.fault.hypothesis == "structural_looseness@link2"
+    assert [r.condition for r in found.records] == ["healthy", "healthy", "suspect"]
+    assert not found.records[0].probabilities
+
+
+def test_pose_and_joint_are_taken_from_the_data_with_a_warning(
+    tmp_path: Path, slide: Diagnosis
+) -> None:
+    bare = tuple(dataclasses.replace(run, pose=None, excited=()) for run in runs("slide"))
+    found = weighed(tmp_path, bare)
+    assert found.fault.hypothesis == slide.fault.hypothesis
+    assert [r.excited for r in found.records] == [r.excited for r in slide.records]
+    assert any("no 'pose' is noted" in words for words in found.warnings)
+    assert any("no 'excited' is noted" in words for words in found.warnings)
+
+
+def test_another_arm_than_the_model_is_noticed(tmp_path: Path) -> None:
+    path = write_model(tmp_path)
+    text = path.read_text("utf-8").replace('mass="2.5"', 'mass="6"')
+    assert text != path.read_text("utf-8")
+    path.write_text(text, encoding="utf-8")
+    bench = Workbench(path, QUICK)
+    for run in runs("healthy", 3):
+        bench.add(run)
+    found = bench.diagnosis(plan=False)
+    assert any("loose gap" in words for words in found.warnings)
+
+
+def test_a_moving_arm_is_no_held_pose(tmp_path: Path) -> None:
+    run = runs("healthy", 1)[0]
+    sensors = dict(run.sensors)
+    sensors["joint1_pos"] = sensors["joint1_pos"] + np.sin(3 * run.time)
+    bench = Workbench(write_model(tmp_path), QUICK)
+    with pytest.raises(InvalidData, match="joint1 moves by"):
+        bench.add(dataclasses.replace(run, sensors=sensors))
+
+
+def test_a_run_without_an_accelerometer_is_refused(tmp_path: Path) -> None:
+    run = runs("healthy", 1)[0]
+    sensors = {k: v for k, v in run.sensors.items() if k != "tool_acc"}
+    bench = Workbench(write_model(tmp_path), QUICK)
+    with pytest.raises(InvalidData, match="no accelerometer of the arm was recorded"):
+        bench.add(dataclasses.replace(run, sensors=sensors))
+
+
+def test_references_alone_are_no_recording_to_judge(tmp_path: Path) -> None:
+    write_model(tmp_path)
+    write_recording(
+        tmp_path / "r", model_xml=tmp_path / "model.xml", runs=runs("healthy", 1, sound=True)
+    )
+    with pytest.raises(InvalidData, match="all runs are healthy references"):
+        diagnose(read_recording(tmp_path / "r"), QUICK)
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ({"sound": 1.0}, "sound is a probability"),
+        ({"sure": float("nan")}, "sure is a probability"),
+        ({"seconds": 0.0}, "seconds is a length"),
+        ({"figures": -0.1}, "figures is a standard deviation"),
+        ({"poses": 0}, "poses is a number"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(setting: dict[str, float], words: str) -> None:
+    with pytest.raises(InvalidSetting, match=words):
+        DiagnoseSettings(**setting)  # type: ignore[arg-type]
+
+
+def test_the_command_writes_a_result_and_takes_a_longer_recording(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model, folder, out = write_model(tmp_path), tmp_path / "recording", tmp_path / "found"
+    options = ["--out", str(out), "--quiet", "--poses", "2", "--seconds", "1"]
+    for count in (1, 2):
+        write_recording(folder, model_xml=model, runs=runs("slide", count), overwrite=True)
+        assert main(["diagnose", str(folder), *options]) == 0
+        found = read_diagnosis(out)
+        assert len(found.records) == count
+        assert json.loads((out / "result.json").read_text())["format"] == "loose-diagnosis/1"
+    assert "structural_looseness at link2" in capsys.readouterr().out
+    assert not [path.name for path in out.iterdir() if ".part" in path.name]
+
+
+def test_what_cannot_be_used_is_said_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["diagnose", str(tmp_path), "--out", str(tmp_path / "found")]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("loose diagnose: ") and said.count("\n") == 1
