@@ -65,6 +65,8 @@ def run(options: argparse.Namespace) -> None:
 
     found = diagnose(recording, settings, say=say)
     written = []
+    # An earlier result must not stand beside a later page if this run is cut short.
+    (folder.path / "result.json").unlink(missing_ok=True)
     try:
         from loose_env.report.diagnosis_page import write_page
 

@@ -160,6 +160,35 @@ def test_the_command_writes_a_result_and_takes_a_longer_recording(
     assert not [path.name for path in out.iterdir() if ".part" in path.name]
 
 
+def test_a_result_never_stands_beside_the_page_of_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model, folder, out = write_model(tmp_path), tmp_path / "recording", tmp_path / "found"
+    write_recording(folder, model_xml=model, runs=runs("slide", 1))
+    given = [
+        "diagnose",
+        str(folder),
+        "--out",
+        str(out),
+        "--quiet",
+        "--poses",
+        "2",
+        "--seconds",
+        "1",
+    ]
+    assert main(given) == 0
+
+    def cut_short(*_: object, **__: object) -> Path:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("loose_env.report.diagnosis_page.write_page", cut_short)
+    assert main(given) == 130
+    assert not (out / "result.json").exists()
+    monkeypatch.undo()
+    assert main(given) == 0
+    assert read_diagnosis(out).records
+
+
 def test_what_cannot_be_used_is_said_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
