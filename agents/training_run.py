@@ -170,7 +170,12 @@ def git_commit(folder: Path) -> str | None:
 
     def ask(*words: str) -> str:
         return subprocess.run(
-            ["git", "-C", str(folder), *words], capture_output=True, text=True, check=True
+            ["git", "-C", str(folder), *words],
+            capture_output=True,
+            text=True,
+            check=True,
+            # It only looks: no lock that would stay behind if it were cut short.
+            env=os.environ | {"GIT_OPTIONAL_LOCKS": "0"},
         ).stdout.strip()
 
     try:
