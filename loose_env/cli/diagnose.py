@@ -13,11 +13,9 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
-from pathlib import Path
 
 from loose_env.cli.options import add_settings, settings_of
-from loose_env.cli.output_folder import OutputFolder
+from loose_env.cli.recorded import Said, add_recording_options, folder_of
 from loose_env.errors import InvalidSetting, MissingExtra
 from loose_env.instrument.diagnose import diagnose
 from loose_env.instrument.machine import Machine
@@ -30,39 +28,19 @@ __all__ = ["add_options", "run", "summary"]
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
-    parser.add_argument("recording", type=Path, metavar="RECORDING", help="folder of the recording")
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for what is written"
-    )
-    parser.add_argument(
-        "--model",
-        type=Path,
-        metavar="OTHER.xml",
-        help="MJCF file that takes the place of the recording's model",
-    )
-    parser.add_argument("--quiet", action="store_true", help="say nothing on the way")
+    add_recording_options(parser)
     add_settings(parser, DiagnoseSettings)
 
 
 def run(options: argparse.Namespace) -> None:
     """Diagnose and write it down."""
     settings = settings_of(options, DiagnoseSettings)
-    folder = OutputFolder(options.out)
-    if options.model is not None and options.model.resolve().is_relative_to(folder.path):
-        raise InvalidSetting(
-            f"--model {options.model} lies in the output folder, where it would be overwritten; "
-            "give another --out"
-        )
+    folder = folder_of(options)
     if options.recording.resolve() == folder.path:
         raise InvalidSetting("--out is the recording itself; give another folder")
     recording = read_recording(options.recording, model=options.model)
     folder.prepared()
-    start = time.monotonic()
-
-    def say(line: str) -> None:
-        if not options.quiet:
-            print(f"{time.monotonic() - start:7.1f} s  {line}", file=sys.stderr, flush=True)
-
+    say = Said(quiet=options.quiet)
     found = diagnose(recording, settings, say=say)
     written = []
     # An earlier result must not stand beside a later page if this run is cut short.

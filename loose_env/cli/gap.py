@@ -14,14 +14,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from dataclasses import asdict
-from pathlib import Path
 
 from loose_env.arms.file_scan import files_of
 from loose_env.cli.options import add_settings, settings_of
-from loose_env.cli.output_folder import OutputFolder
-from loose_env.errors import InvalidSetting
+from loose_env.cli.recorded import Said, add_recording_options, folder_of
 from loose_env.gap.finding import GapSettings, find_gap
 from loose_env.gap.reporting import outputs_of
 from loose_env.gap.result import GapResult
@@ -37,33 +34,18 @@ _OWN = ("threads",)
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
-    parser.add_argument("recording", type=Path, metavar="RECORDING", help="folder of the recording")
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for what is written"
-    )
-    parser.add_argument(
-        "--model",
-        type=Path,
-        metavar="OTHER.xml",
-        help="MJCF file that takes the place of the recording's model",
-    )
-    parser.add_argument("--quiet", action="store_true", help="say nothing on the way")
+    add_recording_options(parser)
     add_settings(parser, GapSettings)
 
 
 def run(options: argparse.Namespace) -> None:
     """Name what the model lacks and write it down."""
     settings = settings_of(options, GapSettings)
-    folder = OutputFolder(options.out)
-    if options.model is not None and options.model.resolve().is_relative_to(folder.path):
-        raise InvalidSetting(
-            f"--model {options.model} lies in the output folder, where it would be overwritten; "
-            "give another --out"
-        )
+    folder = folder_of(options)
     recording = read_recording(options.recording, model=options.model)
     plain = {k: v for k, v in asdict(settings).items() if k not in _OWN}
     stages = Stages(folder.prepared() / "stages", key_of(recording, plain))
-    say = _Said(quiet=options.quiet)
+    say = Said(quiet=options.quiet)
     found = find_gap(recording, settings, say=say, stages=stages)
     if stages.taken_up:
         say(f"taken up from an earlier run: {', '.join(stages.taken_up)}")
@@ -99,14 +81,3 @@ def summary(result: GapResult) -> str:
     gap = result.gap
     lines.append(f"gap on held-out runs: {gap.before:.2f} before, {gap.after:.2f} after; noise 1")
     return "\n".join(lines)
-
-
-class _Said:
-    """Progress lines on the error stream, with the time that has passed."""
-
-    def __init__(self, *, quiet: bool) -> None:
-        self.quiet, self.start = quiet, time.monotonic()
-
-    def __call__(self, line: str) -> None:
-        if not self.quiet:
-            print(f"{time.monotonic() - self.start:7.1f} s  {line}", file=sys.stderr, flush=True)

@@ -1,17 +1,46 @@
-"""Dataclasses from the plain values of a JSON file."""
+"""Plain values of a JSON file: from dataclasses, and back."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
+from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from loose_env.errors import InvalidData
 
-__all__ = ["restored"]
+__all__ = ["plain", "restored"]
 
 T = TypeVar("T")
+
+
+def plain(value: Any, *, digits: int = 7) -> Any:
+    """Make values that JSON has, inside mappings and lists too.
+
+    Parameters
+    ----------
+    value : object
+        Mappings, sequences, strings, paths and numbers, those of numpy too.
+    digits : int
+        What a number is worth. One that is not finite becomes None.
+
+    Examples
+    --------
+    >>> plain({"x": (1, 2 / 3), "y": float("nan")}, digits=3)
+    {'x': [1, 0.667], 'y': None}
+    """
+    if isinstance(value, Mapping):
+        return {str(k): plain(v, digits=digits) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(v, digits=digits) for v in value]
+    if value is None or isinstance(value, (bool, str, int)):
+        return value
+    if isinstance(value, Path):
+        return str(value)
+    number = float(value)
+    return float(f"{number:.{digits}g}") if math.isfinite(number) else None
 
 
 def restored(kind: type[T], value: Any, place: str) -> T:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -14,6 +12,7 @@ from loose_env.gap.files import write_text
 from loose_env.gap.locate import Location
 from loose_env.gap.plain import restored
 from loose_env.gap.residual_tests import LeftOver
+from loose_env.gap.result_file import json_text, read_result_file, whole_of
 
 __all__ = [
     "FORMAT",
@@ -31,8 +30,6 @@ FORMAT = "loose-gap/1"
 UNIT = "RMS over held-out runs, in noise standard deviations"
 Verdict = Literal["named", "no_gap", "unexplained"]
 """What a comparison came to."""
-_DIGITS = 7
-"""Significant digits of a number in the file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +146,7 @@ class GapResult:
     def to_json(self) -> str:
         """Text of ``result.json``; numbers that are not finite become null."""
         whole = {"format": self.format, **asdict(self)}
-        return json.dumps(_plain(whole), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        return json_text(whole)
 
     @classmethod
     def from_json(cls, text: str) -> GapResult:
@@ -167,13 +164,7 @@ class GapResult:
         ...
         loose_env.errors.InvalidData: a result of the format 'loose-gap/1' is needed, ...
         """
-        try:
-            whole = json.loads(text, parse_constant=_refused)
-        except (ValueError, RecursionError) as error:
-            raise InvalidData(f"the result is no JSON: {error}") from None
-        if not isinstance(whole, dict) or whole.get("format") != FORMAT:
-            given = whole.get("format") if isinstance(whole, dict) else whole
-            raise InvalidData(f"a result of the format {FORMAT!r} is needed, not {given!r:.60}")
+        whole = whole_of(text, format=FORMAT, noun="result")
         return restored(cls, whole, "result")
 
     def write(self, path: str | Path) -> Path:
@@ -189,33 +180,4 @@ def read_result(path: str | Path) -> GapResult:
     InvalidData
         If there is none, or it is none of the format.
     """
-    file = Path(path)
-    if file.is_dir():
-        file = file / "result.json"
-    try:
-        text = file.read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidData(f"{file}: the result cannot be read: {error}") from None
-    try:
-        return GapResult.from_json(text)
-    except InvalidData as error:
-        raise InvalidData(f"{file}: {error}") from None
-
-
-def _refused(word: str) -> float:
-    """Refuse the words for numbers that JSON does not have."""
-    raise ValueError(f"{word} is no number of JSON; unknown ones are null")
-
-
-def _plain(value: Any) -> Any:
-    """Numbers and strings that JSON has, numbers with as many digits as they are worth."""
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if value is None or isinstance(value, (bool, str, int)):
-        return value
-    if isinstance(value, Path):
-        return str(value)
-    number = float(value)
-    return float(f"{number:.{_DIGITS}g}") if math.isfinite(number) else None
+    return read_result_file(path, GapResult.from_json, noun="result")

@@ -7,7 +7,6 @@ what that changes stands out of the sensors' noise and the model's errors.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms.linear import LinearArm
 from loose_env.diagnosis.proposal import Proposal, holding_modes, propose_excitation
+from loose_env.gap.result_file import json_text
 from loose_env.instrument.candidates import candidate_poses
 from loose_env.instrument.findable import Findable, best_seen, findable_faults
 from loose_env.instrument.ground import Ground
@@ -118,7 +118,7 @@ class Inspection:
             "warnings": list(self.warnings),
             "settings": dict(self.settings),
         }
-        return json.dumps(_plain(whole), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        return json_text(whole, digits=_DIGITS)
 
 
 def inspect_model(
@@ -227,15 +227,3 @@ def _drive_words(machine: ModelArm, j: int) -> str:
         return f"position servo {drive.actuator}, {drive.stiffness:.4g} {unit}"
     unit = "N" if machine.arm.sliding[j] else "N·m"
     return f"torque motor {drive.actuator}, {drive.gain:.3g} {unit} per unit"
-
-
-def _plain(value: Any) -> Any:
-    """Numbers and strings that JSON has."""
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if value is None or isinstance(value, (bool, str, int)):
-        return value
-    number = float(value)
-    return float(f"{number:.{_DIGITS}g}") if np.isfinite(number) else None

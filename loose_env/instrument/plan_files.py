@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.gap.files import write_text, written_beside
+from loose_env.gap.plain import plain
 from loose_env.instrument.plan import Plan
 from loose_env.instrument.signals import Signal
 from loose_env.recording.csv_file import write_csv
@@ -35,7 +36,6 @@ FORMAT = "loose-plan/1"
 PLAN = "plan.json"
 RECORDING = "recording"
 _MODEL = "model.xml"
-_DIGITS = 7
 _ENDINGS = (".csv", ".parquet")
 
 
@@ -219,8 +219,8 @@ def plan_json(plan: Plan, runs: Sequence[str], known: str = "") -> dict[str, Any
         "warnings": list(plan.warnings),
         "settings": dict(plan.settings),
     }
-    plain: dict[str, Any] = _plain(whole)
-    return plain
+    values: dict[str, Any] = plain(whole)
+    return values
 
 
 def _table(write: Any, columns: Mapping[str, Array], path: Path) -> None:
@@ -249,18 +249,6 @@ def _same(model: Path, text: str) -> bool:
 def _is_plan(path: Path) -> bool:
     try:
         whole = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return False
     return isinstance(whole, dict) and whole.get("format") == FORMAT
-
-
-def _plain(value: Any) -> Any:
-    """Numbers and strings that JSON has."""
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if value is None or isinstance(value, (bool, str, int)):
-        return value
-    number = float(value)
-    return float(f"{number:.{_DIGITS}g}") if np.isfinite(number) else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -12,6 +11,7 @@ from typing import Any, Literal, get_args
 from loose_env.errors import InvalidData
 from loose_env.gap.files import write_text
 from loose_env.gap.plain import restored
+from loose_env.gap.result_file import json_text, read_result_file, whole_of
 
 __all__ = [
     "FORMAT",
@@ -34,8 +34,6 @@ FaultKind = Literal["healthy", "structural_looseness", "backlash"]
 """What can be the matter with the arm."""
 Vector = tuple[float, float, float]
 
-_DIGITS = 7
-"""Significant digits of a number in the file."""
 _SUM = 0.02
 """How far the probabilities of a file may be from a sum of 1."""
 
@@ -253,7 +251,7 @@ class Diagnosis:
     def to_json(self) -> str:
         """Text of ``result.json``; numbers that are not finite become null."""
         whole = {"format": self.format, **asdict(self)}
-        return json.dumps(_plain(whole), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        return json_text(whole)
 
     @classmethod
     def from_json(cls, text: str) -> Diagnosis:
@@ -271,13 +269,7 @@ class Diagnosis:
         ...
         loose_env.errors.InvalidData: a diagnosis of the format 'loose-diagnosis/1' is needed, ...
         """
-        try:
-            whole = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise InvalidData(f"the diagnosis is no JSON: {error}") from None
-        if not isinstance(whole, dict) or whole.get("format") != FORMAT:
-            given = whole.get("format") if isinstance(whole, dict) else whole
-            raise InvalidData(f"a diagnosis of the format {FORMAT!r} is needed, not {given!r:.60}")
+        whole = whole_of(text, format=FORMAT, noun="diagnosis")
         return restored(cls, whole, "diagnosis")
 
     def write(self, path: str | Path) -> Path:
@@ -293,28 +285,4 @@ def read_diagnosis(path: str | Path) -> Diagnosis:
     InvalidData
         If there is none, or it is none of the format.
     """
-    file = Path(path)
-    if file.is_dir():
-        file = file / "result.json"
-    try:
-        text = file.read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidData(f"{file}: the diagnosis cannot be read: {error}") from None
-    try:
-        return Diagnosis.from_json(text)
-    except InvalidData as error:
-        raise InvalidData(f"{file}: {error}") from None
-
-
-def _plain(value: Any) -> Any:
-    """Numbers and strings that JSON has, numbers with as many digits as they are worth."""
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if value is None or isinstance(value, (bool, str, int)):
-        return value
-    if isinstance(value, Path):
-        return str(value)
-    number = float(value)
-    return float(f"{number:.{_DIGITS}g}") if math.isfinite(number) else None
+    return read_result_file(path, Diagnosis.from_json, noun="diagnosis")
