@@ -58,8 +58,8 @@ with it.
 
     make gap-suite
 
-makes 246 cases and grades the tool on them: 100 with nothing missing, four of each kind of the
-catalogue, 30 with two effects, 24 with one that the catalogue does not have. Options go through
+makes 211 cases and grades the tool on them: 100 with nothing missing, three of each kind of the
+catalogue, 24 with two effects, 18 with one that the catalogue does not have. Options go through
 `ARGS`: `--quick` for 20 cases, `--numbers 0-9 1004 2001` for chosen ones (from 0: nothing missing,
 1000: one effect, 2000: two, 3000: outside the catalogue), `--workers`, `--backend`. What is done is
 stored; the same command goes on where it stopped.

@@ -91,7 +91,7 @@ def quick_list() -> list[int]:
 
 
 def full_list(
-    *, none: int = 100, singles: int = 4, pairs: int = 30, outside: int = 24
+    *, none: int = 100, singles: int = 3, pairs: int = 24, outside: int = 18
 ) -> list[int]:
     """Numbers of the whole suite.
 
