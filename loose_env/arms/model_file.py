@@ -86,6 +86,10 @@ def load_spec(path: str | Path) -> tuple[Path, str, mujoco.MjSpec]:
         there = file.is_file()
     except OSError as error:  # such as a name that is too long
         raise InvalidSetting(f"{str(file)!r:.80} is no path: {error.strerror}") from None
+    if file.is_dir():
+        raise InvalidSetting(
+            f"{str(file)!r} is a folder; give the path of an MJCF or URDF{_models_in(file)}"
+        )
     if not there:
         looked = "" if file.is_absolute() else f" in {Path.cwd()}"
         raise InvalidSetting(
@@ -332,3 +336,9 @@ def _strip(spec: mujoco.MjSpec, file: Path) -> None:
     for name, mesh in meshes.items():
         if name not in used:
             spec.delete(mesh)
+
+
+def _models_in(folder: Path) -> str:
+    """A file that may be meant, as words to end a message with."""
+    models = sorted(path for path in folder.glob("*.*") if path.suffix.lower() in (".xml", ".urdf"))
+    return f", such as {str(models[0])!r}" if models else ""

@@ -12,7 +12,7 @@ import numpy as np
 from loose_env.cli.main import COMMANDS as LOOSE
 from scripts.trust.killing import Command
 
-__all__ = ["commands", "make_recording"]
+__all__ = ["commands", "make_recording", "make_shaken_recording"]
 
 STEPS = 96
 EPISODES = 24
@@ -51,7 +51,7 @@ def commands(place: Path) -> dict[str, Command]:
     if "diagnose" in LOOSE:
         measured = place / "measured"
         if not measured.exists():
-            _measure(measured)
+            make_shaken_recording(measured)
         found["diagnosis"] = Command(
             name="diagnosis",
             words=_loose("diagnose", measured),
@@ -114,7 +114,7 @@ def make_recording(folder: Path) -> None:
     write_recording(folder, model_xml=_ARM, runs=runs, file_format="csv")
 
 
-def _measure(folder: Path) -> None:
+def make_shaken_recording(folder: Path) -> None:
     """Two runs of a sound arm, a joint shaken at random in a pose that servos hold."""
     import mujoco
     from scipy import signal

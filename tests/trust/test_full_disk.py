@@ -19,11 +19,23 @@ pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
 from loose_env.cli.main import main as loose
-from scripts.trust.commands import make_recording
+from scripts.trust.commands import make_recording, make_shaken_recording
 
 ROOT = Path(__file__).resolve().parents[2]
 ROOM = 96
 """Size of the small disk [kB]; the model of a training and a page of results do not fit."""
+MAPPING = """
+format = "loose-mapping/1"
+model = "recording/model.xml"
+[sources.t]
+kind = "csv"
+time = { column = "time", unit = "s" }
+[columns]
+"sensor.angle" = { source = "t", channel = "sensor.angle" }
+"ctrl.m" = { source = "t", channel = "ctrl.m" }
+[[runs]]
+file = "run-0"
+"""
 TINY = ["--env", "loose_env/Planar-v0"]
 
 
@@ -31,7 +43,19 @@ TINY = ["--env", "loose_env/Planar-v0"]
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("disk") / "recording"
     make_recording(folder)
+    make_shaken_recording(shaken_beside(folder))
+    mapping_beside(folder).write_text(MAPPING)
     return folder
+
+
+def shaken_beside(recording: Path) -> Path:
+    """The recording to diagnose, beside the one to compare with its model."""
+    return recording.with_name("shaken")
+
+
+def mapping_beside(recording: Path) -> Path:
+    """The mapping that imports a table of the recording."""
+    return recording.with_name("mapping.toml")
 
 
 def script(name: str, *words: str) -> Callable[[], None]:
@@ -60,10 +84,19 @@ def commands(out: Path, recording: Path) -> dict[str, Callable[[], None]]:
     ]
     pose_sets = ["--quick", "--cases", "1", "--level", "directions", "--arm", "planar2"]
 
-    def gap() -> None:
-        words = ["gap", str(recording), "--out", str(out), "--kinds", "viscous_friction"]
-        if code := loose([*words, "--threads", "1", "--quiet"]):
-            sys.exit(code)
+    def tool(*words: str) -> Callable[[], None]:
+        def run() -> None:
+            if code := loose([*words, "--out", str(out)]):
+                sys.exit(code)
+
+        return run
+
+    shaken = shaken_beside(recording)
+    gap = ["gap", str(recording), "--kinds", "viscous_friction", "--threads", "1", "--quiet"]
+    diagnose = ["diagnose", str(shaken), "--poses", "2", "--quiet"]
+    plan = ["plan", str(shaken / "model.xml"), "--poses", "4"]
+    table = f"t={recording / 'run-0.csv'}"
+    imports = ["import", table, "--mapping", str(mapping_beside(recording)), "--quiet"]
 
     return {
         "train": script("train", *TINY, "-f", str(out), "--eval-freq", "-1", *training),
@@ -76,12 +109,17 @@ def commands(out: Path, recording: Path) -> dict[str, Callable[[], None]]:
             "evaluate_pose_sets", *pose_sets, "--workers", "1", "--out", str(out)
         ),
         "example_recording": script("example_recording", "--out", str(out / "example")),
-        "gap": gap,
+        "gap": tool(*gap),
+        "diagnose": tool(*diagnose),
+        "plan": tool(*plan),
+        "import": tool(*imports),
     }
 
 
 NAMES = list(commands(Path("out"), Path("recording")))
-SAID = {"run": "compare", "gap": "loose gap"}
+SAID = {"run": "compare"} | {
+    name: f"loose {name}" for name in ("gap", "diagnose", "plan", "import")
+}
 
 
 def refused(
