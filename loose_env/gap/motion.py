@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.signal import butter, sosfiltfilt, welch
+from scipy.stats import chi2
 
 from loose_env.errors import InvalidData
 from loose_env.gap.machine import Machine
@@ -31,7 +32,9 @@ Array = NDArray[np.float64]
 _ORDER = 4
 """Order of the low-pass filter, which acts twice."""
 _STANDS_OUT = 4.0
-"""Power of a motion over that of the noise that makes it visible."""
+"""Power of a motion over that of the noise that makes it visible, in a long run."""
+_CHANCE = 1e-3
+"""Chance that noise stands out anywhere in a reading."""
 _LOWEST = 2.0
 """Lowest end of a band [Hz]."""
 _ROOM = 1.5
@@ -132,9 +135,11 @@ def motion_band(columns: Sequence[Array], rate: float) -> float:
         )
         # Second differences raise high frequencies, of signal and noise alike.
         raised = (2 - 2 * np.cos(2 * np.pi * frequency / rate)) ** 2
-        segments = max(1.0, 2 * len(change) / size - 1)
-        visible = power > _STANDS_OUT * (1 + 2 / np.sqrt(segments)) * raised * floor**2 * 2 / rate
-        # One line alone may be chance: its neighbour has to stand out too.
+        segments = max(1, (len(change) - size // 2) // (size - size // 2))
+        by_chance = chi2.isf(_CHANCE / len(frequency), 2 * segments) / (2 * segments)
+        stands_out = max(_STANDS_OUT * (1 + 2 / np.sqrt(segments)), by_chance)
+        visible = power > stands_out * raised * floor**2 * 2 / rate
+        # One line alone may be interference: its neighbour has to stand out too.
         sure = np.flatnonzero(visible[1:-1] & (visible[:-2] | visible[2:])) + 1
         if len(sure):
             highest = max(highest, float(frequency[sure[-1]]))

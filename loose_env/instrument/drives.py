@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm, Holding
 
-__all__ = ["JointDrive", "drives_of", "held_by_drives"]
+__all__ = ["JointDrive", "PassedOver", "actuators_on", "drives_of", "held_by_drives"]
 
 Array = NDArray[np.float64]
 
@@ -71,6 +71,53 @@ class JointDrive:
         return (torque - self.offset + self.stiffness * position) / self.gain
 
 
+@dataclass(frozen=True, kw_only=True)
+class PassedOver:
+    """An actuator whose torque is not that of a spring, a damper and a gain with a lag."""
+
+    actuator: str
+    """Name in the model."""
+    joint: str
+    """Name in the model; "" if it acts on something else than one joint."""
+    why: str
+    """Reason, to be read after the actuator's name."""
+
+
+def actuators_on(
+    model: mujoco.MjModel, joints: Sequence[str]
+) -> tuple[tuple[JointDrive, ...], tuple[PassedOver, ...]]:
+    """Read every actuator that may act on joints, in the model's order.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The compiled model with its actuators.
+    joints : sequence of str
+        Joints of interest.
+
+    Returns
+    -------
+    tuple of JointDrive
+        Those whose torque can be told in figures; a joint may have several.
+    tuple of PassedOver
+        The others on these joints, and those that act on something else than a joint.
+    """
+    found, passed = [], []
+    for a in range(model.nu):
+        name = model.actuator(a).name
+        if int(model.actuator_trntype[a]) not in _JOINT:
+            passed.append(PassedOver(actuator=name, joint="", why="acts on no single joint"))
+            continue
+        joint = model.joint(int(model.actuator_trnid[a, 0])).name
+        if joint not in joints:
+            continue
+        if why := _unusable(model, a):
+            passed.append(PassedOver(actuator=name, joint=joint, why=why))
+        else:
+            found.append(_drive(model, a, name, joint))
+    return tuple(found), tuple(passed)
+
+
 def drives_of(
     model: mujoco.MjModel, joints: Sequence[str]
 ) -> tuple[tuple[JointDrive | None, ...], tuple[str, ...]]:
@@ -99,27 +146,27 @@ def drives_of(
     >>> found[0].stiffness, found[0].damping, found[0].limit
     (50.0, 2.0, 9.0)
     """
+    drives, passed = actuators_on(model, joints)
+    notes = [
+        f"actuator {p.actuator!r} of joint {p.joint!r} {p.why}; its joint counts as undriven"
+        for p in passed
+        if p.joint
+    ]
     found: dict[str, JointDrive] = {}
-    notes: list[str] = []
-    for a in range(model.nu):
-        if int(model.actuator_trntype[a]) not in _JOINT:
-            continue
-        joint = model.joint(int(model.actuator_trnid[a, 0])).name
-        if joint not in joints:
-            continue
-        name = model.actuator(a).name
-        why = _unusable(model, a, name)
-        if why:
+    for drive in drives:
+        lacks = "name" if not drive.actuator else "gain" if drive.gain == 0 else ""
+        if lacks:
             notes.append(
-                f"actuator {name!r} of joint {joint!r} {why}; its joint counts as undriven"
+                f"actuator {drive.actuator!r} of joint {drive.joint!r} has no {lacks}; its joint "
+                "counts as undriven"
             )
-        elif joint in found:
+        elif drive.joint in found:
             notes.append(
-                f"joint {joint!r} has several actuators; {found[joint].actuator!r} is played, "
-                f"{name!r} left at rest"
+                f"joint {drive.joint!r} has several actuators; "
+                f"{found[drive.joint].actuator!r} is played, {drive.actuator!r} left at rest"
             )
         else:
-            found[joint] = _drive(model, a, name, joint)
+            found[drive.joint] = drive
     return tuple(found.get(joint) for joint in joints), tuple(notes)
 
 
@@ -164,13 +211,11 @@ def held_by_drives(arm: Arm, drives: Sequence[JointDrive | None]) -> Arm:
     )
 
 
-def _unusable(model: mujoco.MjModel, a: int, name: str) -> str:
+def _unusable(model: mujoco.MjModel, a: int) -> str:
     """Why an actuator is no spring, damper and gain with a lag; "" if it is."""
     gain, bias = int(model.actuator_gaintype[a]), int(model.actuator_biastype[a])
     dynamics = int(model.actuator_dyntype[a])
     affine = int(mujoco.mjtGain.mjGAIN_AFFINE)
-    if not name:
-        return "has no name"
     if dynamics not in (int(mujoco.mjtDyn.mjDYN_NONE), *_LAGS):
         return f"has dynamics of its own ({mujoco.mjtDyn(dynamics).name.removeprefix('mjDYN_')})"
     varies = gain == affine and bool(np.any(model.actuator_gainprm[a, 1:3]))
@@ -178,8 +223,6 @@ def _unusable(model: mujoco.MjModel, a: int, name: str) -> str:
         return "has a gain that depends on the motion"
     if bias not in (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)):
         return "has a torque of its own that is no spring and damper"
-    if model.actuator_gainprm[a, 0] * model.actuator_gear[a, 0] == 0:
-        return "has no gain"
     return ""
 
 

@@ -19,6 +19,7 @@ from loose_env.arms.linear import LinearArm
 from loose_env.arms.model_file import compile_spec, load_spec, read_model_file
 from loose_env.arms.serial_chain import find_chain
 from loose_env.errors import InvalidData
+from loose_env.instrument.drives import actuators_on
 from loose_env.instrument.result import HEALTHY, hypothesis_of
 
 __all__ = ["Drives", "Machine", "Reading"]
@@ -32,7 +33,6 @@ _KINDS: Mapping[int, SensorKind] = {
     int(mujoco.mjtSensor.mjSENS_JOINTPOS): "position",
     int(mujoco.mjtSensor.mjSENS_JOINTVEL): "velocity",
 }
-_ON_JOINTS = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,47 +151,20 @@ class Machine:
     @cached_property
     def drives(self) -> Drives:
         """The model's actuators on the chain's joints."""
-        model, n = self.model, self.n
-        names, unknown, force, lags = [], [], [], []
-        stiffness, damping = np.zeros(n), np.zeros(n)
-        for a in range(model.nu):
-            joint = int(model.actuator_trnid[a, 0])
-            if int(model.actuator_trntype[a]) not in _ON_JOINTS:
-                unknown.append(model.actuator(a).name)
-                continue
-            if model.joint(joint).name not in self.joints:
-                continue
-            j = self.joints.index(model.joint(joint).name)
-            gear = float(model.actuator_gear[a, 0])
-            dynamics = int(model.actuator_dyntype[a])
-            filters = (
-                int(mujoco.mjtDyn.mjDYN_FILTER),
-                int(mujoco.mjtDyn.mjDYN_FILTEREXACT),
-            )
-            plain = (
-                int(model.actuator_gaintype[a]) == int(mujoco.mjtGain.mjGAIN_FIXED)
-                and int(model.actuator_biastype[a])
-                in (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
-                and (dynamics == int(mujoco.mjtDyn.mjDYN_NONE) or dynamics in filters)
-            )
-            if not plain:
-                unknown.append(model.actuator(a).name)
-                continue
-            column = np.zeros(n)
-            column[j] = gear * model.actuator_gainprm[a, 0]
-            if int(model.actuator_biastype[a]) == int(mujoco.mjtBias.mjBIAS_AFFINE):
-                stiffness[j] -= gear**2 * model.actuator_biasprm[a, 1]
-                damping[j] -= gear**2 * model.actuator_biasprm[a, 2]
-            names.append(model.actuator(a).name)
-            force.append(column)
-            lags.append(float(model.actuator_dynprm[a, 0]) if dynamics in filters else 0.0)
+        drives, passed = actuators_on(self.model, self.joints)
+        n, joints = self.n, [self.joints.index(drive.joint) for drive in drives]
+        force, stiffness, damping = np.zeros((n, len(drives))), np.zeros(n), np.zeros(n)
+        for a, (drive, j) in enumerate(zip(drives, joints, strict=True)):
+            force[j, a] = drive.gain
+            stiffness[j] += drive.stiffness
+            damping[j] += drive.damping
         return Drives(
-            names=tuple(names),
-            force=np.array(force).reshape(-1, n).T,
+            names=tuple(drive.actuator for drive in drives),
+            force=force,
             stiffness=stiffness,
             damping=damping,
-            lag=np.array(lags),
-            unknown=tuple(unknown),
+            lag=np.array([drive.lag for drive in drives]),
+            unknown=tuple(other.actuator for other in passed),
         )
 
     def driven_joint(self, actuator: str) -> int:

@@ -346,3 +346,13 @@ def test_a_comparison_is_the_same_twice() -> None:
     first, second = (compared(machine, runs).residuals([NOTHING]) for _ in range(2))
     assert isinstance(compared(machine, runs), Comparison)
     assert np.array_equal(first, second)
+
+
+@pytest.mark.parametrize("seconds", [1.0, 3.0, 10.0])
+def test_the_noise_of_a_short_run_is_no_motion(seconds):
+    """Spectra of few segments scatter: no line of noise may pass for a fast motion."""
+    rng = np.random.default_rng(5)
+    time = np.arange(round(1000 * seconds)) / 1000
+    slow = np.sin(2 * np.pi * 2.0 * time)
+    bands = [motion_band([slow + rng.normal(0, 1e-2, len(time))], 1000.0) for _ in range(100)]
+    assert max(bands) < 6.0
