@@ -9,7 +9,10 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import inspect
+import re
 import sys
+import textwrap
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,6 +26,48 @@ from loose_env.envs.difficulty import DIFFICULTIES
 from loose_env.envs.registration import IDS
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
+COLUMNS = 100
+"""Width of prose."""
+LEFT_OUT = ("Version History",)
+"""Sections of the environments' docstring that the page does without."""
+
+SCALINGS = {"linear": "value / {}", "log10": "log10(value / {})", "asinh": "asinh(value / {})"}
+"""How a scaling is written in the tables."""
+MEANINGS = {
+    "sin_pose, cos_pose": "the pose: sine and cosine of a joint that turns; of one that slides its "
+    "place in its range, from -1 at the low end to 1 at the high end, and a zero",
+    "valid": "1 where the record was measured; 0 in a slot that is empty",
+    "level": "level asked for at the joint, 0 for one that was held",
+    "torque": "rms torque that shook the joint (force where it slides), as a share of the most it "
+    "can give",
+    "level_share": "share of the level that was left once torque was kept within its limit; 1 for "
+    "a joint that was held",
+    "duration": "length of the record",
+    "transmission": "acceleration of the tool along an axis for each unit of the joint's measured "
+    "acceleration: covariance of the two over the variance of the joint's, in the band",
+    "transmission_by_instrument": "the same, with the command as instrument: covariance of command "
+    "and tool over that of command and joint; noise of the encoder does not shrink it",
+    "joint_rms": "rms acceleration of the joint, in the band",
+    "inertia": "apparent inertia of the joint: its torque for each unit of its acceleration "
+    "(mass where it slides)",
+    "tool_rms": "rms acceleration of the tool along an axis, in the band",
+    "tool_correlation": "correlation of the tool's accelerations along two different axes",
+    "lowest_direction": "direction along which the tool follows the shaken joints least, a unit "
+    "vector without a sign: products of two of its components, xx, xy, yy and so on",
+    "coherence.lowest": "squared correlation of the tool with the shaken joints along that "
+    "direction; 0 by construction where fewer joints are shaken than the tool has axes",
+    "correlation.maximum": "highest correlation (not squared) of the tool with the shaken joints "
+    "along any direction",
+    "skewness, kurtosis": "shape of the tool's motion along an axis, not limited to the band; "
+    "kurtosis is counted from that of a Gaussian, so both are 0 for one",
+    "lowest_skewness, lowest_kurtosis": "the same along the direction of `lowest_direction`",
+    "nominal_*": "the same statistic as the nominal, sound arm would show it",
+    "now.*": "the pose in which the arm is now",
+    "spent.records, spent.seconds, spent.levels": "what has been spent: records as a share of "
+    "those allowed, seconds of excitation, levels added up over joints and records",
+    "left.records": "share of the records that are left",
+}
+"""What each name of an element means; ``*`` stands for any of the other names."""
 
 
 def environments() -> str:
@@ -30,7 +75,16 @@ def environments() -> str:
     parts = [
         "# Environments",
         "",
-        "Printed by `python scripts/write_docs.py`; edit the code, not this file.",
+        *prose(
+            "Every environment hides a fault in an arm; an agent moves and shakes the arm, and "
+            "names the fault. What all of them have in common comes first: actions, observation, "
+            "rewards, arguments, options of `reset`. Then each environment has its arm and every "
+            "element of its observation."
+        ),
+        "",
+        *prose("Printed by `python scripts/write_docs.py`; edit the code, not this page."),
+        "",
+        *docstring_sections(),
         "",
         "## Difficulties",
         "",
@@ -38,13 +92,27 @@ def environments() -> str:
         "",
         "## Names of elements",
         "",
-        "One row of an observation's table stands for as many elements as its second column says: "
-        "\\<joint\\> is each joint's name, base first, \\<axis\\> each measured axis of the tool "
-        "frame, \\<axes\\> each pair of them. Where an arm has both, \\<hinge\\> is a joint that "
-        "turns and \\<slide\\> one that slides. Joints run slower than axes, and "
-        "`print(env.unwrapped.layout.table())` lists every single element in order. The place of a "
-        "sliding joint runs from -1 at the low end of its range to 1 at the high end; a move of "
-        "90 degrees takes it through half of its range.",
+        *prose(
+            "One row of an observation's table stands for as many elements as its second column "
+            "says: \\<joint\\> is each joint's name, base first, \\<axis\\> each measured axis of "
+            "the tool frame, \\<axes\\> two of these axes: in `tool_correlation` two different "
+            "ones (xy), in `lowest_direction` also the same one twice (xx, xy, yy). Where an arm "
+            "has both kinds of joints, \\<hinge\\> is one that turns and \\<slide\\> one that "
+            "slides. Elements of a record begin with record\\<k\\>, k from 1. Joints run slower "
+            "than axes, and `print(env.unwrapped.layout.table())` lists every element in order."
+        ),
+        "",
+        *prose(
+            "Each element is scaled, as the fourth column says, and then clipped to its bounds: "
+            "`value / s` for what has a natural range, `log10(value / s)` for amplitudes, "
+            "`asinh(value / s)` for what may have either sign and any size (it is linear near zero "
+            "and a logarithm far from it). The amplitude of a joint that was not shaken is at its "
+            "lower bound. A slot in which nothing has been measured is zero throughout."
+        ),
+        "",
+        "| name | meaning |",
+        "|---|---|",
+        *(f"| {names_cell(names)} | {meaning} |" for names, meaning in MEANINGS.items()),
     ]
     for env_id in IDS:
         env = gymnasium.make(env_id).unwrapped
@@ -52,6 +120,51 @@ def environments() -> str:
         env.close()
         parts += ["", f"## {env_id}", "", *arm_table(env.arm), "", *observation_table(env)]
     return "\n".join(parts) + "\n"
+
+
+def prose(text: str) -> list[str]:
+    """Break a paragraph into lines; what stands between backticks stays on one line."""
+    kept = re.sub(r"`[^`]*`", lambda code: code[0].replace(" ", "\0"), " ".join(text.split()))
+    lines = textwrap.wrap(kept, COLUMNS, break_long_words=False, break_on_hyphens=False)
+    return [line.replace("\0", " ") for line in lines]
+
+
+def docstring_sections() -> list[str]:
+    """What the environments' docstring says, section by section, tables as they stand."""
+    text = inspect.cleandoc(DiagnosisEnv.__doc__ or "")
+    lines: list[str] = []
+    for section in re.split(r"^## ", text, flags=re.MULTILINE)[1:]:
+        title, _, body = section.partition("\n")
+        if title in LEFT_OUT:
+            continue
+        lines += ["", f"## {title}"]
+        for paragraph in body.strip().split("\n\n"):
+            table = paragraph.startswith("|")
+            lines += ["", *(paragraph.splitlines() if table else prose(paragraph))]
+    return lines[1:]
+
+
+def names_cell(names: str) -> str:
+    """Names of a row of meanings as code."""
+    return ", ".join(f"`{name}`" for name in names.split(", "))
+
+
+def meaning_of(name: str) -> str | None:
+    """What an element's name means, by the table of meanings; None where it has no row.
+
+    Examples
+    --------
+    >>> meaning_of("duration")
+    'length of the record'
+    >>> meaning_of("nominal_joint_rms.joint1") == MEANINGS["nominal_*"]
+    True
+    """
+    rows = {each: meaning for names, meaning in MEANINGS.items() for each in names.split(", ")}
+    for prefix in ("nominal_", "now."):
+        if name.startswith(prefix):
+            known = meaning_of(name.removeprefix(prefix)) is not None
+            return rows[f"{prefix}*"] if known else None
+    return rows.get(name) or rows.get(name.partition(".")[0])
 
 
 def difficulty_table() -> list[str]:
@@ -76,10 +189,12 @@ def difficulty_table() -> list[str]:
             rows.append(f"| {field.name} | {cells} |")
     rows += [
         "",
-        "Friction is the guide's Coulomb friction over the rms force that the top level drives "
-        "across the shut seat; the gap is in metres (play in a joint that turns is the gap at full "
-        "reach, in one that slides the gap itself); contact modes are in Hz; tilt, misalignment "
-        "and joint zeros are in degrees, the other mismatches are relative.",
+        *prose(
+            "Friction is the guide's Coulomb friction over the rms force that the top level drives "
+            "across the shut seat; the gap is in metres (play in a joint that turns is the gap at "
+            "full reach, in one that slides the gap itself); contact modes are in Hz; tilt, "
+            "misalignment and joint zeros are in degrees, the other mismatches are relative."
+        ),
     ]
     return rows
 
@@ -126,9 +241,11 @@ def observation_table(env: DiagnosisEnv) -> list[str]:
     """Elements of the observation, those that differ in joint and axis alone in one row."""
     layout = env.layout
     rows = [
-        f"The observation has {layout.size} elements: {len(layout.global_elements)} about now, "
-        f"then {layout.slots} slots of {len(layout.slot_elements)}. The action space is "
-        f"`{env.action_space}`.",
+        *prose(
+            f"The observation has {layout.size} elements: {len(layout.global_elements)} about now, "
+            f"then {layout.slots} slots of {len(layout.slot_elements)}. The action space is "
+            f"`{env.action_space}`."
+        ),
         "",
         "| elements | number | unit | scaling | bounds |",
         "|---|---|---|---|---|",
@@ -137,11 +254,11 @@ def observation_table(env: DiagnosisEnv) -> list[str]:
     for prefix, elements in groups:
         counts: Counter[tuple[str, ...]] = Counter()
         for e in elements:
-            scaling = "value" if e.scaling == "linear" else e.scaling
+            scaling = SCALINGS[e.scaling]
             counts[
                 prefix + pattern(env.arm, e.name),
                 e.unit,
-                f"{scaling} / {e.scale:.3g}",
+                scaling.format(f"{e.scale:.3g}"),
                 f"{e.low:g} to {e.high:g}",
             ] += 1
         for (name, *cells), count in counts.items():

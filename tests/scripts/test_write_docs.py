@@ -47,6 +47,42 @@ def test_every_element_of_every_environment_is_counted_in_the_document() -> None
         env.close()
 
 
+def test_every_name_of_an_element_has_its_row_in_the_table_of_meanings() -> None:
+    import gymnasium
+
+    from loose_env.envs.registration import IDS
+
+    write_docs = script("write_docs")
+    text = (ROOT / "docs" / "environments.md").read_text(encoding="utf-8")
+    for names, meaning in write_docs.MEANINGS.items():
+        assert f"| {write_docs.names_cell(names)} | {meaning} |" in text
+    used = set()
+    for env_id in IDS:
+        env = gymnasium.make(env_id).unwrapped
+        layout = env.layout  # type: ignore[attr-defined]
+        for element in (*layout.global_elements, *layout.slot_elements):
+            meaning = write_docs.meaning_of(element.name)
+            assert meaning is not None, f"{element.name} of {env_id} has no row"
+            used.add(meaning)
+        env.close()
+    assert used == set(write_docs.MEANINGS.values())  # and no row is of something that is gone
+    assert write_docs.meaning_of("nominal_rust.joint1") is None
+
+
+def test_the_page_has_what_the_docstring_says_of_actions_and_rewards() -> None:
+    import inspect
+
+    from loose_env.envs.diagnosis import DiagnosisEnv
+
+    text = (ROOT / "docs" / "environments.md").read_text(encoding="utf-8")
+    words = " ".join(text.split())
+    said = inspect.cleandoc(DiagnosisEnv.__doc__ or "")
+    for title in ("Action Space", "Rewards", "Starting State", "Episode End", "Arguments"):
+        assert f"\n## {title}\n" in text
+        body = said.split(f"## {title}\n")[1].split("\n## ")[0]
+        assert " ".join(body.split()) in words
+
+
 def test_elements_that_differ_in_joint_and_axis_share_a_pattern() -> None:
     from loose_env.arms import scara, six_axis
 
