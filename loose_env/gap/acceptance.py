@@ -90,7 +90,7 @@ class Acceptance:
     def worth_naming(self, judged: Judged) -> bool:
         """Whether a hypothesis is ahead, and by enough."""
         lead = lead_of(judged, self.before)
-        return self._believed(lead) and self._material(judged, lead)
+        return self.believed(lead) and self._material(judged, lead)
 
     def ahead_of_its_limit(self, judged: Judged) -> bool:
         """Whether an effect explains more than the way in which it is simulated.
@@ -106,7 +106,7 @@ class Acceptance:
         free = np.concatenate([self.before.fitted.free, free_of(effect.parameters, values)])
         residual = self.comparison.residuals([hypothesis_of(fitted.effects, free)])[0]
         rigid = self.judge.judge(replace(fitted, free=free, residual=residual))
-        return self._believed(lead_of(judged, rigid))
+        return self.believed(lead_of(judged, rigid))
 
     def above_the_noise(self, judged: Judged) -> bool:
         """Whether what an added motion gains backwards is more than noise that it shuts out.
@@ -142,7 +142,7 @@ class Acceptance:
         for effect in best.fitted.effects[: len(self.before.fitted.effects)]:
             if effect.kind not in UNNAMED:
                 without = self._without(best, effect)
-                if not self._believed(lead_of(best, without)):
+                if not self.believed(lead_of(best, without)):
                     return without, [effect]
         return best, []
 
@@ -152,7 +152,7 @@ class Acceptance:
             without = [self._without(judged, effect) for effect in judged.fitted.effects[-new:]]
             leads = [lead_of(judged, each) for each in without]
             weakest = min(range(new), key=lambda k: leads[k].fitted + leads[k].held)
-            if self._believed(leads[weakest]):
+            if self.believed(leads[weakest]):
                 break
             judged, new = without[weakest], new - 1
         return judged
@@ -164,7 +164,7 @@ class Acceptance:
     def _without(self, judged: Judged, effect: Effect) -> Judged:
         return self.judge.judge(fit_without(self.comparison, judged.fitted, effect))
 
-    def _believed(self, lead: Lead) -> bool:
+    def believed(self, lead: Lead) -> bool:
         """Whether a lead is no chance: seen in both halves of the data, and surely in one."""
         one, other = lead.fitted, lead.held
         return min(one, other) >= self.settings.held and max(one, other) >= self.settings.sureness

@@ -77,6 +77,9 @@ class Effect:
     `nothing` is None."""
     adds_motion: ClassVar[bool] = False
     """Whether the edit adds a degree of freedom, which no inverse comparison can show."""
+    shifts: ClassVar[bool] = False
+    """Whether it shifts signals in time by its only parameter: accelerations answer that in
+    proportion over a fraction of a millisecond only, positions over many."""
     variants: ClassVar[tuple[str, ...]] = ("",)
     """Forms of the same kind, the usual one first; the result file does not tell them apart."""
 
@@ -152,6 +155,14 @@ class Effect:
             Of the parameters.
         """
         return controls
+
+    def command_at(self, time: Array, controls: Array, values: Array) -> Array:
+        """What is at the actuators at each step itself, for what sensors read there.
+
+        A step is simulated with the mean over it, as of `command`; where a held command changes
+        within the step, an acceleration at its beginning is that of the command before.
+        """
+        return self.command(time, controls, values)
 
     def at_limit(self, values: Array) -> Array:
         """Values with the parameter of `limit` at its bound (P,)."""

@@ -271,13 +271,26 @@ def _low(values: Array, band: Band, crossing: float) -> Array:
     return np.asarray(sosfiltfilt(low, values, padlen=pad))
 
 
+def _settled(values: Array, band: Band, crossing: float) -> Array:
+    """Values (T,) with level ends in the place of what filters make of the ends of a run.
+
+    A derivative is far off there, and a slow filter would carry that far into the run.
+    """
+    ends = int(2 * band.rate / band.end)
+    inner = values[ends : len(values) - ends]
+    span = min(max(ends, int(band.rate / (2 * np.pi * crossing))), len(inner) // 2)
+    if not span:
+        return values
+    return np.pad(inner, ends, mode="mean", stat_length=span)
+
+
 def _smoothed(position: Array, speed: Array | None, band: Band, crossing: float) -> Array:
     """Position, speed and acceleration (3, T)."""
     smooth = band.smooth(position)
     rate = _derivative(smooth, band.rate)
     if speed is not None:
         other = band.smooth(speed)
-        rate = other + _low(rate - other, band, crossing)
+        rate = other + _low(_settled(rate - other, band, crossing), band, crossing)
     return np.stack([smooth, rate, _derivative(rate, band.rate)])
 
 

@@ -165,5 +165,10 @@ def _step(
             say(f"  {judged.fitted.effects[-1]!r}: shuts out noise of the motion, no more")
             continue
         accepted, dropped = acceptance.accept(judged)
+        earlier = [e for e in best.fitted.effects if e.kind not in UNNAMED]
+        alone = trying.alone(judged, found.base.fitted) if earlier else None
+        if alone is not None and not acceptance.believed(lead_of(accepted, alone)):
+            acceptance = Acceptance(comparison, judge, found.base, found.base, settings)
+            accepted, dropped = acceptance.accept(alone)[0], earlier
         return Step(rivals=ranked, accepted=accepted, dropped=dropped)
     return Step(rivals=ranked, accepted=None)

@@ -4,11 +4,15 @@ Every candidate is simulated once from each of its starts, on top of the present
 add no spring with a cheaper integrator. What that changes in the residual is its signature. The
 present parameters are free to take up their share of a signature; what is left of it is held
 against what is left of the residual.
+
+What shifts signals in time is looked at twice. An acceleration of many hertz answers a shift in
+proportion over a fraction of a millisecond only, so that a start that is a little off promises
+nothing; positions and speeds answer over a longer one, and say where to try again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -18,6 +22,7 @@ from scipy.optimize import lsq_linear
 
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
+from loose_env.gap.effects.sensor_kinds import of_place_or_speed
 from loose_env.gap.fit import Fit, hypothesis_of, parameters_of, prior_of, started
 
 __all__ = ["Screened", "screen"]
@@ -67,6 +72,8 @@ def screen(
         Starts that the data propose, by the candidate's key, in place of its own.
     """
     known = _Known.of(fitted)
+    slow = _slow_rows(comparison)
+    lens = _Known.of(fitted, slow) if 0 < slow.sum() < len(slow) else None
     lighter = comparison.lighter()
     alike = fitted.residual
     if lighter is not comparison:
@@ -79,26 +86,58 @@ def screen(
             if effect.adds_motion == springs
             for start in proposed.get(effect.key) or effect.starts
         ]
-        for begin in range(0, len(entries), _GROUP):
-            group = entries[begin : begin + _GROUP]
-            tried = [
-                hypothesis_of((*fitted.effects, effect), started(fitted, effect, start))
-                for effect, start in group
-            ]
-            signatures = compared.residuals(tried) - base
-            for (effect, start), signature in zip(group, signatures, strict=True):
-                found = _weigh(comparison, known, effect, start, signature)
-                before = best.get(id(effect))
-                if found is not None and (before is None or found.promise > before.promise):
-                    best[id(effect)] = found
+        again: dict[int, tuple[float, Effect, tuple[float, ...]]] = {}
+        for effect, start, signature in _signatures(compared, fitted, entries, base):
+            _keep_best(best, _weigh(comparison, known, effect, start, signature))
+            if lens is not None and effect.shifts:
+                found = _proposed(lens, slow, effect, start, signature)
+                if found is not None and found[0] > again.get(id(effect), (0.0,))[0]:
+                    again[id(effect)] = (found[0], effect, found[1])
+        entries = [(effect, start) for _, effect, start in again.values()]
+        for effect, start, signature in _signatures(compared, fitted, entries, base):
+            _keep_best(best, _weigh(comparison, known, effect, start, signature))
     return sorted(best.values(), key=lambda s: -s.promise)
+
+
+def _signatures(
+    compared: Comparison,
+    fitted: Fit,
+    entries: Sequence[tuple[Effect, tuple[float, ...]]],
+    base: Array,
+) -> Iterator[tuple[Effect, tuple[float, ...], Array]]:
+    """What each start of each candidate changes in the residual (N,)."""
+    for begin in range(0, len(entries), _GROUP):
+        group = entries[begin : begin + _GROUP]
+        tried = [
+            hypothesis_of((*fitted.effects, effect), started(fitted, effect, start))
+            for effect, start in group
+        ]
+        for (effect, start), residual in zip(group, compared.residuals(tried), strict=True):
+            yield effect, start, residual - base
+
+
+def _keep_best(best: dict[int, Screened], found: Screened | None) -> None:
+    """Keep the start of a candidate that promises most."""
+    if found is not None:
+        before = best.get(id(found.effect))
+        if before is None or found.promise > before.promise:
+            best[id(found.effect)] = found
+
+
+def _slow_rows(comparison: Comparison) -> NDArray[np.bool_]:
+    """Which numbers are readings that answer a shift in time smoothly (N,)."""
+    slow = np.array([of_place_or_speed(comparison.machine, c.column) for c in comparison.channels])
+    return slow[comparison.rows.channel] & ~comparison.rows.white
 
 
 @dataclass(frozen=True, eq=False)
 class _Known:
     """The present fit, as the linear problem of every candidate needs it."""
 
-    fitted: Fit
+    jacobian: Array
+    """Change of the residual with the free numbers (N, P)."""
+    residual: Array
+    """Measured less predicted (N,)."""
     curvature: Array
     """Of half the cost (P, P)."""
     slope: Array
@@ -107,15 +146,16 @@ class _Known:
     """How far every free number may move down and up (P,)."""
 
     @classmethod
-    def of(cls, fitted: Fit) -> _Known:
+    def of(cls, fitted: Fit, rows: NDArray[np.bool_] | slice = slice(None)) -> _Known:
         parameters = parameters_of(fitted.effects)
         centres, weights = prior_of(parameters)
         low, high = np.array([p.bounds for p in parameters]).T.reshape(2, -1)
-        jacobian = fitted.jacobian
+        jacobian, residual = fitted.jacobian[rows], fitted.residual[rows]
         return cls(
-            fitted,
+            jacobian,
+            residual,
             jacobian.T @ jacobian + np.diag(weights**2),
-            jacobian.T @ fitted.residual + weights**2 * (fitted.free - centres),
+            jacobian.T @ residual + weights**2 * (fitted.free - centres),
             (np.minimum(low - fitted.free, 0.0), np.maximum(high - fitted.free, 0.0)),
         )
 
@@ -125,7 +165,7 @@ class _Known:
         Present parameters move within their bounds: a figure that is known within a tolerance
         takes up no more of a signature than that.
         """
-        jacobian, residual = self.fitted.jacobian, self.fitted.residual
+        jacobian, residual = self.jacobian, self.residual
         across, size = jacobian.T @ signature, float(signature @ signature)
         if not np.isfinite(size) or size <= 0:
             return None
@@ -160,7 +200,7 @@ def _weigh(
     if taken is None:
         return None
     share, change = taken
-    residual = known.fitted.residual
+    residual = known.residual
     gains = comparison.by_block(-change * (2 * residual + change))
     if gains.sum() <= 0 or abs(share) < _SMALLEST_SHARE:
         return None
@@ -175,6 +215,24 @@ def _weigh(
         promise=float(gains.sum() / (residual @ residual)),
         sureness=float(gains.sum() / np.sqrt(np.sum(gains**2))),
     )
+
+
+def _proposed(
+    lens: _Known,
+    rows: NDArray[np.bool_],
+    effect: Effect,
+    start: tuple[float, ...],
+    signature: Array,
+) -> tuple[float, tuple[float, ...]] | None:
+    """Share that some of the rows would explain, and the values at which they would."""
+    taken = lens.taken_up(signature[rows], 0.0, _LARGEST_SHARE)
+    if taken is None or effect.nothing is None:
+        return None
+    share, change = taken
+    gain = -float(change @ (2 * lens.residual + change))
+    if gain <= 0 or share < _SMALLEST_SHARE:
+        return None
+    return gain / float(lens.residual @ lens.residual), _along(effect, start, effect.nothing, share)
 
 
 def _along(

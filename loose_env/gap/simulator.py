@@ -28,6 +28,8 @@ _SETTLE = 0.4
 """How long an arm at rest is held before the start, so that springs take their load [s]."""
 _CHUNK = 2_000_000
 """Numbers recorded at a time."""
+_AGAIN = 1024
+"""States at which sensors are worked out at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,17 +159,70 @@ class Simulator:
         self.simulated += len(slots) * steps
         sensed, driven = slots[0].model.nsensordata, len(self.machine.actuators)
         width = sensed + driven
+        # where a command changes within a step, sensors are worked out once more
+        timed = [k for k, slot in enumerate(slots) if _changes_within(slot.hypothesis)]
+        names = ["qpos", "qvel", "act"] if timed else []
+        states: dict[str, list[Array]] = {name: [] for name in names}
         size = max(1, min(steps, _CHUNK // max(1, len(slots) * width)))
         kept = np.empty((len(slots), steps, width))
         for start in range(0, steps, size):
             count = min(size, steps - start)
             records: dict[str, Array] = {}
             chunk = slice(start, start + count)
-            wild |= _advance(batch, count, controls[:, chunk], np.arange(len(slots)), records)
+            before = {name: np.array(getattr(batch, name)[timed]) for name in states}
+            wild |= _advance(
+                batch, count, controls[:, chunk], np.arange(len(slots)), records, names
+            )
+            for name, parts in states.items():
+                parts += [before[name][:, None], records[name][timed, :-1]]
             kept[:, chunk, :sensed] = records["sensordata"]
             kept[:, chunk, sensed:] = records["actuator_force"][:, :, :driven]
+        for i, k in enumerate(timed):
+            if not wild[k]:
+                begun = {
+                    name: np.concatenate([p[i] for p in parts]) for name, parts in states.items()
+                }
+                kept[k] = self._read_again(slots[k], layout, begun, clock)
         kept[wild] = np.nan
         return [self.trials[s.trial].at_samples(k) for s, k in zip(slots, kept, strict=True)]
+
+    def _read_again(
+        self, slot: _Slot, layout: tuple[object, ...], states: dict[str, Array], clock: Array
+    ) -> Array:
+        """Sensors and actuator forces (steps, sensors + actuators) with commands as at each step.
+
+        Parameters
+        ----------
+        slot : _Slot
+            The simulation.
+        layout : tuple
+            Of its model.
+        states : dict
+            Positions, speeds and activations at the beginning of each step.
+        clock : ndarray (steps,)
+            Steps [s].
+        """
+        controls = self.trials[slot.trial].controls
+        for effect, own in zip(slot.hypothesis.effects, slot.hypothesis.values, strict=True):
+            controls = effect.command_at(clock, controls, own)
+        model, driven = slot.model, len(self.machine.actuators)
+        key = (*layout, "again")
+        if key not in self._batches:
+            self._batches[key] = Batch(model, _AGAIN, self.threads)
+        batch = self._batches[key]
+        batch.set_models(model)
+        batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+        sensed, force = batch.bind("sensordata"), batch.bind("actuator_force")
+        found = np.empty((len(controls), model.nsensordata + driven))
+        for first in range(0, len(controls), _AGAIN):
+            count = min(_AGAIN, len(controls) - first)
+            part = slice(first, first + count)
+            for name, values in states.items():
+                getattr(batch, name)[:count] = values[part]
+            batch.ctrl[:count, : controls.shape[1]] = controls[part]
+            batch.forward()
+            found[part] = np.hstack([sensed[:count], force[:count, :driven]])
+        return found
 
     def _batch(self, layout: tuple[object, ...], slots: list[_Slot]) -> Batch:
         """Batch of as many slots, with these models."""
@@ -224,6 +279,11 @@ class Simulator:
         )
 
 
+def _changes_within(hypothesis: Hypothesis) -> bool:
+    """Whether commands may change within a step."""
+    return any(type(effect).command_at is not Effect.command_at for effect in hypothesis.effects)
+
+
 def _unconstrained(model: mujoco.MjModel) -> bool:
     """Whether nothing in a model can ever become a constraint; it is simulated faster then."""
     contact = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
@@ -258,9 +318,10 @@ def _advance(
     controls: Array,
     ids: NDArray[np.intp],
     records: dict[str, Array] | None,
+    more: Sequence[str] = (),
 ) -> NDArray[np.bool_]:
     """Advance some slots; return which of all slots went wild."""
-    names = ("sensordata", "actuator_force") if records is not None else ("qpos",)
+    names = ("sensordata", "actuator_force", *more) if records is not None else ("qpos",)
     wild = np.zeros(batch.nsim, dtype=bool)
     try:
         out = batch.rollout(

@@ -10,17 +10,31 @@ import numpy as np
 
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.families import families
-from loose_env.gap.fit import Fit, cost_of, fit, parameters_of, refined
+from loose_env.gap.fit import (
+    Fit,
+    cost_of,
+    fit,
+    hypothesis_of,
+    parameters_of,
+    refined,
+    slices_of,
+)
 from loose_env.gap.judgement import Judge, Judged
 from loose_env.gap.kinship import akin
 from loose_env.gap.naming_settings import NamingSettings
-from loose_env.gap.parameter import free_of
+from loose_env.gap.parameter import free_of, values_of
 from loose_env.gap.screening import Screened
 
 __all__ = ["Trying"]
 
 _WHOLE_FAMILIES = 2
 """Families that are fitted to all data."""
+_SHIFTS = (-2.0, -1.5, -1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0)
+"""Samples by which a delay is moved to see whether that is better."""
+_BETTER = 0.98
+"""Share of the sum of squares below which it is."""
+_NEAR = 1.5
+"""Sum of squares over that of a larger hypothesis from which on it is not tried on all data."""
 
 
 class Trying:
@@ -78,13 +92,61 @@ class Trying:
         fits.sort(key=lambda f: f.cost)
         return [self._to_all(each) for each in fits[:_WHOLE_FAMILIES]]
 
+    def alone(self, judged: Judged, base: Fit) -> Judged | None:
+        """The new effects of a hypothesis without the earlier ones; None if they are needed.
+
+        What is named first may only have stood in for what came later, and several springs that
+        stand in for one delay are all missed if they are left out one by one.
+
+        Parameters
+        ----------
+        judged : Judged
+            The hypothesis.
+        base : Fit
+            The nominal model.
+        """
+        fitted, nominal = judged.fitted, len(base.free)
+        effects = (*base.effects, *fitted.effects[len(self.before.effects) :])
+        start = np.concatenate([base.free, fitted.free[len(self.before.free) :]])
+        together = self.short.residuals([fitted.hypothesis])[0]
+        quick = fit(self.short, effects, start)
+        if quick.residual @ quick.residual > _NEAR * float(together @ together):
+            return None
+        start = np.concatenate([base.free, quick.free[nominal:]])
+        return self.judge.judge(fit(self.comparison, effects, start, known=base.jacobian))
+
     def _to_windows(self, members: Sequence[Screened]) -> Fit:
         """Fit candidates together to the windows."""
         start = self.short_before.free
         for each in members:
             start = np.concatenate([start, free_of(each.effect.parameters, np.array(each.values))])
         effects = (*self.before.effects, *(each.effect for each in members))
-        return fit(self.short, effects, start, known=self.short_before.jacobian)
+        found = fit(self.short, effects, start, known=self.short_before.jacobian)
+        return self._shifted(found, len(members))
+
+    def _shifted(self, fitted: Fit, new: int) -> Fit:
+        """Move new delays by parts of a sample, and fit on where that is better.
+
+        Held commands and late readings repeat themselves from sample to sample: a fit of a delay
+        ends within a sample of the best one, as often as not on the wrong side.
+        """
+        step, own = 1.0 / self.short.trials[0].rate, slices_of(fitted.effects)
+        for effect, place in list(zip(fitted.effects, own, strict=True))[-new:]:
+            if not effect.shifts:
+                continue
+            parameter, tried = effect.parameters[0], []
+            for share in _SHIFTS:
+                value = values_of((parameter,), fitted.free[place])[0] + share * step
+                free = fitted.free.copy()
+                free[place] = free_of((parameter,), np.array([parameter.clipped(value)]))
+                tried.append(free)
+            residuals = self.short.residuals([hypothesis_of(fitted.effects, f) for f in tried])
+            costs = np.sum(residuals**2, axis=1)
+            best = int(np.argmin(costs))
+            if costs[best] < _BETTER * float(fitted.residual @ fitted.residual):
+                again = fit(self.short, fitted.effects, tried[best], known=fitted.jacobian)
+                fitted = min((fitted, again), key=lambda f: f.cost)
+        return fitted
 
     def _to_all(self, each: Fit) -> Judged:
         """Fit to all data what was fitted to the windows."""

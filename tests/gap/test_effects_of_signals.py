@@ -19,9 +19,12 @@ def test_a_lag_answers_a_step_exponentially() -> None:
     time = clock(machine)
     controls = np.zeros((len(time), 3))
     controls[100:, 2] = 0.8
-    reached = effect.command(time, controls, np.array([0.03]))
+    reached = effect.command_at(time, controls, np.array([0.03]))
     after = time[100:] - time[100]
     assert np.allclose(reached[100:, 2], 0.8 * (1 - np.exp(-after / 0.03)), atol=1e-12)
+    # over a step its mean counts, here by the trapezoidal rule
+    mean = effect.command(time, controls, np.array([0.03]))[100:-1, 2]
+    assert np.allclose(mean, (reached[100:-1, 2] + reached[101:, 2]) / 2, atol=1e-4)
     assert not reached[:100].any()
     assert np.array_equal(reached[:, :2], controls[:, :2])
     # A command that holds from the start is there from the start.
@@ -35,8 +38,18 @@ def test_a_lag_filters_what_the_actuator_takes() -> None:
     time = clock(machine)
     controls = np.zeros((len(time), 3))
     controls[1:, 1] = 10.0  # the actuator takes 2
-    reached = effect.command(time, controls, np.array([0.05]))
+    reached = effect.command_at(time, controls, np.array([0.05]))
     assert reached[51, 1] == pytest.approx(2.0 * (1 - exp(-1)))
+
+
+def test_readings_see_the_held_command_of_their_moment() -> None:
+    machine = machine_of("planar")
+    time = clock(machine)
+    controls = commands(machine, time)
+    effect = CATALOGUE["command_delay"](machine, "all")
+    for delay, back in ((0.0024, 3), (0.002, 2), (0.0, 0)):
+        late = effect.command_at(time, controls, np.array([delay]))
+        assert np.array_equal(late[back:], controls[: len(time) - back])
 
 
 def test_a_delay_shifts_held_commands_by_parts_of_a_step() -> None:

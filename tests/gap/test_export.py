@@ -51,7 +51,7 @@ def test_the_file_compiles_keeps_its_names_and_does_what_was_fitted(
 ) -> None:
     machine = stepped(arm)
     effect = one_of(machine, kind)
-    values = np.array(effect.starts[0])
+    values = np.array(effect.starts[2 if effect.shifts else 0])  # several steps of time
     written = write_model(tmp_path / "model.xml", machine, [effect], [values])
     assert written == [tmp_path / "model.xml"] and list(tmp_path.iterdir()) == written
     model = mujoco.MjModel.from_xml_path(str(written[0]))

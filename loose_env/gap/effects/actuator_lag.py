@@ -23,12 +23,15 @@ _SHORTEST = 1e-9  # a lag below this is none [s]
 class ActuatorLag(Effect):
     """What reaches the actuator follows the command with a time constant.
 
-    The same recursion as MuJoCo's ``filterexact``, as which it is written out; there its state
-    starts at zero, here at the first command.
+    Commands are held from step to step, and the filter's answer is exact: its mean moves the arm,
+    its value at a step is what sensors show there. MuJoCo's ``filterexact``, as which it is
+    written out, takes the value at its beginning for the whole step, and starts at zero, not at
+    the first command.
     """
 
     kind = "actuator_lag"
     nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+    shifts: ClassVar[bool] = True
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
@@ -43,21 +46,40 @@ class ActuatorLag(Effect):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """A fast drive, a slow one and a very slow one."""
-        return ((0.005,), (0.04,), (0.15,))
+        """From a fast drive to a very slow one: a servo answers none of them in proportion."""
+        return ((0.001,), (0.003,), (0.008,), (0.02,), (0.06,), (0.15,))
 
     def command(self, time: Array, controls: Array, values: Array) -> Array:
-        """Filter the actuator's commands."""
-        if values[0] < _SHORTEST or len(time) < 2:
+        """Filter the actuator's commands: means over each step."""
+        state, held = self._filtered(time, controls, values)
+        if state is None:
             return controls
-        number = self.machine.actuators.index(self.where)
-        filtered = controls.copy()
-        raw = clamped(self.machine, number, controls[:, number])
+        lag, step = float(values[0]), time[1] - time[0]
+        mean = held + (state - held) * (lag / step) * (1.0 - np.exp(-step / lag))
+        return self._with(controls, mean)
+
+    def command_at(self, time: Array, controls: Array, values: Array) -> Array:
+        """Filter the actuator's commands: what is there at each step."""
+        state, _ = self._filtered(time, controls, values)
+        return controls if state is None else self._with(controls, state)
+
+    def _filtered(self, time: Array, controls: Array, values: Array) -> tuple[Array | None, Array]:
+        """State of the filter at each step (T,), None without a lag, and the commands held."""
+        held = clamped(self.machine, self._number, controls[:, self._number])
+        if values[0] < _SHORTEST or len(time) < 2:
+            return None, held
         share = 1.0 - np.exp(-(time[1] - time[0]) / float(values[0]))
-        # A step's force comes from the state before that step.
-        state, _ = lfilter([share], [1.0, share - 1.0], raw, zi=[(1.0 - share) * raw[0]])
-        filtered[0, number], filtered[1:, number] = raw[0], state[:-1]
-        return filtered
+        after, _ = lfilter([share], [1.0, share - 1.0], held, zi=[(1.0 - share) * held[0]])
+        return np.concatenate([held[:1], after[:-1]]), held
+
+    def _with(self, controls: Array, own: Array) -> Array:
+        found = controls.copy()
+        found[:, self._number] = own
+        return found
+
+    @property
+    def _number(self) -> int:
+        return self.machine.actuators.index(self.where)
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Give the actuator MuJoCo's exact filter."""
@@ -65,7 +87,9 @@ class ActuatorLag(Effect):
             return
         actuator = spec.actuator(self.where)
         actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
-        actuator.dynprm = [float(values[0]), *np.array(actuator.dynprm)[1:]]
+        # MuJoCo holds the value at a step's beginning, half a step behind its mean
+        lag = max(float(values[0]) - 0.5 * spec.option.timestep, 0.1 * float(values[0]))
+        actuator.dynprm = [lag, *np.array(actuator.dynprm)[1:]]
 
 
 def clamped(machine: Machine, number: int, controls: Array) -> Array:

@@ -32,6 +32,7 @@ class CommandDelay(Effect):
 
     kind = "command_delay"
     nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+    shifts: ClassVar[bool] = True
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
@@ -46,8 +47,8 @@ class CommandDelay(Effect):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """A short delay, a long one, and that of a bus servo."""
-        return ((0.004,), (0.03,), (0.12,))
+        """From a fast bus to that of hobby servos: a servo answers none of them in proportion."""
+        return ((0.001,), (0.003,), (0.008,), (0.02,), (0.05,), (0.12,))
 
     def command(self, time: Array, controls: Array, values: Array) -> Array:
         """Shift the commands; before the first sample the first one holds."""
@@ -57,6 +58,16 @@ class CommandDelay(Effect):
         late = controls.copy()
         for number in self._numbers:
             late[:, number] = np.interp(time - delay, time, controls[:, number])
+        return late
+
+    def command_at(self, time: Array, controls: Array, values: Array) -> Array:
+        """Shift the commands, each held until the next."""
+        delay = float(values[0])
+        if delay <= 0 or len(time) < 2:
+            return controls
+        late = controls.copy()
+        back = np.floor(np.arange(len(time)) - delay / (time[1] - time[0]) + 1e-9)
+        late[:, self._numbers] = controls[np.maximum(back, 0).astype(int)][:, self._numbers]
         return late
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:

@@ -30,6 +30,7 @@ class SensorDelay(Effect):
 
     kind = "sensor_delay"
     nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+    shifts: ClassVar[bool] = True
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
@@ -43,8 +44,8 @@ class SensorDelay(Effect):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """A short delay, a long one, and that of a bus servo."""
-        return ((0.004,), (0.03,), (0.12,))
+        """From a fast bus to that of hobby servos."""
+        return ((0.001,), (0.003,), (0.008,), (0.02,), (0.05,), (0.12,))
 
     def read(self, time: Array, readings: Readings, values: Array) -> Readings:
         """Shift the sensor's column."""

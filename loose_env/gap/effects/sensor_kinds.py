@@ -7,7 +7,7 @@ import numpy as np
 
 from loose_env.gap.machine import Machine
 
-__all__ = ["column_of", "reading_scale", "vectors"]
+__all__ = ["column_of", "of_place_or_speed", "reading_scale", "vectors"]
 
 _S = mujoco.mjtSensor
 
@@ -67,3 +67,23 @@ def reading_scale(machine: Machine, sensor: str) -> tuple[float, str]:
         _S.mjSENS_FRAMEPOS: (0.005, "m"),
     }
     return scales.get(kind, (0.05, ""))
+
+
+def of_place_or_speed(machine: Machine, column: str) -> bool:
+    """Whether a column without axis is a position or a speed, not an acceleration or a force."""
+    kind, _, name = column.partition(".")
+    return kind == "sensor" and int(machine.model.sensor(name).type[0]) in _SMOOTH
+
+
+_SMOOTH = tuple(
+    int(kind)
+    for kind in (
+        _S.mjSENS_JOINTPOS,
+        _S.mjSENS_JOINTVEL,
+        _S.mjSENS_FRAMEPOS,
+        _S.mjSENS_FRAMELINVEL,
+        _S.mjSENS_FRAMEANGVEL,
+        _S.mjSENS_VELOCIMETER,
+        _S.mjSENS_GYRO,
+    )
+)
