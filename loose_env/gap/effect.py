@@ -34,6 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import UnknownName
+from loose_env.gap.accelerations import ResidualAccelerations
 from loose_env.gap.machine import Machine
 from loose_env.gap.parameter import Parameter
 
@@ -200,6 +201,10 @@ class Effect:
     def code(self, values: Array) -> str:
         """Python lines that apply to a simulation what MJCF cannot express; "" if nothing."""
         return ""
+
+    def propose_along(self, residual: ResidualAccelerations) -> tuple[tuple[float, ...], ...]:
+        """Starts by what accelerometers show beyond the model; none where nothing can be said."""
+        return ()
 
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array

@@ -1,8 +1,9 @@
-"""Starts that the data propose: what torque each joint needed beyond the model, for its motion.
+"""Starts that the data propose: torques beyond the model's, and accelerations beyond it.
 
 The motion of runs with commands is smoothed and put into the inverse dynamics of the model, and
 that is taken off what the drives gave at the commands and the state that were measured. An effect
 that cannot be tried everywhere, such as a ripple of any period, looks for itself in what is left.
+A loose link looks for its direction in what accelerometers show beyond the model.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from loose_env.errors import InvalidData
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.motion import Motion, smooth_motion
+from loose_env.gap.residual_accelerations import residual_accelerations
 from loose_env.gap.simulator import Hypothesis
 from loose_env.gap.trial import Trial
 
@@ -45,15 +47,17 @@ def proposals(
     candidates : sequence of Effect
         What may be added.
     """
+    starts: dict[tuple[str, str, str], tuple[tuple[float, ...], ...]] = {}
+    along = [e for e in candidates if type(e).propose_along is not Effect.propose_along]
+    residual = residual_accelerations(comparison, hypothesis) if along else None
+    if residual is not None:
+        starts |= {e.key: own for e in along if (own := e.propose_along(residual))}
     searching = [effect for effect in candidates if effect.searches]
-    if not searching:
-        return {}
-    found = missing_torque(comparison, hypothesis)
+    found = missing_torque(comparison, hypothesis) if searching else None
     if found is None:
-        return {}
+        return starts
     angle, speed, acceleration, torque = found
     joints = comparison.machine.joints
-    starts = {}
     for effect in searching:
         k = joints.index(effect.where)
         if np.ptp(angle[:, k]) > 0:

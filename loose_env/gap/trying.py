@@ -7,18 +7,11 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.families import families
-from loose_env.gap.fit import (
-    Fit,
-    cost_of,
-    fit,
-    hypothesis_of,
-    parameters_of,
-    refined,
-    slices_of,
-)
+from loose_env.gap.fit import Fit, cost_of, fit, parameters_of, refined
 from loose_env.gap.judgement import Judge, Judged
 from loose_env.gap.kinship import akin
 from loose_env.gap.naming_settings import NamingSettings
@@ -27,12 +20,12 @@ from loose_env.gap.screening import Screened
 
 __all__ = ["Trying"]
 
+Array = NDArray[np.float64]
+
 _WHOLE_FAMILIES = 2
 """Families that are fitted to all data."""
-_SHIFTS = (-2.0, -1.5, -1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0)
+_SHIFTS = (-1.0, 1.0)
 """Samples by which a delay is moved to see whether that is better."""
-_BETTER = 0.98
-"""Share of the sum of squares below which it is."""
 _NEAR = 1.5
 """Sum of squares over that of a larger hypothesis from which on it is not tried on all data."""
 
@@ -122,31 +115,22 @@ class Trying:
             start = np.concatenate([start, free_of(each.effect.parameters, np.array(each.values))])
         effects = (*self.before.effects, *(each.effect for each in members))
         found = fit(self.short, effects, start, known=self.short_before.jacobian)
-        return self._shifted(found, len(members))
+        if len(members) == 1 and members[0].effect.shifts:
+            others = [self._shifted(found, start, share) for share in _SHIFTS]
+            found = min((found, *others), key=lambda f: f.cost)
+        return found
 
-    def _shifted(self, fitted: Fit, new: int) -> Fit:
-        """Move new delays by parts of a sample, and fit on where that is better.
+    def _shifted(self, fitted: Fit, start: Array, share: float) -> Fit:
+        """Fit anew with the last effect, a delay, off by so many samples from where a fit ended.
 
-        Held commands and late readings repeat themselves from sample to sample: a fit of a delay
-        ends within a sample of the best one, as often as not on the wrong side.
+        What held commands do to accelerations repeats itself from sample to sample, so that a fit
+        ends a sample off as often as not.
         """
-        step, own = 1.0 / self.short.trials[0].rate, slices_of(fitted.effects)
-        for effect, place in list(zip(fitted.effects, own, strict=True))[-new:]:
-            if not effect.shifts:
-                continue
-            parameter, tried = effect.parameters[0], []
-            for share in _SHIFTS:
-                value = values_of((parameter,), fitted.free[place])[0] + share * step
-                free = fitted.free.copy()
-                free[place] = free_of((parameter,), np.array([parameter.clipped(value)]))
-                tried.append(free)
-            residuals = self.short.residuals([hypothesis_of(fitted.effects, f) for f in tried])
-            costs = np.sum(residuals**2, axis=1)
-            best = int(np.argmin(costs))
-            if costs[best] < _BETTER * float(fitted.residual @ fitted.residual):
-                again = fit(self.short, fitted.effects, tried[best], known=fitted.jacobian)
-                fitted = min((fitted, again), key=lambda f: f.cost)
-        return fitted
+        (parameter,) = fitted.effects[-1].parameters
+        value = values_of((parameter,), fitted.free[-1:])[0] + share / self.short.trials[0].rate
+        moved = start.copy()
+        moved[-1:] = free_of((parameter,), np.array([parameter.clipped(value)]))
+        return fit(self.short, fitted.effects, moved, known=self.short_before.jacobian)
 
     def _to_all(self, each: Fit) -> Judged:
         """Fit to all data what was fitted to the windows."""

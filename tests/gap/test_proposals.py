@@ -14,9 +14,10 @@ from loose_env.gap.catalogue import CATALOGUE
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.machine import Machine
 from loose_env.gap.proposals import missing_torque, proposals
-from loose_env.gap.simulator import Hypothesis
-from loose_env.gap.trial import channels_of, lay_out
+from loose_env.gap.simulator import Hypothesis, Simulator
+from loose_env.gap.trial import Channel, Trial, channels_of, lay_out
 from loose_env.recording import Recording
+from tests.gap.effect_arms import PLANAR
 from tests.gap.gap_case import DAMPING, MODEL, STEP, record
 
 Array = NDArray[np.float64]
@@ -78,3 +79,33 @@ def test_effects_that_do_not_search_are_left_to_their_own_starts(tmp_path: Path)
     comparison = compared(record(tmp_path / "r", runs=2))
     friction = CATALOGUE["viscous_friction"](comparison.machine, "joint2")
     assert proposals(comparison, NOTHING, [friction]) == {}
+
+
+@pytest.mark.parametrize(("where", "angle"), [("link1", 0.4), ("link2", 1.9), ("link3", -0.8)])
+def test_a_loose_link_shakes_the_tool_along_its_own_direction(where: str, angle: float) -> None:
+    runge_kutta = int(mujoco.mjtIntegrator.mjINT_RK4)
+    machine = Machine(mujoco.MjSpec.from_string(PLANAR), step=0.001, integrator=runge_kutta)
+    channels = (
+        *(Channel(f"sensor.encoder{k}") for k in (1, 2, 3)),
+        *(Channel("sensor.shake", axis) for axis in range(3)),
+    )
+    count = 3000
+    time = np.arange(count) * 0.001
+    waves = np.sin(np.outer(time, [6.0, 9.0, 13.0]))
+    bare = Trial(
+        name="run-01.csv", form="forward", time=time, measured=np.zeros((count, 6)), step=0.001,
+        steps=count, controls=waves * np.minimum(time, 1)[:, None],
+        position=np.zeros(3), speed=np.zeros(3), resting=True, joints=machine.joints,
+    )  # fmt: skip
+    effect = CATALOGUE["structural_looseness"](machine, where)
+    values = np.array([angle, 2e-4, *effect.starts[0][2:]])
+    loose = Hypothesis(effects=(effect,), values=(values,))
+    shown = Simulator(machine, [bare], channels, threads=1).predict([loose])[0][0]
+    trial = replace(bare, measured=shown, motion={f"joint{k + 1}": shown[:, k] for k in range(3)})
+    floors = np.array([1e-5] * 3 + [0.02] * 3)
+    comparison = Comparison(machine, [trial], channels, floors, threads=1)
+    starts = proposals(comparison, NOTHING, [effect])[effect.key]
+    off = min(abs((start[0] - angle + np.pi / 2) % np.pi - np.pi / 2) for start in starts)
+    assert off < 0.3  # a fit gets on from there
+    gaps = {start[1] for start in starts}
+    assert min(gaps) < 2e-4 < max(gaps)

@@ -10,11 +10,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from loose_env.gap.accelerations import ResidualAccelerations
 from loose_env.gap.effect import Effect
 from loose_env.gap.effects.backlash import stops
 from loose_env.gap.effects.extra_joint import add_extra_joint, keep_motor_side, set_stops
 from loose_env.gap.effects.geometry import frame_about, normal_of, reach_of
 from loose_env.gap.effects.joint_effect import added_name
+from loose_env.gap.effects.slide_axis import Slides, slide_axis
 from loose_env.gap.machine import Machine
 from loose_env.gap.parameter import Parameter
 
@@ -28,6 +30,10 @@ _MOST_JOINTS = 3
 """Joints of a link beside which there is room for slides: a body has six at most."""
 _STARTS = (1e-4, 6e-4)
 """Gaps from which fits start, as shares of the reach."""
+_GAPS = (3e-5, 6e-5, 1.2e-4, 2.5e-4, 5e-4, 1e-3)
+"""The same where the direction is known."""
+_FRICTIONS = (0.1, 0.5)
+"""Frictions from which fits start then, over a usual one."""
 
 
 class StructuralLooseness(Effect):
@@ -90,6 +96,28 @@ class StructuralLooseness(Effect):
         axes = (*((2 * pi * k / 5, tilt) for k in range(5)), (0.0, pi / 2))
         return tuple((*axis, *rest) for rest in rests for axis in axes)
 
+    def propose_along(self, residual: ResidualAccelerations) -> tuple[tuple[float, ...], ...]:
+        """A slide that shakes the tool as it was shaken beyond the model, gaps of all sizes.
+
+        A fit finds the direction of a slide only from nearby, and the gap within a factor of two.
+        """
+        axis = slide_axis(self._slides, residual)
+        if axis is None:
+            return ()
+        if self._plane is not None:
+            x, y = self._plane @ axis
+            angles: tuple[float, ...] = (float(np.arctan2(y, x)),)
+        else:
+            x, y, z = axis
+            angles = (float(np.arctan2(y, x)), float(np.arcsin(np.clip(z, -1.0, 1.0))))
+        length = reach_of(self.machine)
+        _, friction, stiffness, ratio = (p.scale for p in self.parameters[-4:])
+        return tuple(
+            (*angles, gap * length, share * friction, stiffness, ratio)
+            for gap in _GAPS
+            for share in _FRICTIONS
+        )
+
     def direction(self, values: Array) -> Array:
         """Unit vector (3,) of the slide, in the body's frame."""
         if self._plane is not None:
@@ -136,21 +164,23 @@ class StructuralLooseness(Effect):
         return self.machine.step or float(self.machine.model.opt.timestep)
 
     @cached_property
-    def _mass(self) -> tuple[Array, list[int], list[int]]:
-        """Mass matrix with slides along the body's three axes; own and added places in it."""
+    def _slides(self) -> Slides:
+        """The arm with slides along the body's three axes."""
         spec = self.machine.fresh()
         self._keep_rotors(spec)
-        names = [added_name(self.where, axis) for axis in "xyz"]
+        names = tuple(added_name(self.where, axis) for axis in "xyz")
         body = spec.body(self.where)
         for name, axis in zip(names, np.eye(3), strict=True):
             add_extra_joint(body, name, turns=False, axis=axis, pos=np.zeros(3))
-        model = spec.compile()
-        data = mujoco.MjData(model)
-        mujoco.mj_forward(model, data)
-        mass = np.zeros((model.nv, model.nv))
-        mujoco.mj_fullM(model, data, mass)
-        added = [int(model.joint(name).dofadr[0]) for name in names]
-        return mass, [k for k in range(model.nv) if k not in added], added
+        return Slides(model=spec.compile(), names=names)
+
+    @cached_property
+    def _mass(self) -> tuple[Array, list[int], list[int]]:
+        """Mass matrix with slides along the body's three axes; own and added places in it."""
+        slides = self._slides
+        data = mujoco.MjData(slides.model)
+        mujoco.mj_forward(slides.model, data)
+        return slides.mass(data), slides.own, slides.added
 
     def _weight(self, direction: Array) -> float:
         """Inverse of the mass on the slide [1/kg], all joints free."""
