@@ -31,7 +31,7 @@ help: ## list the verbs
 run: $(RUN) ## let four agents find hidden faults: a table, and a page with pictures
 	$(BIN)/python scripts/run.py $(ARGS)
 
-thesis: $(RUN) ## run the source's experiments and set them beside what it printed
+thesis: $(RUN) ## run the thesis's experiments and set them beside what it printed
 	$(BIN)/python scripts/reproduce_thesis.py $(ARGS)
 
 docs: $(DEV) ## build the documentation's site into docs/_build; a warning is an error
@@ -47,7 +47,7 @@ bench: $(RUN) ## time the simulation and the diagnosis on this machine
 study: $(RUN) ## halve the time step and see what the results depend on
 	$(BIN)/python scripts/step_halving.py $(ARGS)
 
-gap-suite: $(DEV) ## grade the gap tool on blind recordings: three hours; ARGS=--quick, a quarter of one
+gap-suite: $(DEV) ## grade the gap tool on blind recordings (hours; ARGS=--quick a quarter of an hour)
 	$(ONE_THREAD) $(BIN)/python -m scripts.run_gap_suite $(ARGS)
 
 check: $(DEV) ## formatting, lint and types; changes nothing

@@ -22,6 +22,7 @@ import numpy as np
 from gymnasium.vector import AsyncVectorEnv
 
 import loose_env  # noqa: F401  (registers the ids)
+from loose_env.arms import DESK_ARM
 from loose_env.envs.diagnosis import DiagnosisEnv
 from loose_env.envs.episode import EpisodeBatch
 from loose_env.errors import InvalidSetting
@@ -29,7 +30,6 @@ from loose_env.rig.jobs import Run
 from loose_env.rig.simulated import SimulatedRig
 
 IDS = ("loose_env/Vera-v0", "loose_env/Planar-v0", "loose_env/SixAxis-v0")
-MODEL = Path(__file__).resolve().parents[2] / "shared" / "models" / "ur5e_bare.xml"
 
 
 class PythonLoopRig(SimulatedRig):
@@ -285,7 +285,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--arms", type=int, default=64, help="arms side by side")
     parser.add_argument("--rounds", type=int, default=4, help="timed steps of the whole batch")
     parser.add_argument("--ids", nargs="*", default=list(IDS), help="environments to time")
-    parser.add_argument("--model", type=Path, default=MODEL, help="file of an arm to start from")
+    parser.add_argument("--model", type=Path, default=DESK_ARM, help="file of an arm to start from")
     parser.add_argument("--quick", action="store_true", help="fewer arms and rounds")
     options = parser.parse_args(arguments)
     arms, rounds = (16, 1) if options.quick else (options.arms, options.rounds)

@@ -16,7 +16,7 @@ it stopped, and one that asks for more episodes adds them. The fast posteriors a
 With --cases, hundreds of cases are drawn from the prior in one record's pose and excitation, and
 weighed with the same particles: whether the particles' own probabilities are right.
 
-Usage: nice python scripts/check_posterior.py --episodes 60 --particles 200
+Usage: python scripts/check_posterior.py --episodes 60 --particles 200
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Plays episodes as trained, with two faults at once, with three times the mismatc
 lengths and masses are 15 % off, and with 1 g of preload on the loose seat. Prints how often it
 named the right hypothesis, a wrong one, a loose place, or said that it is unsure.
 
-Usage: nice python scripts/check_unsure.py --env loose_env/Planar-v0 --episodes 300
+Usage: python scripts/check_unsure.py --env loose_env/Planar-v0 --episodes 300
 
 Rows are stored shard by shard; the same command goes on from where it was stopped. Delete the
 folder after training anew: rows are known by the agent's name, not by its weights.

@@ -12,7 +12,7 @@ where no seat is seen to move, and says "unsure" where model and seat leave too 
 
 Rows are written as they are found; a study that was interrupted goes on where it stopped.
 
-Usage: nice python scripts/study_corrected_arm.py [--quick] [--out FOLDER]
+Usage: python scripts/study_corrected_arm.py [--quick] [--out FOLDER]
 """
 
 from __future__ import annotations

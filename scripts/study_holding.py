@@ -10,7 +10,7 @@ true link, with how often they name it.
 
 Rows are written as they are found; a study that was interrupted goes on where it stopped.
 
-Usage: nice python scripts/study_holding.py [--quick] [--arms planar3] [--out FOLDER]
+Usage: python scripts/study_holding.py [--quick] [--arms planar3] [--out FOLDER]
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ A vertical arm is turned about its base, so that gravity along one seat takes gi
 nothing else changes; for each gap the level is raised from where the seat is shut to where it
 strikes its stops. The study keeps the share of transmission that is lost along the seat.
 
-Usage: nice python scripts/study_opening.py [--quick] [--out FOLDER]
+Usage: python scripts/study_opening.py [--quick] [--out FOLDER]
 """
 
 from __future__ import annotations
