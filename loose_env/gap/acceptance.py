@@ -89,8 +89,15 @@ class Acceptance:
 
     def worth_naming(self, judged: Judged) -> bool:
         """Whether a hypothesis is ahead, and by enough."""
-        lead = lead_of(judged, self.before)
-        return self.believed(lead) and self._material(judged, lead)
+        lead, new = lead_of(judged, self.before), self._new(judged)
+        fitted = judged.fitted
+        slight = (
+            effect.immaterial(values_of(effect.parameters, fitted.free[own]))
+            for effect, own in zip(
+                fitted.effects[-new:], slices_of(fitted.effects)[-new:], strict=True
+            )
+        )
+        return self.believed(lead) and self._material(judged, lead) and not all(slight)
 
     def ahead_of_its_limit(self, judged: Judged) -> bool:
         """Whether an effect explains more than the way in which it is simulated.

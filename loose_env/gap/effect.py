@@ -179,6 +179,10 @@ class Effect:
             return False
         return bool(np.all((low <= np.array(self.nothing)) & (np.array(self.nothing) <= high)))
 
+    def immaterial(self, values: Array) -> bool:
+        """Whether it is too small to matter to anybody, however surely it is seen (P,)."""
+        return False
+
     def unseen_torque(self, angle: Array, speed: Array, values: Array) -> Array:
         """What the joint needs for a motion (T,) [N·m or N] that inverse dynamics leave out.
 

@@ -120,7 +120,10 @@ def test_the_written_model_does_what_the_simulation_does(arm: str, kind: str) ->
             for name, column in simulated.items():
                 scale = max(float(np.abs(column).max()), 1e-2)
                 off = np.abs(column - readings[name])[begin:].max()
-                assert off < tolerance * scale, (effect, name)
+                # MuJoCo holds what a lagging drive has at the beginning of a step, not its mean.
+                held = kind == "actuator_lag"
+                late = 0.5 * float(np.abs(np.diff(column, axis=0)).max()) if held else 0.0
+                assert off < tolerance * scale + late, (effect, name)
 
 
 @pytest.mark.parametrize(("arm", "kind"), CASES)

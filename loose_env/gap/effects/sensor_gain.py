@@ -16,6 +16,9 @@ __all__ = ["SensorGain"]
 
 Array = NDArray[np.float64]
 
+_NEGLIGIBLE = 1e-3
+"""Error of a gain that no sensor is calibrated to."""
+
 
 class SensorGain(Effect):
     """A factor on what a sensor shows; servos see the joint itself."""
@@ -38,6 +41,10 @@ class SensorGain(Effect):
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """A tenth less and more."""
         return ((0.9,), (1.1,))
+
+    def immaterial(self, values: Array) -> bool:
+        """Sensors are not calibrated that well."""
+        return abs(float(values[0]) - 1.0) < _NEGLIGIBLE
 
     def read(self, time: Array, readings: Readings, values: Array) -> Readings:
         """Scale the sensor's column."""
