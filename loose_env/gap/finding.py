@@ -156,6 +156,8 @@ def _sure_ones(
 
 _EXPLAINED = 0.8
 """Share of what there was to explain that the named effects must explain together."""
+_EXPLAINED_BY_IMPACTS = 0.65
+"""The same if a link slides: what its stops do to the readings no law of contact says exactly."""
 _SURE = 4.0
 """Sureness from which on what is left counts as a gap [standard deviations over blocks]."""
 
@@ -165,7 +167,9 @@ def _verdict(base: Judged, best: Judged) -> Verdict:
     if all(effect.kind in UNNAMED for effect in best.fitted.effects):
         return "unexplained" if best.structure_sureness > _SURE else "no_gap"
     explained = 1 - best.structure / max(base.structure, 1e-12)
-    if explained < _EXPLAINED and best.structure_sureness > _SURE:
+    strikes = any(effect.kind == "structural_looseness" for effect in best.fitted.effects)
+    least = _EXPLAINED_BY_IMPACTS if strikes else _EXPLAINED
+    if explained < least and best.structure_sureness > _SURE:
         return "unexplained"
     return "named"
 
