@@ -1,0 +1,75 @@
+"""What stood in for an effect goes when that effect is there; what is needed beside it stays."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loose_env.gap.catalogue import CATALOGUE
+from loose_env.gap.comparison import Comparison
+from loose_env.gap.effect import Effect
+from loose_env.gap.fit import fit
+from loose_env.gap.judgement import Judge, Judged, lead_of
+from loose_env.gap.machine import Machine
+from loose_env.gap.naming_settings import NamingSettings
+from loose_env.gap.noise import noise_floor
+from loose_env.gap.nominal import NominalFigures
+from loose_env.gap.parameter import free_of
+from loose_env.gap.trial import channels_of, lay_out
+from loose_env.gap.trying import Trying
+from tests.gap.gap_case import DAMPING, GAIN, STEP, record
+
+
+class Case:
+    """Runs of an arm that lacks viscous friction at joint2 and whose sensor rate3 shows too much."""
+
+    def __init__(self, folder: Path) -> None:
+        recording = record(folder)
+        self.machine = Machine(recording.spec(), step=STEP)
+        channels = channels_of(list(recording.runs))
+        trials = [lay_out(run, self.machine, channels, step=STEP) for run in recording.runs]
+        floors = np.array([noise_floor(trials[0].measured[:, c]) for c in range(len(channels))])
+        self.comparison = Comparison(self.machine, trials[:-1], channels, floors, threads=1)
+        self.judge = Judge(
+            self.comparison, Comparison(self.machine, trials[-1:], channels, floors, threads=1)
+        )
+        self.nominal = NominalFigures(self.machine, tolerance=0.03)
+
+    def fitted(self, named: list[tuple[Effect, list[float]]]) -> Judged:
+        given = [(self.nominal, list(self.nominal.starts[0])), *named]
+        start = np.concatenate([free_of(e.parameters, np.array(v)) for e, v in given])
+        return self.judge.judge(fit(self.comparison, [e for e, _ in given], start))
+
+    def effect(self, kind: str, where: str, values: list[float]) -> tuple[Effect, list[float]]:
+        return CATALOGUE[kind](self.machine, where), values
+
+    def alone(self, base: Judged, earlier: Judged, both: Judged) -> Judged | None:
+        trying = Trying(self.comparison, self.comparison, self.judge, earlier, NamingSettings())
+        return trying.alone(both, base.fitted)
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    return Case(tmp_path_factory.mktemp("trying") / "recording")
+
+
+def test_a_stand_in_is_not_needed_beside_what_it_stood_for(case: Case) -> None:
+    gain = case.effect("sensor_gain", "rate3", [GAIN])
+    dry = case.effect("coulomb_friction", "joint2", [1.0])
+    wet = case.effect("viscous_friction", "joint2", [DAMPING])
+    both = case.fitted([gain, dry, wet])
+    alone = case.alone(case.fitted([gain]), case.fitted([gain, dry]), both)
+    assert alone is not None
+    assert [e.kind for e in alone.fitted.effects] == ["nominal", "sensor_gain", "viscous_friction"]
+    lead = lead_of(both, alone)
+    assert min(lead.held, lead.fitted) < NamingSettings().held
+
+
+def test_of_two_effects_neither_does_alone(case: Case) -> None:
+    gain = case.effect("sensor_gain", "rate3", [GAIN])
+    wet = case.effect("viscous_friction", "joint2", [DAMPING])
+    base, both = case.fitted([]), case.fitted([gain, wet])
+    assert case.alone(base, case.fitted([gain]), both) is None
+    assert case.alone(base, case.fitted([wet]), case.fitted([wet, gain])) is None
