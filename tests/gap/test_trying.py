@@ -23,7 +23,7 @@ from tests.gap.gap_case import DAMPING, GAIN, STEP, record
 
 
 class Case:
-    """Runs of an arm that lacks viscous friction at joint2 and whose sensor rate3 shows too much."""
+    """Runs of an arm that lacks viscous friction at joint2; its sensor rate3 shows too much."""
 
     def __init__(self, folder: Path) -> None:
         recording = record(folder)
