@@ -109,8 +109,9 @@ def resampled(time: Array, values: Array, rows: Array, longest: float) -> Resamp
 
     Where the channel has a sample at every row, samples are taken as they are. A slower channel is
     interpolated by a windowed sinc, which leaves its band alone and adds nothing above it; a
-    faster one passes a low-pass of half the rows' rate first. Where samples are not evenly spaced,
-    a cubic spline through them takes the place of the sinc.
+    faster one passes a low-pass of half the rows' rate first. Samples that are not evenly spaced
+    are brought to even places, as many, by a cubic spline through them: so these channels too show
+    nothing above half their own rate.
 
     Parameters
     ----------
@@ -175,11 +176,7 @@ def _segment(time: Array, values: Array, rows: Array, out_step: float) -> tuple[
     line = time[0] + step * np.arange(count)
     even = bool(np.max(np.abs(time - line)) <= EVEN * step)
     if not even:
-        spline = CubicSpline(time, values) if count > 2 else None
-        if step >= 0.99 * out_step:
-            smooth = np.interp(rows, time, values) if spline is None else spline(rows)
-            return np.asarray(smooth), False
-        values = np.asarray(np.interp(line, time, values) if spline is None else spline(line))
+        values = np.asarray(CubicSpline(time, values)(line) if count > 2 else values)
     return _sinc(values, (rows - time[0]) / step, min(1.0, step / out_step)), even
 
 

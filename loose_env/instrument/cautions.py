@@ -118,8 +118,9 @@ def _of_run(machine: Machine, one: Lines) -> list[str]:
         said.append(
             f"{one.run}: only {len(one.frequency)} lines were excited; a wider band tells more"
         )
-    signal = np.mean(np.abs(one.readings) ** 2, axis=0)
-    noise = one.noise.mean(axis=0)
+    lines = np.maximum(one.read.sum(axis=0), 1)
+    signal = np.sum(np.where(one.read, np.abs(one.readings) ** 2, 0.0), axis=0) / lines
+    noise = np.sum(np.where(one.read, one.noise, 0.0), axis=0) / lines
     tool = [k for k, (r, _) in enumerate(one.row) if r.kind == "acceleration"]
     if float(signal[tool].sum()) < 10 * float(noise[tool].sum()):
         said.append(f"{one.run}: the accelerometer hardly rises above its noise; shake harder")

@@ -21,6 +21,7 @@ from loose_env.instrument.machine import Machine
 from loose_env.instrument.model_arm import ModelArm, load_model_arm
 from loose_env.instrument.next_pose import NextSettings
 from loose_env.instrument.plan import next_for
+from loose_env.instrument.recorded_sensors import readings_in
 from loose_env.instrument.response import with_leakage
 from loose_env.instrument.result import (
     HEALTHY,
@@ -95,7 +96,8 @@ class Workbench:
         held = held_in(self.machine, run)
         lines = lines_of(self.machine, run, held.pose, held.excited)
         lines = with_leakage(self.uncertain.at(held.pose), lines)
-        self._taken.append(_Taken(run=run, held=held, lines=lines, notes=held.notes))
+        notes = (*held.notes, *readings_in(self.machine, run)[1])
+        self._taken.append(_Taken(run=run, held=held, lines=lines, notes=notes))
 
     def leave_out(self, run: Run, why: str) -> None:
         """Keep a run that cannot be used, for the record."""

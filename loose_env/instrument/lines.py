@@ -15,6 +15,8 @@ from scipy import signal
 
 from loose_env.errors import InvalidData
 from loose_env.instrument.machine import Machine, Reading
+from loose_env.instrument.recorded_sensors import readings_in
+from loose_env.instrument.sensor_noise import sensor_noise
 from loose_env.recording import Run
 
 __all__ = ["Lines", "lines_of", "thinned", "uniform"]
@@ -32,10 +34,8 @@ _MOST = 20_000
 """Most lines of a run that are kept, evenly spread."""
 _SLOWEST = 0.5
 """Lowest line that is kept for a seat's path, over the lowest that was excited."""
-_MOST_READ = 1e6
-"""Largest reading that is taken for one [m/s², rad/s, rad, m]."""
 _MOST_PLAYED = 1e9
-"""The same of a command or a torque [its own unit]."""
+"""Largest command or torque that is taken for one [its own unit]."""
 _SMOOTH = 3.0
 """Width over which powers are averaged [Hz]."""
 _WORTH = 0.1
@@ -77,6 +77,8 @@ class Lines:
     """Sensor and axis of each reading (c,)."""
     noise: Array
     """Variance of what the sensors add (K, c)."""
+    read: NDArray[np.bool_]
+    """Whether the sensor says anything at the line (K, c): a slow one does not at high ones."""
     power: Array
     """Smoothed power against which errors of the model are measured (K, c)."""
     independent: float
@@ -104,7 +106,7 @@ def thinned(lines: Lines, most: int) -> Lines:
     if len(lines.frequency) <= most:
         return lines
     kept = np.linspace(0, len(lines.frequency) - 1, most).round().astype(int)
-    names = ("frequency", "command", "force", "leaked", "readings", "noise", "power")
+    names = ("frequency", "command", "force", "leaked", "readings", "noise", "read", "power")
     fewer = {name: getattr(lines, name)[kept] for name in names}
     return replace(lines, **fewer, lean=(lines.lean[0][kept], lines.lean[1][kept]))
 
@@ -180,12 +182,7 @@ def lines_of(
     InvalidData
         If the run has no accelerometer of the arm, too few samples, or nothing in it that moves.
     """
-    rows = tuple(
-        (r, axis)
-        for r in machine.readings
-        if r.sensor in run.sensors and _alive(run, r.sensor)
-        for axis in range(r.axes)
-    )
+    rows = tuple((r, axis) for r in readings_in(machine, run)[0] for axis in range(r.axes))
     if not any(r.kind == "acceleration" for r, _ in rows):
         names = [r.sensor for r in machine.readings if r.kind == "acceleration"]
         raise InvalidData(
@@ -221,25 +218,6 @@ def lines_of(
         machine, run, rate, even, rows, c, a,
         pose=pose, excited=excited, measured=measured, blind=blind, whole=whole,
     )  # fmt: skip
-
-
-def _alive(run: Run, sensor: str) -> bool:
-    """Whether a sensor shows anything: one that stands still, or on one step, tells nothing.
-
-    Raises
-    ------
-    InvalidData
-        If it shows numbers that no arm makes.
-    """
-    values = run.sensors[sensor]
-    there = values[np.isfinite(values)]
-    largest = float(np.abs(there).max()) if there.size else 0.0
-    if largest > _MOST_READ:
-        raise InvalidData(
-            f"{run.name}: column 'sensor.{sensor}' reaches {largest:.3g}; no arm does: is it in SI "
-            "units?"
-        )
-    return bool(there.size and np.any(np.ptp(np.atleast_2d(values.T), axis=-1) > 0))
 
 
 def _lines(
@@ -279,18 +257,22 @@ def _lines(
             f"{run.name}: only {len(kept)} Fourier lines of {count / rate:.2g} s are excited; "
             "take a longer record or a wider band"
         )
+    power = _power(spectrum[:, :c], rows, width)
+    noise, read = sensor_noise(
+        np.abs(spectrum[:, :c]) ** 2, power, rows, frequency, kept,
+        lowest=_LOWEST, highest=_HIGHEST * rate,
+    )  # fmt: skip
     if whole:  # slower still, errors of gravity and servos look like a drift of the seat
         kept = np.flatnonzero(inside & (frequency >= _SLOWEST * frequency[kept[0]]))
     if len(kept) > _MOST:
         kept = kept[np.linspace(0, len(kept) - 1, _MOST).round().astype(int)]
     readings = spectrum[kept, :c]
-    noise = np.stack([_floor(spectrum[:, k], frequency, r, rate) for k, (r, _) in enumerate(rows)])
-    floor = np.maximum(noise[:, kept].T, 1e-30)
-    power = _power(spectrum[:, :c], rows, width)[kept]
+    noise, read, power = noise[kept], read[kept], power[kept]
     measured_force = np.where(measured, spectrum[kept, c + a :], 0.0)
-    told = _telling(rows, frequency[kept], floor)
+    told = _telling(rows, frequency[kept], noise)
     rows = tuple(rows[k] for k in told)
-    readings, floor, power = readings[:, told], floor[:, told], power[:, told]
+    readings, power = readings[:, told], power[:, told]
+    noise, read = noise[:, told], read[:, told]
     return Lines(
         run=run.name,
         pose=pose,
@@ -305,7 +287,8 @@ def _lines(
         blind=blind,
         readings=readings,
         row=rows,
-        noise=floor,
+        noise=noise,
+        read=read,
         power=power,
         independent=min(1.0, float(np.median(np.diff(kept))) / _INDEPENDENT),
         next=rate / count,
@@ -345,17 +328,3 @@ def _power(spectrum: Complex, rows: tuple[tuple[Reading, int], ...], width: int)
         own = [k for k, (r, _) in enumerate(rows) if r.sensor == sensor]
         out[:, own] = power[:, own].mean(axis=1, keepdims=True)
     return out
-
-
-def _floor(spectrum: Complex, frequency: Array, reading: Reading, rate: float) -> Array:
-    """Power of the sensor's own noise: the lowest level that any part of the spectrum has.
-
-    The noise of the sensors in use is white in what they read; a median over a part is 0.69 of
-    its mean. Parts below 2 Hz and the last tenth, where filters cut, are left out.
-    """
-    power = np.abs(spectrum) ** 2
-    inside = (frequency > _LOWEST) & (frequency < _HIGHEST * rate)
-    parts = np.array_split(power[inside], 12)
-    levels = [float(np.median(part)) / np.log(2) for part in parts if len(part) >= 4]
-    lowest = min(levels) if levels else float(power.min())
-    return np.full(len(frequency), 1.15 * lowest)
