@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.comparison import Comparison
+from loose_env.gap.effects.sensor_kinds import of_place_or_speed
 from loose_env.gap.families import families
-from loose_env.gap.fit import Fit, cost_of, fit, parameters_of, refined
+from loose_env.gap.fit import Fit, cost_of, fit, hypothesis_of, parameters_of, refined
 from loose_env.gap.judgement import Judge, Judged
 from loose_env.gap.kinship import akin
 from loose_env.gap.naming_settings import NamingSettings
@@ -24,10 +25,46 @@ Array = NDArray[np.float64]
 
 _WHOLE_FAMILIES = 2
 """Families that are fitted to all data."""
-_SHIFTS = (-1.0, 1.0)
-"""Samples by which a delay is moved to see whether that is better."""
+_PARTS = (-0.75, -0.5, -0.25, -0.1, 0.1, 0.25, 0.5, 0.75)
+"""Parts of a sample by which a delay is moved to see whether that is better."""
+_DEAF = 1e6
+"""Factor on the noise of what shall not count."""
 _NEAR = 1.5
 """Sum of squares over that of a larger hypothesis from which on it is not tried on all data."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Slow:
+    """Runs of which only positions and speeds count."""
+
+    comparison: Comparison
+    """The same rows; noise of all others is so large that they say nothing."""
+    weights: Array
+    """What that makes of each row (N,)."""
+
+    @classmethod
+    def of(cls, comparison: Comparison) -> Slow | None:
+        """Take the weight off accelerations and forces; None where all or none are such.
+
+        None for runs that are compared by features, too: those stand for no single channel.
+        """
+        machine, channels = comparison.machine, comparison.channels
+        kept = np.array([of_place_or_speed(machine, channel.column) for channel in channels])
+        counted = kept[comparison.rows.channel]
+        if comparison.parting or counted.all() or not counted.any():
+            return None
+        return cls(
+            comparison=Comparison(
+                machine,
+                comparison.trials,
+                channels,
+                np.where(kept, comparison.floors, comparison.floors * _DEAF),
+                threads=comparison.threads,
+                inverse=comparison.inverse,
+                parting=comparison.parting,
+            ),
+            weights=np.where(counted, 1.0, 1.0 / _DEAF),
+        )
 
 
 class Trying:
@@ -62,6 +99,11 @@ class Trying:
         residual = self.short.residuals([self.before.hypothesis])[0]
         cost = cost_of(residual, self.before.free, parameters_of(self.before.effects))
         return refined(replace(self.before, residual=residual, cost=cost), self.short)
+
+    @cached_property
+    def slow(self) -> Slow | None:
+        """The windows without accelerations; None where there are only such, or none."""
+        return Slow.of(self.short)
 
     def singles(self, screened: Sequence[Screened]) -> list[Judged]:
         """Fit single candidates, and those that the best one may be mistaken for."""
@@ -115,22 +157,31 @@ class Trying:
             start = np.concatenate([start, free_of(each.effect.parameters, np.array(each.values))])
         effects = (*self.before.effects, *(each.effect for each in members))
         found = fit(self.short, effects, start, known=self.short_before.jacobian)
-        if len(members) == 1 and members[0].effect.shifts:
-            others = [self._shifted(found, start, share) for share in _SHIFTS]
-            found = min((found, *others), key=lambda f: f.cost)
+        if len(members) == 1 and members[0].effect.shifts and self.slow is not None:
+            # what held commands do to accelerations repeats itself from sample to sample, so that
+            # a delay may end samples off; positions and speeds have one best delay
+            known = self.short_before.jacobian * self.slow.weights[:, None]
+            first = fit(self.slow.comparison, effects, start, known=known)
+            again = fit(self.short, effects, first.free, known=self.short_before.jacobian)
+            found = self._between_samples(min((found, again), key=lambda f: f.cost))
         return found
 
-    def _shifted(self, fitted: Fit, start: Array, share: float) -> Fit:
-        """Fit anew with the last effect, a delay, off by so many samples from where a fit ended.
+    def _between_samples(self, fitted: Fit) -> Fit:
+        """Move the last effect, a delay, by parts of a sample, and fit on where that is better.
 
-        What held commands do to accelerations repeats itself from sample to sample, so that a fit
-        ends a sample off as often as not.
+        A delay of whole samples is a bend in the sum of squares at which a fit gets stuck.
         """
         (parameter,) = fitted.effects[-1].parameters
-        value = values_of((parameter,), fitted.free[-1:])[0] + share / self.short.trials[0].rate
-        moved = start.copy()
-        moved[-1:] = free_of((parameter,), np.array([parameter.clipped(value)]))
-        return fit(self.short, fitted.effects, moved, known=self.short_before.jacobian)
+        value, tried = values_of((parameter,), fitted.free[-1:])[0], []
+        for share in _PARTS:
+            moved = parameter.clipped(value + share / self.short.trials[0].rate)
+            tried.append(np.append(fitted.free[:-1], free_of((parameter,), np.array([moved]))))
+        residuals = self.short.residuals([hypothesis_of(fitted.effects, free) for free in tried])
+        best = int(np.argmin(np.sum(residuals**2, axis=1)))
+        if np.sum(residuals[best] ** 2) >= fitted.residual @ fitted.residual:
+            return fitted
+        again = fit(self.short, fitted.effects, tried[best], known=fitted.jacobian)
+        return min((fitted, again), key=lambda f: f.cost)
 
     def _to_all(self, each: Fit) -> Judged:
         """Fit to all data what was fitted to the windows."""
