@@ -82,6 +82,13 @@ def environments() -> str:
             "element of its observation."
         ),
         "",
+        *prose(
+            "Links and joints are numbered from the base here: `structural_looseness@link3` is the "
+            "link that the third driven joint carries, loose on it, and `backlash@joint3` play in "
+            "that joint. [The instrument](instrument.md) names the same faults by the names in the "
+            "arm's model, such as `structural_looseness@forearm`."
+        ),
+        "",
         *prose("Printed by `python scripts/write_docs.py`; edit the code, not this page."),
         "",
         *docstring_sections(),
