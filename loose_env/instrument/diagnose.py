@@ -94,7 +94,9 @@ class Workbench:
             If nothing in the run can be read at all.
         """
         held = held_in(self.machine, run)
-        lines = lines_of(self.machine, run, held.pose, held.excited)
+        # Runs are told apart by their numbers: two may have one name.
+        number = sum(taken.lines is not None for taken in self._taken)
+        lines = lines_of(self.machine, run, held.pose, held.excited, number=number)
         lines = with_leakage(self.uncertain.at(held.pose), lines)
         notes = (*held.notes, *readings_in(self.machine, run)[1])
         self._taken.append(_Taken(run=run, held=held, lines=lines, notes=notes))
@@ -153,7 +155,10 @@ class Workbench:
             if taken.held is None or taken.lines is None or taken.lines.healthy:
                 continue
             held = taken.held
-            lines = lines_of(self.machine, taken.run, held.pose, held.excited, whole=True)
+            lines = lines_of(
+                self.machine, taken.run, held.pose, held.excited,
+                number=taken.lines.number, whole=True,
+            )  # fmt: skip
             found.append(with_leakage(self.uncertain.at(held.pose), lines))
         return found
 

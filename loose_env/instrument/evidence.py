@@ -122,6 +122,11 @@ class Evidence:
             smooth = np.maximum(smooth, 0.01 * smooth.max(axis=1, keepdims=True))
             self._drive.append(smooth)
 
+    @property
+    def count(self) -> int:
+        """Number of errors: of the machine, and of every run's delays."""
+        return self.machine.count(1 + max((one.number for one in self.lines), default=-1))
+
     def pieces(self, errors: Array, model_error: float) -> list[Piece]:
         """Answers and weights with some errors of the model."""
         found = []
@@ -172,14 +177,14 @@ class Evidence:
         ndarray (U,)
             Log-likelihood, shares and openness summed out.
         """
-        by_run: dict[str, list[Array]] = {}
-        opening: dict[str, Array] = {}
+        by_run: dict[int, list[Array]] = {}
+        opening: dict[int, Array] = {}
         for piece in pieces:
             if piece.lines.healthy:
                 continue
             term = band_terms(piece, seat, axes)
-            by_run.setdefault(piece.lines.run, []).append(term)
-            opening[piece.lines.run] = open_probability(piece.response, seat.columns, axes)
+            by_run.setdefault(piece.lines.number, []).append(term)
+            opening[piece.lines.number] = open_probability(piece.response, seat.columns, axes)
         gap = np.log(SHARES[:, None] / SHARES)
         near = np.exp(-0.5 * (gap / _SPREAD) ** 2)
         near /= near.sum(axis=1, keepdims=True)

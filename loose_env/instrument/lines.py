@@ -50,6 +50,8 @@ class Lines:
 
     run: str
     """File of the run."""
+    number: int
+    """Of the run among all that are weighed together, from 0."""
     pose: Array
     """Pose held (n,) [rad or m]."""
     healthy: bool
@@ -156,6 +158,7 @@ def lines_of(
     pose: Array,
     excited: NDArray[np.intp],
     *,
+    number: int = 0,
     whole: bool = False,
 ) -> Lines:
     """Transform a run.
@@ -170,6 +173,8 @@ def lines_of(
         Pose held.
     excited : ndarray of int
         Joints that were excited, from 0.
+    number : int
+        Of the run among all that are weighed together, from 0: names need not differ.
     whole : bool
         Whether lines that were not excited are kept too: a seat moves at all of them.
 
@@ -216,7 +221,7 @@ def lines_of(
         )
     return _lines(
         machine, run, rate, even, rows, c, a,
-        pose=pose, excited=excited, measured=measured, blind=blind, whole=whole,
+        number=number, pose=pose, excited=excited, measured=measured, blind=blind, whole=whole,
     )  # fmt: skip
 
 
@@ -229,6 +234,7 @@ def _lines(
     c: int,
     a: int,
     *,
+    number: int,
     pose: Array,
     excited: NDArray[np.intp],
     measured: NDArray[np.bool_],
@@ -275,6 +281,7 @@ def _lines(
     noise, read = noise[:, told], read[:, told]
     return Lines(
         run=run.name,
+        number=number,
         pose=pose,
         healthy=run.condition == "healthy",
         excited=excited,

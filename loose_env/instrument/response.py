@@ -102,7 +102,7 @@ class Response:
         s = 1j * omega
         motion = self.motion + np.einsum("kms,ks->km", self.by_seat, seat)
         whole = np.concatenate([-(omega**2)[:, None] * motion, seat], axis=1)  # accelerations
-        slopes = np.zeros((*lines.readings.shape, len(of.names)), dtype=complex)
+        slopes = np.zeros((*lines.readings.shape, len(self.errors)), dtype=complex)
         push = self.rows @ self.compliance  # readings per force (K, c, m)
         sampled = lines.sampled
         inertia, jacobian = at.parts(self.errors)
@@ -134,7 +134,8 @@ class Response:
         ease = np.asarray(np.linalg.inv(inertia[:m, :m]))
         per_force = _stepping(self, jacobian, sensing, ease)
         hold = _held(omega, lines.period)
-        unheld = sampled * (self.force[:, :n] - lines.force) * (1 / hold - 1)[:, None]
+        noted = lines.force * _late(self.at, lines, self.errors)[0][:, None]
+        unheld = sampled * (self.force[:, :n] - noted) * (1 / hold - 1)[:, None]
         unheld[:, ~of_drive] = 0.0
         for part, size in (
             (1, np.where((drives.stiffness > 0) & of_drive, t.figures, 0.0)),
@@ -146,12 +147,11 @@ class Response:
                 )
         late = np.einsum("kcm,km->kc", push, -s[:, None] * self.force)
         late = late + sampled * -s[:, None] * self.step
-        slopes[:, :, of.delays.start] = t.command_delay * late
+        delays = of.delays(lines.number)
+        slopes[:, :, delays.start] = t.command_delay * late
         readings = self.mean + np.einsum("kcs,ks->kc", self.columns, seat)
         on_sites = np.array([r.kind in ("acceleration", "turning") for r, _ in lines.row])
-        slopes[:, on_sites, of.delays.start + 1] = (
-            -t.sensor_delay * s[:, None] * readings[:, on_sites]
-        )
+        slopes[:, on_sites, delays.start + 1] = -t.sensor_delay * s[:, None] * readings[:, on_sites]
         for at_sensor, k in enumerate(of.sensors):
             sensor = machine.readings[k].sensor
             own = [i for i, (r, _) in enumerate(lines.row) if r.sensor == sensor]
@@ -185,13 +185,14 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
     dynamic[:, np.arange(m), np.arange(m)] += stiffness + s[:, None] * damping
     compliance: Complex = np.asarray(np.linalg.inv(dynamic), dtype=complex)
     hold = _held(omega, lines.period)
-    late = hold * np.exp(-s * t.command_delay * errors[of.delays][0])
-    command = lines.command * late[:, None] / (1 + s[:, None] * drives.lag)
+    late, late_site = _late(at, lines, errors)
+    command = lines.command * (hold * late)[:, None] / (1 + s[:, None] * drives.lag)
+    noted = lines.force * late[:, None]
     force = np.zeros((len(omega), m), dtype=complex)
     factor = (1 + t.figures * held * (drives.stiffness > 0)) * (
         1 + _gain_error(at) * errors[of.gains]
     )
-    force[:, :n] = np.where(free, 0.0, factor * (command @ drives.force.T)) + lines.force
+    force[:, :n] = np.where(free, 0.0, factor * (command @ drives.force.T)) + noted
     coupling = inertia[:m, m:] - at.weight[m:].T / (omega**2)[:, None, None]
     by_seat = np.asarray(-compliance @ coupling, dtype=complex)
     motion = np.asarray((compliance @ force[:, :, None])[:, :, 0], dtype=complex)
@@ -205,24 +206,31 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
     sensing = _sensing(made)
     for sensor, matrix in sensing.items():
         k = [i for i, (r, _) in enumerate(lines.row) if r.sensor == sensor]
-        late_site = np.exp(-s * t.sensor_delay * errors[of.delays][1])[:, None, None]
-        rows[:, k] = late_site * (matrix @ rows[:, k])
-        own[:, k] = late_site * (matrix @ own[:, k])
+        rows[:, k] = late_site[:, None, None] * (matrix @ rows[:, k])
+        own[:, k] = late_site[:, None, None] * (matrix @ own[:, k])
     columns = own + rows @ by_seat
     jump = np.zeros_like(force)
-    jump[:, :n] = np.where(free, 0.0, force[:, :n] - lines.force) * (1 / hold - 1)[:, None]
+    jump[:, :n] = np.where(free, 0.0, force[:, :n] - noted) * (1 / hold - 1)[:, None]
     jump = np.asarray(np.linalg.solve(inertia[:m, :m], jump.T).T, dtype=complex)
     step = _stepped(at, lines, jacobian, jump, motion)
     for sensor, matrix in sensing.items():
         k = [i for i, (r, _) in enumerate(lines.row) if r.sensor == sensor]
-        late_site = np.exp(-s * t.sensor_delay * errors[of.delays][1])[:, None]
-        step[:, k] = late_site * (step[:, k] @ matrix.T)
+        step[:, k] = late_site[:, None] * (step[:, k] @ matrix.T)
     mean = (rows @ motion[:, :, None])[:, :, 0] + lines.sampled * step + lines.leaked
     return Response(
         at=at, lines=lines, errors=errors, compliance=compliance, rows=rows, columns=columns,
         sudden=_sudden(made, inertia, jacobian, sensing),
         by_seat=by_seat, force=force, motion=motion, jump=jump, step=step, mean=mean,
     )  # fmt: skip
+
+
+def _late(at: PoseModel, lines: Lines, errors: Array) -> tuple[Complex, Complex]:
+    """Factors of a run's late commands, and of its late accelerometers (K,) each."""
+    of, t = at.of, at.of.tolerances
+    own = errors[of.delays(lines.number)]
+    command, sensor = own if len(own) else (0.0, 0.0)  # errors may be those of the machine alone
+    s = 2j * np.pi * lines.frequency
+    return np.exp(-s * t.command_delay * command), np.exp(-s * t.sensor_delay * sensor)
 
 
 def _each(matrices: Array, rows: Complex) -> Complex:

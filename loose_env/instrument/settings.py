@@ -41,6 +41,12 @@ class DiagnoseSettings:
     cross_axis: float = Tolerances.cross_axis
     """Standard deviation of what leaks from one accelerometer axis into another, mounting
     included, relative."""
+    command_delay: float = Tolerances.command_delay
+    """Standard deviation of the time by which commands and torques are noted too late or too early
+    against the readings, in every run anew [s]."""
+    sensor_delay: float = Tolerances.sensor_delay
+    """Standard deviation of the time by which accelerometers lag the joints' sensors, in every run
+    anew [s]."""
     seconds: float = 4.0
     """Length of the next record [s]."""
     band_low: float = 4.0
@@ -78,4 +84,6 @@ class DiagnoseSettings:
             joint_zero=self.joint_zero,
             sensor_gain=self.sensor_gain,
             cross_axis=self.cross_axis,
+            command_delay=self.command_delay,
+            sensor_delay=self.sensor_delay,
         )

@@ -38,9 +38,10 @@ class Tolerances:
     cross_axis: float = 0.02
     """Leakage of each accelerometer axis into each other one, mounting included, relative."""
     command_delay: float = 0.0005
-    """Delay of the commands against the readings, beside half a sample [s]."""
+    """Delay of the commands and torques against the readings, beside half a sample; in every run
+    another [s]."""
     sensor_delay: float = 0.0001
-    """Delay of the accelerometers against the joints' sensors [s]."""
+    """Delay of the accelerometers against the joints' sensors; in every run another [s]."""
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -24,11 +24,14 @@ from loose_env.arms.mismatch import MismatchDraw
 from loose_env.instrument.machine import Machine
 from loose_env.instrument.tolerances import Tolerances
 
-__all__ = ["PoseModel", "UncertainMachine"]
+__all__ = ["DELAYS", "PoseModel", "UncertainMachine"]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+DELAYS = ("command_delay", "sensor_delay")
+"""Errors that every run has anew: what plays, what reads the joints and what reads accelerations
+start by themselves; named as in `Tolerances`."""
 _STEP = 1e-4
 """Turn by which gravity's stiffness is found [rad or m]."""
 
@@ -95,18 +98,24 @@ class UncertainMachine:
         self.springs = slice(self.bodies.stop, len(names))
         names += [f"drive_gain@{joint}" for joint in joints]
         self.gains = slice(self.springs.stop, len(names))
-        names.append("command_delay")
-        names.append("accelerometer_delay")
-        self.delays = slice(self.gains.stop, len(names))
         self.sensors = tuple(
             k for k, r in enumerate(machine.readings) if r.kind in ("acceleration", "turning")
         )
         for k in self.sensors:
             names += [f"{machine.readings[k].sensor}[{i}{j}]" for i in "xyz" for j in "xyz"]
-        self.sensing = slice(self.delays.stop, len(names))
+        self.sensing = slice(self.gains.stop, len(names))
         self.names = tuple(names)
-        """Name of each error (P,)."""
+        """Name of each error that all runs share (P,)."""
         self._remembered: dict[bytes, PoseModel] = {}
+
+    def count(self, runs: int) -> int:
+        """Number of errors of so many runs: those that all share, then each run's own delays."""
+        return len(self.names) + len(DELAYS) * runs
+
+    def delays(self, run: int) -> slice:
+        """Where the errors of a run's own delays lie; see `DELAYS`."""
+        start = self.count(run)
+        return slice(start, start + len(DELAYS))
 
     def at(self, pose: Array) -> PoseModel:
         """Linearise in a pose (n,) [rad or m]. Poses are remembered."""
@@ -209,7 +218,10 @@ def _seat_columns(machine: Machine) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PoseModel:
-    """The uncertain machine in one pose. Errors come in the order of `UncertainMachine.names`."""
+    """The uncertain machine in one pose.
+
+    Errors come in the order of `UncertainMachine.names`, those of the runs' delays after them.
+    """
 
     of: UncertainMachine
     pose: Array

@@ -39,7 +39,8 @@ class Fit:
     evidence: float
     """Log-likelihood with everything unknown summed out."""
     errors: Array
-    """Errors of the model (P,) in standard deviations."""
+    """Errors of the model and of the runs' delays in standard deviations, as
+    `UncertainMachine.count` has them."""
     model_error: float
     """What remains beside them, relative."""
     axis: Array | None
@@ -94,8 +95,10 @@ def fit_hypothesis(
     steps : int
         Most Gauss-Newton steps.
     """
-    count = len(evidence.machine.names)
-    errors = np.zeros(count) if start is None else start.errors
+    count = evidence.count
+    errors = np.zeros(count)
+    if start is not None:
+        errors[: len(start.errors)] = start.errors[:count]
     allowed = _FIRST if start is None else start.model_error
     axis = None
     if seat is not None:
@@ -189,7 +192,7 @@ def best_powers(piece: Piece, seat: Seat, axis: Array) -> Array:
 
 def _system(evidence: Evidence, now: _State, seat: Seat | None) -> tuple[Array, Array]:
     """Normal equations of errors and direction, the seat's motion summed out."""
-    count = len(evidence.machine.names)
+    count = evidence.count
     across = (
         tangents(now.axis) if seat is not None and seat.slides and now.axis is not None else None
     )
