@@ -106,7 +106,7 @@ class Acceptance:
         backwards. It has to be ahead of itself at the limit in which nothing moves, too.
         """
         effect, fitted = judged.fitted.effects[-1], judged.fitted
-        if effect.limit is None or self._new(judged) > 1:
+        if not effect.limit or self._new(judged) > 1:
             return True
         own = slices_of(fitted.effects)[-1]
         values = effect.at_limit(values_of(effect.parameters, fitted.free[own]))

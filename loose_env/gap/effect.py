@@ -73,9 +73,9 @@ class Effect:
     them scale it, or none does."""
     searches: ClassVar[bool] = False
     """Whether `starts` cannot cover what it may be, so that `propose` has to find it in data."""
-    limit: ClassVar[tuple[str, str] | None] = None
-    """Parameter, and which of its bounds, "low" or "high", is nearest to no effect at all, where
-    `nothing` is None."""
+    limit: ClassVar[tuple[tuple[str, str], ...]] = ()
+    """Parameters, and which of their bounds, "low" or "high", are together nearest to no effect at
+    all, where `nothing` is None."""
     adds_motion: ClassVar[bool] = False
     """Whether the edit adds a degree of freedom, which no inverse comparison can show."""
     shifts: ClassVar[bool] = False
@@ -166,11 +166,11 @@ class Effect:
         return self.command(time, controls, values)
 
     def at_limit(self, values: Array) -> Array:
-        """Values with the parameter of `limit` at its bound (P,)."""
-        found = np.array(values, dtype=float)
+        """Values with the parameters of `limit` at their bounds (P,)."""
+        found, ends = np.array(values, dtype=float), dict(self.limit)
         for k, parameter in enumerate(self.parameters):
-            if self.limit is not None and parameter.name == self.limit[0]:
-                found[k] = parameter.low if self.limit[1] == "low" else parameter.high
+            if parameter.name in ends:
+                found[k] = parameter.low if ends[parameter.name] == "low" else parameter.high
         return found
 
     def vanishes(self, low: Array, high: Array) -> bool:

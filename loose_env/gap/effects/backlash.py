@@ -34,7 +34,7 @@ class Backlash(SplitJoint):
     """An extra joint between stops, which are springs with dampers."""
 
     kind = "backlash"
-    limit: ClassVar[tuple[str, str] | None] = ("gap", "low")
+    limit: ClassVar[tuple[tuple[str, str], ...]] = (("gap", "low"), ("stiffness", "high"))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -89,7 +89,7 @@ class JointCompliance(SplitJoint):
     """A spring and a damper; the rigid drive is the limit of a stiff spring."""
 
     kind = "joint_compliance"
-    limit: ClassVar[tuple[str, str] | None] = ("stiffness", "high")
+    limit: ClassVar[tuple[tuple[str, str], ...]] = (("stiffness", "high"),)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -49,7 +49,7 @@ class LinkFlexibility(Effect):
     """
 
     kind = "link_flexibility"
-    limit: ClassVar[tuple[str, str] | None] = ("stiffness", "high")
+    limit: ClassVar[tuple[tuple[str, str], ...]] = (("stiffness", "high"),)
     adds_motion: ClassVar[bool] = True
     variants: ClassVar[tuple[str, ...]] = ("", "across")
 

@@ -45,7 +45,7 @@ class StructuralLooseness(Effect):
     """
 
     kind = "structural_looseness"
-    limit: ClassVar[tuple[str, str] | None] = ("gap", "low")
+    limit: ClassVar[tuple[tuple[str, str], ...]] = (("friction", "high"),)
     adds_motion: ClassVar[bool] = True
 
     @classmethod
