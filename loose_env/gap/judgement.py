@@ -12,7 +12,7 @@ from loose_env.gap.fit import Fit, parameters_of
 from loose_env.gap.start import StartState
 from loose_env.gap.structure import Structure, largest
 
-__all__ = ["Judge", "Judged", "Lead", "lead_of"]
+__all__ = ["Judge", "Judged", "Lead", "lead_of", "sureness_of"]
 
 Array = NDArray[np.float64]
 
@@ -114,18 +114,19 @@ class Judge:
 def lead_of(ahead: Judged, behind: Judged) -> Lead:
     """By how much the first is ahead of the second; negative where it is not."""
     return Lead(
-        held=_sureness(np.sqrt(behind.held_blocks) - np.sqrt(ahead.held_blocks)),
-        fitted=_sureness(np.sqrt(behind.fitted_blocks) - np.sqrt(ahead.fitted_blocks)),
+        held=sureness_of(behind.held_blocks, ahead.held_blocks),
+        fitted=sureness_of(behind.fitted_blocks, ahead.fitted_blocks),
         share=1.0 - ahead.structure / behind.structure if behind.structure > 0 else 0.0,
     )
 
 
-def _sureness(gains: Array) -> float:
-    """Sum of gains over its own standard deviation, blocks taken as independent.
+def sureness_of(behind: Array, ahead: Array) -> float:
+    """By how much smaller sums of squares by block (B,) are: in standard deviations over blocks.
 
-    Gains are differences of roots of sums of squares, so that one block of impacts does not
+    Blocks are taken as independent. Roots are compared, so that one block of impacts does not
     outweigh all others.
     """
+    gains = np.sqrt(behind) - np.sqrt(ahead)
     return float(gains.sum()) / max(float(np.sqrt(np.sum(gains**2))), 1e-12)
 
 

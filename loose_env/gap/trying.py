@@ -13,7 +13,7 @@ from loose_env.gap.comparison import Comparison
 from loose_env.gap.effects.sensor_kinds import of_place_or_speed
 from loose_env.gap.families import families
 from loose_env.gap.fit import Fit, cost_of, fit, hypothesis_of, parameters_of, refined
-from loose_env.gap.judgement import Judge, Judged
+from loose_env.gap.judgement import Judge, Judged, sureness_of
 from loose_env.gap.kinship import akin
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.parameter import free_of, values_of
@@ -116,10 +116,23 @@ class Trying:
                 break
             fits.append(self._to_windows([each]))
         fits.sort(key=lambda f: f.cost)
-        found = [self._to_all(each) for each in fits[: settings.finalists]]
+        surest = max(fits[settings.finalists :], key=self._sureness, default=None)
+        finalists = fits[: settings.finalists]
+        # a few blocks that nothing explains yet may hide what is small and everywhere
+        if surest is not None and self._sureness(surest) > max(map(self._sureness, finalists)):
+            finalists.append(surest)
+        found = [self._to_all(each) for each in finalists]
         winner = min(found, key=lambda j: j.total).fitted.effects[-1]
-        kin = [f for f in fits[settings.finalists :] if akin(winner, f.effects[-1])]
+        others = [f for f in fits if not any(f is g for g in finalists)]
+        kin = [f for f in others if akin(winner, f.effects[-1])]
         return found + [self._to_all(each) for each in kin[: settings.kin]]
+
+    def _sureness(self, each: Fit) -> float:
+        """How surely a fit to the windows is ahead of what is there."""
+        before, after = (
+            self.short.by_block(fitted.residual**2) for fitted in (self.short_before, each)
+        )
+        return sureness_of(before, after)
 
     def families(self, screened: Sequence[Screened]) -> list[Judged]:
         """Fit one kind of effect at several places at once."""
