@@ -70,6 +70,17 @@ class JointDrive:
         """
         return (torque - self.offset + self.stiffness * position) / self.gain
 
+    def torque(self, command: float, position: float) -> float:
+        """Torque under a command that is held, at a position and at rest [N·m, N].
+
+        Examples
+        --------
+        >>> servo = JointDrive(actuator="a", joint="j", gain=100.0, stiffness=100.0)
+        >>> round(servo.torque(0.35, 0.3), 6)
+        5.0
+        """
+        return self.gain * command + self.offset - self.stiffness * position
+
 
 @dataclass(frozen=True, kw_only=True)
 class PassedOver:
@@ -121,7 +132,9 @@ def actuators_on(
 def drives_of(
     model: mujoco.MjModel, joints: Sequence[str]
 ) -> tuple[tuple[JointDrive | None, ...], tuple[str, ...]]:
-    """Find the actuator of each joint.
+    """Find the actuator of each joint: the one that holds it and that is played.
+
+    Of several that is the first position servo, which holds by itself; of several motors the first.
 
     Parameters
     ----------
@@ -153,7 +166,7 @@ def drives_of(
         if p.joint
     ]
     found: dict[str, JointDrive] = {}
-    for drive in drives:
+    for drive in sorted(drives, key=lambda one: not one.servo):
         lacks = "name" if not drive.actuator else "gain" if drive.gain == 0 else ""
         if lacks:
             notes.append(
@@ -163,27 +176,30 @@ def drives_of(
         elif drive.joint in found:
             notes.append(
                 f"joint {drive.joint!r} has several actuators; "
-                f"{found[drive.joint].actuator!r} is played, {drive.actuator!r} left at rest"
+                f"{found[drive.joint].actuator!r} is played, {drive.actuator!r} told to give no "
+                "torque in the pose"
             )
         else:
             found[drive.joint] = drive
     return tuple(found.get(joint) for joint in joints), tuple(notes)
 
 
-def held_by_drives(arm: Arm, drives: Sequence[JointDrive | None]) -> Arm:
+def held_by_drives(arm: Arm, model: mujoco.MjModel, joints: Sequence[str]) -> Arm:
     """Hold the joints of an arm as the actuators of its model do, excited or not.
 
     A joint with a position servo is on that servo's spring and damper, also while it is shaken:
-    its command moves the spring's rest. A torque motor holds nothing by itself: its joint is kept
-    near its place by a controller that is slow beside the band, the arm's soft centring spring,
-    and is free within the band.
+    its command moves the spring's rest. Springs and dampers of several actuators on a joint add up.
+    A torque motor holds nothing by itself: its joint is kept near its place by a controller that is
+    slow beside the band, the arm's soft centring spring, and is free within the band.
 
     Parameters
     ----------
     arm : Arm
         The arm, held by brakes.
-    drives : sequence of JointDrive or None (n,)
-        Of each joint, base first.
+    model : mujoco.MjModel
+        The compiled model with its actuators.
+    joints : sequence of str (n,)
+        The model's names of the arm's joints, base first.
 
     Returns
     -------
@@ -193,15 +209,25 @@ def held_by_drives(arm: Arm, drives: Sequence[JointDrive | None]) -> Arm:
     Examples
     --------
     >>> from loose_env.arms import planar
-    >>> servo = JointDrive(actuator="a", joint="joint1", gain=900.0, stiffness=900.0, damping=30.0)
-    >>> arm = held_by_drives(planar(2), [servo, None])
+    >>> xml = '''<mujoco><worldbody><body><joint name="a"/><geom size=".1"/>
+    ... <body pos="1 0 0"><joint name="b"/><geom size=".1"/></body></body></worldbody>
+    ... <actuator><position joint="a" kp="900" kv="30"/></actuator></mujoco>'''
+    >>> arm = held_by_drives(planar(2), mujoco.MjModel.from_xml_string(xml), ["a", "b"])
     >>> arm.hold, arm.centring.stiffness[0], arm.holding.stiffness
     ('servo', 900.0, (0.0, 0.0))
     """
     soft = arm.centring
-    servos = [d if d is not None and d.servo else None for d in drives]
-    stiffness = tuple(soft.stiffness[j] if d is None else d.stiffness for j, d in enumerate(servos))
-    damping = tuple(soft.damping[j] if d is None else d.damping for j, d in enumerate(servos))
+    spring, damper = dict.fromkeys(joints, 0.0), dict.fromkeys(joints, 0.0)
+    for drive in actuators_on(model, joints)[0]:
+        spring[drive.joint] += drive.stiffness
+        damper[drive.joint] += drive.damping
+    held = [spring[joint] > 0 for joint in joints]
+    stiffness = tuple(
+        spring[j] if h else s for j, h, s in zip(joints, held, soft.stiffness, strict=True)
+    )
+    damping = tuple(
+        damper[j] + (0.0 if h else s) for j, h, s in zip(joints, held, soft.damping, strict=True)
+    )
     none = (0.0,) * arm.n
     return replace(
         arm,

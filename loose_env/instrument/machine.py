@@ -58,6 +58,8 @@ class Drives:
 
     names: tuple[str, ...]
     """Actuators of the chain's joints (A,)."""
+    joint: NDArray[np.intp]
+    """Number of the joint that each drives, from 0 (A,)."""
     force: Array
     """Force on each joint per command of each actuator (n, A)."""
     stiffness: Array
@@ -160,6 +162,7 @@ class Machine:
             damping[j] += drive.damping
         return Drives(
             names=tuple(drive.actuator for drive in drives),
+            joint=np.array(joints, dtype=np.intp),
             force=force,
             stiffness=stiffness,
             damping=damping,
@@ -169,7 +172,7 @@ class Machine:
 
     def driven_joint(self, actuator: str) -> int:
         """Number of the joint that an actuator drives, from 0."""
-        return int(np.argmax(np.abs(self.drives.force[:, self.drives.names.index(actuator)])))
+        return int(self.drives.joint[self.drives.names.index(actuator)])
 
     def pose_of(self, pose: Mapping[str, float]) -> Array:
         """Joint positions (n,) of a pose by names.

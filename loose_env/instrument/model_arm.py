@@ -47,7 +47,7 @@ class ModelArm:
     recordable: Recordable
     """A model that recordings of the arm can name: with actuators and sensors."""
     drives: tuple[JointDrive | None, ...]
-    """Actuator of each joint; None where it cannot be told in figures (n,)."""
+    """Actuator that holds each joint and is played; None where none can be told in figures (n,)."""
     hold: Hold
     """How that was chosen."""
     held_by: str
@@ -162,7 +162,7 @@ def load_model_arm(
     drives, why = drives_of(made.model, joints)
     notes += why
     if hold == "model":
-        arm = held_by_drives(arm, drives)
+        arm = held_by_drives(arm, made.model, joints)
     return ModelArm(
         path=file.path,
         report=found,

@@ -17,7 +17,7 @@ from scipy import fft
 from loose_env.arms.linear import LinearArm
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import Excitation, torque_signals
-from loose_env.instrument.drives import drives_of
+from loose_env.instrument.drives import actuators_on, drives_of
 from loose_env.instrument.model_arm import ModelArm
 
 __all__ = ["Signal", "holding_commands", "make_signal"]
@@ -65,7 +65,9 @@ class Signal:
 def holding_commands(machine: ModelArm, pose: Array) -> tuple[dict[str, float], Array]:
     """Commands that hold the model in a pose, and the torque that takes.
 
-    Actuators of other joints, such as a gripper's, hold them where the model has them.
+    Of several actuators on a joint one carries the load, as `loose_env.instrument.drives.drives_of`
+    chooses it; the others are told to give no torque where the joint is. Actuators of other joints,
+    such as a gripper's, hold them where the model has them.
 
     Parameters
     ----------
@@ -91,11 +93,20 @@ def holding_commands(machine: ModelArm, pose: Array) -> tuple[dict[str, float], 
     commands = {model.actuator(a).name: 0.0 for a in range(model.nu)}
     kinds = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
     joints = [model.joint(j).name for j in range(model.njnt) if int(model.jnt_type[j]) in kinds]
-    for drive in drives_of(model, joints)[0]:
-        if drive is not None:
-            joint = model.joint(drive.joint)
-            torque, q = float(load[joint.dofadr[0]]), float(data.qpos[joint.qposadr[0]])
-            commands[drive.actuator] = float(drive.command(torque, q))
+    place = {name: float(data.qpos[model.joint(name).qposadr[0]]) for name in joints}
+    needed = {name: float(load[model.joint(name).dofadr[0]]) for name in joints}
+    chosen = [drive for drive in drives_of(model, joints)[0] if drive is not None]
+    for drive in actuators_on(model, joints)[0]:
+        if drive in chosen:
+            continue
+        q = place[drive.joint]
+        if drive.gain != 0:
+            idle = float(drive.command(0.0, q))
+            commands[drive.actuator] = float(np.clip(idle, *drive.command_range))
+        # What it gives all the same, the chosen one need not.
+        needed[drive.joint] -= drive.torque(commands[drive.actuator], q)
+    for drive in chosen:
+        commands[drive.actuator] = float(drive.command(needed[drive.joint], place[drive.joint]))
     dofs = [int(model.joint(name).dofadr[0]) for name in machine.joints]
     return commands, np.asarray(load[dofs])
 

@@ -59,3 +59,8 @@ def written(folder: Path, text: str, name: str = "arm.xml") -> Path:
     path = folder / name
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def doubled(*further: str) -> str:
+    """The servoed arm with further actuators before its own."""
+    return SERVOED.replace("<actuator>", "<actuator>" + "".join(further))
