@@ -81,6 +81,11 @@ class Workbench:
         self._taken: list[_Taken] = []
 
     @property
+    def runs(self) -> list[Run]:
+        """All runs, those that could not be used too."""
+        return [taken.run for taken in self._taken]
+
+    @property
     def suspect(self) -> list[Lines]:
         """Lines of the runs under test that can be used."""
         return [t.lines for t in self._taken if t.lines is not None and not t.lines.healthy]
@@ -202,9 +207,10 @@ class Workbench:
                     }
                     probabilities = probabilities_of(values, sound=self.settings.sound)
                 direction, angle = seen_in_tool(self.uncertain, judged, taken.lines)
-            noted = taken.run.pose or {}
-            pose = self.machine.named(
-                self.machine.pose_of(noted) if taken.held is None or noted else taken.held.pose
+            pose = (
+                {j: q for j, q in (taken.run.pose or {}).items() if j in self.machine.joints}
+                if taken.held is None
+                else taken.held.shown(self.machine, taken.run.pose)
             )
             excited = (
                 tuple(taken.run.excited)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,8 @@ _SHARE = 0.1
 """Power of a joint's command, over that of the one most shaken, from which it counts as excited."""
 _STILL = 0.2
 """Rms motion below which a joint counts as holding its pose [rad or m]."""
+_OFF = 0.05
+"""Distance from the noted position at which the measured one is another [rad or m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,6 +36,14 @@ class Held:
     notes: tuple[str, ...]
     """What had to be derived."""
 
+    def shown(self, machine: Machine, noted: Mapping[str, float] | None) -> dict[str, float]:
+        """The pose by joint, as it was noted where that is what was measured."""
+        found = machine.named(self.pose)
+        for joint, q in (noted or {}).items():
+            if joint in found and abs(found[joint] - q) <= _OFF:
+                found[joint] = float(q)
+        return found
+
 
 def held_in(machine: Machine, run: Run) -> Held:
     """Say which pose a run holds and which joints it excites.
@@ -45,18 +56,19 @@ def held_in(machine: Machine, run: Run) -> Held:
     measured = _positions(machine, run)
     noted = run.pose
     notes = []
+    missing = [
+        joint
+        for joint, q in zip(machine.joints, measured, strict=True)
+        if q is None and (noted is None or joint not in noted)
+    ]
+    if missing:
+        has = "no 'pose'" if noted is None else "a 'pose' of some joints alone"
+        raise InvalidData(
+            f"{run.name}: the pose is not known: recording.json has {has} for this run, and no "
+            f"position of {', '.join(missing)} was recorded; add "
+            f'"pose": {{"{missing[0]}": 0.0, ...}}'
+        )
     if noted is None:
-        missing = [
-            joint
-            for joint, q in zip(machine.joints, measured, strict=True)
-            if q is None and joint not in run.controls
-        ]
-        if missing:
-            raise InvalidData(
-                f"{run.name}: the pose is not known: recording.json has no 'pose' for this run, "
-                f"and no position of {', '.join(missing)} was recorded; add "
-                f'"pose": {{"{missing[0]}": 0.0, ...}}'
-            )
         notes.append(f"{run.name}: no 'pose' is noted; taken from the joints' positions")
     base = machine.pose_of({} if noted is None else noted)
     pose = np.array(
@@ -73,7 +85,7 @@ def held_in(machine: Machine, run: Run) -> Held:
         off = [
             f"{joint} by {q - b:.3g}"
             for joint, q, b in zip(machine.joints, pose, base, strict=True)
-            if joint in noted and abs(q - b) > 0.05
+            if joint in noted and abs(q - b) > _OFF
         ]
         if off:
             notes.append(

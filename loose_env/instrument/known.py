@@ -101,6 +101,8 @@ def known_of(diagnosis: Diagnosis, links: Sequence[str], joints: Sequence[str]) 
     for record in diagnosis.records:
         if record.condition != "suspect" or set(joints) - set(record.pose):
             continue
+        if not record.probabilities:  # it could not be used, and may be taken again
+            continue
         seen, angle = record.direction_tool, record.half_angle_deg
         sd = _LEAST_SD if angle is None else max(np.radians(angle) / _CONE_95, 1e-3)
         records.append(

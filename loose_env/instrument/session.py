@@ -8,7 +8,7 @@ recording format, or a `loose_env.rig.Measurement`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -78,6 +78,8 @@ class Session:
     def add(self, measurement: Run | Measurement) -> Diagnosis:
         """Take up a measurement and weigh all of them anew.
 
+        A run whose name another one has is listed with the number of the measurement behind it.
+
         Raises
         ------
         InvalidData
@@ -88,9 +90,19 @@ class Session:
         if isinstance(measurement, Measurement):
             run = run_of(self._bench.machine, measurement, f"run-{self._count:02d}")
         assert isinstance(run, Run)
+        run = replace(run, name=self._named(run.name))
         self._bench.add(run)
         self._last = self._bench.diagnosis()
         return self._last
+
+    def _named(self, name: str) -> str:
+        """The name of a run, with the number of its measurement where another has it already."""
+        taken = {run.name for run in self._bench.runs}
+        made, number = name, self._count
+        while made in taken:
+            made = f"{name}-{number:02d}"
+            number += 1
+        return made
 
     def excitation(self, wanted: NextMeasurement, joint: str) -> Excitation:
         """The excitation of one joint of a measurement that `next` asked for."""

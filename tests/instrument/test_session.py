@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,13 @@ def test_a_measurement_that_cannot_be_used_changes_nothing(tmp_path: Path) -> No
     with pytest.raises(InvalidData):
         session.add(broken)
     assert session.add(run).records[0].file == run.name
+
+
+def test_measurements_of_one_name_are_listed_apart(tmp_path: Path) -> None:
+    session = Session(write_model(tmp_path), QUICK)
+    for run in runs("slide"):
+        found = session.add(replace(run, name="run"))
+    assert [record.file for record in found.records] == ["run", "run-02"]
 
 
 def test_most_is_one_or_more(tmp_path: Path) -> None:
