@@ -85,7 +85,11 @@ def summary(found: Diagnosis) -> str:
     lines += [f"  or {name}, probability {p:.3f}" for p, name in others[:3] if p >= 0.01]
     following = found.next
     if following is None:
-        lines.append("nothing more needs to be measured")
+        lines.append(
+            "nothing more needs to be measured"
+            if found.settled
+            else "that is not settled, and no pose was found that would tell more; see the warnings"
+        )
         return "\n".join(lines)
     pose = ", ".join(f"{joint} {q:.3f}" for joint, q in following.pose.items())
     played = ", ".join(

@@ -143,9 +143,10 @@ class Workbench:
             records=records,
             model=self.machine.path.name,
             settings=asdict(self.settings),
+            settled=judged.posterior[best] > self.settings.sure
+            and len(self.suspect) >= _LEAST_RUNS,
         )
-        settled = found.probability > self.settings.sure and len(self.suspect) >= _LEAST_RUNS
-        if plan and not settled:
+        if plan and not found.settled:
             say("choosing the next measurement")
             try:
                 found = replace(found, next=self._next(found))

@@ -215,7 +215,8 @@ class Diagnosis:
     """Probability of "healthy", of "structural_looseness@LINK" for every link and of
     "backlash@JOINT" for every joint."""
     next: NextMeasurement | None = None
-    """What would tell most; None where nothing more is needed."""
+    """What would tell most; None where nothing more is needed, or no pose will do: `settled` says
+    which."""
     warnings: tuple[str, ...] = ()
     """What a reader should know before trusting it."""
     records: tuple[RecordSeen, ...] = ()
@@ -224,6 +225,9 @@ class Diagnosis:
     """File of the nominal model."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Everything that the result depends on besides recording and model."""
+    settled: bool = False
+    """Whether nothing more needs to be measured: two runs at least, and the probability above the
+    setting ``sure``. False in files of versions that did not say."""
     format: str = FORMAT
     """Of the file."""
 

@@ -70,7 +70,7 @@ class Session:
         return self._bench.machine.joints
 
     def next(self) -> NextMeasurement | None:
-        """Say what to measure next; None where the fault has been named."""
+        """Say what to measure next; None where the fault has been named, or no pose will do."""
         if self._last is None:
             self._last = self._bench.diagnosis()
         return self._last.next
@@ -126,7 +126,8 @@ class Found:
     measurements: int
     """Runs that were taken."""
     named: bool
-    """Whether it ended because the fault was named."""
+    """Whether it ended because the fault was named, and not because no more runs were allowed or
+    no pose would do."""
 
 
 def find_fault(
@@ -179,7 +180,7 @@ def find_fault(
         wanted = found.next
     if found is None:
         raise InvalidData("nothing could be measured: no pose of this arm tells anything")
-    return Found(diagnosis=found, measurements=count, named=found.next is None)
+    return Found(diagnosis=found, measurements=count, named=found.settled)
 
 
 def run_of(machine: Machine, measurement: Measurement, name: str) -> Run:

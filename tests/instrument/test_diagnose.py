@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from loose_env.cli.diagnose import summary
 from loose_env.cli.main import main
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.instrument.diagnose import Workbench, diagnose
@@ -51,6 +52,27 @@ def test_every_run_has_its_probabilities_its_direction_and_its_loop(slide: Diagn
         assert loop.joint == record.excited[0]
         assert max(map(abs, loop.correlation)) <= 1.0
     assert slide.records[-1].probabilities == slide.posterior
+
+
+def test_one_run_settles_nothing_and_two_do(tmp_path: Path, slide: Diagnosis) -> None:
+    one = weighed(tmp_path, runs("slide", 1))
+    assert one.probability > QUICK.sure
+    assert not one.settled
+    assert slide.settled
+
+
+def test_a_diagnosis_that_finds_no_further_pose_is_not_called_settled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nothing(*_: object, **__: object) -> None:
+        raise InvalidData("no pose will do")
+
+    monkeypatch.setattr("loose_env.instrument.diagnose.next_for", nothing)
+    found = weighed(tmp_path, runs("slide", 1), plan=True)
+    assert found.next is None
+    assert "nothing more needs" not in summary(found)
+    assert "not settled" in summary(found)
+    assert "nothing more needs" in summary(dataclasses.replace(found, settled=True))
 
 
 def test_play_is_told_from_a_slide(tmp_path: Path) -> None:

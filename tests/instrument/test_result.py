@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -72,6 +73,13 @@ def test_the_fault_is_a_key_of_the_posterior() -> None:
     found = diagnosis()
     assert found.posterior[found.fault.hypothesis] == found.probability
     assert Fault(kind="healthy").hypothesis == "healthy"
+
+
+def test_whether_it_is_settled_is_kept_and_not_known_of_older_files() -> None:
+    plain = json.loads(replace(diagnosis(), settled=True).to_json())
+    assert Diagnosis.from_json(json.dumps(plain)).settled
+    del plain["settled"]
+    assert not Diagnosis.from_json(json.dumps(plain)).settled
 
 
 def test_numbers_that_are_not_finite_are_null() -> None:

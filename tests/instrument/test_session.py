@@ -8,6 +8,7 @@ import pytest
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import Excitation
+from loose_env.instrument.result import NextMeasurement
 from loose_env.instrument.session import Session, find_fault
 from loose_env.instrument.settings import DiagnoseSettings
 from loose_env.recording import read_recording, write_recording
@@ -52,6 +53,25 @@ def test_measurements_of_one_name_are_listed_apart(tmp_path: Path) -> None:
     for run in runs("slide"):
         found = session.add(replace(run, name="run"))
     assert [record.file for record in found.records] == ["run", "run-02"]
+
+
+def test_a_session_that_ends_for_want_of_a_pose_has_named_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = Session(write_model(tmp_path), QUICK).next()
+    wanted = iter([first])
+
+    def once(*_: object, **__: object) -> NextMeasurement:
+        for one in wanted:
+            assert one is not None
+            return one
+        raise InvalidData("no pose will do")
+
+    monkeypatch.setattr("loose_env.instrument.diagnose.next_for", once)
+    ended = find_fault(BlindArm(case("slide")), write_model(tmp_path), QUICK, most=4)
+    assert ended.measurements == 1
+    assert ended.diagnosis.next is None
+    assert not ended.named
 
 
 def test_most_is_one_or_more(tmp_path: Path) -> None:
