@@ -2,6 +2,8 @@
 
 Reads the model of an arm (MJCF or URDF) and what is known so far: nothing at first, then the
 result of 'loose diagnose'. Plan, measure and diagnose in turn until the fault has a name.
+What a diagnosis asks for next is what is planned; settings of it that are given here (how poses
+are chosen, band, length, rate) take the place of its own, and the pose is chosen anew with them.
 
 Written to the output folder: plan.html, what to do at the machine; plan.json, the same for
 programs; signal.csv and signal.parquet, a command for every actuator in its own unit; recording,
@@ -14,15 +16,17 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import asdict, fields
 from pathlib import Path
 
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.errors import MissingExtra
-from loose_env.instrument.next_pose import NextSettings
+from loose_env.instrument.next_settings import NextSettings
 from loose_env.instrument.plan import plan
 from loose_env.instrument.plan_files import PlanFiles, write_plan
 from loose_env.instrument.plan_settings import ModelSettings, PlanSettings
 from loose_env.instrument.result import read_diagnosis
+from loose_env.instrument.taken_over import settings_before
 
 __all__ = ["add_options", "run"]
 
@@ -41,12 +45,18 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     add_settings(parser, ModelSettings)
     add_settings(parser, NextSettings)
+    # With --known, what is not given is as the diagnosis had it: that it was not has to be seen.
+    parser.set_defaults(**dict.fromkeys((each.name for each in fields(NextSettings)), None))
     add_settings(parser, PlanSettings)
 
 
 def run(options: argparse.Namespace) -> None:
     """Plan the next measurement and write it down."""
     known = None if options.known is None else read_diagnosis(options.known)
+    before = settings_before(known)
+    for name, value in asdict(before).items():
+        if getattr(options, name) is None:
+            setattr(options, name, value)
     made = plan(
         options.model,
         known,

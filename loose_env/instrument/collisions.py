@@ -31,6 +31,8 @@ class Collisions:
     """Where the joints lie in its ``qpos`` (n,)."""
     usual: frozenset[tuple[int, int]]
     """Pairs of shapes that touch at the model's reference or nearly always."""
+    unseen: tuple[str, ...] = ()
+    """Bodies moved by the joints that have no shape: what they touch is not known."""
 
     @classmethod
     def of(cls, spec: mujoco.MjSpec, joints: Sequence[str]) -> Collisions:
@@ -48,6 +50,7 @@ class Collisions:
         model = _compiled(spec, joints)
         if model is None or not cls._shapes(model):
             return cls(model=None, addresses=np.zeros(0, dtype=np.intp), usual=frozenset())
+        unseen = _without_shapes(model, joints)
         at = np.array([int(model.joint(j).qposadr[0]) for j in joints], dtype=np.intp)
         bare = cls(model=model, addresses=at, usual=frozenset())
         rng = np.random.default_rng(0)  # the same file always gives the same pairs
@@ -61,7 +64,8 @@ class Collisions:
             for pair in bare._pairs(low + (high - low) * rng.random(len(ids))):
                 counts[pair] = counts.get(pair, 0) + 1
         often = {pair for pair, count in counts.items() if count >= _ALWAYS * _LOOKED}
-        return cls(model=model, addresses=at, usual=frozenset(often | bare._pairs(model.qpos0[at])))
+        usual = frozenset(often | bare._pairs(model.qpos0[at]))
+        return cls(model=model, addresses=at, usual=usual, unseen=unseen)
 
     @staticmethod
     def _shapes(model: mujoco.MjModel) -> bool:
@@ -108,6 +112,14 @@ class Collisions:
             for pair, apart in zip(contacts.geom, contacts.dist, strict=True)
             if apart < 0
         }
+
+
+def _without_shapes(model: mujoco.MjModel, joints: Sequence[str]) -> tuple[str, ...]:
+    """Bodies that joints move, with all that is fixed to them, that nothing can touch."""
+    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    shaped = set(model.body_weldid[model.geom_bodyid[solid]].tolist())
+    moved = [int(model.jnt_bodyid[model.joint(joint).id]) for joint in joints]
+    return tuple(model.body(b).name for b in moved if int(model.body_weldid[b]) not in shaped)
 
 
 def _compiled(spec: mujoco.MjSpec, joints: Sequence[str]) -> mujoco.MjModel | None:

@@ -19,7 +19,6 @@ from loose_env.instrument.judging import Judged, judge, probabilities_of
 from loose_env.instrument.lines import Lines, lines_of, thinned
 from loose_env.instrument.machine import Machine
 from loose_env.instrument.model_arm import ModelArm, load_model_arm
-from loose_env.instrument.next_pose import NextSettings
 from loose_env.instrument.plan import next_for
 from loose_env.instrument.recorded_sensors import readings_in
 from loose_env.instrument.response import with_leakage
@@ -149,7 +148,9 @@ class Workbench:
         if plan and not found.settled:
             say("choosing the next measurement")
             try:
-                found = replace(found, next=self._next(found))
+                following = self._next(found)
+                said = (*found.warnings, *self._blind())
+                found = replace(found, next=following, warnings=said)
             except InvalidData as error:
                 found = replace(found, warnings=(*found.warnings, f"nothing next: {error}"))
         return found
@@ -171,12 +172,23 @@ class Workbench:
     def _next(self, found: Diagnosis) -> NextMeasurement:
         if self._arm is None:
             self._arm = load_model_arm(self.machine.path)
-        settings = self.settings
-        rate = 1 / self.suspect[-1].period if self.suspect else 1000.0
-        chosen = NextSettings(
-            seconds=settings.seconds, poses=settings.poses, seed=settings.seed, rate_hz=rate
+        settings = self.settings.next_settings()
+        if self.suspect:
+            settings = self.settings.next_settings(1 / self.suspect[-1].period)
+        return next_for(self._arm, found, settings)
+
+    def _blind(self) -> tuple[str, ...]:
+        """What is not known of collisions where a pose was chosen."""
+        assert self._arm is not None
+        look = self._arm.collisions
+        lacking = look.unseen if look.known else self.machine.links
+        if not lacking:
+            return ()
+        return (
+            f"the next pose was chosen without knowing what {', '.join(lacking)} may touch: the "
+            "model has no shapes of them (that of a recording has no meshes). 'loose plan' looks "
+            "with the arm's own model; look yourself before the arm moves",
         )
-        return next_for(self._arm, found, chosen)
 
     def _records(self, judged: Judged) -> tuple[RecordSeen, ...]:
         """What each run showed, with the probabilities after it."""

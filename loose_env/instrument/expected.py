@@ -12,7 +12,8 @@ from loose_env.arms.linear import LinearArm
 from loose_env.diagnosis.direction_images import ToolFrames
 from loose_env.instrument.known import Known
 from loose_env.instrument.model_arm import ModelArm
-from loose_env.instrument.next_pose import NextSettings, seat_features
+from loose_env.instrument.next_pose import seat_features
+from loose_env.instrument.next_settings import NextSettings
 from loose_env.instrument.result import NextMeasurement
 from loose_env.instrument.sensitivity import sensitivity
 from loose_env.instrument.why import expected_directions

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from loose_env.arms.linear import LinearArm
 from loose_env.diagnosis.direction_images import ToolFrames, places
-from loose_env.diagnosis.proposal import propose_excitation
 from loose_env.diagnosis.space_link_finding import look_alikes
 from loose_env.instrument.model_arm import ModelArm
-from loose_env.instrument.next_pose import NextSettings, seat_features, torque_of
+from loose_env.instrument.next_pose import seat_features
+from loose_env.instrument.next_settings import NextSettings
+from loose_env.instrument.proposed import proposed, torque_of
 from loose_env.instrument.sensitivity import SEEN, sensitivity, tool_noise
 
 __all__ = ["BestSeen", "Findable", "best_seen", "findable_faults"]
@@ -144,7 +145,7 @@ def best_seen(linear: LinearArm, where: Array, rules: NextSettings) -> BestSeen:
     }
     joint = np.zeros(count, dtype=np.intp)
     for q in where:
-        proposal = propose_excitation(arm, q, gap=gap, duration=rules.seconds)
+        proposal = proposed(arm, q, rules)
         for j in range(arm.n):
             torque = torque_of(proposal, j, rules)
             if not torque.any():

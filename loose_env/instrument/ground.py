@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 
 _BELOW = 0.005
 """How far below the ground a point may be by rounding of the model [m]."""
+_STEP = 0.1
+"""Largest move of a joint between two looks on a way [rad or m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,6 +59,17 @@ class Ground:
         if np.isneginf(self.height):
             return True
         return bool((self._heights(pose)[0] >= self.height - _BELOW).all())
+
+    def clear_between(self, start: Array, end: Array) -> bool:
+        """Whether the arm stays above it on the straight way in joint space between two poses.
+
+        An arm that stands below it is let out, and not in again.
+        """
+        if np.isneginf(self.height):
+            return True
+        steps = max(1, int(np.ceil(np.abs(end - start).max() / _STEP)))
+        clear = [self.clear(start + (end - start) * k / steps) for k in range(steps + 1)]
+        return all(clear[clear.index(True) :]) if any(clear) else False
 
     def _heights(self, pose: Array) -> tuple[Array, float]:
         """Heights of the links beyond the first and the tool, and of the first [m]."""

@@ -16,15 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.proposal import Proposal, holding_modes, propose_excitation
+from loose_env.diagnosis.proposal import Proposal, holding_modes
 from loose_env.gap.result_file import json_text
 from loose_env.instrument.candidates import candidate_poses
 from loose_env.instrument.findable import Findable, best_seen, findable_faults
 from loose_env.instrument.ground import Ground
 from loose_env.instrument.model_arm import ModelArm
-from loose_env.instrument.next_pose import NextSettings, spared, torque_of
+from loose_env.instrument.next_settings import NextSettings
 from loose_env.instrument.plan import load
 from loose_env.instrument.plan_settings import ModelSettings
+from loose_env.instrument.proposed import limited, proposed, torque_of
 
 __all__ = ["FORMAT", "Inspection", "JointSeen", "inspect_model"]
 
@@ -155,7 +156,7 @@ def inspect_model(
     """
     rules = NextSettings() if settings is None else settings
     machine = load(path, arm)
-    own, linear = spared(machine.arm, LinearArm(machine.arm), rules.torque_share)
+    own, linear = limited(machine.arm, LinearArm(machine.arm), rules)
     ground = Ground.of(own)
 
     def allowed(pose: Array) -> bool:
@@ -171,7 +172,7 @@ def inspect_model(
         allowed=allowed,
     )
     found = best_seen(linear, where, rules)
-    shown = propose_excitation(own, where[0], gap=rules.gap_mm * 1e-3, duration=rules.seconds)
+    shown = proposed(own, where[0], rules)
     none = np.zeros(own.n, dtype=bool)
     return Inspection(
         machine=machine,

@@ -11,7 +11,7 @@ good the one that moves the arm least is taken.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,17 +20,18 @@ from loose_env.arms.arm import Arm
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch
 from loose_env.diagnosis.information import ImaginedFaults, RecordInformation
-from loose_env.diagnosis.proposal import Proposal, propose_excitation
+from loose_env.diagnosis.proposal import Proposal
 from loose_env.diagnosis.seat_features import SeatFeatures
-from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.errors import InvalidData, UnknownName
 from loose_env.excitation import at_levels
 from loose_env.instrument.candidates import Allowed, candidate_poses
 from loose_env.instrument.known import Known, belief_of, names_of
+from loose_env.instrument.next_settings import NextSettings
+from loose_env.instrument.proposed import limited, proposed, torque_of
 from loose_env.instrument.result import NextMeasurement
 from loose_env.instrument.why import reason
-from loose_env.sensors import Accelerometer, SensorSuite
 
-__all__ = ["NextSettings", "next_measurement", "seat_features", "spared", "torque_of"]
+__all__ = ["NextSettings", "next_measurement", "seat_features"]
 
 Array = NDArray[np.float64]
 
@@ -45,68 +46,6 @@ _POINTS = 40
 """Frequencies at which seats are looked at."""
 _SKETCH_POINTS = 8
 """Frequencies at which poses are weighed in the rough."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class NextSettings:
-    """How the next measurement is chosen."""
-
-    gap_mm: float = 0.1
-    """Free travel of interest [mm]: seats should move about as far as this."""
-    noise_ug: float = 100.0
-    """Noise of the tool accelerometer [µg/√Hz]."""
-    rate_hz: float = 1000.0
-    """Sampling rate [Hz]."""
-    seconds: float = 3.0
-    """Length of each record [s]."""
-    most_tool: float = 15.0
-    """Largest rms acceleration of the tool [m/s²]; peaks are four times that, which the
-    accelerometer has to bear."""
-    torque_share: float = 0.8
-    """Share of each drive's peak torque that holding and shaking may take together [1]."""
-    poses: int = 48
-    """Poses that are weighed."""
-    in_turn: int = 1
-    """Joints that are shaken one after the other in the pose."""
-    margin: float = 0.05
-    """Share of each joint's range that is kept free at either end [1]."""
-    seed: int = 0
-    """Of everything that is drawn."""
-
-    def __post_init__(self) -> None:
-        """Check.
-
-        Raises
-        ------
-        InvalidSetting
-            If a figure makes no sense.
-        """
-        for name in ("gap_mm", "noise_ug", "rate_hz", "seconds", "most_tool"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise InvalidSetting(f"{name} is a positive number, got {value!r}")
-        if self.poses < 1 or self.in_turn < 1:
-            raise InvalidSetting(
-                f"poses and in_turn are 1 or more, got {self.poses} and {self.in_turn}"
-            )
-        if not 0 < self.torque_share <= 1:
-            raise InvalidSetting(
-                f"torque_share is above 0 and at most 1, got {self.torque_share!r}"
-            )
-        if not 0 <= self.margin < 0.5:
-            raise InvalidSetting(f"margin is a share from 0 to below 0.5, got {self.margin!r}")
-        if self.seed < 0:
-            raise InvalidSetting(f"seed is zero or more, got {self.seed}")
-
-    @property
-    def sensors(self) -> SensorSuite:
-        """Sensors with that noise and rate."""
-        density = self.noise_ug * 1e-6 * 9.80665
-        band = min(400.0, 0.45 * self.rate_hz)
-        return SensorSuite(
-            rate=self.rate_hz,
-            accelerometer=Accelerometer(noise_density=density, bandwidth=band),
-        )
 
 
 def next_measurement(
@@ -186,7 +125,7 @@ def next_measurement(
         )
     seed = np.random.SeedSequence([rules.seed, len(so_far.records)])
     rng_poses, rng_faults = (np.random.default_rng(s) for s in seed.spawn(2))
-    arm, linear = spared(arm, linear, rules.torque_share)
+    arm, linear = limited(arm, linear, rules)
     features = seat_features(linear, rules)
     information = RecordInformation(features, _FRICTIONS)
     sketch = RecordInformation(
@@ -227,7 +166,7 @@ def next_measurement(
         q = where[p]
         if here is not None and reachable is not None and not reachable(here, q):
             continue
-        proposal = propose_excitation(arm, q, gap=rules.gap_mm * 1e-3, duration=rules.seconds)
+        proposal = proposed(arm, q, rules)
         for j in wanted:
             torque = torque_of(proposal, j, rules)
             if not torque.any() or _taken(so_far, q, joints[j]):
@@ -257,24 +196,6 @@ def seat_features(
     """Places of an arm, with the sensors of the settings and the usual errors of a model."""
     few = LinearArm(linear.arm, points=min(_POINTS, len(linear.frequency)))
     return SeatFeatures(few, settings.sensors, Mismatch(), directions=directions)
-
-
-def torque_of(proposal: Proposal, joint: int, settings: NextSettings) -> Array:
-    """Rms torque of every joint that shakes one of them as proposed, the tool not too hard (n,).
-
-    All zero where the joint cannot move the tool.
-    """
-    excitation = proposal.excitations[joint]
-    if excitation is None:
-        return np.zeros(len(proposal.excitations))
-    share = min(1.0, settings.most_tool / max(float(proposal.levels[joint]), 1e-12))
-    return share * np.array(excitation.torque_rms)
-
-
-def spared(arm: Arm, linear: LinearArm, share: float) -> tuple[Arm, LinearArm]:
-    """Take the arm and its linear form with a share of its drives' torque."""
-    less = replace(arm, torque_limits=tuple(share * t for t in arm.torque_limits))
-    return less, linear.variant(less)
 
 
 def _rough(
@@ -349,4 +270,5 @@ def _written(
         rate_hz=rules.rate_hz,
         reason=reason(arm, known, pose, links, joints, here),
         gain=float(nats / np.log(2)),
+        settings=asdict(rules),
     )

@@ -17,21 +17,27 @@ from numpy.typing import NDArray
 
 from loose_env.arms.linear import LinearArm
 from loose_env.diagnosis.proposal import propose_excitation
-from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.errors import InvalidSetting
 from loose_env.instrument.candidates import pose_range
 from loose_env.instrument.expected import Expected, expected_of
 from loose_env.instrument.ground import Ground
 from loose_env.instrument.known import Known, known_of
 from loose_env.instrument.model_arm import ModelArm, load_model_arm
-from loose_env.instrument.next_pose import NextSettings, next_measurement
+from loose_env.instrument.next_pose import next_measurement
+from loose_env.instrument.next_settings import NextSettings
 from loose_env.instrument.plan_settings import ModelSettings, PlanSettings
 from loose_env.instrument.result import Diagnosis, NextMeasurement
 from loose_env.instrument.signals import Signal, make_signal
+from loose_env.instrument.taken_over import other_settings, settings_before, why_not_reached
 
 __all__ = ["Plan", "load", "next_for", "plan"]
 
 Array = NDArray[np.float64]
 
+_ONCE = ("joint", "pose_deg", "from_deg")
+"""Settings that are for one measurement, not for a session."""
+_DECIDED = (*_ONCE, "ground_m")
+"""Settings that a diagnosis does not choose with."""
 _SURE = 0.95
 """Probability above which a plan says that it is hardly needed [1]."""
 
@@ -52,6 +58,8 @@ class Plan:
     """What to know before."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Everything that the plan depends on besides the model and the diagnosis."""
+    again: Mapping[str, Any] = field(default_factory=dict)
+    """Those of them that the next plan of the session has to be given again."""
 
     @property
     def pose(self) -> Array:
@@ -115,12 +123,16 @@ def next_for(
         known_of(known, machine.links, machine.joints) if isinstance(known, Diagnosis) else known
     )
     ground = Ground.of(arm, own.ground_m)
+    # A pose that somebody has decided on is looked at with a warning alone.
+    stays_above = not own.pose_deg
 
     def allowed(pose: Array) -> bool:
         return ground.clear(pose) and not machine.collisions.touch(pose)
 
     def reachable(here: Array, pose: Array) -> bool:
-        return not machine.collisions.touch_between(here, pose)
+        if machine.collisions.touch_between(here, pose):
+            return False
+        return not stays_above or ground.clear_between(here, pose)
 
     start = _typed(machine, "from_deg", own.from_deg)
     if start is None and not (so_far and so_far.records):
@@ -160,7 +172,8 @@ def plan(
     arm : ModelSettings, optional
         What the file does not say.
     choice : NextSettings, optional
-        How the pose is chosen; the length, rate and noise of records.
+        How the pose is chosen; the length, rate and noise of records. By default as what the
+        diagnosis asks for next was chosen; with other settings that is chosen anew.
     own : PlanSettings, optional
         Layout of the signal, and what the user has decided.
 
@@ -174,15 +187,16 @@ def plan(
     InvalidSetting, InvalidData, UnknownName
         If the model cannot be used, the diagnosis is of another one, or no pose will do.
     """
-    choice = NextSettings() if choice is None else choice
+    usual = settings_before(known)
+    choice = usual if choice is None else choice
     own = PlanSettings() if own is None else own
     machine = load(model, arm)
     so_far = None if known is None else known_of(known, machine.links, machine.joints)
-    decided = own.joint is not None or bool(own.pose_deg)
-    if known is not None and known.next is not None and not decided:
-        chosen = known.next
-        _check_next(machine, chosen)
-    else:
+    asked = None if known is None else known.next
+    chosen, anew = asked, ""
+    if asked is not None:
+        anew = _why_anew(machine, so_far, asked, choice, own)
+    if chosen is None or anew:
         chosen = next_for(machine, so_far, choice, own)
     linear = LinearArm(machine.arm)
     pose = np.array([chosen.pose[name] for name in machine.joints])
@@ -216,9 +230,40 @@ def plan(
         next=chosen,
         signals=signals,
         expected=expected_of(machine, linear, so_far, chosen, choice),
-        warnings=_warnings(machine, known, chosen, signals, own),
+        warnings=(
+            *([f"not what the diagnosis asks for next: {anew}"] if anew else ()),
+            *_warnings(machine, known, chosen, signals, own),
+        ),
         settings={**asdict(arm or ModelSettings()), **asdict(choice), **asdict(own)},
+        again={
+            **_unlike(arm or ModelSettings(), ModelSettings()),
+            **_unlike(choice, usual),
+            **{k: v for k, v in _unlike(own, PlanSettings()).items() if k not in _ONCE},
+        },
     )
+
+
+def _why_anew(
+    machine: ModelArm,
+    so_far: Known | None,
+    asked: NextMeasurement,
+    choice: NextSettings,
+    own: PlanSettings,
+) -> str:
+    """Why what a diagnosis asks for next is not what is planned; "" if it is."""
+    given = [name for name in _DECIDED if getattr(own, name) not in (None, ())]
+    given += other_settings(asked, choice)
+    if given:
+        return f"another {', '.join(given)} is given here"
+    here = so_far.records[-1].pose if so_far and so_far.records else machine.home
+    blocked = why_not_reached(machine, Ground.of(machine.arm), here, asked)
+    return f"its pose is not taken, {blocked}" if blocked else ""
+
+
+def _unlike(one: ModelSettings | NextSettings | PlanSettings, usual: Any) -> dict[str, Any]:
+    """Settings that are not the usual ones."""
+    before = asdict(usual)
+    return {name: value for name, value in asdict(one).items() if value != before[name]}
 
 
 def _typed(machine: ModelArm, name: str, given: tuple[float, ...]) -> Array | None:
@@ -247,23 +292,6 @@ def _shown(slides: np.bool_, value: float) -> str:
     return f"{value * 1e3:.4g} mm" if slides else f"{np.degrees(value):.4g} degrees"
 
 
-def _check_next(machine: ModelArm, chosen: NextMeasurement) -> None:
-    """Refuse what a diagnosis wants next if it does not fit the model."""
-    lacking = [name for name in machine.joints if name not in chosen.pose]
-    foreign = [name for name in (*chosen.joints, *chosen.pose) if name not in machine.joints]
-    if lacking or foreign:
-        raise InvalidData(
-            f"the next measurement of the diagnosis is of another model: it has the joints "
-            f"{', '.join(chosen.pose)}, the model {', '.join(machine.joints)}"
-        )
-    pose = np.array([chosen.pose[name] for name in machine.joints])
-    if not machine.arm.within_ranges(pose).all():
-        raise InvalidData(
-            f"the pose of the diagnosis, {dict(chosen.pose)}, is outside the ranges of the model's "
-            f"joints: {machine.arm.joint_ranges}"
-        )
-
-
 def _warnings(
     machine: ModelArm,
     known: Diagnosis | None,
@@ -277,6 +305,12 @@ def _warnings(
         said.append(
             f"the diagnosis names {known.fault.hypothesis} with {known.probability:.1%} already; "
             "this measurement would only confirm it"
+        )
+    unseen = machine.collisions.unseen
+    if unseen:
+        said.append(
+            f"the model has no shapes of {', '.join(unseen)}: what they touch is not known; look "
+            "before the arm moves"
         )
     if not machine.collisions.known:
         said.append(

@@ -135,6 +135,10 @@ class NextMeasurement:
     """Why, in a sentence."""
     gain: float = 0.0
     """Information that is expected of it about what is loose [bits]."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Settings with which it was chosen, those of
+    `loose_env.instrument.next_settings.NextSettings`; empty in files of versions that did not
+    say."""
 
     def __post_init__(self) -> None:
         """Check.

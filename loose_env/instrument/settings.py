@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from loose_env.errors import InvalidSetting
+from loose_env.instrument.next_settings import NextSettings
 from loose_env.instrument.tolerances import Tolerances
 
 __all__ = ["DiagnoseSettings"]
@@ -49,10 +50,11 @@ class DiagnoseSettings:
     anew [s]."""
     seconds: float = 4.0
     """Length of the next record [s]."""
-    band_low: float = 4.0
-    """Lower end of the next band [Hz]."""
-    band_high: float = 120.0
-    """Upper end of the next band, at most a quarter of the sampling rate [Hz]."""
+    band_low: float | None = None
+    """Lower end of the next band [Hz]; by default as the arm's modes ask for."""
+    band_high: float | None = None
+    """Upper end of the next band, at most 0.4 of the sampling rate [Hz]; by default as the arm's
+    modes ask for."""
     poses: int = 24
     """Poses among which the next one is chosen."""
     seed: int = 0
@@ -66,13 +68,20 @@ class DiagnoseSettings:
                 raise InvalidSetting(f"{name} is a probability between 0 and 1, got {value!r}")
         if not (np.isfinite(self.seconds) and 0.2 <= self.seconds <= 600):
             raise InvalidSetting(f"seconds is a length of 0.2 to 600 s, got {self.seconds!r}")
-        if not 0 < self.band_low < self.band_high < np.inf:
-            raise InvalidSetting(
-                f"a band goes upwards from above 0 Hz, got {self.band_low!r} to {self.band_high!r}"
-            )
         if self.poses < 1:
             raise InvalidSetting(f"poses is a number of one or more, got {self.poses!r}")
-        self.tolerances  # noqa: B018  (checks them)
+        _ = self.tolerances, self.next_settings()  # they check themselves
+
+    def next_settings(self, rate_hz: float = NextSettings.rate_hz) -> NextSettings:
+        """Settings with which the next measurement is chosen, for a sampling rate [Hz]."""
+        return NextSettings(
+            seconds=self.seconds,
+            poses=self.poses,
+            seed=self.seed,
+            rate_hz=rate_hz,
+            band_low=self.band_low,
+            band_high=self.band_high,
+        )
 
     @property
     def tolerances(self) -> Tolerances:

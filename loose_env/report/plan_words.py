@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from loose_env.instrument.plan import Plan
@@ -64,10 +68,20 @@ def steps(plan: Plan, runs: tuple[str, ...], folder: str = "DIR") -> list[str]:
         )
     said.append(f"Then: loose diagnose {folder}/recording --out {folder}/diagnosis")
     said.append(
-        f"And for the next pose: loose plan {machine.path.name} --out {folder} "
-        f"--known {folder}/diagnosis"
+        f"And for the next pose: loose plan {shlex.quote(machine.path.name)} --out {folder} "
+        f"--known {folder}/diagnosis{_options(plan.again)}"
     )
     return said
+
+
+def _options(settings: Mapping[str, Any]) -> str:
+    """Settings as options of a command line, each after a blank."""
+    words = []
+    for name, value in settings.items():
+        words.append(f"--{name.replace('_', '-')}")
+        for one in value if isinstance(value, tuple | list) else [value]:
+            words.append(f"{one:.12g}" if isinstance(one, float) else shlex.quote(str(one)))
+    return "".join(f" {word}" for word in words)
 
 
 def summary(plan: Plan) -> str:

@@ -8,6 +8,9 @@ from pathlib import Path
 import pytest
 
 from loose_env.cli.main import main
+from loose_env.instrument.next_settings import NextSettings
+from loose_env.instrument.plan import load, next_for
+from loose_env.instrument.result import Diagnosis, Fault
 from tests.instrument.plan_arms import MOTORS, written
 
 
@@ -37,6 +40,35 @@ def test_plan_writes_everything_it_names(
     assert "Next: shake elbow" in page
     assert "http://" not in page.replace("http://www.w3.org", "")
     assert "<script" not in page
+
+
+def test_options_count_with_what_is_known_and_those_left_out_are_the_diagnosis_own(
+    tmp_path: Path,
+) -> None:
+    model = written(tmp_path, MOTORS)
+    machine = load(model)
+    chosen = NextSettings(poses=2, seconds=1.4, seed=3)
+    posterior = dict.fromkeys(machine.hypotheses, 1 / len(machine.hypotheses))
+    wanted = next_for(machine, settings=chosen)
+    found = Diagnosis(
+        fault=Fault(kind="healthy"), probability=posterior["healthy"], posterior=posterior,
+        next=wanted,
+    )  # fmt: skip
+    found.write(tmp_path / "result.json")
+    command = ["plan", str(model), "--known", str(tmp_path / "result.json")]
+    assert main([*command, "--out", str(tmp_path / "a")]) == 0
+    made = json.loads((tmp_path / "a" / "plan.json").read_text("utf-8"))
+    assert made["pose"] == pytest.approx(wanted.pose)
+    assert made["seconds"] == made["settings"]["seconds"] == 1.4
+    assert made["settings"]["poses"] == 2
+    # The length of the command's own default, where somebody asks for it.
+    assert main([*command, "--seconds", "3", "--most-tool", "2", "--out", str(tmp_path / "b")]) == 0
+    made = json.loads((tmp_path / "b" / "plan.json").read_text("utf-8"))
+    assert made["seconds"] == made["settings"]["seconds"] == 3.0
+    assert made["signals"][0]["tool_acceleration_rms"] < 2.2
+    assert made["settings"]["poses"] == 2
+    page = (tmp_path / "b" / "plan.html").read_text("utf-8")
+    assert "--seconds 3 --most-tool 2" in page or "--most-tool 2 --seconds 3" in page
 
 
 @pytest.mark.parametrize(

@@ -75,6 +75,22 @@ def test_a_diagnosis_that_finds_no_further_pose_is_not_called_settled(
     assert "nothing more needs" in summary(dataclasses.replace(found, settled=True))
 
 
+def test_the_next_pose_says_when_nothing_is_known_of_collisions(tmp_path: Path) -> None:
+    found = weighed(tmp_path, runs("slide", 1), plan=True)
+    assert found.next is not None
+    assert any("without knowing what link1, link2" in words for words in found.warnings)
+
+
+def test_the_next_band_is_the_one_that_is_asked_for(tmp_path: Path) -> None:
+    asked = dataclasses.replace(QUICK, band_low=12.0, band_high=60.0)
+    bench = Workbench(write_model(tmp_path), asked)
+    bench.add(runs("slide", 1)[0])
+    following = bench.diagnosis().next
+    assert following is not None
+    assert 12.0 <= following.band_hz[0] < following.band_hz[1] <= 60.0
+    assert following.settings["band_high"] == 60.0
+
+
 def test_play_is_told_from_a_slide(tmp_path: Path) -> None:
     found = weighed(tmp_path, runs("play"))
     assert found.fault.hypothesis == "backlash@joint2"
@@ -160,6 +176,7 @@ def test_references_alone_are_no_recording_to_judge(tmp_path: Path) -> None:
         ({"seconds": 0.0}, "seconds is a length"),
         ({"figures": -0.1}, "figures is a standard deviation"),
         ({"poses": 0}, "poses is a number"),
+        ({"band_low": 50.0, "band_high": 20.0}, "a band goes upwards"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(setting: dict[str, float], words: str) -> None:

@@ -74,6 +74,31 @@ def test_a_way_through_the_floor_is_seen_between_two_poses_above_it() -> None:
     assert look.touch_between(folded, low)
 
 
+def test_a_way_below_the_ground_is_seen_between_two_poses_above_it(tmp_path: Path) -> None:
+    ground = Ground.of(load(written(tmp_path, SERVOED)).arm)
+    up, down = np.array([0.0, -0.5, 0.3]), np.array([0.0, 1.3, 0.2])
+    over, other = np.array([0.0, 0.0, -1.5]), np.array([0.0, 0.0, 4.7])  # the forearm up
+    assert ground.clear(up)
+    assert not ground.clear(down)
+    assert ground.clear_between(up, over)
+    assert ground.clear_between(down, up)  # an arm that stands too low is let out
+    assert not ground.clear_between(up, down)
+    high = Ground.of(ground.arm, 0.3)
+    assert high.clear(over) and high.clear(other)
+    assert not high.clear_between(over, other)
+
+
+def test_links_without_shapes_are_named() -> None:
+    geom = '<geom type="capsule" fromto="0 0 0 .4 0 0" size=".03" density="900"/>'
+    bare = '<inertial mass="1" pos=".2 0 0" diaginertia=".01 .01 .01"/>'
+    text = SERVOED.replace(geom, bare)
+    look = Collisions.of(mujoco.MjSpec.from_string(text), ["pan", "lift", "elbow"])
+    assert look.known
+    assert look.unseen == ("upper",)
+    whole = Collisions.of(mujoco.MjSpec.from_string(SERVOED), ["pan", "lift", "elbow"])
+    assert whole.unseen == ()
+
+
 def test_an_arm_that_hangs_has_no_ground(tmp_path: Path) -> None:
     hanging = SERVOED.replace(
         '<body name="post" pos="0 0 .25">', '<body name="post" pos="0 0 2" quat="0 1 0 0">'

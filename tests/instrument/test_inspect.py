@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from loose_env.arms.linear import LinearArm
+from loose_env.errors import InvalidSetting
 from loose_env.instrument.inspect import Inspection, inspect_model
 from loose_env.instrument.inspect_words import screen
 from loose_env.instrument.next_pose import NextSettings, seat_features
@@ -33,6 +34,13 @@ def seen(servoed: Path) -> Inspection:
 def test_every_fault_of_a_diagnosis_is_judged(seen: Inspection) -> None:
     assert tuple(f.hypothesis for f in seen.faults) == seen.machine.hypotheses[1:]
     assert {f.verdict for f in seen.faults} <= {"yes", "mostly", "hardly", "no"}
+
+
+def test_the_band_is_the_one_that_is_asked_for(servoed: Path) -> None:
+    found = inspect_model(servoed, NextSettings(poses=2, band_low=20.0, band_high=80.0))
+    assert found.band_hz == (20.0, 80.0)
+    with pytest.raises(InvalidSetting, match="is none"):
+        inspect_model(servoed, NextSettings(poses=2, band_low=500.0))
 
 
 def test_gravity_keeps_a_seat_under_a_vertical_axis_shut_along_it(servoed: Path) -> None:

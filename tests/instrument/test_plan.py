@@ -19,10 +19,12 @@ from loose_env.instrument.result import Diagnosis, Fault, RecordSeen
 from loose_env.recording import read_recording
 from loose_env.recording.csv_file import write_csv
 from loose_env.recording.parquet_file import read_parquet
+from loose_env.report.plan_words import steps
 from tests.instrument.plan_arms import MOTORS, SERVOED, URDF, written
 from tests.instrument.playing import play
 
 FEW = NextSettings(poses=8, seconds=1.2)
+_FEW = ("poses", "seconds")
 
 
 @pytest.fixture(scope="module")
@@ -145,11 +147,81 @@ def test_a_second_plan_moves_on_to_tell_two_links_apart(servoed: Path, first: Pl
 
 
 def test_a_plan_takes_what_the_diagnosis_wants_next(servoed: Path, first: Plan) -> None:
-    wanted = replace(next_for(first.machine, settings=replace(FEW, seed=7)), seconds=1.0)
-    made = plan(servoed, replace(known(first, fore_s=0.5), next=wanted), choice=FEW)
-    assert made.next.pose == wanted.pose
-    assert made.next.joints == wanted.joints
-    assert made.next.seconds == 1.0
+    chosen = replace(FEW, seed=7, seconds=1.0)
+    wanted = next_for(first.machine, settings=chosen)
+    so_far = replace(known(first, fore_s=0.5), next=wanted)
+    for choice in (None, chosen):
+        made = plan(servoed, so_far, choice=choice)
+        assert made.next.pose == wanted.pose
+        assert made.next.joints == wanted.joints
+        assert made.next.seconds == 1.0
+        assert made.settings["seconds"] == 1.0
+        assert not any("asks for next" in warning for warning in made.warnings)
+
+
+@pytest.mark.parametrize(
+    ("changed", "own"),
+    [
+        ({"most_tool": 2.0}, PlanSettings()),
+        ({"seconds": 1.4}, PlanSettings()),
+        ({"in_turn": 2}, PlanSettings()),
+        ({"band_high": 70.0}, PlanSettings()),
+        ({}, PlanSettings(ground_m=0.3)),
+        ({}, PlanSettings(from_deg=(20.0, -30.0, 60.0))),
+    ],
+)
+def test_settings_that_are_given_count_beside_what_the_diagnosis_wants_next(
+    servoed: Path, first: Plan, changed: dict[str, float], own: PlanSettings
+) -> None:
+    so_far = known(first, post_s=0.45, fore_s=0.45)
+    so_far = replace(so_far, next=next_for(first.machine, so_far, FEW))
+    choice = replace(FEW, **changed)  # type: ignore[arg-type]
+    made = plan(servoed, so_far, choice=choice, own=own)
+    anew = next_for(first.machine, so_far, choice, own)
+    assert made.next.pose == anew.pose
+    assert made.next.joints == anew.joints
+    assert made.next.seconds == choice.seconds
+    assert len(made.signals) == choice.in_turn
+    assert all(signal.tool_rms < 1.1 * choice.most_tool for signal in made.signals)
+    if choice.band_high is not None:
+        assert made.next.band_hz[1] <= choice.band_high
+    assert any("asks for next" in warning for warning in made.warnings)
+    again = set(changed) | ({"ground_m"} if own.ground_m is not None else set())
+    assert set(made.again) - set(_FEW) == again - set(_FEW)
+
+
+def test_what_a_diagnosis_wants_next_is_not_taken_through_the_floor(
+    servoed: Path, first: Plan
+) -> None:
+    """The recording's model has no meshes, and knows of fewer collisions than the arm's own."""
+    pose = {"pan": 0.0, "lift": 1.2, "elbow": 0.8}
+    asked = replace(first.next, pose=pose)
+    assert first.machine.collisions.touch(list(pose.values()))
+    made = plan(servoed, replace(known(first, fore_s=0.5), next=asked), choice=FEW)
+    assert made.next.pose != pose
+    assert not first.machine.collisions.touch(made.pose)
+    assert any("its pose is not taken" in warning for warning in made.warnings)
+
+
+def test_the_next_command_has_the_options_that_the_session_began_with(servoed: Path) -> None:
+    made = plan(
+        servoed,
+        arm=ModelSettings(payload_kg=0.5, payload_at_m=(0.0, 0.0, 0.1), tool="tool"),
+        choice=replace(FEW, most_tool=5.0),
+        own=PlanSettings(joint="lift", hold_s=0.7),
+    )
+    command = steps(made, ("run-01.csv",), "DIR")[-1]
+    for words in (
+        "--tool tool",
+        "--payload-kg 0.5",
+        "--payload-at-m 0 0 0.1",
+        "--most-tool 5",
+        "--seconds 1.2",
+        "--hold-s 0.7",
+    ):
+        assert words in command
+    assert "--joint" not in command
+    assert "--noise-ug" not in command
 
 
 def test_the_diagnosis_and_the_plan_choose_alike(servoed: Path, first: Plan) -> None:
