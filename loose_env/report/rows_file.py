@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from loose_env.errors import InvalidData, MissingExtra, UnknownName
+from loose_env.errors import InvalidData, UnknownName
 from loose_env.report.standings import Row
 
 __all__ = ["RowsFormat", "configuration_hash", "need_format", "read_rows", "write_rows"]
@@ -60,13 +60,9 @@ def need_format(form: str) -> RowsFormat:
     ------
     UnknownName
         If there is no such format.
-    MissingExtra
-        If the package that writes it is not installed.
     """
     if form not in get_args(RowsFormat):
         raise UnknownName(f"rows are kept as {' or '.join(get_args(RowsFormat))}, not {form!r}")
-    if form == "parquet":
-        _parquet()
     return form  # type: ignore[return-value]
 
 
@@ -100,11 +96,6 @@ def write_rows(
     -------
     Path
         The file written.
-
-    Raises
-    ------
-    MissingExtra
-        If the package that writes the format is not installed.
     """
     target = Path(folder) / f"{name}.{need_format(form)}"
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -134,8 +125,6 @@ def read_rows(path: str | os.PathLike[str]) -> tuple[list[dict[str, Any]], dict[
     readers = {".json": _read_json, ".parquet": _read_parquet}
     if file.suffix not in readers:
         raise InvalidData(f"rows are kept in .parquet or .json files, not in {file.name!r}")
-    if file.suffix == ".parquet":
-        _parquet()
     try:
         rows, configuration, digest = readers[file.suffix](file)
     except InvalidData:
@@ -165,8 +154,10 @@ def _no_constant(word: str) -> Any:
 
 
 def _read_parquet(file: Path) -> tuple[Any, Any, Any]:
+    import pyarrow.parquet
+
     # Threads of pyarrow would not survive a fork of the caller.
-    stored = _parquet().ParquetFile(file, page_checksum_verification=True)
+    stored = pyarrow.parquet.ParquetFile(file, page_checksum_verification=True)
     with stored:
         table = stored.read(use_threads=False)
     metadata = table.schema.metadata or {}
@@ -179,8 +170,8 @@ def _read_parquet(file: Path) -> tuple[Any, Any, Any]:
 def _write_parquet(
     path: Path, rows: Sequence[Row], configuration: Mapping[str, Any], digest: str
 ) -> None:
-    parquet = _parquet()
     import pyarrow
+    import pyarrow.parquet
 
     # Types are stated, not guessed: a column may be empty in one run and full in the next.
     types = {
@@ -200,19 +191,8 @@ def _write_parquet(
     text = json.dumps(configuration, sort_keys=True)
     metadata = {_METADATA: text.encode("utf-8"), _HASH: digest.encode("ascii")}
     table = pyarrow.table(columns).replace_schema_metadata(metadata)
-    parquet.write_table(table, path, compression="zstd", write_page_checksum=True)
+    pyarrow.parquet.write_table(table, path, compression="zstd", write_page_checksum=True)
 
 
 def _plain(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
-
-
-def _parquet() -> Any:
-    try:
-        import pyarrow.parquet
-    except ImportError as error:
-        raise MissingExtra(
-            "rows as Parquet need pyarrow: install it with pip install 'loose-env[compare]', or "
-            "write them as JSON with --rows json"
-        ) from error
-    return pyarrow.parquet
