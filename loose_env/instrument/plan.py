@@ -38,6 +38,8 @@ _ONCE = ("joint", "pose_deg", "from_deg")
 """Settings that are for one measurement, not for a session."""
 _DECIDED = (*_ONCE, "ground_m")
 """Settings that a diagnosis does not choose with."""
+_SAGS = np.array([np.radians(0.1), 1e-4])
+"""Sag of a joint that turns [rad], and of one that slides [m], that is worth a word."""
 _SURE = 0.95
 """Probability above which a plan says that it is hardly needed [1]."""
 
@@ -325,6 +327,14 @@ def _warnings(
     low, high = pose_range(machine.arm, 0.0)
     for j in np.flatnonzero((pose < low + 1e-3) | (pose > high - 1e-3)):
         said.append(f"joint {machine.joints[j]} is at the end of its range")
+    for j in np.flatnonzero(np.abs(signals[0].sags) > _SAGS[machine.arm.sliding.astype(int)]):
+        far = _shown(machine.arm.sliding[j], float(signals[0].sags[j]))
+        said.append(
+            f"joint {machine.joints[j]}: its servo gives way under the arm's weight, so that its "
+            f"command has to be {far} beside the pose. The signal begins at the pose, goes there "
+            "before the noise and back after it; a controller that holds joints exactly where it "
+            "is told would move the arm by so much"
+        )
     for signal in signals:
         if signal.scale < 0.99:
             said.append(

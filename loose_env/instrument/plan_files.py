@@ -183,6 +183,8 @@ def plan_json(plan: Plan, runs: Sequence[str], known: str = "") -> dict[str, Any
                 "csv": f"{stem}.csv",
                 "parquet": f"{stem}.parquet",
                 "steady_s": list(signal.steady_s),
+                "start_commands": dict(signal.start),
+                "sags": machine.pose(signal.sags),
                 "torque_rms": signal.drive_rms,
                 "command_torque_rms": signal.torque_rms,
                 "torque_peaks": machine.pose(signal.torque_peaks),

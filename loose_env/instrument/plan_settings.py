@@ -43,7 +43,8 @@ class PlanSettings:
     ramp_s: float = 0.25
     """Time over which the noise swells, and dies away [s]."""
     hold_s: float = 0.5
-    """Time of standing still before and after [s]."""
+    """Time before and after [s]: commands go from the pose to what holds the arm's weight in it,
+    and the arm stands still."""
     ground_m: float | None = None
     """Height that no link may go below, in the model's frame [m]; by default that of the base
     where the arm stands on it."""

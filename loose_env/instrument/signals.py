@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
@@ -17,7 +16,7 @@ from scipy import fft
 from loose_env.arms.linear import LinearArm
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import Excitation, torque_signals
-from loose_env.instrument.drives import actuators_on, drives_of
+from loose_env.instrument.holding import holding_commands, starting_commands
 from loose_env.instrument.model_arm import ModelArm
 
 __all__ = ["Signal", "holding_commands", "make_signal"]
@@ -27,6 +26,8 @@ Complex = NDArray[np.complex128]
 
 _DRAWS = 8
 """Draws of the noise of which the one with the lowest peak is played."""
+_LOADING = 0.6
+"""Share of the time of standing still over which commands go from the pose to what holds it [1]."""
 _OVERSAMPLED = 4
 """Samples at which peaks are looked for, per sample of the signal."""
 
@@ -41,6 +42,11 @@ class Signal:
     """From the start of the run [s] (T,)."""
     commands: dict[str, Array]
     """Actuator -> its command, in its own unit (T,)."""
+    start: dict[str, float]
+    """Actuator -> the command with which the signal begins and ends: for servos the pose itself."""
+    sags: Array
+    """How far the servo of each joint gives way under what it holds: so much its holding command
+    is beside the pose [rad or m] (n,)."""
     steady_s: tuple[float, float]
     """Beginning and end of the record proper, between the ramps [s]."""
     torque_rms: float
@@ -60,55 +66,6 @@ class Signal:
     """What the limits left of the torque that was asked for [1]."""
     limited_by: str
     """Which limit that was; "" where none."""
-
-
-def holding_commands(machine: ModelArm, pose: Array) -> tuple[dict[str, float], Array]:
-    """Commands that hold the model in a pose, and the torque that takes.
-
-    Of several actuators on a joint one carries the load, as `loose_env.instrument.drives.drives_of`
-    chooses it; the others are told to give no torque where the joint is. Actuators of other joints,
-    such as a gripper's, hold them where the model has them.
-
-    Parameters
-    ----------
-    machine : ModelArm
-        The arm.
-    pose : ndarray (n,)
-        Joint positions [rad or m].
-
-    Returns
-    -------
-    dict
-        Actuator -> command in its own unit.
-    ndarray (n,)
-        Torque of each driven joint [N·m, N].
-    """
-    model = machine.recordable.model
-    data = mujoco.MjData(model)
-    for name, q in zip(machine.joints, pose, strict=True):
-        data.joint(name).qpos[0] = q
-    mujoco.mj_fwdPosition(model, data)
-    mujoco.mj_fwdVelocity(model, data)
-    load = data.qfrc_bias - data.qfrc_passive
-    commands = {model.actuator(a).name: 0.0 for a in range(model.nu)}
-    kinds = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-    joints = [model.joint(j).name for j in range(model.njnt) if int(model.jnt_type[j]) in kinds]
-    place = {name: float(data.qpos[model.joint(name).qposadr[0]]) for name in joints}
-    needed = {name: float(load[model.joint(name).dofadr[0]]) for name in joints}
-    chosen = [drive for drive in drives_of(model, joints)[0] if drive is not None]
-    for drive in actuators_on(model, joints)[0]:
-        if drive in chosen:
-            continue
-        q = place[drive.joint]
-        if drive.gain != 0:
-            idle = float(drive.command(0.0, q))
-            commands[drive.actuator] = float(np.clip(idle, *drive.command_range))
-        # What it gives all the same, the chosen one need not.
-        needed[drive.joint] -= drive.torque(commands[drive.actuator], q)
-    for drive in chosen:
-        commands[drive.actuator] = float(drive.command(needed[drive.joint], place[drive.joint]))
-    dofs = [int(model.joint(name).dofadr[0]) for name in machine.joints]
-    return commands, np.asarray(load[dofs])
 
 
 def make_signal(
@@ -147,8 +104,8 @@ def make_signal(
     rate : float
         Samples per second of the commands [Hz].
     ramp, hold : float
-        Time over which the noise swells and dies away, and for which the arm stands still before
-        and after it [s].
+        Time over which the noise swells and dies away, and before and after it: there commands go
+        from the pose to what holds the arm in it and back, and the arm stands still [s].
     rng : numpy.random.Generator
         Source of the noise.
     torque_share : float
@@ -182,6 +139,7 @@ def make_signal(
             f"can be worked out: {'; '.join(machine.notes)}"
         )
     holding, load = holding_commands(machine, pose)
+    start_at = starting_commands(machine, pose)
     noise = np.zeros(machine.arm.n)
     noise[j] = torque_rms
     excitation = Excitation(torque_rms=tuple(noise), duration=seconds, band=band)
@@ -214,13 +172,25 @@ def make_signal(
     index = (np.arange(total) - before - swell) % count
     # What has the noise as its torque is ahead of it by the actuator's lag.
     ahead = answer.in_time(answer.torque * (1 + answer.s * drive.lag)) / drive.gain
-    commands = {name: np.full(total, value) for name, value in holding.items()}
-    commands[drive.actuator] = holding[drive.actuator] + scale * envelope * ahead[index]
+    loaded = _loaded(before, total)
+    commands = {
+        name: start_at[name] + (value - start_at[name]) * loaded for name, value in holding.items()
+    }
+    commands[drive.actuator] = commands[drive.actuator] + scale * envelope * ahead[index]
     start = (before + swell) / rate
     return Signal(
         joint=joint,
         time=np.arange(total) / rate,
         commands=commands,
+        start=start_at,
+        sags=np.array(
+            [
+                0.0
+                if d is None or not d.servo
+                else (holding[d.actuator] - start_at[d.actuator]) * d.gain / d.stiffness
+                for d in machine.drives
+            ]
+        ),
         steady_s=(start, start + count / rate),
         torque_rms=float(scale * torque_rms),
         drive_rms=float(scale * np.sqrt(np.mean(answer.drive_torques[j] ** 2))),
@@ -231,6 +201,16 @@ def make_signal(
         scale=float(scale),
         limited_by=limited_by,
     )
+
+
+def _loaded(before: int, total: int) -> Array:
+    """Share of the sag that commands make up for: none at either end, all while it is shaken."""
+    rise = round(_LOADING * before)
+    share = np.ones(total)
+    if rise > 0:
+        share[:rise] = 0.5 - 0.5 * np.cos(np.pi * np.arange(rise) / rise)
+        share[total - rise :] = share[:rise][::-1]
+    return share
 
 
 class _Answer:

@@ -17,7 +17,7 @@ from loose_env.report.diagnosis_arm import arm_figure
 from loose_env.report.diagnosis_words import percent, short_name
 from loose_env.report.figures import new_figure
 from loose_env.report.gap_parts import group
-from loose_env.report.plan_words import pose_rows, steps
+from loose_env.report.plan_words import pose_rows, starts, steps
 from loose_env.report.plate import Plate
 from loose_env.report.template import template, write_whole
 
@@ -109,8 +109,12 @@ def _pose_group(plan: Plan) -> dict[str, Any]:
         beside=True,
         tables=[
             {
-                "rows": [{"Joint": name, "Hold at": value} for name, value in pose_rows(plan)],
-                "note": "From the base.",
+                "rows": [
+                    {"Joint": name, "Hold at": value, "Command at the start": started}
+                    for (name, value), started in zip(pose_rows(plan), starts(plan), strict=True)
+                ],
+                "note": "From the base. Commands are those of the signal's first row, in the "
+                "actuator's own unit.",
             }
         ],
     )

@@ -10,9 +10,10 @@ import numpy as np
 
 from loose_env.instrument.plan import Plan
 from loose_env.instrument.plan_files import run_columns, signal_stems
+from loose_env.instrument.signals import Signal
 from loose_env.report.diagnosis_words import percent, place_value, short_name
 
-__all__ = ["pose_rows", "steps", "summary"]
+__all__ = ["pose_rows", "starts", "steps", "summary"]
 
 _LISTED = 0.02
 """Probability from which a hypothesis is mentioned [1]."""
@@ -23,6 +24,15 @@ def pose_rows(plan: Plan) -> list[tuple[str, str]]:
     return [
         (name, place_value(plan.machine.arm, own, plan.next.pose[name]))
         for name, own in zip(plan.machine.joints, plan.machine.arm.joints, strict=True)
+    ]
+
+
+def starts(plan: Plan) -> list[str]:
+    """Command of each joint's actuator when the first signal begins, base first."""
+    first = plan.signals[0].start
+    return [
+        "–" if drive is None else f"{first[drive.actuator]:.4f}".replace("-", "−")
+        for drive in plan.machine.drives
     ]
 
 
@@ -44,7 +54,7 @@ def steps(plan: Plan, runs: tuple[str, ...], folder: str = "DIR") -> list[str]:
         if machine.arm.sliding[j]:
             what = "position commands (m)" if drive.servo else "force commands"
         others = (
-            "The other columns are constant: they hold the arm."
+            "The other columns hold the arm."
             if drive.servo
             else "Torque alone holds no pose: let your controller keep every joint near its place, "
             f"slow enough to leave the noise alone (below {chosen.band_hz[0] / 4:.0f} Hz), and add "
@@ -59,6 +69,7 @@ def steps(plan: Plan, runs: tuple[str, ...], folder: str = "DIR") -> list[str]:
             f"Start the recorder at {rate} or faster, then play {stem}.csv (or {stem}.parquet): "
             f"{what} for {drive.actuator}, {signal.time[-1]:.2f} s long, noise from "
             f"{chosen.band_hz[0]:g} to {chosen.band_hz[1]:g} Hz. {others}"
+            f"{_starts(signal) if drive.servo else ''}"
         )
         said.append(
             f"Save the readings as recording/{run} with the columns "
@@ -72,6 +83,12 @@ def steps(plan: Plan, runs: tuple[str, ...], folder: str = "DIR") -> list[str]:
         f"--known {folder}/diagnosis{_options(plan.again)}"
     )
     return said
+
+
+def _starts(signal: Signal) -> str:
+    """Commands with which a signal begins, as its file has them, in a sentence."""
+    first = ", ".join(f"{name} at {value:.4g}" for name, value in signal.start.items())
+    return f" It begins with {first}: the arm has to stand under these commands, or it jumps."
 
 
 def _options(settings: Mapping[str, Any]) -> str:

@@ -9,6 +9,9 @@ import numpy as np
 
 from loose_env.instrument.plan import Plan
 
+_SETTLE = 1.5
+"""Time for which the arm is left under the first commands before the signal begins [s]."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Played:
@@ -20,6 +23,10 @@ class Played:
     travel: np.ndarray
     standing: float
     """Largest acceleration of the tool before the noise begins, less gravity [m/s²]."""
+    first_step: float
+    """Largest acceleration of the tool in the first tenth of the hold, less gravity [m/s²]."""
+    held_at: np.ndarray
+    """Joint positions just before the noise begins [rad or m]."""
     columns: dict[str, np.ndarray]
     """The run, as a recording has it."""
 
@@ -47,6 +54,9 @@ def play(plan: Plan, *, step: float = 2e-4) -> Played:
     for a in range(m.nu):
         if m.actuator_actadr[a] >= 0:
             data.act[m.actuator_actadr[a]] = u[0, a]
+    for _ in range(round(_SETTLE / step)):  # the arm stands under the signal's first commands
+        mujoco.mj_step(m, data)
+    data.time = 0.0
     sensor = int(m.sensor(machine.recordable.accelerometer).adr[0])
     each = round(1 / (step * plan.next.rate_hz))
     tool, q, torque, qacc = [], [], [], []
@@ -61,7 +71,10 @@ def play(plan: Plan, *, step: float = 2e-4) -> Played:
             mujoco.mj_step(m, data)
     a, angle = np.array(tool), np.array(q)
     on = (signal.time >= signal.steady_s[0]) & (signal.time < signal.steady_s[1])
-    still = signal.time < 0.9 * (signal.steady_s[0] - 0.25)
+    swells = signal.steady_s[0] - 0.25
+    still = (signal.time > 0.8 * swells) & (signal.time < 0.9 * swells)
+    early = signal.time < 0.1 * swells
+    shaken = (signal.time > 0.9 * swells) & (signal.time < signal.steady_s[1] + 0.25)
     j = machine.joints.index(signal.joint)
     around = a[on] - a[on].mean(axis=0)
     columns = {"time": signal.time, **{f"ctrl.{n}": v for n, v in signal.commands.items()}}
@@ -72,7 +85,9 @@ def play(plan: Plan, *, step: float = 2e-4) -> Played:
         tool_rms=float(np.sqrt((around**2).sum(axis=1).mean())),
         joint_rms=float(np.array(qacc)[on][:, j].std()),
         torque_peaks=np.abs(torque).max(axis=0),
-        travel=np.abs(angle - plan.pose).max(axis=0),
-        standing=float(np.abs(a[still] - a[0]).max()),
+        travel=np.abs(angle[shaken] - plan.pose).max(axis=0),
+        standing=float(np.abs(a[still] - a[still][0]).max()),
+        first_step=float(np.abs(a[early] - a[0]).max()),
+        held_at=angle[still].mean(axis=0),
         columns=columns,
     )

@@ -69,7 +69,7 @@ def known(made: Plan, **shares: float) -> Diagnosis:
 
 @pytest.mark.parametrize("joint", ["pan", "lift", "elbow"])
 def test_what_is_played_on_servos_does_what_the_plan_says(servoed: Path, joint: str) -> None:
-    made = plan(servoed, choice=FEW, own=PlanSettings(joint=joint))
+    made = plan(servoed, choice=FEW, own=PlanSettings(joint=joint, hold_s=1.5))
     signal, did = made.signals[0], play(made, step=5e-5)
     assert did.tool_rms == pytest.approx(signal.tool_rms, rel=0.05)
     assert did.joint_rms == pytest.approx(signal.joint_rms, rel=0.05)
@@ -78,6 +78,28 @@ def test_what_is_played_on_servos_does_what_the_plan_says(servoed: Path, joint: 
     assert (did.torque_peaks <= allowed * 1.03).all()
     assert did.travel == pytest.approx(signal.travel, rel=0.15, abs=2e-5)
     assert did.standing < 1e-3 * did.tool_rms  # it holds its pose before the noise begins
+    assert did.held_at == pytest.approx(made.pose, abs=1e-5)
+
+
+def test_the_signal_of_an_arm_that_sags_begins_where_the_arm_was_sent(
+    tmp_path: Path,
+) -> None:
+    """A command that steps from the pose to what holds it would make the arm jump."""
+    soft = SERVOED.replace('kp="900"', 'kp="200"').replace("-2.2 2.2", "-3 3")
+    model = written(tmp_path, soft)
+    pose = (0.0, -20.0, 60.0)
+    made = plan(model, choice=FEW, own=PlanSettings(joint="pan", pose_deg=pose, hold_s=1.0))
+    signal, lift = made.signals[0], made.signals[0].commands["lift_servo"]
+    assert lift[0] == lift[-1] == signal.start["lift_servo"] == pytest.approx(made.pose[1])
+    assert abs(signal.sags[1]) > np.radians(1.0)
+    steady = (signal.time >= signal.steady_s[0]) & (signal.time < signal.steady_s[1])
+    assert lift[steady] == pytest.approx(made.pose[1] + signal.sags[1])
+    assert np.abs(np.diff(lift)).max() < 0.01 * abs(signal.sags[1])
+    did = play(made)
+    assert did.first_step < 0.3  # a step of the sag makes it 5 and more
+    assert did.held_at == pytest.approx(made.pose, abs=1e-3)
+    assert any("joint lift: its servo gives way" in words for words in made.warnings)
+    assert "lift_servo at -0.3491" in " ".join(steps(made, ("run-01.csv",)))
 
 
 def test_motors_are_given_torque_that_holds_the_pose_too(motors: Path) -> None:
