@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 _FRICTION = np.geomspace(0.3, 30.0, 9)
 """Friction of a slide's guide that is held possible [N]."""
 _LEVER = 0.03
-"""Friction of play over that of a slide [m]."""
+"""Friction of play in a joint that turns, over that of a slide [m]."""
 _OVERCOME = 0.6
 """Rms force over static load at which a seat begins to open: peaks do it."""
 
@@ -32,7 +32,14 @@ def seat_forces(response: Response, seats: NDArray[np.intp], axes: Array) -> tup
 def open_probability(response: Response, seats: NDArray[np.intp], axes: Array) -> Array:
     """Probability that a seat opens in a run, its friction unknown, by axis (U,)."""
     drive, load = seat_forces(response, seats, axes)
-    friction = _FRICTION if len(seats) > 1 else _LEVER * _FRICTION
+    friction = _FRICTION * (_LEVER if _turns(response, seats) else 1.0)
     held = _OVERCOME * (load[:, None] + friction)
     chance = 1 / (1 + (held / np.maximum(drive, 1e-12)[:, None]) ** 4)
     return np.asarray(np.clip(chance.mean(axis=1), 0.01, 0.99))
+
+
+def _turns(response: Response, seats: NDArray[np.intp]) -> bool:
+    """Whether a seat is the play of a joint that turns."""
+    machine = response.at.of.machine
+    joint = int(seats[0]) - 3 * machine.n  # the slides of all links come first
+    return joint >= 0 and not bool(machine.arm.sliding[joint])
