@@ -28,6 +28,7 @@ from loose_env.instrument.result import (
     Fault,
     NextMeasurement,
     RecordSeen,
+    SlideDirection,
     Vector,
 )
 from loose_env.instrument.seat_travel import Travel, travel_of
@@ -142,6 +143,7 @@ class Workbench:
             records=records,
             model=self.machine.path.name,
             settings=asdict(self.settings),
+            directions=_directions(judged),
             settled=judged.posterior[best] > self.settings.sure
             and len(self.suspect) >= _LEAST_RUNS,
         )
@@ -296,6 +298,19 @@ def diagnose(
             f"model and runs cannot be reckoned with ({error}): are masses, gains and readings in "
             "SI units?"
         ) from None
+
+
+def _directions(judged: Judged) -> dict[str, SlideDirection]:
+    """Direction of every link's slide, where its own fit has one."""
+    found = {}
+    for name, fit in judged.fits.items():
+        kind, _, where = name.partition("@")
+        if kind != "structural_looseness":
+            continue
+        axis, half = cone(fit)
+        if axis is not None and half is not None:
+            found[where] = SlideDirection(axis=axis, half_angle_deg=half)
+    return found
 
 
 def _fault(machine: Machine, judged: Judged, travel: Travel | None) -> Fault:

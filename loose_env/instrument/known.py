@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,9 @@ Array = NDArray[np.float64]
 
 _CONE_95 = 2.45
 """Half the opening of a 95 % cone over the standard deviation of a direction in space [1]."""
-_LEAST_SD = np.radians(6.0)
+_USUAL_SD = 0.2
+"""Standard deviation of a direction of which none is given [rad]."""
+_LEAST_SD = float(np.radians(6.0))
 """Directions are told no finer than the grid they are looked for on [rad]."""
 _DOUBT = 0.02
 """Weight of a direction that was seen wrongly, over that of one seen exactly [1]."""
@@ -52,8 +54,8 @@ class Known:
     """Records of the suspect arm, the last one last."""
     directions: Mapping[str, Array] = field(default_factory=dict)
     """Link -> direction of the slide in the link's frame (3,), where one is known."""
-    direction_sd: float = 0.2
-    """Standard deviation of those [rad]."""
+    direction_sd: Mapping[str, float] = field(default_factory=dict)
+    """Link -> standard deviation of that [rad]; 0.2 where none is given."""
 
 
 def names_of(links: Sequence[str], joints: Sequence[str]) -> tuple[str, ...]:
@@ -97,34 +99,45 @@ def known_of(diagnosis: Diagnosis, links: Sequence[str], joints: Sequence[str]) 
             f"links are {', '.join(links)} and its joints {', '.join(joints)}"
             f"{nearest(what, names) if foreign else ''}"
         )
-    records = []
+    fault, along, sds = diagnosis.fault, {}, {}
+    for link, slide in diagnosis.directions.items():
+        along[link] = np.array(slide.axis, dtype=float)
+        sds[link] = _sd_of(slide.half_angle_deg)
+    if not along and fault.where is not None and fault.direction is not None:
+        along[fault.where] = np.array(fault.direction, dtype=float)
+        sds[fault.where] = _sd_of(fault.direction_half_angle_deg)
+    records: list[Seen] = []
+    last = None
     for record in diagnosis.records:
         if record.condition != "suspect" or set(joints) - set(record.pose):
             continue
         if not record.probabilities:  # it could not be used, and may be taken again
             continue
-        seen, angle = record.direction_tool, record.half_angle_deg
-        sd = _LEAST_SD if angle is None else max(np.radians(angle) / _CONE_95, 1e-3)
+        last = record
         records.append(
             Seen(
                 pose=np.array([record.pose[joint] for joint in joints], dtype=float),
                 excited=record.excited,
-                direction=None if seen is None else np.array(seen, dtype=float),
-                sd=float(sd),
             )
         )
-    fault = diagnosis.fault
-    along: dict[str, Array] = {}
-    half = fault.direction_half_angle_deg
-    if fault.where is not None and fault.direction is not None:
-        along[fault.where] = np.array(fault.direction, dtype=float)
+    if not along and last is not None and last.direction_tool is not None:
+        # Of an earlier version: what its records show is one direction, told in every pose anew.
+        seen = np.array(last.direction_tool, dtype=float)
+        records[-1] = replace(records[-1], direction=seen, sd=_sd_of(last.half_angle_deg))
     total = sum(diagnosis.posterior.values())
     return Known(
         probabilities={name: diagnosis.posterior[name] / total for name in names},
         records=tuple(records),
         directions=along,
-        direction_sd=0.2 if half is None else max(np.radians(half) / _CONE_95, 1e-3),
+        direction_sd=sds,
     )
+
+
+def _sd_of(half_angle_deg: float | None) -> float:
+    """Standard deviation of a direction from its 95 % cone [rad]."""
+    if half_angle_deg is None:
+        return _LEAST_SD
+    return float(max(np.radians(half_angle_deg) / _CONE_95, 1e-3))
 
 
 def belief_of(
@@ -137,8 +150,8 @@ def belief_of(
 ) -> Belief:
     """Spread what is known over the directions and frictions of a belief.
 
-    The hypotheses keep their probabilities. Within a link, directions are weighed by what was
-    seen in each pose.
+    The hypotheses keep their probabilities. Within a link, directions are weighed by the one that
+    all runs together have for it, or by what was seen in each pose where records say that.
 
     Parameters
     ----------
@@ -178,7 +191,8 @@ def belief_of(
     for link, axis in known.directions.items():
         if link in links and not any(r.direction is not None for r in known.records):
             own = directions @ axis[: directions.shape[1]]
-            log[list(links).index(link)] += _log_near(own, known.direction_sd)
+            sd = known.direction_sd.get(link, _USUAL_SD)
+            log[list(links).index(link)] += _log_near(own, sd)
     log -= np.logaddexp.reduce(log, axis=1, keepdims=True)
     slides = np.log([share[name] for name in names[1 : n + 1]])[:, None] + log
     plays = np.log([share[name] for name in names[n + 1 :]])

@@ -22,6 +22,7 @@ __all__ = [
     "Loop",
     "NextMeasurement",
     "RecordSeen",
+    "SlideDirection",
     "hypothesis_of",
     "read_diagnosis",
 ]
@@ -197,14 +198,24 @@ class RecordSeen:
     """Of every hypothesis after this run and all before it; empty for a healthy reference and
     for a run that could not be used."""
     direction_tool: Vector | None = None
-    """Direction of what this pose shows beyond the sound arm, tool frame, axial; None where
-    nothing is seen."""
+    """Direction in which the most probable fault moves the tool in this pose, tool frame, axial: as
+    all runs together have it, not this one alone. None where none is seen."""
     half_angle_deg: float | None = None
     """Half the opening of its 95 % cone [degrees]."""
     loops: tuple[Loop, ...] = ()
     """For the figure of this run."""
     notes: tuple[str, ...] = ()
     """What was remarkable about it, in sentences."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlideDirection:
+    """Along which direction a link would slide if it were the loose one."""
+
+    axis: Vector
+    """Unit vector in the body's own frame, axial."""
+    half_angle_deg: float
+    """Half the opening of its 95 % cone [degrees]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,6 +240,9 @@ class Diagnosis:
     """File of the nominal model."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Everything that the result depends on besides recording and model."""
+    directions: Mapping[str, SlideDirection] = field(default_factory=dict)
+    """Body -> direction of its slide by all runs together, if it were the loose one; those of which
+    the data say one. Empty in files of versions that did not say."""
     settled: bool = False
     """Whether nothing more needs to be measured: two runs at least, and the probability above the
     setting ``sure``. False in files of versions that did not say."""

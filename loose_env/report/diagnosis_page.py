@@ -253,10 +253,13 @@ def _loop_words(record: RecordSeen, arm: Arm) -> str:
     pose = ", ".join(place_value(arm, joint, value) for joint, value in record.pose.items())
     said = f"Pose {pose}." if pose else ""
     if record.direction_tool is None:
-        return f"{said} No direction in which motion is lost stands out of this record.".strip()
+        return f"{said} No direction in which motion is lost stands out.".strip()
     axis = ", ".join(f"{x:.2f}".replace("-", "−") for x in record.direction_tool)
     within = "" if record.half_angle_deg is None else f", within {record.half_angle_deg:.0f}°"
-    return f"{said} Motion is lost along ({axis}) of the tool's frame{within}.".strip()
+    return (
+        f"{said} By all records together, motion is lost along ({axis}) of the tool's frame here"
+        f"{within}."
+    ).strip()
 
 
 def _records_group(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:

@@ -40,6 +40,10 @@ def test_a_loose_link_of_an_arm_that_mujoco_never_saw_is_named(slide: Diagnosis)
     assert off < 8.0
     assert slide.fault.direction_half_angle_deg is not None
     assert off < slide.fault.direction_half_angle_deg
+    own = slide.directions["link2"]
+    assert own.axis == slide.fault.direction
+    assert own.half_angle_deg == slide.fault.direction_half_angle_deg
+    assert set(slide.directions) <= {"link1", "link2", "link3"}
 
 
 def test_every_run_has_its_probabilities_its_direction_and_its_loop(slide: Diagnosis) -> None:
