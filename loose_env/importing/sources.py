@@ -6,17 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.importing.channel_list import FileList
 from loose_env.importing.csv_file import read_csv_logger
 from loose_env.importing.csv_list import list_csv
+from loose_env.importing.even_stamps import straightened
 from loose_env.importing.mapping import FileKind, ImportMapping, RunPlan, SourceEntry, TimeSource
 from loose_env.importing.mcap_file import list_mcap, read_mcap
 from loose_env.importing.mcap_records import MAGIC
-from loose_env.importing.resampling import median_step
 from loose_env.importing.samples import ChannelKey, Samples
 from loose_env.importing.uff_file import list_uff, read_uff
 from loose_env.recording.columns import nearest
@@ -41,8 +38,6 @@ _ADVICE = {
     ".pkl": "files that can hold code are not read",
     ".npy": "save it as CSV",
 }
-_EVEN_OFF = 3.0
-"""Steps that a stamp may be off the straight line through them."""
 
 
 def given_files(words: Sequence[str]) -> Given:
@@ -189,7 +184,7 @@ def _needed(mapping: ImportMapping, run: RunPlan) -> list[str]:
 def _corrected(samples: Samples, time: TimeSource, earliest_ns: int) -> Samples:
     at, origin = samples.time, samples.origin_ns
     if time.even and time.rate_hz is None:
-        at = _straightened(samples)
+        at = straightened(samples.place, at)
     start = (earliest_ns - origin) * 1e-9
     if time.from_start:
         at, origin, start = at - start, 0, 0.0
@@ -197,21 +192,3 @@ def _corrected(samples: Samples, time: TimeSource, earliest_ns: int) -> Samples:
         at = start + (at - start) * (1 + 1e-6 * time.drift_ppm)
     # Whole nanoseconds: an offset of years would cost the stamps their microseconds.
     return replace(samples, time=at, origin_ns=origin + round(time.offset_s * 1e9))
-
-
-def _straightened(samples: Samples) -> NDArray[np.float64]:
-    """Stamps on the straight line through them, in the place of those that jitter about it."""
-    time = samples.time
-    step = median_step(time)
-    count = np.arange(len(time))
-    slope, start = np.polyfit(count, time, 1)
-    line = start + slope * count
-    off = np.abs(time - line)
-    if off.max() > _EVEN_OFF * step:
-        i = int(np.argmax(off))
-        raise InvalidData(
-            f"{samples.place}: even = true, but sample {i + 1} is {off[i]:.4g} s off the straight "
-            f"line through the stamps, {off[i] / step:.0f} steps; samples are missing, so leave "
-            "even out"
-        )
-    return np.asarray(line)
