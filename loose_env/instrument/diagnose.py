@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -13,10 +13,9 @@ from loose_env.errors import InvalidData
 from loose_env.instrument.cautions import warnings_of
 from loose_env.instrument.correlation_loops import loops_of
 from loose_env.instrument.directions import cone, seen_in_tool
-from loose_env.instrument.evidence import Evidence
 from loose_env.instrument.held_poses import Held, held_in
-from loose_env.instrument.judging import Judged, judge, probabilities_of
-from loose_env.instrument.lines import Lines, lines_of, thinned
+from loose_env.instrument.judging import Judged, judge
+from loose_env.instrument.lines import Lines, lines_of
 from loose_env.instrument.machine import Machine
 from loose_env.instrument.model_arm import ModelArm, load_model_arm
 from loose_env.instrument.plan import next_for
@@ -34,7 +33,6 @@ from loose_env.instrument.result import (
 from loose_env.instrument.seat_travel import Travel, travel_of
 from loose_env.instrument.settings import DiagnoseSettings
 from loose_env.instrument.uncertain import UncertainMachine
-from loose_env.instrument.weighing import fit_hypothesis, seats_of
 from loose_env.recording import Recording, Run
 
 __all__ = ["Workbench", "diagnose"]
@@ -43,8 +41,6 @@ Array = NDArray[np.float64]
 
 _LEAST_RUNS = 2
 """Runs before nothing more is asked for: neighbouring links can look alike in one pose."""
-_STORY = 24
-"""Lines of a run when probabilities are followed from run to run."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,6 +75,7 @@ class Workbench:
         self.uncertain = UncertainMachine(self.machine, settings.tolerances)
         self._arm: ModelArm | None = None
         self._taken: list[_Taken] = []
+        self._told: dict[tuple[int, ...], Mapping[str, float]] = {}
 
     @property
     def runs(self) -> list[Run]:
@@ -125,6 +122,7 @@ class Workbench:
         lines = [t.lines for t in self._taken if t.lines is not None]
         say(f"weighing {len(self.machine.hypotheses)} hypotheses by {len(lines)} runs")
         judged = judge(self.uncertain, lines, sound=self.settings.sound)
+        self._told[tuple(one.number for one in lines)] = judged.posterior
         best = judged.best
         travel = None
         if best != HEALTHY and self.suspect:
@@ -192,35 +190,26 @@ class Workbench:
             "with the arm's own model; look yourself before the arm moves",
         )
 
+    def _posterior(self, lines: Sequence[Lines]) -> Mapping[str, float]:
+        """Probabilities by some of the runs alone, as a diagnosis of no others has them."""
+        key = tuple(one.number for one in lines)
+        if key not in self._told:
+            self._told[key] = judge(self.uncertain, lines, sound=self.settings.sound).posterior
+        return self._told[key]
+
     def _records(self, judged: Judged) -> tuple[RecordSeen, ...]:
         """What each run showed, with the probabilities after it."""
-        hypotheses = self.machine.hypotheses
-        seats = seats_of(hypotheses, self.machine.n)
         found: list[RecordSeen] = []
-        so_far: list[Lines] = []
-        healthy = [
-            thinned(judged.as_sampled(t.lines), _STORY)
-            for t in self._taken
-            if t.lines is not None and t.lines.healthy
-        ]
-        count = len(self.suspect)
+        so_far = {
+            t.lines.number: t.lines for t in self._taken if t.lines is not None and t.lines.healthy
+        }
         for taken in self._taken:
             probabilities: dict[str, float] = {}
             direction: Vector | None = None
             angle = None
             if taken.lines is not None and not taken.lines.healthy:
-                so_far.append(thinned(judged.as_sampled(taken.lines), _STORY))
-                if len(so_far) == count:
-                    probabilities = dict(judged.posterior)
-                else:
-                    evidence = Evidence(machine=self.uncertain, lines=[*healthy, *so_far])
-                    values = {
-                        name: fit_hypothesis(
-                            evidence, name, seat, start=judged.fits[name], steps=1
-                        ).evidence
-                        for name, seat in seats.items()
-                    }
-                    probabilities = probabilities_of(values, sound=self.settings.sound)
+                so_far[taken.lines.number] = taken.lines
+                probabilities = dict(self._posterior([so_far[k] for k in sorted(so_far)]))
                 direction, angle = seen_in_tool(self.uncertain, judged, taken.lines)
             pose = (
                 {j: q for j, q in (taken.run.pose or {}).items() if j in self.machine.joints}

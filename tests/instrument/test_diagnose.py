@@ -95,6 +95,18 @@ def test_the_next_band_is_the_one_that_is_asked_for(tmp_path: Path) -> None:
     assert following.settings["band_high"] == 60.0
 
 
+@pytest.mark.parametrize("kind", ["slide", "healthy"])
+def test_after_a_run_stands_what_the_runs_up_to_it_say_by_themselves(
+    tmp_path: Path, kind: str
+) -> None:
+    """What later runs say must not colour it: a reader judges by it how early one knew."""
+    references = runs("slide", 1, sound=True)
+    whole = weighed(tmp_path, references + runs(kind, 3))
+    for count in (1, 2, 3):
+        alone = weighed(tmp_path, references + runs(kind, count))
+        assert whole.records[count].probabilities == pytest.approx(alone.posterior, abs=1e-9)
+
+
 def test_play_is_told_from_a_slide(tmp_path: Path) -> None:
     found = weighed(tmp_path, runs("play"))
     assert found.fault.hypothesis == "backlash@joint2"
