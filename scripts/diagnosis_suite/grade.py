@@ -33,11 +33,11 @@ def table(rows: Rows, title: str) -> str:
     most = max((len(r["steps"]) for r in rows), default=0)
     faulty = [r for r in rows if r["kind"] != "healthy"]
     for count in range(1, most + 1):
-        after = [_best(r["steps"][min(count, len(r["steps"])) - 1]) == r["true"] for r in rows]
-        of_faults = [
-            _best(r["steps"][min(count, len(r["steps"])) - 1]) == r["true"] for r in faulty
-        ]
-        lines.append(f"  after {count} run(s): {_share(after)}; of faults {_share(of_faults)}")
+        lines.append(
+            f"  after {count} run(s): {_share(_right_after(rows, count))}; of faults "
+            f"{_share(_right_after(faulty, count))}; calibration error "
+            f"{_bins(_said_after(rows, count), _right_after(rows, count))[0]:.3f}"
+        )
     lines += _numbers(rows) + _calibration(rows)
     if in_session:
         taken = [r["measurements"] for r in rows]
@@ -76,8 +76,13 @@ def _numbers(rows: Rows) -> list[str]:
 def _calibration(rows: Rows) -> list[str]:
     if not rows:
         return []
-    said = np.array([r["probability"] for r in rows])
-    right = np.array(_right(rows), dtype=float)
+    error, lines = _bins([r["probability"] for r in rows], _right(rows))
+    return [f"  calibration error (ECE): {error:.3f}", *lines]
+
+
+def _bins(probabilities: Sequence[float], outcomes: Sequence[bool]) -> tuple[float, list[str]]:
+    """Expected calibration error, and a line for every bin of what was said."""
+    said, right = np.array(probabilities), np.array(outcomes, dtype=float)
     error, lines = 0.0, []
     for low, high in itertools.pairwise(BINS):
         inside = (said > low) & (said <= high)
@@ -88,7 +93,21 @@ def _calibration(rows: Rows) -> list[str]:
                 f"    said {low:.2f} to {high:.2f}: {inside.sum()} cases, mean "
                 f"{said[inside].mean():.3f}, right {right[inside].mean():.3f}"
             )
-    return [f"  calibration error (ECE): {error:.3f}", *lines]
+    return error, lines
+
+
+def _after(row: dict[str, Any], count: int) -> dict[str, float]:
+    """Probabilities by the first runs alone; by all where there are fewer."""
+    found: dict[str, float] = row["steps"][min(count, len(row["steps"])) - 1]
+    return found
+
+
+def _said_after(rows: Rows, count: int) -> list[float]:
+    return [max(_after(r, count).values()) for r in rows]
+
+
+def _right_after(rows: Rows, count: int) -> list[bool]:
+    return [_best(_after(r, count)) == r["true"] for r in rows]
 
 
 def _best(probabilities: dict[str, float]) -> str:

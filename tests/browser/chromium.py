@@ -135,7 +135,11 @@ def chromium(profile: Path) -> Iterator[Page]:
     )
     try:
         address = _address(profile, process)
-        with connect(address, max_size=None, compression=None, proxy=None) as socket:
+        # No pings: their thread draws from the global `random`, which Hypothesis takes for a
+        # strategy that does, whatever test happens to run just then.
+        with connect(
+            address, max_size=None, compression=None, proxy=None, ping_interval=None
+        ) as socket:
             yield Page(socket)
     finally:
         process.terminate()

@@ -39,6 +39,14 @@ def test_the_table_counts_what_was_said() -> None:
     assert "kind right: 1 of 1" in words
 
 
+def test_probabilities_after_each_run_are_graded_by_themselves() -> None:
+    row = marks(draw(1, 1), diagnosis()) | {"shown": 0.2}
+    first, last = {"healthy": 0.75, row["true"]: 0.25}, {"healthy": 0.0, row["true"]: 1.0}
+    words = table([row | {"steps": [first, last]}], "one case")
+    assert "after 1 run(s): 0 of 1 (0%); of faults 0 of 1 (0%); calibration error 0.750" in words
+    assert "after 2 run(s): 1 of 1 (100%); of faults 1 of 1 (100%); calibration error 0" in words
+
+
 def test_a_row_that_was_cut_off_is_left_out(tmp_path: Path) -> None:
     file = tmp_path / "rows.jsonl"
     file.write_text('{"case": 1}\n{"case": 2, "sa')
