@@ -38,8 +38,9 @@ docs: $(DEV) ## build the documentation's site into docs/_build; a warning is an
 	$(ONE_THREAD) $(BIN)/python -m sphinx -W --keep-going --quiet -j auto -b html docs docs/_build
 	@echo "Open docs/_build/index.html"
 
+# A file's tests stay in one process, which shares what its fixtures made.
 test: $(DEV) ## run the tests and the examples in the docstrings
-	$(ONE_THREAD) $(BIN)/python -m pytest $(ARGS)
+	$(ONE_THREAD) $(BIN)/python -m pytest --numprocesses auto --dist loadfile $(ARGS)
 
 bench: $(RUN) ## time the simulation and the diagnosis on this machine
 	$(BIN)/python scripts/benchmark.py $(ARGS)
