@@ -29,8 +29,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--json", type=Path, metavar="FILE", help="file to write the same to, for programs"
     )
-    add_settings(parser, ModelSettings)
-    add_settings(parser, NextSettings, leave_out=("in_turn",))
+    add_settings(parser, ModelSettings, title="the arm as it stands")
+    add_settings(
+        parser, NextSettings, title="how poses and excitation are chosen", leave_out=("in_turn",)
+    )
 
 
 def run(options: argparse.Namespace) -> None:

@@ -19,7 +19,11 @@ _PLAIN = (int, float, str)
 
 
 def add_settings(
-    parser: argparse.ArgumentParser, kind: type, *, leave_out: Collection[str] = ()
+    parser: argparse.ArgumentParser,
+    kind: type,
+    *,
+    title: str = "settings",
+    leave_out: Collection[str] = (),
 ) -> None:
     """Add an option for each field: its type, its default, and the docstring under it as help.
 
@@ -31,6 +35,8 @@ def add_settings(
         Takes the options.
     kind : type
         A dataclass whose fields have defaults.
+    title : str
+        Heading of these options in the help.
     leave_out : collection of str
         Fields that get no option; for fields inside others "field-name".
 
@@ -46,7 +52,7 @@ def add_settings(
     >>> settings_of(parser.parse_args(["--most", "2"]), Own)
     Own(tolerance=0.03, most=2)
     """
-    group = parser.add_argument_group("settings")
+    group = parser.add_argument_group(title)
     for name, each, hint, default, words in _flat(kind, ""):
         if name in leave_out:
             continue

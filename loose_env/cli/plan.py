@@ -43,11 +43,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="RESULT",
         help="what is known so far: result.json of 'loose diagnose', or the folder with it",
     )
-    add_settings(parser, ModelSettings)
-    add_settings(parser, NextSettings)
+    add_settings(parser, ModelSettings, title="the arm as it stands")
+    add_settings(parser, NextSettings, title="how poses and excitation are chosen")
     # With --known, what is not given is as the diagnosis had it: that it was not has to be seen.
     parser.set_defaults(**dict.fromkeys((each.name for each in fields(NextSettings)), None))
-    add_settings(parser, PlanSettings)
+    add_settings(parser, PlanSettings, title="the next measurement itself")
 
 
 def run(options: argparse.Namespace) -> None:
