@@ -30,6 +30,9 @@ _CHUNK = 2_000_000
 """Numbers recorded at a time."""
 _AGAIN = 1024
 """States at which sensors are worked out at a time."""
+_WITHIN = 2
+"""Parts of a step where commands change within it: a mean moves the speed rightly, and the place
+only as far as the change lies in the middle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +68,8 @@ class _Slot:
     hypothesis: Hypothesis
     model: mujoco.MjModel
     trial: int
+    parts: int
+    """In how many parts each step of the run is simulated."""
 
 
 class Simulator:
@@ -111,9 +116,11 @@ class Simulator:
         for (step, _), members in by_step.items():
             groups: dict[tuple[object, ...], list[_Slot]] = {}
             for key, hypothesis in motions.items():
-                model = hypothesis.model(self.machine, step)
-                groups.setdefault(_layout(model), []).extend(
-                    _Slot(key=key, hypothesis=hypothesis, model=model, trial=t) for t in members
+                parts = _WITHIN if _changes_within(hypothesis) else 1
+                model = hypothesis.model(self.machine, step / parts)
+                groups.setdefault((*_layout(model), parts), []).extend(
+                    _Slot(key=key, hypothesis=hypothesis, model=model, trial=t, parts=parts)
+                    for t in members
                 )
             with quiet():
                 for layout, slots in groups.items():
@@ -140,13 +147,15 @@ class Simulator:
     def _simulate(self, slots: list[_Slot], layout: tuple[object, ...]) -> list[Array]:
         """Sensors and actuator forces at the samples (T, sensors + actuators), by slot."""
         batch = self._batch(layout, slots)
-        first = self.trials[slots[0].trial]
-        steps, settle = first.steps, round(_SETTLE / first.step)
+        first, parts = self.trials[slots[0].trial], slots[0].parts
+        steps, step = (first.steps - 1) * parts + 1, first.step / parts
+        settle = round(_SETTLE / step)
         self._set_start(batch, slots)
         controls = np.zeros((len(slots), steps, slots[0].model.nu))
-        clock: Array = np.arange(steps, dtype=float) * first.step
+        clock: Array = np.arange(steps, dtype=float) * step
         for k, slot in enumerate(slots):
             values, hypothesis = self.trials[slot.trial].controls, slot.hypothesis
+            values = np.repeat(values, parts, axis=0)[:steps]
             for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
                 values = effect.command(clock, values, own)
             controls[k, :, : values.shape[1]] = values
@@ -160,8 +169,7 @@ class Simulator:
         sensed, driven = slots[0].model.nsensordata, len(self.machine.actuators)
         width = sensed + driven
         # where a command changes within a step, sensors are worked out once more
-        timed = [k for k, slot in enumerate(slots) if _changes_within(slot.hypothesis)]
-        names = ["qpos", "qvel", "act"] if timed else []
+        names = ["qpos", "qvel", "act"] if parts > 1 else []
         states: dict[str, list[Array]] = {name: [] for name in names}
         size = max(1, min(steps, _CHUNK // max(1, len(slots) * width)))
         kept = np.empty((len(slots), steps, width))
@@ -169,20 +177,20 @@ class Simulator:
             count = min(size, steps - start)
             records: dict[str, Array] = {}
             chunk = slice(start, start + count)
-            before = {name: np.array(getattr(batch, name)[timed]) for name in states}
+            before = {name: np.array(getattr(batch, name)) for name in names}
             wild |= _advance(
                 batch, count, controls[:, chunk], np.arange(len(slots)), records, names
             )
-            for name, parts in states.items():
-                parts += [before[name][:, None], records[name][timed, :-1]]
+            for name, found in states.items():
+                found += [before[name][:, None], records[name][:, :-1]]
             kept[:, chunk, :sensed] = records["sensordata"]
             kept[:, chunk, sensed:] = records["actuator_force"][:, :, :driven]
-        for i, k in enumerate(timed):
-            if not wild[k]:
-                begun = {
-                    name: np.concatenate([p[i] for p in parts]) for name, parts in states.items()
-                }
-                kept[k] = self._read_again(slots[k], layout, begun, clock)
+        kept = kept[:, ::parts]
+        if parts > 1:
+            begun = {name: np.concatenate(found, axis=1) for name, found in states.items()}
+            for k in np.flatnonzero(~wild).tolist():
+                own_states = {name: found[k, ::parts] for name, found in begun.items()}
+                kept[k] = self._read_again(slots[k], layout, own_states, clock[::parts])
         kept[wild] = np.nan
         return [self.trials[s.trial].at_samples(k) for s, k in zip(slots, kept, strict=True)]
 
