@@ -8,6 +8,7 @@ measured run there under the name given, and the folder reads as a recording.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -37,6 +38,7 @@ PLAN = "plan.json"
 RECORDING = "recording"
 _MODEL = "model.xml"
 _ENDINGS = (".csv", ".parquet")
+_SIGNAL = re.compile(r"signal(-[1-9]\d*)?\.(csv|parquet)")
 
 
 class PlanFiles:
@@ -63,7 +65,8 @@ class PlanFiles:
             raise InvalidSetting(f"--out {folder} is a file; give a folder")
         self.recording = self.folder / RECORDING
         plan, model = self.folder / PLAN, self.recording / _MODEL
-        if plan.exists() and not _is_plan(plan):
+        earlier = _plan_in(plan)
+        if plan.exists() and earlier is None:
             raise InvalidSetting(
                 f"--out {folder} holds a {PLAN} that is none of ours; give another"
             )
@@ -75,6 +78,8 @@ class PlanFiles:
                     f"--out {folder} holds {', '.join(there)}, which would be overwritten, and no "
                     f"{PLAN}; give a new or empty folder, or that of an earlier plan"
                 )
+        self.signals = _signals_of(earlier or {})
+        """Files of signals that an earlier plan lists as its own."""
         self.measured: tuple[RunEntry, ...] = ()
         if (self.recording / DESCRIPTION).exists():
             if not _same(model, model_xml):
@@ -114,10 +119,20 @@ def write_plan(files: PlanFiles, plan: Plan, *, known: str = "") -> list[Path]:
     -------
     list of Path
         Files written, the plan first.
+
+    Raises
+    ------
+    InvalidSetting
+        If a signal would take the place of a file that no plan wrote.
     """
     runs = files.next_names(len(plan.signals))
+    stems = signal_stems(plan.signals)
+    _refuse_others(files, stems)
     written: list[Path] = []
     (files.folder / PLAN).unlink(missing_ok=True)
+    for old in files.signals:
+        if Path(old).stem not in stems:
+            (files.folder / old).unlink(missing_ok=True)
     # First: a run cut short is known by it as one of ours.
     write_text(files.recording / _MODEL, plan.machine.recordable.xml)
     entries = [_entry(entry) for entry in files.measured]
@@ -129,15 +144,11 @@ def write_plan(files: PlanFiles, plan: Plan, *, known: str = "") -> list[Path]:
     written.append(
         write_text(files.recording / DESCRIPTION, json.dumps(description, indent=1) + "\n")
     )
-    stems = signal_stems(plan.signals)
     for signal, stem in zip(plan.signals, stems, strict=True):
         columns = signal_columns(signal)
         for ending, write in ((".csv", write_csv), (".parquet", write_parquet)):
             path = files.folder / f"{stem}{ending}"
             written.append(written_beside(path, partial(_table, write, columns)))
-    for old in files.folder.glob("signal-*"):
-        if old.stem not in stems and old.suffix in _ENDINGS:
-            old.unlink()
     text = json.dumps(plan_json(plan, runs, known), indent=1, ensure_ascii=False, allow_nan=False)
     return [write_text(files.folder / PLAN, text + "\n"), *written]
 
@@ -248,9 +259,29 @@ def _same(model: Path, text: str) -> bool:
         return False
 
 
-def _is_plan(path: Path) -> bool:
+def _refuse_others(files: PlanFiles, stems: Sequence[str]) -> None:
+    """Refuse to overwrite signals of somebody else; the first one's are looked at beforehand."""
+    names = [f"{stem}{ending}" for stem in stems[1:] for ending in _ENDINGS]
+    there = [n for n in names if n not in files.signals and (files.folder / n).exists()]
+    if there:
+        raise InvalidSetting(
+            f"--out {files.folder} holds {', '.join(there)}, which would be overwritten, and no "
+            "plan lists it; move it away, or give another folder"
+        )
+
+
+def _plan_in(path: Path) -> dict[str, Any] | None:
+    """Content of a plan; None where there is none, or it is none of the format."""
     try:
         whole = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError, RecursionError):
-        return False
-    return isinstance(whole, dict) and whole.get("format") == FORMAT
+        return None
+    return whole if isinstance(whole, dict) and whole.get("format") == FORMAT else None
+
+
+def _signals_of(whole: Mapping[str, Any]) -> frozenset[str]:
+    """Names of a plan's signals, as plans give them: it lies where anybody may have changed it."""
+    signals = whole.get("signals")
+    listed = [one for one in signals if isinstance(one, dict)] if isinstance(signals, list) else []
+    names = (str(one.get(key)) for one in listed for key in ("csv", "parquet"))
+    return frozenset(name for name in names if _SIGNAL.fullmatch(name))

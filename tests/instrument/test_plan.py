@@ -374,6 +374,49 @@ class TestFiles:
         with pytest.raises(InvalidSetting, match="is a file"):
             PlanFiles(file, first.machine.recordable.xml)
 
+    def test_only_signals_that_the_earlier_plan_lists_are_removed(
+        self, servoed: Path, first: Plan, tmp_path: Path
+    ) -> None:
+        two = plan(servoed, choice=replace(FEW, in_turn=2))
+        xml = first.machine.recordable.xml
+        write_plan(PlanFiles(tmp_path, xml), two)
+        mine = [tmp_path / "signal-measured.csv", tmp_path / "signal-3.parquet"]
+        for path in mine:
+            path.write_text("mine", encoding="utf-8")
+        write_plan(PlanFiles(tmp_path, xml), first)
+        assert not (tmp_path / "signal-2.csv").exists()
+        assert not (tmp_path / "signal-2.parquet").exists()
+        assert all(path.read_text("utf-8") == "mine" for path in mine)
+
+    def test_a_further_signal_does_not_overwrite_a_file_of_others(
+        self, servoed: Path, first: Plan, tmp_path: Path
+    ) -> None:
+        xml = first.machine.recordable.xml
+        write_plan(PlanFiles(tmp_path, xml), first)
+        before = (tmp_path / "plan.json").read_text("utf-8")
+        (tmp_path / "signal-2.csv").write_text("mine", encoding="utf-8")
+        two = plan(servoed, choice=replace(FEW, in_turn=2))
+        with pytest.raises(InvalidSetting, match=r"signal-2\.csv.*no plan lists it"):
+            write_plan(PlanFiles(tmp_path, xml), two)
+        assert (tmp_path / "signal-2.csv").read_text("utf-8") == "mine"
+        assert (tmp_path / "plan.json").read_text("utf-8") == before
+
+    def test_a_changed_plan_makes_no_other_file_be_removed(
+        self, first: Plan, tmp_path: Path
+    ) -> None:
+        xml = first.machine.recordable.xml
+        out = tmp_path / "session"
+        write_plan(PlanFiles(out, xml), first)
+        others = [tmp_path / "precious.csv", out / "signal-x.csv"]
+        for path in others:
+            path.write_text("mine", encoding="utf-8")
+        whole = json.loads((out / "plan.json").read_text("utf-8"))
+        for listed in ("../precious.csv", str(others[0]), "signal-x.csv", 7, None, ["a"]):
+            whole["signals"] = [{"csv": listed}, listed]
+            (out / "plan.json").write_text(json.dumps(whole), encoding="utf-8")
+            write_plan(PlanFiles(out, xml), first)
+            assert all(path.exists() for path in others)
+
     def test_a_session_of_another_model_is_refused(
         self, first: Plan, motors: Path, tmp_path: Path
     ) -> None:
