@@ -1,7 +1,8 @@
 """What a model can lack: one physical effect at one place, with bounded parameters.
 
-An effect acts in up to three ways, each a method that a subclass overrides: `Effect.edit` changes
-the MuJoCo spec, `Effect.command` what reaches the actuators, `Effect.read` what the sensors show.
+An effect acts in up to four ways, each a method that a subclass overrides: `Effect.edit` changes
+the MuJoCo spec, `Effect.command` what reaches the actuators, `Effect.torque` adds to what acts on
+the joints, `Effect.read` changes what the sensors show.
 A new effect is one small class in one file:
 
     class MotorConstant(Effect):
@@ -65,7 +66,7 @@ class Effect:
     kind: ClassVar[str] = ""
     """Identifier, as in the result file."""
     in_model: ClassVar[bool] = True
-    """Whether plain MJCF expresses it; otherwise `code` says how it is applied."""
+    """Whether plain MJCF expresses it; otherwise `code` and `torque_code` say how it is applied."""
     nothing: ClassVar[tuple[float, ...] | None] = None
     """Values at which the effect vanishes; None where it does so only in a limit."""
     proportional: ClassVar[int | None] = None
@@ -111,7 +112,8 @@ class Effect:
     def moves(self) -> bool:
         """Whether it acts on the motion, not on the readings alone."""
         own = type(self)
-        return own.edit is not Effect.edit or own.command is not Effect.command
+        acting = ((own.edit, Effect.edit), (own.command, Effect.command))
+        return any(a is not b for a, b in (*acting, (own.torque, Effect.torque)))
 
     @classmethod
     def forms(cls, machine: Machine, where: str) -> tuple[str, ...]:
@@ -164,6 +166,38 @@ class Effect:
         within the step, an acceleration at its beginning is that of the command before.
         """
         return self.command(time, controls, values)
+
+    def torque(self, position: Array, speed: Array, values: Array) -> Array:
+        """What acts on the joints besides what the model has, in their direction.
+
+        A smooth function of the state: it is held over each step of a simulation, as its mean
+        along the step. What it changes by within one, over the change of the state, has to be
+        small beside what the joint moves: a spring below a tenth of inertia / step², a damper
+        below a tenth of inertia / step; from about four times that on for a spring, and once or
+        twice for a damper, no simulation is stable. Friction that holds at rest is none: dry
+        friction is `frictionloss` of a joint in `edit`. Inverse comparisons use the same term.
+
+        Parameters
+        ----------
+        position, speed : ndarray (..., joints)
+            Of all joints of the machine, in the order of `Machine.joints` [rad, m], [rad/s, m/s].
+        values : ndarray (P,)
+            Of the parameters.
+
+        Returns
+        -------
+        ndarray (..., joints)
+            [N·m, N]; zero where it does not act.
+        """
+        return np.zeros_like(position)
+
+    def torque_code(self, values: Array) -> str:
+        """Python lines that add `torque` to a simulation of the written model; "" if nothing.
+
+        They add to ``torque`` by ``position`` and ``speed``, arrays by joint (joints,) that the
+        lines of `loose_env.gap.export.correction_code` have laid out by then.
+        """
+        return ""
 
     def at_limit(self, values: Array) -> Array:
         """Values with the parameters of `limit` at their bounds (P,)."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from loose_env.gap.ambiguity import indistinct
 from loose_env.gap.catalogue import candidates
+from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.fit import UNNAMED, Fit, fit, fit_without, refined, slices_of
 from loose_env.gap.intervals import Intervals, bootstrap, widened
@@ -87,10 +88,8 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Sta
     """Find it, with the engine's warnings on the console or not."""
     prepared = prepare(recording, settings)
     machine = prepared.machine
-    given: list[Effect] = [NominalFigures(machine, tolerance=settings.tolerance)]
-    start = StartState(machine, prepared.search.trials, prepared.search.channels)
-    if any(trial.form == "free" for trial in prepared.search.trials):
-        given.insert(0, start)
+    nominal = NominalFigures(machine, tolerance=settings.tolerance)
+    given = [*_starts(prepared.search), nominal]
     keep = Keep() if stages is fresh else KeepInFiles(stages, machine, given)
     named = name_effects(
         prepared.search,
@@ -105,9 +104,12 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Sta
     judge = Judge(prepared.fit, prepared.whole_held)
     if prepared.fit is not prepared.search or prepared.held is not prepared.whole_held:
         say("fits what was found to more of the runs")
-        base = keep.judged("nominal-whole", lambda: judge.judge(_again(prepared, named.base)))
+        begun = _starts(prepared.fit)  # other windows begin elsewhere
+        if stages is not fresh:
+            keep = KeepInFiles(stages, machine, [*begun, nominal])
+        base = keep.judged("nominal-whole", lambda: judge.judge(_again(prepared, base, begun)))
         if named.steps:
-            best = keep.judged("effects-whole", lambda: judge.judge(_again(prepared, named.best)))
+            best = keep.judged("effects-whole", lambda: judge.judge(_again(prepared, best, begun)))
         else:
             best = base
     best, dropped, intervals = _sure_ones(best, prepared, judge, settings)
@@ -126,11 +128,24 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Sta
     )
 
 
-def _again(prepared: Prepared, judged: Judged) -> Fit:
+def _starts(comparison: Comparison) -> list[Effect]:
+    """Where runs that begin in motion began, to be fitted with every hypothesis."""
+    start = StartState(comparison.machine, comparison.trials, comparison.channels)
+    return [start] if start.moving else []
+
+
+def _again(prepared: Prepared, judged: Judged, begun: list[Effect]) -> Fit:
     """Fit to more of the runs, from where the search ended."""
+    effects, free = judged.fitted.effects, judged.fitted.free
     if prepared.fit is prepared.search:
         return judged.fitted
-    return fit(prepared.fit, judged.fitted.effects, judged.fitted.free)
+    kept = [k for k, effect in enumerate(effects) if not isinstance(effect, StartState)]
+    own = slices_of(effects)
+    return fit(
+        prepared.fit,
+        [*begun, *(effects[k] for k in kept)],
+        np.concatenate([np.zeros(len(b.parameters)) for b in begun] + [free[own[k]] for k in kept]),
+    )
 
 
 def _sure_ones(

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from loose_env.gap.comparison import BURN_IN
 from loose_env.gap.machine import Machine
+from loose_env.gap.rest import SETTLE
 from loose_env.gap.simulator import Hypothesis, Simulator
 from loose_env.gap.trial import Channel, Trial
 from loose_env.rig.quiet import quiet
@@ -34,8 +35,6 @@ _AROUND = 0.03
 _LEAST = 5
 _BEFORE = 0.3
 """Simulated readings before a restart that late sensors still show [s]."""
-_SETTLE = 0.4
-"""How long an arm that rests at the start of a run is held beforehand [s]."""
 _WILD = 1e4
 """Error where a simulation went wild, and the largest that counts [noise standard deviations]."""
 
@@ -156,7 +155,7 @@ def _starts(trial: Trial, every: float, shortest: float) -> NDArray[np.intp]:
 def _whole(simulator: Simulator, hypothesis: Hypothesis, trial: Trial) -> _Whole:
     """Simulate a run from its start, and keep every state."""
     machine = simulator.machine
-    model = hypothesis.model(machine, trial.step)
+    model = hypothesis.model(machine, trial.step, released=trial.form == "free")
     commanded = trial.controls
     clock: Array = np.arange(trial.steps, dtype=float) * trial.step
     for effect, values in zip(hypothesis.effects, hypothesis.values, strict=True):
@@ -173,7 +172,7 @@ def _whole(simulator: Simulator, hypothesis: Hypothesis, trial: Trial) -> _Whole
     batch.qvel[0] = 0.0
     batch.qvel[0, dofs] = trial.speed + (0.0 if hypothesis.speed is None else hypothesis.speed[0])
     if trial.resting:
-        held = np.repeat(controls[:, :1], round(_SETTLE / trial.step), axis=1)
+        held = np.repeat(controls[:, :1], round(SETTLE / trial.step), axis=1)
         _rollout(batch, held, ("qpos",))
         batch.time[:] = 0.0
     kept = ["qpos", "qvel"] + (["act"] if model.na else [])

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
+from loose_env.gap.names import with_names
 
 __all__ = ["Machine"]
 
@@ -82,7 +83,7 @@ class Machine:
     def links(self) -> tuple[str, ...]:
         """Names of the bodies that the joints move, in the joints' order, each once."""
         bodies = dict.fromkeys(int(b) for b in self.model.jnt_bodyid)
-        return tuple(self.model.body(b).name for b in bodies if self.model.body(b).name)
+        return tuple(self.model.body(b).name for b in bodies)
 
     @cached_property
     def actuators(self) -> tuple[str, ...]:
@@ -113,11 +114,35 @@ class Machine:
 
     @cached_property
     def tool(self) -> str:
-        """Site of the tool: "tool", or the last site of the last link; "" if there is none."""
-        names = [self.model.site(k).name for k in range(self.model.nsite)]
-        if "tool" in names:
-            return "tool"
-        return names[-1] if names else ""
+        """Site of the tool: "tool", else the last one of the last link, else the last that moves.
+
+        "" if no site moves.
+        """
+        model = self.model
+        bodies = [int(b) for b in model.site_bodyid]
+        sites = [(model.site(k).name, b) for k, b in enumerate(bodies) if model.body_weldid[b] > 0]
+        last = model.body(self.last_link).id
+        for chosen in (
+            [name for name, _ in sites if name == "tool"],
+            [name for name, body in sites if body == last],
+            # Bodies without a joint between them and the last link are part of it.
+            [name for name, body in sites if model.body_weldid[body] == last],
+            [name for name, _ in sites],
+        ):
+            if chosen:
+                return str(chosen[-1])
+        return ""
+
+    @cached_property
+    def last_link(self) -> str:
+        """Name of the link at the end of the longest chain of joints, the last of such."""
+        model: mujoco.MjModel = self.model
+        depth = np.zeros(model.nbody, dtype=int)
+        for body in range(1, model.nbody):
+            depth[body] = depth[model.body_parentid[body]] + model.body_jntnum[body]
+        moved = model.body_jntnum > 0
+        deepest = np.flatnonzero(moved & (depth == depth[moved].max()))
+        return str(model.body(int(deepest[-1])).name)
 
     def joint_number(self, joint: str) -> int:
         """Number of a joint, from 0."""
@@ -175,11 +200,11 @@ class Machine:
 
 
 def _explicit(given: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Copy of a spec in which no inertia is left to be worked out from shapes."""
-    spec = given.copy()
-    model = given.copy().compile()
+    """Copy of a spec with all names, in which no inertia is left to be worked out from shapes."""
+    spec = with_names(given)
+    model = spec.copy().compile()
     for body in spec.bodies[1:]:
-        k = model.body(body.name).id if body.name else body.id
+        k = model.body(body.name).id
         body.mass = float(model.body_mass[k])
         body.ipos = model.body_ipos[k].copy()
         body.iquat = model.body_iquat[k].copy()

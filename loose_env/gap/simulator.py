@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from loose_env.errors import InvalidData
 from loose_env.gap.effect import Effect, Readings
 from loose_env.gap.machine import Machine
+from loose_env.gap.rest import SETTLE
 from loose_env.gap.trial import Channel, Trial
 from loose_env.rig.quiet import quiet
 
@@ -24,12 +25,12 @@ __all__ = ["Hypothesis", "Simulator"]
 
 Array = NDArray[np.float64]
 
-_SETTLE = 0.4
-"""How long an arm at rest is held before the start, so that springs take their load [s]."""
 _CHUNK = 2_000_000
 """Numbers recorded at a time."""
 _AGAIN = 1024
 """States at which sensors are worked out at a time."""
+_OFF = 30
+"""Group of actuators that are switched off."""
 _WITHIN = 2
 """Parts of a step where commands change within it: a mean moves the speed rightly, and the place
 only as far as the change lies in the middle."""
@@ -48,13 +49,16 @@ class Hypothesis:
     speed: Array | None = None
     """Added to the measured start speeds [rad/s, m/s] (trials, joints)."""
 
-    def model(self, machine: Machine, step: float) -> mujoco.MjModel:
-        """Compile the model that it stands for."""
+    def model(self, machine: Machine, step: float, *, released: bool = False) -> mujoco.MjModel:
+        """Compile the model that it stands for, its drives off if the arm was let go."""
         spec = machine.fresh()
         spec.option.timestep = step
         for effect, values in zip(self.effects, self.values, strict=True):
             effect.edit(spec, values)
         model = spec.compile()
+        if released:  # effects that are written as actuators are none of its drives
+            model.actuator_group[: len(machine.actuators)] = _OFF
+            model.opt.disableactuator |= 1 << _OFF
         if _unconstrained(model):
             model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
         return model
@@ -109,15 +113,15 @@ class Simulator:
             By hypothesis, by trial; NaN where the simulation went wild.
         """
         motions = {self._motion(hypothesis): hypothesis for hypothesis in hypotheses}
-        by_step: dict[tuple[float, int], list[int]] = {}
+        alike: dict[tuple[float, int, bool], list[int]] = {}
         for t, trial in enumerate(self.trials):
-            by_step.setdefault((trial.step, trial.steps), []).append(t)
+            alike.setdefault((trial.step, trial.steps, trial.form == "free"), []).append(t)
         seen: dict[tuple[object, int], tuple[mujoco.MjModel, Array]] = {}
-        for (step, _), members in by_step.items():
+        for (step, _, released), members in alike.items():
             groups: dict[tuple[object, ...], list[_Slot]] = {}
             for key, hypothesis in motions.items():
                 parts = _WITHIN if _changes_within(hypothesis) else 1
-                model = hypothesis.model(self.machine, step / parts)
+                model = hypothesis.model(self.machine, step / parts, released=released)
                 groups.setdefault((*_layout(model), parts), []).extend(
                     _Slot(key=key, hypothesis=hypothesis, model=model, trial=t, parts=parts)
                     for t in members
@@ -149,7 +153,7 @@ class Simulator:
         batch = self._batch(layout, slots)
         first, parts = self.trials[slots[0].trial], slots[0].parts
         steps, step = (first.steps - 1) * parts + 1, first.step / parts
-        settle = round(_SETTLE / step)
+        settle = round(SETTLE / step)
         self._set_start(batch, slots)
         controls = np.zeros((len(slots), steps, slots[0].model.nu))
         clock: Array = np.arange(steps, dtype=float) * step

@@ -69,7 +69,8 @@ class StartState(Effect):
         return tuple(
             t
             for t, trial in enumerate(self.trials)
-            if trial.form == "free" or (trial.form == "forward" and not trial.resting)
+            if trial.form == "free"
+            or (trial.form == "forward" and not trial.resting and _compared_at_once(trial))
         )
 
     @cached_property
@@ -186,6 +187,11 @@ class StartState(Effect):
             return replace(hypothesis, position=None, speed=None)
         scales = np.array([p.scale for p in self.parameters])
         return _with_start(hypothesis, *self.offsets(free * scales))
+
+
+def _compared_at_once(trial: Trial) -> bool:
+    """Whether the beginning counts; a window's start has died away by the time it does."""
+    return bool(np.isfinite(trial.measured[: max(1, round(_LINE * trial.rate))]).any())
 
 
 def _with_start(hypothesis: Hypothesis, position: Array, speed: Array) -> Hypothesis:

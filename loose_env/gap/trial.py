@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.machine import Machine
+from loose_env.gap.rest import comes_to_rest, stays
 from loose_env.recording import Run
 
 __all__ = ["Channel", "Trial", "channels_of", "lay_out", "step_for"]
@@ -63,7 +64,9 @@ class Trial:
     speed: Array
     """Their speeds [rad/s, m/s] (joints,)."""
     resting: bool
-    """Whether the arm stood still at the first samples."""
+    """Whether the arm stood still at the first samples, held by its commands."""
+    settles: bool = True
+    """Whether the nominal model comes to rest under commands that are held."""
     joints: tuple[str, ...] = ()
     """Names of the joints, in the model's order."""
     excited: tuple[str, ...] = ()
@@ -116,6 +119,7 @@ class Trial:
             resting &= still
         controls = self.controls[begun : begun + steps]
         resting &= bool(np.ptp(self.controls[max(begun - 50, 0) : begun + 1], axis=0).max() == 0)
+        resting &= self.settles
         return replace(
             self,
             time=time,
@@ -192,6 +196,11 @@ def lay_out(run: Run, machine: Machine, channels: tuple[Channel, ...], *, step: 
         if name in run.controls:
             controls[:, k] = _filled(run.controls[name])[held]
     position, speed, resting, motion = _start(run, machine, time)
+    forward = run.comparison == "forward"  # a free arm is let go
+    settles = not forward or comes_to_rest(machine, position, controls[0])
+    commands = np.column_stack([_filled(values) for values in run.controls.values()] or [time * 0])
+    resting = resting and forward and settles
+    resting = resting and all(stays(time, each, commands) for each in motion.values())
     return Trial(
         name=run.name,
         form=run.comparison,
@@ -202,7 +211,8 @@ def lay_out(run: Run, machine: Machine, channels: tuple[Channel, ...], *, step: 
         controls=controls,
         position=position,
         speed=speed,
-        resting=resting and run.comparison == "forward",  # a free arm is let go
+        resting=resting,
+        settles=settles,
         joints=machine.joints,
         excited=tuple(run.excited),
         motion=motion,

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.effect import Effect
-from loose_env.gap.effects.geometry import reach_of
+from loose_env.gap.effects.geometry import link_ends, reach_of
 from loose_env.gap.effects.joint_effect import added_name
 from loose_env.gap.machine import Machine
 from loose_env.gap.parameter import Parameter
 
-__all__ = ["Payload"]
+__all__ = ["Payload", "payload_words"]
 
 Array = NDArray[np.float64]
 
@@ -23,18 +23,15 @@ _RADIUS = 0.01
 
 
 class Payload(Effect):
-    """A small body at the tool's site."""
+    """A small body at the tool's site; without a site, at the end of the last link."""
 
     kind = "payload"
     nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
-        """The tool, if its site hangs on a moving link."""
-        if not machine.tool:
-            return ()
-        body = int(machine.model.site_bodyid[machine.model.site(machine.tool).id])
-        return ("tool",) if machine.model.body_weldid[body] > 0 else ()
+        """The tool."""
+        return ("tool",)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -59,11 +56,44 @@ class Payload(Effect):
         mass = float(values[0])
         if mass <= 0:
             return
-        site = spec.site(self.machine.tool)
-        place = np.array(site.pos)
-        if site.frame is not None or not np.isfinite(place).all():
-            place = self.machine.model.site_pos[self.machine.model.site(site.name).id]
-        body = site.parent.add_body(name=added_name("tool", self.kind), pos=place)
+        if self.machine.tool:
+            site = spec.site(self.machine.tool)
+            place, carrier = np.array(site.pos), site.parent
+            if site.frame is not None or not np.isfinite(place).all():
+                place = self.machine.model.site_pos[self.machine.model.site(site.name).id]
+        else:
+            name, place = _outermost(self.machine)
+            carrier = spec.body(name)
+        body = carrier.add_body(name=added_name("tool", self.kind), pos=place)
         body.mass, body.ipos = mass, [0, 0, 0]
         body.inertia = [mass * (_RADIUS * reach_of(self.machine)) ** 2] * 3
         body.explicitinertial = True
+
+
+def payload_words(machine: Machine) -> list[str]:
+    """A sentence on where a payload is tried in a model without a site at its tool; else none."""
+    model = machine.model
+    if machine.tool:
+        carrier = model.site(machine.tool).bodyid[0]
+        link = str(model.body(int(model.body_weldid[carrier])).name)
+        if machine.tool == "tool" or link == machine.last_link:
+            return []
+        return [
+            f"the model has no site at the end of its last link: a payload is tried at "
+            f'{machine.tool} of {link}; add <site name="tool"/> where it hangs'
+        ]
+    name, place = _outermost(machine)
+    where = "the origin" if not place.any() else "the far end"
+    return [
+        f"the model has no site at its tool: a payload is tried at {where} of {name}, and its mass "
+        'stands for that place; add <site name="tool"/> where it hangs'
+    ]
+
+
+def _outermost(machine: Machine) -> tuple[str, Array]:
+    """Body that stands for the tool, with a place in its frame (3,) [m]."""
+    model, last = machine.model, machine.model.body(machine.last_link).id
+    fixed = [b for b in range(last + 1, model.nbody) if model.body_weldid[b] == last]
+    if fixed:
+        return str(model.body(fixed[-1]).name), np.zeros(3)
+    return machine.last_link, link_ends(machine, machine.last_link)[1]
