@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.errors import InvalidSetting
+from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.gap.catalogue import candidates
 from loose_env.gap.comparison import Comparison
+from loose_env.gap.effects.payload import payload_words
 from loose_env.gap.integration import Integration, choose_integration
 from loose_env.gap.machine import Machine
+from loose_env.gap.names import naming_words
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.noise import noise_floor
 from loose_env.gap.parting import parting_runs
@@ -94,11 +97,13 @@ def prepare(recording: Recording, settings: GapSettings) -> Prepared:
         If the recording has too few runs, or a run lacks what its comparison needs.
     """
     recording.check_comparison()
-    runs = list(recording.runs)
+    runs, warnings = _suspect(recording.runs)
     fitted, held = split_runs([run.name for run in runs], share=settings.held_share)
     machine = Machine(recording.spec())
     channels = channels_of(runs)
-    warnings: list[str] = []
+    warnings += naming_words(recording.spec())
+    if not settings.kinds or "payload" in settings.kinds:
+        warnings += payload_words(machine)
     integration = None
     simulated = [run for run in runs if run.comparison != "inverse"]
     step = float(machine.model.opt.timestep)
@@ -153,6 +158,28 @@ def prepare(recording: Recording, settings: GapSettings) -> Prepared:
         whole_held=whole,
         warnings=tuple(warnings),
     )
+
+
+def _suspect(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
+    """Runs that are compared: the suspect ones, or all where none is, and what is to be said.
+
+    A healthy run was taken before the fault: what the machine lacks now, it did not lack then.
+    """
+    suspect = [run for run in runs if run.condition == "suspect"]
+    healthy = [run.name for run in runs if run.condition == "healthy"]
+    if not suspect or not healthy:
+        return list(runs), []
+    if len(suspect) == 1:
+        raise InvalidData(
+            f"only {suspect[0].name} is suspect, the other runs are healthy; at least two suspect "
+            "runs are needed, so that one can be held out to judge by. Record another, or compare "
+            "the healthy runs alone in a recording of their own"
+        )
+    listed = ", ".join(healthy[:4]) + (" and others" if len(healthy) > 4 else "")
+    return suspect, [
+        f"{len(healthy)} healthy runs are left out ({listed}): the suspect ones are compared. Put "
+        "the healthy ones into a recording of their own to compare them with the model"
+    ]
 
 
 def _floors(trials: list[Trial], channels: int) -> Array:

@@ -1,0 +1,170 @@
+"""Models whose bodies, sites, geoms and drives have no names lose no candidates and no mass."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from loose_env.gap.catalogue import CATALOGUE, candidates
+from loose_env.gap.effects.geometry import link_ends
+from loose_env.gap.effects.inertials import make_explicit
+from loose_env.gap.effects.payload import Payload, payload_words
+from loose_env.gap.export import corrected_spec
+from loose_env.gap.machine import Machine
+from loose_env.gap.names import naming_words
+from loose_env.gap.nominal import NominalFigures
+
+NAMED = """
+<mujoco>
+  <option timestep="0.002"/>
+  <worldbody>
+    <body name="first">
+      <joint name="turn" axis="0 0 1" damping="0.1"/>
+      <geom name="g1" size=".05" pos=".2 0 0" mass="3"/>
+      <camera name="eye" pos="0.3 0 0.1"/><light name="lamp" pos="0.3 0 0.2"/>
+      <body name="cover" pos="0.1 0 0.05"><geom name="g2" size=".02" mass="0.3"/></body>
+      <body name="second" pos=".4 0 0">
+        <joint name="lift" axis="0 1 0" damping="0.1"/>
+        <geom name="g3" size=".05" pos=".2 0 0" mass="1"/>
+        <frame pos="0.1 0 0" euler="0 0 20">
+          <site name="inside" pos="0.1 0 0" euler="10 0 0"/>
+          <geom name="g4" size=".02" pos=".1 0 0" mass="0.2"/>
+        </frame>
+        <site name="last" pos=".4 0 0"/>
+        <body name="flange" pos="0.3 0 0"><geom name="g5" size=".02" mass="0.1"/></body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="m1" joint="turn" kp="50" kv="2"/>
+    <position name="m2" joint="lift" kp="70" kv="2"/>
+  </actuator>
+  <sensor>
+    <jointpos name="p1" joint="turn"/><jointpos name="p2" joint="lift"/>
+    <jointvel name="v1" joint="turn"/>
+  </sensor>
+</mujoco>
+"""
+
+
+def bare() -> str:
+    """The same model with the names only that a recording needs: joints, and sensors it has."""
+    text = NAMED
+    for name in (
+        "first", "second", "cover", "flange", "inside", "last", "eye", "lamp", "m1", "m2", "v1",
+        *(f"g{k}" for k in range(1, 6)),
+    ):  # fmt: skip
+        text = text.replace(f' name="{name}"', "")
+    return text
+
+
+def machine(text: str) -> Machine:
+    return Machine(mujoco.MjSpec.from_string(text))
+
+
+def test_a_model_without_names_weighs_what_it_weighed() -> None:
+    named, nameless = machine(NAMED), machine(bare())
+    assert np.allclose(named.model.body_mass, nameless.model.body_mass)
+    assert np.allclose(named.model.body_inertia, nameless.model.body_inertia)
+    assert np.allclose(named.inertias, nameless.inertias)
+
+
+def test_links_without_name_are_called_after_their_joint_and_it_is_said() -> None:
+    assert machine(NAMED).links == ("first", "second")
+    assert machine(bare()).links == ("turn_link", "lift_link")
+    (words,) = naming_words(mujoco.MjSpec.from_string(bare()))
+    assert "turn_link" in words and "lift_link" in words and "model.xml" in words
+    assert naming_words(mujoco.MjSpec.from_string(NAMED)) == []
+
+
+def test_a_name_that_is_taken_is_not_given_again() -> None:
+    taken = bare().replace("<body>", '<body name="lift_link">', 1)
+    assert machine(taken).links == ("lift_link", "lift_link_2")
+
+
+@pytest.mark.parametrize("kind", list(CATALOGUE))
+def test_effects_are_the_same_with_and_without_names(kind: str) -> None:
+    named, nameless = machine(NAMED), machine(bare())
+    read = [each for each in candidates(named, [kind]) if each.where != "v1"]  # no column has it
+    pairs = list(zip(read, candidates(nameless, [kind]), strict=True))
+    assert pairs or kind == "sensor_misalignment"
+    for one, other in pairs:
+        models = []
+        for effect in (one, other):
+            spec = effect.machine.fresh()
+            effect.edit(spec, np.array(effect.starts[0]))
+            models.append(spec.compile())
+        first, second = models
+        for field in (
+            "body_mass", "body_pos", "dof_damping", "jnt_stiffness", "site_pos", "site_bodyid",
+            "geom_pos", "geom_bodyid", "cam_bodyid", "light_bodyid", "actuator_gainprm",
+        ):  # fmt: skip
+            assert np.allclose(getattr(first, field), getattr(second, field)), (one, field)
+
+
+def test_a_payload_hangs_at_the_last_site_of_the_last_link_or_at_its_end() -> None:
+    place = Payload(machine(NAMED), "tool")
+    spec = place.machine.fresh()
+    place.edit(spec, np.array([0.5]))
+    model = spec.compile()
+    assert model.body(int(model.body("tool_payload").parentid[0])).name == "second"
+    assert np.allclose(model.body("tool_payload").pos, [0.4, 0, 0])
+    assert payload_words(place.machine) == []
+    without = NAMED.replace('<site name="last" pos=".4 0 0"/>', "").replace(
+        '<site name="inside" pos="0.1 0 0" euler="10 0 0"/>', ""
+    )
+    bodies = Payload(machine(without), "tool")
+    spec = bodies.machine.fresh()
+    bodies.edit(spec, np.array([0.5]))
+    model = spec.compile()
+    assert model.body(int(model.body("tool_payload").parentid[0])).name == "flange"
+    (words,) = payload_words(bodies.machine)
+    assert "flange" in words and "site" in words
+    alone = machine(without.replace('<body name="flange" pos="0.3 0 0">', "<frame>").replace(
+        'name="g5" size=".02" mass="0.1"/></body>', 'name="g5" size=".02" mass="0.1"/></frame>'
+    ))  # fmt: skip
+    end = link_ends(alone, "second")[1]
+    payload = Payload(alone, "tool")
+    spec = alone.fresh()
+    payload.edit(spec, np.array([0.5]))
+    assert np.allclose(spec.compile().body("tool_payload").pos, end)
+    assert "second" in payload_words(alone)[0]
+
+
+def test_a_site_of_an_inner_link_is_the_tool_only_where_there_is_no_other_and_it_is_said() -> None:
+    both = NAMED.replace('<camera name="eye"', '<site name="middle"/><camera name="eye"')
+    assert machine(both).tool == "last"
+    inner = both.replace('<site name="last" pos=".4 0 0"/>', "").replace(
+        '<site name="inside" pos="0.1 0 0" euler="10 0 0"/>', ""
+    )
+    assert machine(inner).tool == "middle"
+    (words,) = payload_words(machine(inner))
+    assert "middle" in words and "first" in words
+
+
+def test_nominal_figures_reach_every_drive_and_link() -> None:
+    nameless = machine(bare())
+    figures = NominalFigures(nameless, tolerance=0.03)
+    spec = nameless.fresh()
+    figures.edit(spec, np.full(len(figures.parameters), 1.01))
+    model = spec.compile()
+    assert np.allclose(model.actuator_gainprm[:, 0], 1.01 * np.array([50, 70]))
+    moved = [model.body(link).id for link in nameless.links]
+    assert np.allclose(model.body_mass[moved], 1.01 * nameless.model.body_mass[moved])
+
+
+def test_the_model_that_is_written_carries_the_names() -> None:
+    nameless = machine(bare())
+    effect = CATALOGUE["link_mass"](nameless, "lift_link")
+    text = corrected_spec(nameless, [effect], [np.array([0.5])])
+    text.compile()
+    model = mujoco.MjModel.from_xml_string(text.to_xml())
+    assert model.body("lift_link").mass[0] == pytest.approx(1.7)
+
+
+def test_explicit_figures_are_those_of_each_body() -> None:
+    nameless = machine(bare())
+    spec = nameless.fresh()
+    make_explicit(nameless, spec)
+    assert np.allclose(spec.compile().body_mass, nameless.model.body_mass)
