@@ -18,8 +18,9 @@ from loose_env.instrument.judging import Judged, judge
 from loose_env.instrument.lines import Lines, lines_of
 from loose_env.instrument.machine import Machine
 from loose_env.instrument.model_arm import ModelArm, load_model_arm
+from loose_env.instrument.pauses import unbroken
 from loose_env.instrument.plan import next_for
-from loose_env.instrument.recorded_sensors import readings_in
+from loose_env.instrument.recorded_sensors import columns_in, readings_in
 from loose_env.instrument.response import with_leakage
 from loose_env.instrument.result import (
     HEALTHY,
@@ -95,12 +96,13 @@ class Workbench:
         InvalidData
             If nothing in the run can be read at all.
         """
+        run, pauses = unbroken(run, columns_in(self.machine, run))
         held = held_in(self.machine, run)
         # Runs are told apart by their numbers: two may have one name.
         number = sum(taken.lines is not None for taken in self._taken)
         lines = lines_of(self.machine, run, held.pose, held.excited, number=number)
         lines = with_leakage(self.uncertain.at(held.pose), lines)
-        notes = (*held.notes, *readings_in(self.machine, run)[1])
+        notes = (*pauses, *held.notes, *readings_in(self.machine, run)[1])
         self._taken.append(_Taken(run=run, held=held, lines=lines, notes=notes))
 
     def leave_out(self, run: Run, why: str) -> None:

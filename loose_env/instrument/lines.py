@@ -114,7 +114,10 @@ def thinned(lines: Lines, most: int) -> Lines:
 
 
 def uniform(time: Array, values: Array) -> tuple[float, Array]:
-    """Samples at an even rate, gaps filled along straight lines.
+    """Samples at an even rate, along straight lines between those that are there.
+
+    Made for runs without pauses, see `loose_env.instrument.pauses`: the number of even samples is
+    that of the time.
 
     Parameters
     ----------
@@ -168,7 +171,7 @@ def lines_of(
     machine : Machine
         The machine.
     run : Run
-        The run, with commands or joint torques.
+        The run, without pauses, with commands or joint torques.
     pose : ndarray (n,)
         Pose held.
     excited : ndarray of int
@@ -185,7 +188,7 @@ def lines_of(
     Raises
     ------
     InvalidData
-        If the run has no accelerometer of the arm, too few samples, or nothing in it that moves.
+        If the run has no accelerometer of the arm, or nothing in it that moves.
     """
     rows = tuple((r, axis) for r in readings_in(machine, run)[0] for axis in range(r.axes))
     if not any(r.kind == "acceleration" for r, _ in rows):
@@ -215,10 +218,6 @@ def lines_of(
     resting = has_servo & ~driven & ~measured
     resting[excited] = False
     blind = ~driven & ~measured & ~resting
-    if len(even) < 64:
-        raise InvalidData(
-            f"{run.name}: a run of {len(even)} samples at {rate:g} Hz is too short to be used"
-        )
     return _lines(
         machine, run, rate, even, rows, c, a,
         number=number, pose=pose, excited=excited, measured=measured, blind=blind, whole=whole,

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.instrument.machine import Machine, Reading
 from loose_env.recording import Run
 
-__all__ = ["readings_in"]
+__all__ = ["columns_in", "readings_in"]
 
 _MOST_READ = 1e6
 """Largest reading that is taken for one [m/s², rad/s, rad, m]."""
@@ -48,6 +49,18 @@ def readings_in(machine: Machine, run: Run) -> tuple[tuple[Reading, ...], tuple[
             "gyroscopes on the arm, and positions and velocities of its joints"
         )
     return tuple(used), tuple(notes)
+
+
+def columns_in(machine: Machine, run: Run) -> dict[str, NDArray[np.float64]]:
+    """Columns (T,) of a run that are used, by the names that a file has."""
+    found: dict[str, NDArray[np.float64]] = {}
+    for reading in readings_in(machine, run)[0]:
+        values = np.atleast_2d(run.sensors[reading.sensor].T)
+        axes = [f".{axis}" for axis in "xyz"] if len(values) == 3 else [""]
+        found |= {f"sensor.{reading.sensor}{a}": v for a, v in zip(axes, values, strict=True)}
+    found |= {f"ctrl.{a}": run.controls[a] for a in machine.drives.names if a in run.controls}
+    found |= {f"torque.{j}": run.torques[j] for j in machine.joints if j in run.torques}
+    return found
 
 
 def _dead(run: Run, sensor: str) -> str:
