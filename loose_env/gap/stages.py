@@ -6,10 +6,12 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, TypeAlias
 from zipfile import BadZipFile
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,7 +40,9 @@ def fresh(name: str, make: Callable[[], Any]) -> Any:
 
 
 def key_of(recording: Recording, settings: Mapping[str, Any]) -> str:
-    """Hash of all that a result depends on: every file of the recording, the model, the settings.
+    """Hash of all that a result depends on: the recording, the model, settings and versions.
+
+    What an older version of this package or of MuJoCo left is made again.
 
     Parameters
     ----------
@@ -48,13 +52,24 @@ def key_of(recording: Recording, settings: Mapping[str, Any]) -> str:
         Plain values.
     """
     digest = hashlib.sha256()
-    digest.update(json.dumps([_FORMAT, settings], sort_keys=True, default=str).encode())
+    digest.update(
+        json.dumps([_FORMAT, _versions(), settings], sort_keys=True, default=str).encode()
+    )
     files = [recording.folder / "recording.json", *sorted(files_of(recording.model_path))]
     files += [recording.folder / run.name for run in recording.runs]
     for file in files:
         content = hashlib.sha256(file.read_bytes()).hexdigest()
         digest.update(f"{file.name} {content}\n".encode())
     return digest.hexdigest()
+
+
+def _versions() -> dict[str, str]:
+    """Versions of what makes the stages."""
+    try:
+        own = version("loose-env")
+    except PackageNotFoundError:  # run from its sources
+        own = ""
+    return {"loose-env": own, "mujoco": mujoco.__version__}
 
 
 class Stages:

@@ -110,6 +110,17 @@ def test_a_judged_fit_is_kept_and_taken_up_again(
     assert back.held_rms == outputs.best.held_rms
 
 
+def test_stages_of_another_version_are_made_again(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keys = {key_of(recording, {}), key_of(recording, {})}
+    monkeypatch.setattr("mujoco.__version__", "0.0.1")
+    keys.add(key_of(recording, {}))
+    monkeypatch.setattr("loose_env.gap.stages.version", lambda _: "0.0.1")
+    keys.add(key_of(recording, {}))
+    assert len(keys) == 3
+
+
 def test_a_stage_cut_short_or_of_other_data_is_made_again(tmp_path: Path) -> None:
     Stages(tmp_path, "a")("fit", lambda: {"x": np.arange(3)})
     file = next(tmp_path.iterdir())
