@@ -16,7 +16,7 @@ import numpy as np
 
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.machine import Machine
-from loose_env.gap.noise import noise_floor
+from loose_env.gap.noise import channel_floor
 from loose_env.gap.simulator import Hypothesis
 from loose_env.gap.trial import Channel, lay_out
 from loose_env.recording import Run
@@ -55,7 +55,7 @@ def choose_integration(
     interval = float(np.median(np.diff(run.time)))
     own = float(machine.model.opt.timestep)
     longest = min(interval, 4 * own) if interval > 4 * own else interval
-    floors = np.array([noise_floor(_column(run, c)) for c in channels])
+    floors = np.array([channel_floor(_column(run, c)) for c in channels])
     floors = np.where(np.isfinite(floors), floors, np.inf)
 
     def residual(step: float, integrator: int) -> np.ndarray:

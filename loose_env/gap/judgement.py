@@ -16,6 +16,9 @@ __all__ = ["Judge", "Judged", "Lead", "lead_of", "sureness_of"]
 
 Array = NDArray[np.float64]
 
+_FAR_BELOW = 0.1
+"""Mean square of residuals [noise variances] below which they are no readings'."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Judged:
@@ -61,11 +64,12 @@ class Judged:
         """How surely anything does: over what white noise of the same size shows by chance.
 
         An autocorrelation of white noise scatters by one over the root of the sample size
-        (Bartlett, J. R. Stat. Soc. Suppl. 8, 1946, 27).
+        (Bartlett, J. R. Stat. Soc. Suppl. 8, 1946, 27). Residuals far below the noise are those
+        of the arithmetic and count as no gap, however they hang together.
         """
         count = len(self.held_residual) + len(self.fitted.residual)
         mean_square = float(self.held_blocks.sum() + self.fitted_blocks.sum()) / count
-        return self.structure / (mean_square * float(np.sqrt(count)))
+        return self.structure / (max(mean_square, _FAR_BELOW) * float(np.sqrt(count)))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["noise_floor", "resolution_of"]
+__all__ = ["channel_floor", "noise_floor", "resolution_of"]
 
 Array = NDArray[np.float64]
 
@@ -13,8 +13,6 @@ _WINDOW = 64
 """Samples of a window."""
 _TOP = 0.6
 """Share of the band, up to half the rate, above which motion is taken to have died out."""
-
-
 _MEDIAN = 0.97
 """Median of a window's figure over the standard deviation, for white noise (20,000 windows)."""
 
@@ -45,6 +43,20 @@ def noise_floor(values: Array) -> float:
     filled = np.interp(np.arange(len(values)), np.flatnonzero(good), values[good])
     white = float(np.median(_tops(filled))) / _MEDIAN
     return max(white, resolution_of(values) / float(np.sqrt(12)), 1e-12)
+
+
+def channel_floor(values: Array) -> float:
+    """As `noise_floor`; NaN where a channel shows one value throughout.
+
+    An encoder that stays on one of its steps does not say how wide that step is.
+
+    Examples
+    --------
+    >>> channel_floor(np.full(100, 0.25))
+    nan
+    """
+    good = values[np.isfinite(values)]
+    return noise_floor(values) if len(good) and np.ptp(good) > 0 else float("nan")
 
 
 def _tops(values: Array) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from loose_env.gap.integration import Integration, choose_integration
 from loose_env.gap.machine import Machine
 from loose_env.gap.names import naming_words
 from loose_env.gap.naming_settings import NamingSettings
-from loose_env.gap.noise import noise_floor
+from loose_env.gap.noise import channel_floor
 from loose_env.gap.parting import parting_runs
 from loose_env.gap.simulator import Hypothesis, Simulator
 from loose_env.gap.split import split_runs
@@ -28,6 +28,10 @@ from loose_env.recording import Recording, Run
 __all__ = ["GapSettings", "Prepared", "prepare"]
 
 Array = NDArray[np.float64]
+
+_FINEST = 1e-5
+"""Share of what channels of a kind show to which one is taken to be read at best. A simulation
+without noise is exacter, and no model of a machine is."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,7 +124,14 @@ def prepare(recording: Recording, settings: GapSettings) -> Prepared:
         machine.spec, step=step, integrator=None if integration is None else integration.integrator
     )
     trials = [lay_out(run, kept, channels, step=step) for run in runs]
-    floors = _floors(trials, len(channels))
+    floors = _floors(kept, trials, channels)
+    still = np.isnan(floors)
+    if still.any():
+        names = ", ".join(c.name for c, left_out in zip(channels, still, strict=True) if left_out)
+        warnings.append(
+            f"{names}: one value throughout, which does not say how exactly it was read; left out"
+        )
+        trials = [_without(trial, still) for trial in trials]
     kept = _scaled(kept, runs, trials, channels, floors, settings.threads)
     parting = parting_runs(
         kept,
@@ -182,12 +193,35 @@ def _suspect(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
     ]
 
 
-def _floors(trials: list[Trial], channels: int) -> Array:
-    """Noise standard deviation of every channel: the median over runs."""
-    found = np.array(
-        [[noise_floor(trial.measured[:, k]) for k in range(channels)] for trial in trials]
-    )
-    return np.asarray(np.nanmedian(found, axis=0))
+def _floors(machine: Machine, trials: list[Trial], channels: tuple[Channel, ...]) -> Array:
+    """Noise standard deviation of every channel: the median over runs; NaN if unknown.
+
+    At least `_FINEST` of what the liveliest channel of its kind shows.
+    """
+    found, scatter = np.full((2, len(trials), len(channels)), np.nan)
+    for t, trial in enumerate(trials):
+        for k in range(len(channels)):
+            found[t, k] = channel_floor(trial.measured[:, k])
+            scatter[t, k] = np.std(trial.measured[np.isfinite(trial.measured[:, k]), k])
+    floors = np.full(len(channels), np.nan)
+    known = np.isfinite(found).any(axis=0)
+    floors[known] = np.nanmedian(found[:, known], axis=0)
+    kinds = [c.column if c.axis is not None else _kind(machine, c) for c in channels]
+    for kind in set(kinds):
+        own = np.array([each == kind for each in kinds])
+        floors[own] = np.maximum(floors[own], _FINEST * np.nanmax(scatter[:, own], initial=0.0))
+    return floors
+
+
+def _kind(machine: Machine, channel: Channel) -> str:
+    """What a scalar channel measures."""
+    prefix, _, name = channel.column.partition(".")
+    return prefix if prefix != "sensor" else str(int(machine.model.sensor(name).type[0]))
+
+
+def _without(trial: Trial, channels: NDArray[np.bool_]) -> Trial:
+    """The run with some channels as if they had not been read."""
+    return replace(trial, measured=np.where(channels, np.nan, trial.measured))
 
 
 def _scaled(
