@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -148,27 +148,37 @@ def _step(
     screened = screen(short, trying.short_before, left, proposed=proposed)
     for s in screened[:8]:
         say(f"  {s.effect!r}: promises {s.promise:.3f}, sureness {s.sureness:.1f}")
-    tried = trying.singles(screened)
     much = best.structure > settings.much * found.base.structure
-    if much and all(lead_of(j, best).share < settings.alone for j in tried):
-        say("  no single effect explains much: the same one at several places")
-        tried += trying.families(screened)
-    acceptance = Acceptance(comparison, judge, found.base, best, settings)
-    ranked = acceptance.ranked(tried)
-    for judged in ranked:
-        if not acceptance.worth_naming(judged):
-            continue
-        if not acceptance.ahead_of_its_limit(judged):
-            say(f"  {judged.fitted.effects[-1]!r}: no better than if it were rigid")
-            continue
-        if not acceptance.above_the_noise(judged):
-            say(f"  {judged.fitted.effects[-1]!r}: shuts out noise of the motion, no more")
-            continue
-        accepted, dropped = acceptance.accept(judged)
-        earlier = [e for e in best.fitted.effects if e.kind not in UNNAMED]
-        alone = trying.alone(judged, found.base.fitted) if earlier else None
-        if alone is not None and not acceptance.believed(lead_of(accepted, alone)):
-            acceptance = Acceptance(comparison, judge, found.base, found.base, settings)
-            accepted, dropped = acceptance.accept(alone)[0], earlier
-        return Step(rivals=ranked, accepted=accepted, dropped=dropped)
+
+    def waves() -> Iterator[list[Judged]]:
+        """What is tried, one after the other until something will do."""
+        tried = trying.singles(screened)
+        if much and all(lead_of(j, best).share < settings.alone for j in tried):
+            say("  no single effect explains much: the same one at several places")
+            tried += trying.families(screened)
+        yield tried
+        if much:
+            say("  none of these will do: others that promised less")
+            yield trying.singles(screened, further=True)
+
+    ranked: list[Judged] = []
+    for tried in waves():
+        acceptance = Acceptance(comparison, judge, found.base, best, settings)
+        ranked = acceptance.ranked([*ranked, *tried])
+        for judged in ranked:
+            if not any(judged is each for each in tried) or not acceptance.worth_naming(judged):
+                continue
+            if not acceptance.ahead_of_its_limit(judged):
+                say(f"  {judged.fitted.effects[-1]!r}: no better than if it were rigid")
+                continue
+            if not acceptance.above_the_noise(judged):
+                say(f"  {judged.fitted.effects[-1]!r}: shuts out noise of the motion, no more")
+                continue
+            accepted, dropped = acceptance.accept(judged)
+            earlier = [e for e in best.fitted.effects if e.kind not in UNNAMED]
+            alone = trying.alone(judged, found.base.fitted) if earlier else None
+            if alone is not None and not acceptance.believed(lead_of(accepted, alone)):
+                acceptance = Acceptance(comparison, judge, found.base, found.base, settings)
+                accepted, dropped = acceptance.accept(alone)[0], earlier
+            return Step(rivals=ranked, accepted=accepted, dropped=dropped)
     return Step(rivals=ranked, accepted=None)

@@ -17,6 +17,10 @@ class NamingSettings:
     """How much of the runs is used to sort candidates, in all [s]."""
     candidates: int = 7
     """Candidates that are fitted to that."""
+    twice: int = 3
+    """How many of them are fitted from a second start where one promises about as much."""
+    further: int = 10
+    """Further candidates that are fitted if none of those will do and much is left."""
     finalists: int = 3
     """Candidates that are fitted to whole runs."""
     kin: int = 2

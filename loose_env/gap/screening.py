@@ -13,7 +13,7 @@ nothing; positions and speeds answer over a longer one, and say where to try aga
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -24,6 +24,7 @@ from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.effects.sensor_kinds import of_place_or_speed
 from loose_env.gap.fit import Fit, hypothesis_of, parameters_of, prior_of, started
+from loose_env.gap.parameter import free_of
 
 __all__ = ["Screened", "screen"]
 
@@ -33,6 +34,10 @@ _GROUP = 24
 """Hypotheses simulated at a time."""
 _SMALLEST_SHARE, _LARGEST_SHARE = 1e-6, 4.0
 """Smallest and largest multiple of a signature that is believed."""
+_SECOND = 0.5
+"""Promise of another start, as a share of the best one's, from which on it is kept."""
+_FAR = 0.5
+"""Distance of a start that is another, in free numbers: some one of them is so far off."""
 _ROOM = 1e-9
 """Least room between bounds that the solver needs."""
 
@@ -49,6 +54,8 @@ class Screened:
     """Share of the sum of squares that it would explain, at most 1."""
     sureness: float
     """Promise over its own scatter from block to block, in standard deviations."""
+    second: tuple[float, ...] | None = None
+    """Another start, far from the first, that promises at least half as much."""
 
 
 def screen(
@@ -58,7 +65,7 @@ def screen(
     *,
     proposed: Mapping[tuple[str, str, str], Sequence[tuple[float, ...]]] = MappingProxyType({}),
 ) -> list[Screened]:
-    """Screen candidates; the most promising first, each with its best start.
+    """Screen candidates; the most promising first, each with its best start, or two.
 
     Parameters
     ----------
@@ -78,7 +85,7 @@ def screen(
     alike = fitted.residual
     if lighter is not comparison:
         alike = lighter.residuals([fitted.hypothesis])[0]
-    best: dict[int, Screened] = {}
+    seen: dict[int, list[Screened]] = {}
     for springs, compared, base in ((True, comparison, fitted.residual), (False, lighter, alike)):
         entries = [
             (effect, start)
@@ -88,15 +95,15 @@ def screen(
         ]
         again: dict[int, tuple[float, Effect, tuple[float, ...]]] = {}
         for effect, start, signature in _signatures(compared, fitted, entries, base):
-            _keep_best(best, _weigh(comparison, known, effect, start, signature))
+            _keep(seen, _weigh(comparison, known, effect, start, signature))
             if lens is not None and effect.shifts:
                 found = _proposed(lens, slow, effect, start, signature)
                 if found is not None and found[0] > again.get(id(effect), (0.0,))[0]:
                     again[id(effect)] = (found[0], effect, found[1])
         entries = [(effect, start) for _, effect, start in again.values()]
         for effect, start, signature in _signatures(compared, fitted, entries, base):
-            _keep_best(best, _weigh(comparison, known, effect, start, signature))
-    return sorted(best.values(), key=lambda s: -s.promise)
+            _keep(seen, _weigh(comparison, known, effect, start, signature))
+    return sorted((_best(each) for each in seen.values()), key=lambda s: -s.promise)
 
 
 def _signatures(
@@ -116,12 +123,22 @@ def _signatures(
             yield effect, start, residual - base
 
 
-def _keep_best(best: dict[int, Screened], found: Screened | None) -> None:
-    """Keep the start of a candidate that promises most."""
+def _keep(seen: dict[int, list[Screened]], found: Screened | None) -> None:
+    """Put what a start promises with the others of its candidate."""
     if found is not None:
-        before = best.get(id(found.effect))
-        if before is None or found.promise > before.promise:
-            best[id(found.effect)] = found
+        seen.setdefault(id(found.effect), []).append(found)
+
+
+def _best(found: list[Screened]) -> Screened:
+    """The start of a candidate that promises most, with another that lies far from it."""
+    first, *others = sorted(found, key=lambda s: -s.promise)
+    at = free_of(first.effect.parameters, np.array(first.values))
+    for each in others:
+        if each.promise < _SECOND * first.promise:
+            break
+        if np.any(np.abs(free_of(each.effect.parameters, np.array(each.values)) - at) > _FAR):
+            return replace(first, second=each.values)
+    return first
 
 
 def _slow_rows(comparison: Comparison) -> NDArray[np.bool_]:

@@ -105,16 +105,23 @@ class Trying:
         """The windows without accelerations; None where there are only such, or none."""
         return Slow.of(self.short)
 
-    def singles(self, screened: Sequence[Screened]) -> list[Judged]:
-        """Fit single candidates, and those that the best one may be mistaken for."""
-        if not screened:
+    def singles(self, screened: Sequence[Screened], *, further: bool = False) -> list[Judged]:
+        """Fit single candidates, and those that the best one may be mistaken for.
+
+        Parameters
+        ----------
+        screened : sequence of Screened
+            Candidates, the most promising first.
+        further : bool
+            Whether to take those that promise less than the ones that are fitted at first.
+        """
+        settings = self.settings
+        least = settings.promise * screened[0].promise if screened else 0.0
+        first = [each for each in screened[: settings.candidates] if each.promise >= least]
+        taken = screened[len(first) :][: settings.further] if further else first
+        if not taken:
             return []
-        settings, fits = self.settings, []
-        least = settings.promise * screened[0].promise
-        for each in screened[: settings.candidates]:
-            if each.promise < least:
-                break
-            fits.append(self._to_windows([each]))
+        fits = [self._to_windows([each], both=k < settings.twice) for k, each in enumerate(taken)]
         fits.sort(key=lambda f: f.cost)
         surest = max(fits[settings.finalists :], key=self._sureness, default=None)
         finalists = fits[: settings.finalists]
@@ -163,13 +170,18 @@ class Trying:
         start = np.concatenate([base.free, quick.free[nominal:]])
         return self.judge.judge(fit(self.comparison, effects, start, known=base.jacobian))
 
-    def _to_windows(self, members: Sequence[Screened]) -> Fit:
-        """Fit candidates together to the windows."""
+    def _to_windows(self, members: Sequence[Screened], *, both: bool = False) -> Fit:
+        """Fit candidates together to the windows; one candidate from both its starts."""
         start = self.short_before.free
         for each in members:
             start = np.concatenate([start, free_of(each.effect.parameters, np.array(each.values))])
         effects = (*self.before.effects, *(each.effect for each in members))
         found = fit(self.short, effects, start, known=self.short_before.jacobian)
+        if both and members[0].second is not None:
+            other = free_of(members[0].effect.parameters, np.array(members[0].second))
+            other = np.concatenate([self.short_before.free, other])
+            again = fit(self.short, effects, other, known=self.short_before.jacobian)
+            found = min((found, again), key=lambda f: f.cost)
         if len(members) == 1 and members[0].effect.shifts and self.slow is not None:
             # what held commands do to accelerations repeats itself from sample to sample, so that
             # a delay may end samples off; positions and speeds have one best delay
