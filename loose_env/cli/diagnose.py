@@ -2,7 +2,8 @@
 
 Reads a recording (a folder with recording.json, the nominal model and measured runs; healthy
 reference runs help where there are any), weighs every link's looseness, every joint's backlash and
-a sound arm, and says what to measure next where that is not settled.
+a sound arm, and says what to measure next where that is not settled. That is chosen with the
+settings of the 'loose plan' in whose folder the recording lies; options take their place.
 
 Written to the output folder: result.json, what was found; report.html, the same to be read. The
 same command on a recording with more runs takes their place. Exit codes: 0 done, whatever was
@@ -13,13 +14,17 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import fields
 
+from loose_env.cli.choice import add_choice, take_over
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.cli.recorded import Said, add_recording_options, folder_of
 from loose_env.errors import InvalidSetting, MissingExtra
 from loose_env.instrument.diagnose import diagnose
 from loose_env.instrument.machine import Machine
+from loose_env.instrument.next_settings import NextSettings
 from loose_env.instrument.result import HEALTHY, Diagnosis
+from loose_env.instrument.session_settings import settings_beside
 from loose_env.instrument.settings import DiagnoseSettings
 from loose_env.recording import read_recording
 
@@ -29,11 +34,15 @@ __all__ = ["add_options", "run", "summary"]
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     add_recording_options(parser)
-    add_settings(parser, DiagnoseSettings)
+    add_choice(parser)
+    chosen_with = [each.name.replace("_", "-") for each in fields(NextSettings)]
+    add_settings(parser, DiagnoseSettings, title="what is known beforehand", leave_out=chosen_with)
 
 
 def run(options: argparse.Namespace) -> None:
     """Diagnose and write it down."""
+    before = settings_beside(options.recording)
+    take_over(options, before or NextSettings(), "the plan beside the recording")
     settings = settings_of(options, DiagnoseSettings)
     folder = folder_of(options)
     if options.recording.resolve() == folder.path:

@@ -8,25 +8,25 @@ are chosen, band, length, rate) take the place of its own, and the pose is chose
 Written to the output folder: plan.html, what to do at the machine; plan.json, the same for
 programs; signal.csv and signal.parquet, a command for every actuator in its own unit; recording,
 a folder that the measured run is put into and that 'loose diagnose' reads. A folder of an earlier
-plan is gone on with: its measured runs stay. Exit codes: 0 done; 1 something given cannot be
-used; 2 the command line makes no sense.
+plan is gone on with: its measured runs stay, and so do settings that are not given anew. Exit
+codes: 0 done; 1 something given cannot be used; 2 the command line makes no sense; 130 interrupted.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import asdict, fields
 from pathlib import Path
 
+from loose_env.cli.choice import add_choice, take_over
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.errors import MissingExtra
 from loose_env.instrument.next_settings import NextSettings
 from loose_env.instrument.plan import plan
-from loose_env.instrument.plan_files import PlanFiles, write_plan
+from loose_env.instrument.plan_files import RECORDING, PlanFiles, write_plan
 from loose_env.instrument.plan_settings import ModelSettings, PlanSettings
 from loose_env.instrument.result import read_diagnosis
-from loose_env.instrument.taken_over import settings_before
+from loose_env.instrument.session_settings import settings_beside
 
 __all__ = ["add_options", "run"]
 
@@ -44,19 +44,18 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="what is known so far: result.json of 'loose diagnose', or the folder with it",
     )
     add_settings(parser, ModelSettings, title="the arm as it stands")
-    add_settings(parser, NextSettings, title="how poses and excitation are chosen")
-    # With --known, what is not given is as the diagnosis had it: that it was not has to be seen.
-    parser.set_defaults(**dict.fromkeys((each.name for each in fields(NextSettings)), None))
+    add_choice(parser)
     add_settings(parser, PlanSettings, title="the next measurement itself")
 
 
 def run(options: argparse.Namespace) -> None:
     """Plan the next measurement and write it down."""
     known = None if options.known is None else read_diagnosis(options.known)
-    before = settings_before(known)
-    for name, value in asdict(before).items():
-        if getattr(options, name) is None:
-            setattr(options, name, value)
+    if known is not None:
+        take_over(options, known.choice, "the diagnosis")
+    else:
+        before = settings_beside(options.out / RECORDING)
+        take_over(options, before or NextSettings(), "the earlier plan")
     made = plan(
         options.model,
         known,
@@ -72,7 +71,11 @@ def run(options: argparse.Namespace) -> None:
     try:
         from loose_env.report.plan_page import write_plan_page
 
-        written.append(write_plan_page(files.folder / "plan.html", made, runs))
+        written.append(
+            write_plan_page(
+                files.folder / "plan.html", made, runs, folder=options.out, model=options.model
+            )
+        )
     except MissingExtra as error:
         print(f"note: no plan.html: {error}", file=sys.stderr)
     for warning in made.warnings:

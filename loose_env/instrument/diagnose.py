@@ -174,10 +174,8 @@ class Workbench:
     def _next(self, found: Diagnosis) -> NextMeasurement:
         if self._arm is None:
             self._arm = load_model_arm(self.machine.path)
-        settings = self.settings.next_settings()
-        if self.suspect:
-            settings = self.settings.next_settings(1 / self.suspect[-1].period)
-        return next_for(self._arm, found, settings)
+        recorded = 1 / self.suspect[-1].period if self.suspect else None
+        return next_for(self._arm, found, self.settings.choice(recorded))
 
     def _blind(self) -> tuple[str, ...]:
         """What is not known of collisions where a pose was chosen."""

@@ -157,7 +157,7 @@ def inspect_model(
     rules = NextSettings() if settings is None else settings
     machine = load(path, arm)
     own, linear = limited(machine.arm, LinearArm(machine.arm), rules)
-    ground = Ground.of(own)
+    ground = Ground.of(own, rules.ground_m)
 
     def allowed(pose: Array) -> bool:
         return ground.clear(pose) and not machine.collisions.touch(pose)

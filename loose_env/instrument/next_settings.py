@@ -2,19 +2,39 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
-from loose_env.errors import InvalidSetting
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.instrument.setting_types import check_types
 from loose_env.sensors import Accelerometer, SensorSuite
 
 __all__ = ["NextSettings"]
 
+_MOST = {"gap_mm": 1e3, "noise_ug": 1e9, "rate_hz": 1e6, "most_tool": 1e6}
+"""Largest values that are taken."""
+_LENGTHS = (0.2, 600.0)
+"""Shortest and longest record [s]."""
+_SAMPLES = 5_000_000
+"""Most samples of a record."""
+_POSES, _IN_TURN = 10_000, 100
+_SEEDS = 2**63
+
 
 @dataclass(frozen=True, kw_only=True)
 class NextSettings:
-    """How the next measurement is chosen."""
+    """How the next measurement is chosen, by a plan and by a diagnosis alike.
+
+    Examples
+    --------
+    >>> NextSettings(poses=0)
+    Traceback (most recent call last):
+    ...
+    loose_env.errors.InvalidSetting: poses is a whole number from 1 to 10000, got 0
+    """
 
     gap_mm: float = 0.1
     """Free travel of interest [mm]: seats should move about as far as this."""
@@ -22,14 +42,17 @@ class NextSettings:
     """Noise of the tool accelerometer [µg/√Hz]."""
     rate_hz: float = 1000.0
     """Sampling rate [Hz]."""
-    seconds: float = 3.0
+    seconds: float = 4.0
     """Length of each record [s]."""
     most_tool: float = 15.0
     """Largest rms acceleration of the tool [m/s²]; peaks are four times that, which the
     accelerometer has to bear."""
     torque_share: float = 0.8
     """Share of each drive's peak torque that holding and shaking may take together [1]."""
-    poses: int = 48
+    ground_m: float | None = None
+    """Height that no link may go below, in the model's frame [m]; by default that of the base
+    where the arm stands on it."""
+    poses: int = 24
     """Poses that are weighed."""
     band_low: float | None = None
     """Lower end of the noise's band [Hz]; by default as the arm's modes ask for."""
@@ -49,30 +72,69 @@ class NextSettings:
         Raises
         ------
         InvalidSetting
-            If a figure makes no sense.
+            If a figure is of another type, or makes no sense.
         """
-        for name in ("gap_mm", "noise_ug", "rate_hz", "seconds", "most_tool"):
+        check_types(self)
+        for name, most in _MOST.items():
             value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise InvalidSetting(f"{name} is a positive number, got {value!r}")
+            if not 0 < value <= most:
+                raise InvalidSetting(f"{name} is a positive number up to {most:g}, got {value!r}")
+        if not _LENGTHS[0] <= self.seconds <= _LENGTHS[1]:
+            raise InvalidSetting(
+                f"seconds is a length of {_LENGTHS[0]:g} to {_LENGTHS[1]:g} s, got {self.seconds!r}"
+            )
+        if self.seconds * self.rate_hz > _SAMPLES:
+            raise InvalidSetting(
+                f"{self.seconds:g} s at {self.rate_hz:g} Hz are more than {_SAMPLES} samples; take "
+                "a lower rate_hz or fewer seconds"
+            )
         ends = self.band_low, self.band_high
         for name, end in zip(("band_low", "band_high"), ends, strict=True):
             if end is not None and not (np.isfinite(end) and end > 0):
                 raise InvalidSetting(f"{name} is a frequency above 0 Hz, got {end!r}")
         if ends[0] is not None and ends[1] is not None and not ends[0] < ends[1]:
             raise InvalidSetting(f"a band goes upwards, got {ends[0]:g} to {ends[1]:g} Hz")
-        if self.poses < 1 or self.in_turn < 1:
-            raise InvalidSetting(
-                f"poses and in_turn are 1 or more, got {self.poses} and {self.in_turn}"
-            )
+        for name, most in (("poses", _POSES), ("in_turn", _IN_TURN)):
+            value = getattr(self, name)
+            if not 1 <= value <= most:
+                raise InvalidSetting(f"{name} is a whole number from 1 to {most}, got {value}")
+        if self.ground_m is not None and not np.isfinite(self.ground_m):
+            raise InvalidSetting(f"ground_m is a height in metres, got {self.ground_m!r}")
         if not 0 < self.torque_share <= 1:
             raise InvalidSetting(
                 f"torque_share is above 0 and at most 1, got {self.torque_share!r}"
             )
         if not 0 <= self.margin < 0.5:
             raise InvalidSetting(f"margin is a share from 0 to below 0.5, got {self.margin!r}")
-        if self.seed < 0:
-            raise InvalidSetting(f"seed is zero or more, got {self.seed}")
+        if not 0 <= self.seed < _SEEDS:
+            raise InvalidSetting(f"seed is zero or more, and below 2**63, got {self.seed!r:.60}")
+
+    @classmethod
+    def within(cls, values: Mapping[str, Any], place: str) -> NextSettings:
+        """Those settings that were written to a file; others of it are left out.
+
+        Parameters
+        ----------
+        values : mapping
+            What the file has.
+        place : str
+            Where it stands there, as errors say it.
+
+        Raises
+        ------
+        InvalidData
+            If one of them is of another type, or makes no sense.
+
+        Examples
+        --------
+        >>> NextSettings.within({"poses": 8, "sure": 0.9}, "settings").poses
+        8
+        """
+        names = {field.name for field in fields(NextSettings)}
+        try:
+            return NextSettings(**{name: v for name, v in values.items() if name in names})
+        except InvalidSetting as error:
+            raise InvalidData(f"{place}: {error}") from None
 
     def band_of(self, band: tuple[float, float]) -> tuple[float, float]:
         """A band with the ends that are given in the place of its own [Hz].

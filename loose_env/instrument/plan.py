@@ -25,10 +25,11 @@ from loose_env.instrument.known import Known, known_of
 from loose_env.instrument.model_arm import ModelArm, load_model_arm
 from loose_env.instrument.next_pose import next_measurement
 from loose_env.instrument.next_settings import NextSettings
+from loose_env.instrument.option_words import unlike
 from loose_env.instrument.plan_settings import ModelSettings, PlanSettings
 from loose_env.instrument.result import Diagnosis, NextMeasurement
 from loose_env.instrument.signals import Signal, make_signal
-from loose_env.instrument.taken_over import other_settings, settings_before, why_not_reached
+from loose_env.instrument.taken_over import other_settings, why_not_reached
 
 __all__ = ["Plan", "load", "next_for", "plan"]
 
@@ -36,12 +37,8 @@ Array = NDArray[np.float64]
 
 _ONCE = ("joint", "pose_deg", "from_deg")
 """Settings that are for one measurement, not for a session."""
-_DECIDED = (*_ONCE, "ground_m")
-"""Settings that a diagnosis does not choose with."""
 _SAGS = np.array([np.radians(0.1), 1e-4])
 """Sag of a joint that turns [rad], and of one that slides [m], that is worth a word."""
-_SURE = 0.95
-"""Probability above which a plan says that it is hardly needed [1]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -119,12 +116,13 @@ def next_for(
     >>> set(first.pose) == set(desk.joints)
     True
     """
+    rules = NextSettings() if settings is None else settings
     own = PlanSettings() if own is None else own
     arm = machine.arm
     so_far = (
         known_of(known, machine.links, machine.joints) if isinstance(known, Diagnosis) else known
     )
-    ground = Ground.of(arm, own.ground_m)
+    ground = Ground.of(arm, rules.ground_m)
     # A pose that somebody has decided on is looked at with a warning alone.
     stays_above = not own.pose_deg
 
@@ -143,7 +141,7 @@ def next_for(
         arm,
         LinearArm(arm),
         so_far,
-        settings,
+        rules,
         links=machine.links,
         joints=machine.joints,
         allowed=allowed,
@@ -189,8 +187,8 @@ def plan(
     InvalidSetting, InvalidData, UnknownName
         If the model cannot be used, the diagnosis is of another one, or no pose will do.
     """
-    usual = settings_before(known)
-    choice = usual if choice is None else choice
+    if choice is None:
+        choice = NextSettings() if known is None else known.choice
     own = PlanSettings() if own is None else own
     machine = load(model, arm)
     so_far = None if known is None else known_of(known, machine.links, machine.joints)
@@ -234,13 +232,13 @@ def plan(
         expected=expected_of(machine, linear, so_far, chosen, choice),
         warnings=(
             *([f"not what the diagnosis asks for next: {anew}"] if anew else ()),
-            *_warnings(machine, known, chosen, signals, own),
+            *_warnings(machine, known, chosen, signals, choice),
         ),
         settings={**asdict(arm or ModelSettings()), **asdict(choice), **asdict(own)},
         again={
-            **_unlike(arm or ModelSettings(), ModelSettings()),
-            **_unlike(choice, usual),
-            **{k: v for k, v in _unlike(own, PlanSettings()).items() if k not in _ONCE},
+            **unlike(arm or ModelSettings(), ModelSettings()),
+            **unlike(choice, NextSettings()),
+            **{k: v for k, v in unlike(own, PlanSettings()).items() if k not in _ONCE},
         },
     )
 
@@ -253,19 +251,14 @@ def _why_anew(
     own: PlanSettings,
 ) -> str:
     """Why what a diagnosis asks for next is not what is planned; "" if it is."""
-    given = [name for name in _DECIDED if getattr(own, name) not in (None, ())]
+    given = [name for name in _ONCE if getattr(own, name) not in (None, ())]
     given += other_settings(asked, choice)
     if given:
         return f"another {', '.join(given)} is given here"
     here = so_far.records[-1].pose if so_far and so_far.records else machine.home
-    blocked = why_not_reached(machine, Ground.of(machine.arm), here, asked)
+    ground = Ground.of(machine.arm, choice.ground_m)
+    blocked = why_not_reached(machine, ground, here, asked)
     return f"its pose is not taken, {blocked}" if blocked else ""
-
-
-def _unlike(one: ModelSettings | NextSettings | PlanSettings, usual: Any) -> dict[str, Any]:
-    """Settings that are not the usual ones."""
-    before = asdict(usual)
-    return {name: value for name, value in asdict(one).items() if value != before[name]}
 
 
 def _typed(machine: ModelArm, name: str, given: tuple[float, ...]) -> Array | None:
@@ -299,13 +292,13 @@ def _warnings(
     known: Diagnosis | None,
     chosen: NextMeasurement,
     signals: tuple[Signal, ...],
-    own: PlanSettings,
+    choice: NextSettings,
 ) -> tuple[str, ...]:
     said: list[str] = []
     pose = np.array([chosen.pose[name] for name in machine.joints])
-    if known is not None and known.probability >= _SURE:
+    if known is not None and known.settled:
         said.append(
-            f"the diagnosis names {known.fault.hypothesis} with {known.probability:.1%} already; "
+            f"the diagnosis is settled: {known.fault.hypothesis} with {known.probability:.1%}; "
             "this measurement would only confirm it"
         )
     unseen = machine.collisions.unseen
@@ -322,7 +315,7 @@ def _warnings(
     touching = machine.collisions.touch(pose)
     if touching:
         said.append(f"in this pose the model's bodies touch: {', '.join(touching)}")
-    if not Ground.of(machine.arm, own.ground_m).clear(pose):
+    if not Ground.of(machine.arm, choice.ground_m).clear(pose):
         said.append("in this pose a part of the arm is below its base or the ground given")
     low, high = pose_range(machine.arm, 0.0)
     for j in np.flatnonzero((pose < low + 1e-3) | (pose > high - 1e-3)):

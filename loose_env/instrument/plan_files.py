@@ -28,7 +28,17 @@ from loose_env.recording.description import DESCRIPTION, RunEntry, read_descript
 from loose_env.recording.description import FORMAT as RECORDING_FORMAT
 from loose_env.recording.parquet_file import write_parquet
 
-__all__ = ["FORMAT", "PlanFiles", "plan_json", "run_columns", "write_plan"]
+__all__ = [
+    "FORMAT",
+    "PLAN",
+    "RECORDING",
+    "PlanFiles",
+    "plan_json",
+    "read_plan",
+    "run_columns",
+    "signal_stems",
+    "write_plan",
+]
 
 Array = NDArray[np.float64]
 
@@ -65,7 +75,7 @@ class PlanFiles:
             raise InvalidSetting(f"--out {folder} is a file; give a folder")
         self.recording = self.folder / RECORDING
         plan, model = self.folder / PLAN, self.recording / _MODEL
-        earlier = _plan_in(plan)
+        earlier = read_plan(plan)
         if plan.exists() and earlier is None:
             raise InvalidSetting(
                 f"--out {folder} holds a {PLAN} that is none of ours; give another"
@@ -270,7 +280,7 @@ def _refuse_others(files: PlanFiles, stems: Sequence[str]) -> None:
         )
 
 
-def _plan_in(path: Path) -> dict[str, Any] | None:
+def read_plan(path: Path) -> dict[str, Any] | None:
     """Content of a plan; None where there is none, or it is none of the format."""
     try:
         whole = json.loads(path.read_text("utf-8"))

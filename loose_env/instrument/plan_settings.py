@@ -8,6 +8,7 @@ import numpy as np
 
 from loose_env.errors import InvalidSetting
 from loose_env.instrument.model_arm import Hold
+from loose_env.instrument.setting_types import check_types
 
 __all__ = ["ModelSettings", "PlanSettings"]
 
@@ -28,6 +29,16 @@ class ModelSettings:
     payload_at_m: tuple[float, ...] = (0.0, 0.0, 0.0)
     """Its centre in the tool frame, x y z [m]."""
 
+    def __post_init__(self) -> None:
+        """Check.
+
+        Raises
+        ------
+        InvalidSetting
+            If a value is of another type.
+        """
+        check_types(self)
+
 
 @dataclass(frozen=True, kw_only=True)
 class PlanSettings:
@@ -45,9 +56,6 @@ class PlanSettings:
     hold_s: float = 0.5
     """Time before and after [s]: commands go from the pose to what holds the arm's weight in it,
     and the arm stands still."""
-    ground_m: float | None = None
-    """Height that no link may go below, in the model's frame [m]; by default that of the base
-    where the arm stands on it."""
 
     def __post_init__(self) -> None:
         """Check.
@@ -55,8 +63,9 @@ class PlanSettings:
         Raises
         ------
         InvalidSetting
-            If a time is negative, too long or not finite.
+            If a value is of another type, or a time is negative, too long or not finite.
         """
+        check_types(self)
         for name in ("ramp_s", "hold_s"):
             value = getattr(self, name)
             if not (np.isfinite(value) and 0 <= value <= 60):

@@ -12,6 +12,7 @@ from loose_env.errors import InvalidData
 from loose_env.gap.files import write_text
 from loose_env.gap.plain import restored
 from loose_env.gap.result_file import json_text, read_result_file, whole_of
+from loose_env.instrument.next_settings import NextSettings
 
 __all__ = [
     "FORMAT",
@@ -147,15 +148,29 @@ class NextMeasurement:
         Raises
         ------
         InvalidData
-            If no joint is named, or there is not one level and one torque for each.
+            If no joint is named, there is not one level and one torque for each, or a figure or
+            a setting makes no sense.
         """
         if not self.joints or not len(self.joints) == len(self.levels) == len(self.torques):
             raise InvalidData(
                 "a next measurement has one or more joints, with a level and a torque for each, "
                 f"got {len(self.joints)}, {len(self.levels)} and {len(self.torques)}"
             )
-        if not 0 < self.band_hz[0] < self.band_hz[1]:
+        if not 0 < self.band_hz[0] < self.band_hz[1] < math.inf:
             raise InvalidData(f"a band goes upwards from above 0 Hz, got {self.band_hz}")
+        played = (*self.levels, *self.torques)
+        if not all(math.isfinite(q) for q in self.pose.values()):
+            raise InvalidData(f"the pose of a next measurement is finite, got {dict(self.pose)}")
+        if not all(0 <= value < math.inf for value in played):
+            raise InvalidData(f"levels and torques are finite and not negative, got {played}")
+        NextSettings.within({"seconds": self.seconds, "rate_hz": self.rate_hz}, "next")
+        _ = self.choice
+
+    @property
+    def choice(self) -> NextSettings:
+        """Settings with which it was chosen; those that the file does not say are the usual."""
+        said = {"seconds": self.seconds, "rate_hz": self.rate_hz, **self.settings}
+        return NextSettings.within(said, "next.settings")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -269,6 +284,14 @@ class Diagnosis:
                 f"the posterior does not have the fault {self.fault.hypothesis!r}; it has "
                 f"{list(self.posterior)}"
             )
+        _ = self.choice
+
+    @property
+    def choice(self) -> NextSettings:
+        """Settings with which the next measurement is chosen, also where none was."""
+        if self.next is not None:
+            return self.next.choice
+        return NextSettings.within(self.settings, "settings")
 
     def to_json(self) -> str:
         """Text of ``result.json``; numbers that are not finite become null."""

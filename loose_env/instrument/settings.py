@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -12,10 +12,13 @@ from loose_env.instrument.tolerances import Tolerances
 
 __all__ = ["DiagnoseSettings"]
 
+_AS_ASKED = 0.98
+"""Share of the rate asked for from which a recorder counts as one that does what it is asked."""
+
 
 @dataclass(frozen=True, kw_only=True)
-class DiagnoseSettings:
-    """What is known of the machine beforehand, and how to go on.
+class DiagnoseSettings(NextSettings):
+    """What is known of the machine beforehand, and how the next measurement is chosen.
 
     Examples
     --------
@@ -48,40 +51,35 @@ class DiagnoseSettings:
     sensor_delay: float = Tolerances.sensor_delay
     """Standard deviation of the time by which accelerometers lag the joints' sensors, in every run
     anew [s]."""
-    seconds: float = 4.0
-    """Length of the next record [s]."""
-    band_low: float | None = None
-    """Lower end of the next band [Hz]; by default as the arm's modes ask for."""
-    band_high: float | None = None
-    """Upper end of the next band, at most 0.4 of the sampling rate [Hz]; by default as the arm's
-    modes ask for."""
-    poses: int = 24
-    """Poses among which the next one is chosen."""
-    seed: int = 0
-    """Of the draw of these poses."""
 
     def __post_init__(self) -> None:
-        """Check."""
+        """Check.
+
+        Raises
+        ------
+        InvalidSetting
+            If a figure is of another type, or makes no sense.
+        """
+        super().__post_init__()
         for name in ("sound", "sure"):
             value = getattr(self, name)
             if not (np.isfinite(value) and 0 < value < 1):
                 raise InvalidSetting(f"{name} is a probability between 0 and 1, got {value!r}")
-        if not (np.isfinite(self.seconds) and 0.2 <= self.seconds <= 600):
-            raise InvalidSetting(f"seconds is a length of 0.2 to 600 s, got {self.seconds!r}")
-        if self.poses < 1:
-            raise InvalidSetting(f"poses is a number of one or more, got {self.poses!r}")
-        _ = self.tolerances, self.next_settings()  # they check themselves
+        _ = self.tolerances  # they check themselves
 
-    def next_settings(self, rate_hz: float = NextSettings.rate_hz) -> NextSettings:
-        """Settings with which the next measurement is chosen, for a sampling rate [Hz]."""
-        return NextSettings(
-            seconds=self.seconds,
-            poses=self.poses,
-            seed=self.seed,
-            rate_hz=rate_hz,
-            band_low=self.band_low,
-            band_high=self.band_high,
-        )
+    def choice(self, recorded_hz: float | None = None) -> NextSettings:
+        """How the next measurement is chosen.
+
+        Parameters
+        ----------
+        recorded_hz : float, optional
+            Rate of the last run [Hz]. A recorder that is slower than asked for will be so again;
+            one that is faster gives more than is needed.
+        """
+        own = {field.name: getattr(self, field.name) for field in fields(NextSettings)}
+        if recorded_hz is not None and recorded_hz < _AS_ASKED * self.rate_hz:
+            own["rate_hz"] = recorded_hz
+        return NextSettings(**own)
 
     @property
     def tolerances(self) -> Tolerances:

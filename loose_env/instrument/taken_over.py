@@ -8,7 +8,7 @@ model lets the arm get there.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from math import isclose
 from typing import Any
 
@@ -19,38 +19,23 @@ from loose_env.errors import InvalidData
 from loose_env.instrument.ground import Ground
 from loose_env.instrument.model_arm import ModelArm
 from loose_env.instrument.next_settings import NextSettings
-from loose_env.instrument.result import Diagnosis, NextMeasurement
+from loose_env.instrument.result import NextMeasurement
 
-__all__ = ["other_settings", "settings_before", "why_not_reached"]
+__all__ = ["other_settings", "why_not_reached"]
 
 Array = NDArray[np.float64]
-
-
-def settings_before(known: Diagnosis | None) -> NextSettings:
-    """Settings with which the next measurement of a diagnosis was chosen; the defaults of none.
-
-    Raises
-    ------
-    InvalidSetting
-        If the file has settings that make no sense.
-    """
-    if known is None or known.next is None:
-        return NextSettings()
-    chosen = known.next
-    names = {field.name for field in fields(NextSettings)}
-    before = {name: value for name, value in chosen.settings.items() if name in names}
-    return NextSettings(**{"seconds": chosen.seconds, "rate_hz": chosen.rate_hz, **before})
 
 
 def other_settings(chosen: NextMeasurement, choice: NextSettings) -> list[str]:
     """Names of the settings of a plan with which a measurement was not chosen.
 
     A measurement that does not say with which it was chosen, of an earlier version, is asked for
-    its length and its rate alone.
+    its length, its rate and its ground alone.
     """
     before: Mapping[str, Any] = {
         "seconds": chosen.seconds,
         "rate_hz": chosen.rate_hz,
+        "ground_m": None,
         **chosen.settings,
     }
     return [

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from loose_env.errors import InvalidSetting
+from loose_env.instrument.setting_types import check_types
 
 __all__ = ["Tolerances"]
 
@@ -44,6 +45,8 @@ class Tolerances:
     """Delay of the accelerometers against the joints' sensors; in every run another [s]."""
 
     def __post_init__(self) -> None:
+        """Check."""
+        check_types(self)
         for field in fields(self):
             value = getattr(self, field.name)
             if not (np.isfinite(value) and value > 0):

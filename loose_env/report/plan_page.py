@@ -30,7 +30,14 @@ _LISTED = 0.005
 """Probability from which a hypothesis stands in the table [1]."""
 
 
-def write_plan_page(path: str | os.PathLike[str], plan: Plan, runs: Sequence[str]) -> Path:
+def write_plan_page(
+    path: str | os.PathLike[str],
+    plan: Plan,
+    runs: Sequence[str],
+    *,
+    folder: str | Path | None = None,
+    model: str | Path | None = None,
+) -> Path:
     """Write the page, beside its final name first.
 
     Parameters
@@ -41,6 +48,9 @@ def write_plan_page(path: str | os.PathLike[str], plan: Plan, runs: Sequence[str
         The plan.
     runs : sequence of str
         File of the recording that each signal's run goes into.
+    folder, model : str or Path, optional
+        The plan's folder and the model, as the commands on the page are to name them; by default
+        the folder of the page, and the model as the plan has it.
 
     Returns
     -------
@@ -52,15 +62,21 @@ def write_plan_page(path: str | os.PathLike[str], plan: Plan, runs: Sequence[str
     MissingExtra
         If jinja2 or matplotlib is not installed.
     """
-    return write_whole(path, plan_page(plan, runs, folder=Path(path).parent.name))
+    return write_whole(path, plan_page(plan, runs, folder=folder or Path(path).parent, model=model))
 
 
-def plan_page(plan: Plan, runs: Sequence[str], *, folder: str = "DIR") -> str:
+def plan_page(
+    plan: Plan,
+    runs: Sequence[str],
+    *,
+    folder: str | Path = "DIR",
+    model: str | Path | None = None,
+) -> str:
     """Return the page that `write_plan_page` writes."""
     arm, chosen = plan.machine.arm, plan.next
     joints = " and ".join(chosen.joints)
     groups = [
-        group("What to do", "", points=steps(plan, tuple(runs), folder)),
+        group("What to do", "", points=steps(plan, tuple(runs), folder, model)),
         _pose_group(plan),
         _signal_group(plan),
         _expected_group(plan),

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import shlex
-from collections.abc import Mapping
-from typing import Any
+from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
 
+from loose_env.instrument.next_settings import NextSettings
+from loose_env.instrument.option_words import option_words, path_word
 from loose_env.instrument.plan import Plan
-from loose_env.instrument.plan_files import run_columns, signal_stems
+from loose_env.instrument.plan_files import RECORDING, run_columns, signal_stems
 from loose_env.instrument.signals import Signal
 from loose_env.report.diagnosis_words import percent, place_value, short_name
 
@@ -36,8 +37,25 @@ def starts(plan: Plan) -> list[str]:
     ]
 
 
-def steps(plan: Plan, runs: tuple[str, ...], folder: str = "DIR") -> list[str]:
-    """What to do, a sentence or two a step; ``folder`` is where the plan lies."""
+def steps(
+    plan: Plan,
+    runs: tuple[str, ...],
+    folder: str | Path = "DIR",
+    model: str | Path | None = None,
+) -> list[str]:
+    """What to do, a sentence or two a step.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    runs : tuple of str
+        File of each signal's run.
+    folder : str or Path
+        Where the plan lies, as commands are to name it.
+    model : str or Path, optional
+        The model, as commands are to name it; by default as the plan has it.
+    """
     machine, chosen = plan.machine, plan.next
     made = machine.recordable
     said = [
@@ -77,10 +95,16 @@ def steps(plan: Plan, runs: tuple[str, ...], folder: str = "DIR") -> list[str]:
             "accelerations are in m/s² as the sensor gives them, gravity included, along the axes "
             f"of the site {made.site!r}."
         )
-    said.append(f"Then: loose diagnose {folder}/recording --out {folder}/diagnosis")
+    place = Path(folder)
+    found = path_word(place / "diagnosis")
+    chosen_with = {n: v for n, v in plan.again.items() if n in asdict(NextSettings())}
     said.append(
-        f"And for the next pose: loose plan {shlex.quote(machine.path.name)} --out {folder} "
-        f"--known {folder}/diagnosis{_options(plan.again)}"
+        f"Then: loose diagnose {path_word(place / RECORDING)} --out {found}"
+        f"{option_words(chosen_with)}"
+    )
+    said.append(
+        f"And for the next pose: loose plan {path_word(model or machine.path)} "
+        f"--out {path_word(place)} --known {found}{option_words(plan.again)}"
     )
     return said
 
@@ -89,16 +113,6 @@ def _starts(signal: Signal) -> str:
     """Commands with which a signal begins, as its file has them, in a sentence."""
     first = ", ".join(f"{name} at {value:.4g}" for name, value in signal.start.items())
     return f" It begins with {first}: the arm has to stand under these commands, or it jumps."
-
-
-def _options(settings: Mapping[str, Any]) -> str:
-    """Settings as options of a command line, each after a blank."""
-    words = []
-    for name, value in settings.items():
-        words.append(f"--{name.replace('_', '-')}")
-        for one in value if isinstance(value, tuple | list) else [value]:
-            words.append(f"{one:.12g}" if isinstance(one, float) else shlex.quote(str(one)))
-    return "".join(f" {word}" for word in words)
 
 
 def summary(plan: Plan) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from html import unescape
 from pathlib import Path
 
 import pytest
@@ -71,6 +72,81 @@ def test_options_count_with_what_is_known_and_those_left_out_are_the_diagnosis_o
     assert "--seconds 3 --most-tool 2" in page or "--most-tool 2 --seconds 3" in page
 
 
+def test_the_commands_on_the_page_name_paths_as_they_were_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "models").mkdir()
+    written(tmp_path / "models", MOTORS, "my desk.xml")
+    given = ["plan", "models/my desk.xml", "--out", "runs/my session"]
+    assert main([*given, "--poses", "2", "--most-tool", "3"]) == 0
+    page = unescape((tmp_path / "runs/my session/plan.html").read_text("utf-8"))
+    assert (
+        "loose diagnose 'runs/my session/recording' --out 'runs/my session/diagnosis' "
+        "--most-tool 3 --poses 2" in page
+    )
+    assert (
+        "loose plan 'models/my desk.xml' --out 'runs/my session' --known "
+        "'runs/my session/diagnosis' --most-tool 3 --poses 2" in page
+    )
+
+
+def test_a_plan_in_the_folder_of_an_earlier_one_keeps_its_limits(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model, out = written(tmp_path, MOTORS), tmp_path / "session"
+    command = ["plan", str(model), "--out", str(out), "--poses", "2"]
+    assert main([*command, "--most-tool", "2"]) == 0
+    capsys.readouterr()
+    assert main(command) == 0
+    assert "as the earlier plan has it: --most-tool 2" in capsys.readouterr().err
+    assert json.loads((out / "plan.json").read_text("utf-8"))["settings"]["most_tool"] == 2.0
+    assert main([*command, "--most-tool", "4"]) == 0
+    assert json.loads((out / "plan.json").read_text("utf-8"))["settings"]["most_tool"] == 4.0
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"gap_mm": "a"}, "gap_mm is a number, got 'a'"),
+        ({"poses": None}, "poses is a whole number, got None"),
+        ({"poses": 2.5}, "poses is a whole number, got 2.5"),
+        ({"poses": 1e9}, "poses is a whole number"),
+        ({"poses": 10**9}, "poses is a whole number from 1 to 10000"),
+        ({"in_turn": [1]}, r"in_turn is a whole number, got [1]"),
+        ({"band_low": "x"}, "band_low is a number, got 'x'"),
+        ({"seed": 1.5}, "seed is a whole number, got 1.5"),
+        ({"seed": True}, "seed is a whole number, got True"),
+        ({"seconds": 1e9}, "seconds is a length of 0.2 to 600 s"),
+        ({"rate_hz": 10**400}, "rate_hz is a number"),
+        ({"most_tool": 0}, "most_tool is a positive number"),
+    ],
+)
+def test_settings_of_a_result_that_make_no_sense_are_refused_with_file_and_field(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], changed: dict[str, object], words: str
+) -> None:
+    model = written(tmp_path, MOTORS)
+    machine = load(model)
+    posterior = dict.fromkeys(machine.hypotheses, 1 / len(machine.hypotheses))
+    found = Diagnosis(
+        fault=Fault(kind="healthy"), probability=posterior["healthy"], posterior=posterior,
+        next=next_for(machine, settings=NextSettings(poses=2)), settings={"poses": 2},
+    )  # fmt: skip
+    whole = json.loads(found.to_json())
+    for where in ("next", None):
+        damaged = json.loads(found.to_json())
+        (damaged[where] if where else damaged)["settings"] = changed
+        if not where:
+            damaged["next"] = None
+        (tmp_path / "result.json").write_text(json.dumps(damaged), "utf-8")
+        command = ["plan", str(model), "--known", str(tmp_path / "result.json")]
+        assert main([*command, "--out", str(tmp_path / "o")]) == 1
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        assert "result.json: " in said and "settings: " in said and words in said
+    assert whole["next"]["settings"]["ground_m"] is None
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -79,7 +155,7 @@ def test_options_count_with_what_is_known_and_those_left_out_are_the_diagnosis_o
         (["{model}", "--out", "{dir}/o", "--known", "{dir}/none.json"], "cannot be read"),
         (["{model}", "--out", "{dir}/o", "--known", "{model}"], "no JSON"),
         (["{model}", "--out", "{dir}/o", "--tool", "hammer"], "no site or body 'hammer'"),
-        (["{model}", "--out", "{dir}/o", "--seconds", "-1"], "seconds is a positive number"),
+        (["{model}", "--out", "{dir}/o", "--seconds", "-1"], "seconds is a length of 0.2 to 600 s"),
         (["{model}", "--out", "{dir}/o", "--pose-deg", "1", "2", "3"], "each of lift, elbow"),
     ],
 )

@@ -188,7 +188,7 @@ def test_a_plan_takes_what_the_diagnosis_wants_next(servoed: Path, first: Plan) 
         ({"seconds": 1.4}, PlanSettings()),
         ({"in_turn": 2}, PlanSettings()),
         ({"band_high": 70.0}, PlanSettings()),
-        ({}, PlanSettings(ground_m=0.3)),
+        ({"ground_m": 0.3}, PlanSettings()),
         ({}, PlanSettings(from_deg=(20.0, -30.0, 60.0))),
     ],
 )
@@ -208,8 +208,7 @@ def test_settings_that_are_given_count_beside_what_the_diagnosis_wants_next(
     if choice.band_high is not None:
         assert made.next.band_hz[1] <= choice.band_high
     assert any("asks for next" in warning for warning in made.warnings)
-    again = set(changed) | ({"ground_m"} if own.ground_m is not None else set())
-    assert set(made.again) - set(_FEW) == again - set(_FEW)
+    assert set(made.again) - set(_FEW) == set(changed) - set(_FEW)
 
 
 def test_what_a_diagnosis_wants_next_is_not_taken_through_the_floor(
@@ -251,14 +250,26 @@ def test_the_diagnosis_and_the_plan_choose_alike(servoed: Path, first: Plan) -> 
     assert next_for(first.machine, so_far, FEW).pose == plan(servoed, so_far, choice=FEW).next.pose
 
 
+def test_what_a_settled_diagnosis_was_limited_to_still_holds(servoed: Path, first: Plan) -> None:
+    limits = {"most_tool": 2.0, "poses": 2, "seconds": 1.0, "sure": 0.98}
+    settled = replace(known(first, fore_s=0.99), settled=True, settings=limits)
+    made = plan(servoed, settled)
+    assert made.settings["most_tool"] == 2.0
+    assert made.signals[0].tool_rms < 2.2
+
+
 def test_several_joints_are_played_in_turn(servoed: Path) -> None:
     made = plan(servoed, choice=replace(FEW, in_turn=2))
     assert len(made.signals) == len(set(made.next.joints)) == 2
 
 
-def test_a_sure_diagnosis_is_said_to_need_no_more(servoed: Path, first: Plan) -> None:
-    made = plan(servoed, known(first, fore_s=0.99), choice=FEW)
-    assert any("already" in warning for warning in made.warnings)
+def test_a_settled_diagnosis_is_said_to_need_no_more(servoed: Path, first: Plan) -> None:
+    """One run settles nothing, however sure."""
+    sure = known(first, fore_s=0.99)
+    made = plan(servoed, sure, choice=FEW)
+    assert not any("only confirm" in warning for warning in made.warnings)
+    made = plan(servoed, replace(sure, settled=True), choice=FEW)
+    assert any("settled" in w and "only confirm" in w for w in made.warnings)
 
 
 def test_a_diagnosis_of_another_model_is_refused(servoed: Path, motors: Path, first: Plan) -> None:
