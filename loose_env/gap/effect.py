@@ -43,6 +43,9 @@ __all__ = ["Effect", "Readings"]
 
 Array = NDArray[np.float64]
 
+_AT_BOUND = 1.02
+"""Ratio of an interval's end to a parameter's bound at which it reaches it."""
+
 Readings = dict[str, Array]
 """Column without axis -> readings (..., T) of a scalar, (..., T, 3) of a vector."""
 
@@ -208,9 +211,19 @@ class Effect:
         return found
 
     def vanishes(self, low: Array, high: Array) -> bool:
-        """Whether it may be nothing at all, by the intervals of its parameters (P,)."""
+        """Whether it may be nothing at all, by the intervals of its parameters (P,).
+
+        It may if nothing lies within all of them, or if they reach the limit in which it does
+        nothing, such as that of a stiff spring.
+        """
         if self.nothing is None:
-            return False
+            ends = dict(self.limit)
+            reached = [
+                a <= _AT_BOUND * p.low if ends[p.name] == "low" else b >= p.high / _AT_BOUND
+                for p, a, b in zip(self.parameters, low, high, strict=True)
+                if p.name in ends
+            ]
+            return bool(reached) and all(reached)
         return bool(np.all((low <= np.array(self.nothing)) & (np.array(self.nothing) <= high)))
 
     def immaterial(self, values: Array) -> bool:

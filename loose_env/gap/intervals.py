@@ -100,8 +100,8 @@ def widened(comparison: Comparison, fitted: Fit, intervals: Intervals) -> Interv
     A law that is a little wrong asks every motion for other parameters. The slope of each run at
     the common fit says which way; their scatter is that of a cluster-robust covariance (Liang and
     Zeger, Biometrika 73, 1986), with Student's law for as few runs as a recording has (Bell and
-    McCaffrey, Survey Methodology 28, 2002). That is a rough figure: an interval that would include
-    nothing for no other reason stays as it is.
+    McCaffrey, Survey Methodology 28, 2002). That is a rough figure: by it alone no interval comes
+    to include nothing, which other runs have refuted; the end on that side stays where it is.
 
     Parameters
     ----------
@@ -131,5 +131,20 @@ def widened(comparison: Comparison, fitted: Fit, intervals: Intervals) -> Interv
     low, high = np.minimum(intervals.low, ends[0]), np.maximum(intervals.high, ends[1])
     for effect, own in zip(fitted.effects, slices_of(fitted.effects), strict=True):
         if effect.vanishes(low[own], high[own]):
-            low[own], high[own] = intervals.low[own], intervals.high[own]
+            low[own], high[own] = _short_of_nothing(effect, intervals, own, low[own], high[own])
     return replace(intervals, low=low, high=high)
+
+
+def _short_of_nothing(
+    effect: Effect, intervals: Intervals, own: slice, low: Array, high: Array
+) -> tuple[Array, Array]:
+    """Wider ends (P,), but those between which and the values nothing lies as they were."""
+    before = intervals.low[own], intervals.high[own]
+    if effect.nothing is None:
+        ends = [dict(effect.limit).get(p.name) for p in effect.parameters]
+        to_low = np.array([end == "low" for end in ends])
+        to_high = np.array([end == "high" for end in ends])
+    else:
+        nothing = np.array(effect.nothing)
+        to_low, to_high = nothing < before[0], nothing > before[1]
+    return np.where(to_low, before[0], low), np.where(to_high, before[1], high)

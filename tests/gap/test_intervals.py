@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
+import pytest
 
 from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.intervals import Intervals
+from loose_env.gap.intervals import Intervals, widened
 from loose_env.gap.parameter import free_of
 from tests.gap.effect_arms import machine_of
 
@@ -39,3 +42,54 @@ def test_parts_that_trade_against_each_other_are_judged_together() -> None:
         intervals, effect = around(draws, "link_com", "link2")
         assert np.all((intervals.low < 0) & (intervals.high > 0))
         assert intervals.may_be_nothing(effect, slice(0, size)) is nothing
+
+
+@pytest.mark.parametrize(
+    ("kind", "where", "name", "end"),
+    [
+        ("joint_compliance", "joint2", "stiffness", "high"),
+        ("link_flexibility", "link2", "stiffness", "high"),
+        ("structural_looseness", "link2", "friction", "high"),
+        ("stribeck_friction", "joint2", "torque", "low"),
+    ],
+)
+def test_an_interval_that_reaches_the_limit_of_an_effect_includes_nothing(
+    kind: str, where: str, name: str, end: str
+) -> None:
+    effect = CATALOGUE[kind](machine_of("planar"), where)
+    parameters = effect.parameters
+    number = [p.name for p in parameters].index(name)
+    middle = np.array([np.sqrt(p.low * p.high) if p.log else 0.5 * (p.low + p.high)
+                       for p in parameters])  # fmt: skip
+    low, high = 0.9 * middle, 1.1 * middle
+    assert not effect.vanishes(low, high)
+    if end == "high":
+        high[number] = parameters[number].high
+    else:
+        low[number] = parameters[number].low
+    assert effect.vanishes(low, high)
+
+
+def test_runs_that_disagree_widen_an_interval_and_never_to_nothing() -> None:
+    machine = machine_of("planar")
+    effect = CATALOGUE["coulomb_friction"](machine, "joint2")
+    scale = effect.parameters[0].scale
+    rng = np.random.default_rng(5)
+    rows, runs = 300, 3
+    jacobian = np.ones((rows, 1))
+    residual = rng.normal(0.0, 0.1, rows) + np.repeat([-1.5, 0.0, 1.5], rows // runs)
+    comparison = SimpleNamespace(
+        rows=SimpleNamespace(trial=np.repeat(np.arange(runs), rows // runs))
+    )
+    fitted = SimpleNamespace(
+        effects=(effect,), free=np.array([1.0]), jacobian=jacobian, residual=residual
+    )
+    narrow = Intervals(
+        low=np.array([0.9 * scale]),
+        high=np.array([1.1 * scale]),
+        free=fitted.free,
+        covariance=np.eye(1),
+    )
+    wide = widened(comparison, fitted, narrow)  # type: ignore[arg-type]
+    assert wide.low[0] == narrow.low[0]
+    assert wide.high[0] > 1.5 * narrow.high[0]

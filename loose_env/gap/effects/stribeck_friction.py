@@ -37,6 +37,7 @@ class StribeckFriction(JointEffect):
     kind = "stribeck_friction"
 
     proportional: ClassVar[int | None] = 0
+    limit: ClassVar[tuple[tuple[str, str], ...]] = (("torque", "low"),)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
