@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from loose_env.gap.effect import Effect
 from loose_env.gap.judgement import lead_of
+from loose_env.gap.kinship import joint_of
 from loose_env.gap.naming import Named
 from loose_env.gap.naming_settings import NamingSettings
+from loose_env.gap.ranking import added_to
 
 __all__ = ["indistinct"]
 
@@ -16,7 +18,10 @@ _AS_MUCH = 0.05
 
 
 def indistinct(named: Named, effect: Effect) -> tuple[Effect, ...]:
-    """Rivals of a named effect that explain the held-out runs as well.
+    """Effects of rivals that explain the held-out runs as well as a step that named this one.
+
+    Of a rival with several effects, those at the joint of the named one stand against it; all of
+    them where none is there.
 
     Parameters
     ----------
@@ -26,17 +31,25 @@ def indistinct(named: Named, effect: Effect) -> tuple[Effect, ...]:
         One of the named.
     """
     found: list[Effect] = []
+    before = named.base
     for step, rivals in zip(named.steps, named.rivals, strict=False):
-        if step.fitted.effects[-1].key != effect.key:
-            continue
-        own = next((lead for j, lead in rivals if j.fitted.effects[-1].key == effect.key), None)
-        for judged, lead in rivals:
-            other = judged.fitted.effects[-1]
-            same = (other.kind, other.where) == (effect.kind, effect.where)
-            if same or lead.held < TIE:
-                continue
-            ahead = lead_of(step, judged)
-            near = own is None or lead.share > own.share - _AS_MUCH
-            if ahead.held < TIE and near:
-                found.append(other)
+        new = {each.key for each in added_to(before, step)}
+        if effect.key in new:
+            added = [({e.key for e in added_to(before, judged)}, lead) for judged, lead in rivals]
+            own = next((lead for keys, lead in added if keys >= new), None)
+            for judged, lead in rivals:
+                if lead.held < TIE or lead_of(step, judged).held >= TIE:
+                    continue
+                if own is None or lead.share > own.share - _AS_MUCH:
+                    found += _against(effect, added_to(before, judged))
+        before = step
     return tuple({(e.kind, e.where): e for e in found}.values())
+
+
+def _against(effect: Effect, others: tuple[Effect, ...]) -> list[Effect]:
+    """Effects of a rival that stand against one; none where the rival has it, too."""
+    if any((other.kind, other.where) == (effect.kind, effect.where) for other in others):
+        return []
+    joint = joint_of(effect.machine, effect.where)
+    here = [other for other in others if joint_of(other.machine, other.where) == joint]
+    return here or list(others)

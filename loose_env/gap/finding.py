@@ -21,6 +21,7 @@ from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.nominal import NominalFigures
 from loose_env.gap.parameter import values_of
 from loose_env.gap.preparing import GapSettings, Prepared, prepare
+from loose_env.gap.ranking import ranking_of
 from loose_env.gap.result import NamedEffect, Place, Ranked, Verdict
 from loose_env.gap.stages import Stage, fresh
 from loose_env.gap.start import StartState
@@ -124,7 +125,7 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Sta
         best=best,
         verdict=verdict,
         effects=_named(named, best.fitted, intervals) if verdict == "named" else (),
-        ranking=_ranking(named, prepared),
+        ranking=ranking_of(named, prepared.search, prepared.held),
     )
 
 
@@ -215,39 +216,3 @@ def _named(named: Named, fitted: Fit, intervals: Intervals) -> tuple[NamedEffect
             )
         )
     return tuple(found)
-
-
-def _ranking(named: Named, prepared: Prepared) -> tuple[Ranked, ...]:
-    """Everything that was fitted to whole runs."""
-    found = []
-    for step, rivals in enumerate(named.rivals, start=1):
-        before = named.base if step == 1 else named.steps[step - 2]
-        for judged, lead in rivals:
-            effect: Effect = judged.fitted.effects[-1]
-            found.append(
-                Ranked(
-                    kind=effect.kind,
-                    where=effect.where,
-                    held_out=judged.held_rms,
-                    bic=_bic(judged, before),
-                    step=step,
-                    lead=lead.held,
-                )
-            )
-    return tuple(found)
-
-
-def _bic(judged: Judged, before: Judged) -> float:
-    """Bayesian information criterion over that of the hypothesis before.
-
-    Blocks of time count as the sample, and the scatter of what is left as the noise: 100,000 rows
-    that hang together are no 100,000 observations.
-    """
-    count = len(judged.held_blocks) + len(judged.fitted_blocks)
-    rows = len(judged.held_residual) + len(judged.fitted.residual)
-    level = max(judged.total / rows, 1.0)
-    width = rows / count
-    effective = max(count, 2)
-    more = judged.free_count - before.free_count
-    gained = (before.total - judged.total) / (level * max(width / effective, 1.0))
-    return float(-gained + more * np.log(effective))

@@ -69,18 +69,26 @@ class Ranked:
     """A hypothesis that was fitted."""
 
     kind: str
-    """Of the effect that was added in this step."""
+    """Of the effect that was added in this step; of the first, where there were several."""
     where: str
     """Its place."""
     held_out: float
     """Root mean square on held-out runs, in noise standard deviations."""
     bic: float
-    """Bayesian information criterion over that of the hypothesis without it, with the effective
-    sample size; negative where the effect pays for its parameters."""
+    """Bayesian information criterion over that of the hypothesis without it, rows that hang
+    together in time counted as the independent ones they are worth; negative where the effect pays
+    for its parameters."""
     step: int = 1
     """1 for the first effect, 2 for one beside the first, ..."""
     lead: float = 0.0
     """Lead on held-out runs over the step before, in standard deviations."""
+    together_with: tuple[Place, ...] = ()
+    """Further effects of the same hypothesis: one kind at several places at once."""
+
+    @property
+    def places(self) -> tuple[Place, ...]:
+        """All effects that it adds."""
+        return (Place(kind=self.kind, where=self.where), *self.together_with)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,6 +27,7 @@ from loose_env.report.gap_words import (
     headline,
     mistaken_words,
     next_steps,
+    ranked_words,
     size_words,
     sure_words,
 )
@@ -315,7 +316,7 @@ def _ranking_group(result: GapResult) -> dict[str, Any]:
                 "title": "" if step == 1 else f"Effect number {step}, beside those before",
                 "rows": [
                     {
-                        "Effect": f"{r.kind} at {r.where}",
+                        "Effect": ranked_words(r),
                         "Held-out gap": f"{r.held_out:.3f}",
                         "Lead": signed(r.lead),
                         "BIC": signed(r.bic, 0),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from loose_env.gap.result import GapResult, NamedEffect
+from loose_env.gap.result import GapResult, NamedEffect, Place, Ranked
 from loose_env.gap.separating import how_to_separate
 
 __all__ = [
@@ -12,6 +12,7 @@ __all__ = [
     "headline",
     "mistaken_words",
     "next_steps",
+    "ranked_words",
     "size_words",
     "sure_words",
 ]
@@ -120,19 +121,62 @@ def mistaken_words(result: GapResult) -> list[str]:
     """What each effect could be mistaken for."""
     said = []
     alone = [effect for effect in result.effects if not effect.ambiguous_with]
-    if alone:
-        words = _in_a_row(_grouped(alone))
-        said.append(f"Nothing else that was tried explains the held-out runs as well as {words}.")
+    groups: dict[tuple[int, tuple[Place, ...]], list[NamedEffect]] = {}
+    for effect in alone:
+        groups.setdefault(_found_in(effect, result.ranking), []).append(effect)
+    for (step, together), effects in groups.items():
+        words = _in_a_row(_grouped(effects))
+        others = sum(row.step == step and row.places != together for row in result.ranking)
+        if not others:
+            said.append(f"Nothing else was fitted to whole runs in place of {words}.")
+            continue
+        rivals = (
+            "the one other hypothesis that was fitted to whole runs does not explain"
+            if others == 1
+            else f"none of the {others} other hypotheses that were fitted to whole runs explains"
+        )
+        said.append(f"In place of {words}, {rivals} the held-out runs as well.")
+        if len(together) > 1:
+            said.append(
+                "These were fitted together; something else at one of the places, with the others "
+                "as they are, was not tried."
+            )
     for effect in result.effects:
         if not effect.ambiguous_with:
             continue
         words = effect_words(effect.kind, effect.where)
-        others = [effect_words(o.kind, o.where) for o in effect.ambiguous_with]
+        others_named = [effect_words(o.kind, o.where) for o in effect.ambiguous_with]
         said.append(
-            f"The held-out runs cannot tell {words} from {' or from '.join(others)}: it may be "
-            "either."
+            f"The held-out runs cannot tell {words} from {' or from '.join(others_named)}: it may "
+            "be either."
         )
     return said
+
+
+def _found_in(effect: NamedEffect, ranking: Sequence[Ranked]) -> tuple[int, tuple[Place, ...]]:
+    """Step in which an effect was found, and all that was found with it; 0 where not known."""
+    own = Place(kind=effect.kind, where=effect.where)
+    for row in ranking:
+        if own in row.places:
+            return row.step, row.places
+    return 0, ()
+
+
+def ranked_words(row: Ranked) -> str:
+    """A hypothesis as the table of what was tried lists it.
+
+    Examples
+    --------
+    >>> several = (Place(kind="backlash", where="joint2"),)
+    >>> ranked_words(
+    ...     Ranked(kind="backlash", where="joint1", held_out=1.0, bic=-9.0, together_with=several)
+    ... )
+    'backlash at joint1, joint2'
+    """
+    places: dict[str, list[str]] = {}
+    for place in row.places:
+        places.setdefault(place.kind, []).append(place.where)
+    return _in_a_row([f"{kind} at {', '.join(where)}" for kind, where in places.items()])
 
 
 def next_steps(result: GapResult) -> list[str]:

@@ -14,12 +14,18 @@ pytest.importorskip("matplotlib")
 
 from loose_env.errors import MissingExtra
 from loose_env.gap.reporting import Evidence, GapOutputs, gather, result_of
-from loose_env.gap.result import Gap, GapResult, NamedEffect, Place
+from loose_env.gap.result import Gap, GapResult, NamedEffect, Place, Ranked
 from loose_env.gap.separating import how_to_separate
 from loose_env.report import gap_report
 from loose_env.report.gap_page import render_gap_page, write_gap_page
 from loose_env.report.gap_report import write_outputs
-from loose_env.report.gap_words import effect_words, headline, next_steps, size_words
+from loose_env.report.gap_words import (
+    effect_words,
+    headline,
+    mistaken_words,
+    next_steps,
+    size_words,
+)
 from tests.gap.gap_case import outputs_for, record
 
 
@@ -171,3 +177,42 @@ def test_every_ambiguous_effect_gets_a_motion_that_separates_it() -> None:
     steps = next_steps(result("named", effects=(effect,)))
     assert "gravity pulling to one side" in steps[1]
     assert "move joint1 while joint2 is held" in steps[2]
+
+
+def row(kind: str, where: str, *others: str, step: int = 1) -> Ranked:
+    places = tuple(Place(kind=kind, where=other) for other in others)
+    return Ranked(kind=kind, where=where, held_out=1.0, bic=-9.0, step=step, together_with=places)
+
+
+def named(*where: str) -> tuple[NamedEffect, ...]:
+    return tuple(
+        NamedEffect(kind="actuator_gain", where=w, parameters={"gain": 2.0}) for w in where
+    )
+
+
+def test_what_was_not_tried_is_not_said_to_explain_less() -> None:
+    ranking = (row("actuator_gain", "m1", "m2"), row("command_delay", "all"))
+    family = result("named", effects=named("m1", "m2"), ranking=ranking)
+    words = mistaken_words(family)
+    assert words[0].startswith(
+        "In place of another gain (m1, m2), the one other hypothesis that was"
+    )
+    assert "was not tried" in words[1] and len(words) == 2
+    single = result(
+        "named", effects=named("m1"),
+        ranking=(row("actuator_gain", "m1"), row("sensor_gain", "q"), row("backlash", "joint1")),
+    )  # fmt: skip
+    assert mistaken_words(single) == [
+        "In place of another gain (m1), none of the 2 other hypotheses that were fitted to whole "
+        "runs explains the held-out runs as well."
+    ]
+    lone = result("named", effects=named("m1"), ranking=(row("actuator_gain", "m1"),))
+    assert mistaken_words(lone) == [
+        "Nothing else was fitted to whole runs in place of another gain (m1)."
+    ]
+
+
+def test_a_family_is_one_line_of_what_was_tried(outputs: GapOutputs, evidence: Evidence) -> None:
+    other = replace(outputs, ranking=(row("joint_spring", "joint1", "joint2", "joint3"),))
+    page = render_gap_page(other, evidence, result_of(other, evidence))
+    assert "joint_spring at joint1, joint2, joint3" in page

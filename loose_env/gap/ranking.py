@@ -1,0 +1,136 @@
+"""What was tried at every step of a search, with the criterion that weighs fit and parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import log
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.comparison import Comparison, Rows
+from loose_env.gap.effect import Effect
+from loose_env.gap.judgement import Judged, Lead
+from loose_env.gap.naming import Named
+from loose_env.gap.result import Place, Ranked
+
+__all__ = ["added_to", "bic", "independent_rows", "ranking_of"]
+
+Array = NDArray[np.float64]
+Labels = NDArray[np.intp]
+
+
+def added_to(before: Judged, judged: Judged) -> tuple[Effect, ...]:
+    """Effects that a hypothesis has and the one before it has not."""
+    there = {effect.key for effect in before.fitted.effects}
+    return tuple(effect for effect in judged.fitted.effects if effect.key not in there)
+
+
+def ranking_of(named: Named, comparison: Comparison, held_out: Comparison) -> tuple[Ranked, ...]:
+    """Every hypothesis that was fitted to whole runs, step by step, the best first.
+
+    Parameters
+    ----------
+    named : Named
+        The search.
+    comparison, held_out : Comparison
+        The runs it was fitted to, and those that judged.
+    """
+    found = []
+    for step, rivals in enumerate(named.rivals, start=1):
+        before = named.base if step == 1 else named.steps[step - 2]
+        found += _of_step(rivals, before, step, (comparison.rows, held_out.rows))
+    return tuple(found)
+
+
+def _of_step(
+    rivals: Sequence[tuple[Judged, Lead]], before: Judged, step: int, rows: tuple[Rows, Rows]
+) -> list[Ranked]:
+    if not rivals:
+        return []
+    # One measure for all rivals of a step: the noise, and how it hangs together, that the best
+    # of them leaves.
+    best = min((judged for judged, _ in rivals), key=lambda judged: judged.total)
+    parts = [
+        independent_rows(residual, own.block, own.channel)
+        for residual, own in zip((best.fitted.residual, best.held_residual), rows, strict=True)
+    ]
+    count = sum(parts)
+    every = len(best.fitted.residual) + len(best.held_residual)
+    level = max(best.total / every, 1.0)
+    found = []
+    for judged, lead in rivals:
+        first, *others = added_to(before, judged)
+        found.append(
+            Ranked(
+                kind=first.kind,
+                where=first.where,
+                together_with=tuple(Place(kind=e.kind, where=e.where) for e in others),
+                held_out=judged.held_rms,
+                bic=bic(
+                    (before.total - judged.total) * count / (level * every),
+                    parameters=judged.free_count - before.free_count,
+                    count=count,
+                ),
+                step=step,
+                lead=lead.held,
+            )
+        )
+    return found
+
+
+def bic(gained: float, *, parameters: int, count: float) -> float:
+    """Bayesian information criterion of a hypothesis less that of the one it adds to.
+
+    Parameters
+    ----------
+    gained : float
+        Fall of the sum of squares over independent readings, in units of their variance: twice
+        the gain in log-likelihood.
+    parameters : int
+        How many it has more.
+    count : float
+        Independent readings.
+
+    Examples
+    --------
+    >>> round(bic(30.0, parameters=2, count=1000.0), 1)
+    -16.2
+    """
+    return -gained + parameters * log(max(count, 2.0))
+
+
+def independent_rows(residual: Array, block: Labels, channel: Labels) -> float:
+    """How many independent numbers the rows of a residual (N,) are worth.
+
+    Rows of one channel in one block of time may hang together; channels and blocks do not. Of
+    independent rows the square of a block's sum is about its sum of squares. By as much as it is
+    larger on average, the variance of whatever is estimated from blocks is larger than rows alone
+    make believe (the design effect of a cluster sample, Kish, Survey Sampling, 1965), and the
+    rows, and with them the log-likelihood, count as much less.
+
+    Parameters
+    ----------
+    residual : ndarray (N,)
+        What is left.
+    block, channel : ndarray (N,)
+        Block of time and channel of each row.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> block, channel = np.repeat(np.arange(200), 50), np.zeros(10000, dtype=np.intp)
+    >>> round(independent_rows(rng.normal(size=10000), block, channel), -3)
+    10000.0
+    >>> round(independent_rows(np.repeat(rng.normal(size=200), 50), block, channel))
+    200
+    """
+    if not len(residual):
+        return 0.0
+    cell = block * (int(channel.max()) + 1) + channel
+    _, cell = np.unique(cell, return_inverse=True)
+    sums = np.bincount(cell, residual)
+    squares = float(residual @ residual)
+    if squares <= 0:
+        return float(len(residual))
+    return float(len(residual) / max(float(sums @ sums) / squares, 1.0))
