@@ -17,6 +17,7 @@ from scipy.interpolate import make_interp_spline
 from loose_env.gap.machine import Machine
 from loose_env.gap.motion import Motion
 from loose_env.gap.simulator import Hypothesis
+from loose_env.gap.torque_terms import torque_terms
 
 __all__ = ["Drive"]
 
@@ -88,7 +89,8 @@ class Drive:
             record=("actuator_force", "qacc"),
         )
         given = out["actuator_force"][0, :, -len(joints) :]
-        return np.asarray((given - rotors * out["qacc"][0][:, dofs])[before * inside :: inside])
+        led = (given - rotors * out["qacc"][0][:, dofs])[before * inside :: inside]
+        return np.asarray(led - torque_terms(hypothesis, motion.position, motion.speed))
 
     def _model(self, hypothesis: Hypothesis, step: float) -> tuple[mujoco.MjModel, Array]:
         """Model with heavy rotors and their drives, its own actuators without force."""

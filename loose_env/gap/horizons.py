@@ -19,6 +19,7 @@ from loose_env.gap.comparison import BURN_IN
 from loose_env.gap.machine import Machine
 from loose_env.gap.rest import SETTLE
 from loose_env.gap.simulator import Hypothesis, Simulator
+from loose_env.gap.torque_terms import BatchWithTerms, with_terms
 from loose_env.gap.trial import Channel, Trial
 from loose_env.rig.quiet import quiet
 
@@ -171,13 +172,14 @@ def _whole(simulator: Simulator, hypothesis: Hypothesis, trial: Trial) -> _Whole
     )
     batch.qvel[0] = 0.0
     batch.qvel[0, dofs] = trial.speed + (0.0 if hypothesis.speed is None else hypothesis.speed[0])
+    moved = with_terms(batch, machine, [hypothesis])
     if trial.resting:
         held = np.repeat(controls[:, :1], round(SETTLE / trial.step), axis=1)
-        _rollout(batch, held, ("qpos",))
+        _rollout(moved, held, ("qpos",))
         batch.time[:] = 0.0
     kept = ["qpos", "qvel"] + (["act"] if model.na else [])
     begin = {name: np.array(getattr(batch, name)[0]) for name in kept}
-    found = _rollout(batch, controls, (*kept, "sensordata", "actuator_force"))
+    found = _rollout(moved, controls, (*kept, "sensordata", "actuator_force"))
     # What is recorded of a step is the state after it, and the readings before it.
     states = {name: np.vstack([begin[name][None], found[name][0, :-1]]) for name in kept}
     return _Whole(
@@ -214,7 +216,8 @@ def _restarted(
     batch.qpos[:, positions] += offset
     batch.qvel[:, dofs] += drift
     batch.time[:] = trial.time[starts]
-    shown = _shown(simulator, _rollout(batch, controls, ("sensordata", "actuator_force")))
+    moved = with_terms(batch, machine, [hypothesis] * len(starts))
+    shown = _shown(simulator, _rollout(moved, controls, ("sensordata", "actuator_force")))
     found = []
     for k, first in enumerate(starts):
         until = trial.time[first] + longest * (1 + 1e-9)
@@ -294,7 +297,9 @@ def _between(values: Array, steps: Array) -> Array:
     return np.asarray(values[low] * (1 - share) + values[high] * share)
 
 
-def _rollout(batch: Batch, controls: Array, names: tuple[str, ...]) -> dict[str, Array]:
+def _rollout(
+    batch: Batch | BatchWithTerms, controls: Array, names: tuple[str, ...]
+) -> dict[str, Array]:
     """Advance every simulation; what went wild is NaN from its start."""
     try:
         found = batch.rollout(
@@ -306,7 +311,7 @@ def _rollout(batch: Batch, controls: Array, names: tuple[str, ...]) -> dict[str,
         )
     except SimulationError:
         return {
-            name: np.full((*controls.shape[:2], getattr(batch, name).shape[1]), np.nan)
+            name: np.full((*controls.shape[:2], batch.bind(name).shape[1]), np.nan)
             for name in names
         }
     out = {name: np.array(found[name], dtype=float) for name in names}

@@ -28,6 +28,7 @@ from loose_env.gap.machine import Machine
 from loose_env.gap.motion import Motion, filled, smooth_motion
 from loose_env.gap.noise import noise_floor
 from loose_env.gap.simulator import Hypothesis, _layout
+from loose_env.gap.torque_terms import has_terms, torque_terms
 from loose_env.gap.trial import Channel, Trial
 
 __all__ = ["InverseDynamics"]
@@ -203,7 +204,7 @@ class InverseDynamics:
         return self._batches[key]
 
     def _dry(self, hypothesis: Hypothesis, model: mujoco.MjModel, motion: Motion) -> Array:
-        """What friction that depends on the direction takes, and unseen drives (E, joints)."""
+        """What friction by direction, unseen drives and torque terms take (E, joints)."""
         direction = np.tanh(motion.speed / np.maximum(motion.noise[1], 1e-12))
         found: Array = np.asarray(model.dof_frictionloss * direction)
         for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
@@ -212,6 +213,8 @@ class InverseDynamics:
                 found[:, joint] += effect.unseen_torque(
                     motion.position[:, joint], motion.speed[:, joint], own
                 )
+        if has_terms(hypothesis):
+            found -= torque_terms(hypothesis, motion.position, motion.speed)
         if not found.any():
             return found[motion.chosen]
         return motion.band.smooth(found)[motion.chosen]

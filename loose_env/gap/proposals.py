@@ -20,6 +20,7 @@ from loose_env.gap.effect import Effect
 from loose_env.gap.motion import Motion, smooth_motion
 from loose_env.gap.residual_accelerations import residual_accelerations
 from loose_env.gap.simulator import Hypothesis
+from loose_env.gap.torque_terms import torque_terms
 from loose_env.gap.trial import Trial
 
 __all__ = ["missing_torque", "proposals"]
@@ -130,6 +131,7 @@ def _missing(
         mujoco.mj_fwdActuation(model, data)
         needed += friction * np.tanh(motion.speed[k] / slow)
         row[:] = data.qfrc_actuator[:joints] - needed
+    torque += torque_terms(known, motion.position[chosen], motion.speed[chosen])
     return (
         motion.position[chosen], motion.speed[chosen], motion.acceleration[chosen], torque,
     )  # fmt: skip

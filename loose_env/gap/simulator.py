@@ -18,6 +18,7 @@ from loose_env.errors import InvalidData
 from loose_env.gap.effect import Effect, Readings
 from loose_env.gap.machine import Machine
 from loose_env.gap.rest import SETTLE
+from loose_env.gap.torque_terms import BatchWithTerms, has_terms, torque_terms, with_terms
 from loose_env.gap.trial import Channel, Trial
 from loose_env.rig.quiet import quiet
 
@@ -122,7 +123,8 @@ class Simulator:
             for key, hypothesis in motions.items():
                 parts = _WITHIN if _changes_within(hypothesis) else 1
                 model = hypothesis.model(self.machine, step / parts, released=released)
-                groups.setdefault((*_layout(model), parts), []).extend(
+                layout = (*_layout(model), parts, has_terms(hypothesis))
+                groups.setdefault(layout, []).extend(
                     _Slot(key=key, hypothesis=hypothesis, model=model, trial=t, parts=parts)
                     for t in members
                 )
@@ -151,6 +153,7 @@ class Simulator:
     def _simulate(self, slots: list[_Slot], layout: tuple[object, ...]) -> list[Array]:
         """Sensors and actuator forces at the samples (T, sensors + actuators), by slot."""
         batch = self._batch(layout, slots)
+        moved = with_terms(batch, self.machine, [slot.hypothesis for slot in slots])
         first, parts = self.trials[slots[0].trial], slots[0].parts
         steps, step = (first.steps - 1) * parts + 1, first.step / parts
         settle = round(SETTLE / step)
@@ -167,7 +170,7 @@ class Simulator:
         resting = np.array([self.trials[slot.trial].resting for slot in slots])
         if resting.any() and settle:
             held = np.repeat(controls[resting, :1], settle, axis=1)
-            wild |= _advance(batch, settle, held, np.flatnonzero(resting), None)
+            wild |= _advance(moved, settle, held, np.flatnonzero(resting), None)
             batch.time[resting] = 0.0
         self.simulated += len(slots) * steps
         sensed, driven = slots[0].model.nsensordata, len(self.machine.actuators)
@@ -183,7 +186,7 @@ class Simulator:
             chunk = slice(start, start + count)
             before = {name: np.array(getattr(batch, name)) for name in names}
             wild |= _advance(
-                batch, count, controls[:, chunk], np.arange(len(slots)), records, names
+                moved, count, controls[:, chunk], np.arange(len(slots)), records, names
             )
             for name, found in states.items():
                 found += [before[name][:, None], records[name][:, :-1]]
@@ -225,6 +228,9 @@ class Simulator:
         batch.set_models(model)
         batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
         sensed, force = batch.bind("sensordata"), batch.bind("actuator_force")
+        joints = [model.joint(name) for name in self.machine.joints]
+        places = [int(joint.qposadr[0]) for joint in joints]
+        dofs = [int(joint.dofadr[0]) for joint in joints]
         found = np.empty((len(controls), model.nsensordata + driven))
         for first in range(0, len(controls), _AGAIN):
             count = min(_AGAIN, len(controls) - first)
@@ -232,6 +238,9 @@ class Simulator:
             for name, values in states.items():
                 getattr(batch, name)[:count] = values[part]
             batch.ctrl[:count, : controls.shape[1]] = controls[part]
+            if has_terms(slot.hypothesis):
+                at = states["qpos"][part][:, places], states["qvel"][part][:, dofs]
+                batch.qfrc_applied[:count, dofs] = torque_terms(slot.hypothesis, *at)
             batch.forward()
             found[part] = np.hstack([sensed[:count], force[:count, :driven]])
         return found
@@ -325,7 +334,7 @@ def _layout(model: mujoco.MjModel) -> tuple[object, ...]:
 
 
 def _advance(
-    batch: Batch,
+    batch: Batch | BatchWithTerms,
     count: int,
     controls: Array,
     ids: NDArray[np.intp],
