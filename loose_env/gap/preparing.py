@@ -45,7 +45,10 @@ class GapSettings:
     kinds: tuple[str, ...] = ()
     """Kinds of effect that are considered; all of the catalogue if none is given."""
     held_share: float = 0.25
-    """Share of the runs that is held out to judge by."""
+    """Share of the runs that is held out to judge by, in whole families of motions: runs whose
+    names begin with the same word."""
+    held_out: tuple[str, ...] = ()
+    """Files of the runs that are held out in place of those, or how their names begin."""
     search_seconds: float = 90.0
     """How much of the recording is fitted to while effects are sought, in all; of longer ones a
     window of every run [s]."""
@@ -102,7 +105,9 @@ def prepare(recording: Recording, settings: GapSettings) -> Prepared:
     """
     recording.check_comparison()
     runs, warnings = _suspect(recording.runs)
-    fitted, held = split_runs([run.name for run in runs], share=settings.held_share)
+    fitted, held = split_runs(
+        [run.name for run in runs], share=settings.held_share, held_out=settings.held_out
+    )
     machine = Machine(recording.spec())
     channels = channels_of(runs)
     warnings += naming_words(recording.spec())

@@ -2,34 +2,59 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from loose_env.errors import InvalidData
 
 __all__ = ["split_runs"]
 
+_LARGEST = 0.5
+"""Share of all runs above which what shares a first word is no family of motions."""
 
-def split_runs(names: Sequence[str], *, share: float = 0.25) -> tuple[list[int], list[int]]:
+
+def split_runs(
+    names: Sequence[str], *, share: float = 0.25, held_out: Sequence[str] = ()
+) -> tuple[list[int], list[int]]:
     """Numbers of the runs to fit to, and of those held out.
 
-    Runs are held out evenly through the recording, at least one, the last among them.
+    Families of motions are held out whole: ``single_joint_elbow`` says little about a model that
+    ``single_joint_wrist`` did not say before. Runs whose names begin with the same word are a
+    family, unless only numbers follow it, or most runs would be in it. Families are held out
+    evenly through the recording, at least one, the last among them.
 
     Parameters
     ----------
     names : sequence of str
-        The runs.
+        Files of the runs.
     share : float
-        Share held out.
+        Share held out, about.
+    held_out : sequence of str
+        Files that are held out in place of these, or how their names begin.
 
     Raises
     ------
     InvalidData
-        If there are fewer than two runs.
+        If there are fewer than two runs, or none is left on one side, or a name is that of no run.
 
     Examples
     --------
-    >>> split_runs(["a", "b", "c", "d"])
+    >>> split_runs(["run-1.csv", "run-2.csv", "run-3.csv", "run-4.csv"])
     ([0, 1, 2], [3])
+    >>> split_runs(
+    ...     [
+    ...         "step.csv",
+    ...         "swing_slow.csv",
+    ...         "swing_fast.csv",
+    ...         "circle.csv",
+    ...         "hold.csv",
+    ...         "ramp_up.csv",
+    ...         "ramp_down.csv",
+    ...     ]
+    ... )
+    ([0, 1, 2, 3, 4], [5, 6])
+    >>> split_runs(["step.csv", "swing_slow.csv", "swing_fast.csv"], held_out=["swing"])
+    ([0], [1, 2])
     """
     count = len(names)
     if count < 2:
@@ -37,6 +62,41 @@ def split_runs(names: Sequence[str], *, share: float = 0.25) -> tuple[list[int],
             f"the recording has {count} run; at least two are needed, so that one can be held "
             "out to judge by. Record another run with another motion"
         )
-    held = max(1, round(share * count))
-    chosen = sorted({count - 1 - round(k * count / held) for k in range(held)})
-    return [k for k in range(count) if k not in chosen], chosen
+    if held_out:
+        chosen = _chosen(names, held_out)
+    else:
+        families = _families(names)
+        number = max(1, round(share * len(families)))
+        last = len(families) - 1
+        taken = {last - round(k * len(families) / number) for k in range(number)}
+        chosen = {k for f in taken for k in families[f]}
+    return [k for k in range(count) if k not in chosen], sorted(chosen)
+
+
+def _chosen(names: Sequence[str], held_out: Sequence[str]) -> set[int]:
+    """Numbers of the runs that a user holds out."""
+    found: set[int] = set()
+    for given in held_out:
+        own = {k for k, name in enumerate(names) if name == given or name.startswith(given)}
+        if not given or not own:
+            raise InvalidData(
+                f"no run to hold out is called {given!r} or begins so; there are {', '.join(names)}"
+            )
+        found |= own
+    if len(found) == len(names):
+        raise InvalidData("all runs are held out, and none is left to fit to; hold out fewer")
+    return found
+
+
+def _families(names: Sequence[str]) -> list[list[int]]:
+    """Numbers of the runs of each family, in the order of their first ones."""
+    found: dict[str, list[int]] = {}
+    for k, name in enumerate(names):
+        stem = name.rsplit("/", 1)[-1].rsplit(".", 1)[0]
+        first, *others = [word for word in re.split(r"[\W_]+|(?<=\D)(?=\d)", stem) if word] or [""]
+        numbered = all(word.isdigit() for word in others)
+        found.setdefault(f"{k}" if numbered and others else first, []).append(k)
+    large = [family for family, own in found.items() if len(own) > _LARGEST * len(names)]
+    if large or len(found) < 2:
+        return [[k] for k in range(len(names))]
+    return list(found.values())
