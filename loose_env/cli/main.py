@@ -27,6 +27,9 @@ COMMANDS = {
 """Subcommand -> what it does. The module beside this file has its name, with an underscore after a
 word that Python keeps for itself."""
 
+_GOES_ON = frozenset({"gap"})
+"""Subcommands that keep finished stages."""
+
 DONE, REFUSED, INTERRUPTED = 0, 1, 130
 """Exit codes; argparse has 2."""
 
@@ -65,7 +68,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         run(options)
     except KeyboardInterrupt:
-        print(f"{said}: interrupted; the same command goes on from there", file=sys.stderr)
+        how = "goes on from there" if options.command in _GOES_ON else "begins anew"
+        print(f"{said}: interrupted; the same command {how}", file=sys.stderr)
         return INTERRUPTED
     except (LooseEnvError, OSError) as error:
         # Anything else is a fault of the program and keeps its trace.

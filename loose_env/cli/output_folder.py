@@ -1,4 +1,7 @@
-"""A folder for what a command writes; nobody's other files are touched."""
+"""A folder for what a command writes; nobody's other files are touched.
+
+Commands write files of the same names, so the folder notes whose they are.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,9 @@ from loose_env.errors import InvalidSetting
 __all__ = ["OutputFolder"]
 
 _KEPT = ".gap"
-_LIST = "written.json"
+_LIST, _WHOSE = "written.json", "command"
+_FORMATS = {"loose-gap": "gap", "loose-diagnosis": "diagnose"}
+"""Whose a result is, by its format: folders of earlier versions note nothing."""
 _OWN = frozenset({_KEPT, "model.xml", "result.json", "report.html"})
 
 
@@ -22,15 +27,17 @@ class OutputFolder:
     ----------
     path : Path
         The folder.
+    command : str
+        The command of ``loose`` that writes.
 
     Raises
     ------
     InvalidSetting
-        If it is a file or holds other files.
+        If it is a file, or holds other files or what another command wrote.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path.resolve()
+    def __init__(self, path: Path, command: str) -> None:
+        self.path, self.command = path.resolve(), command
         if self.path.exists() and not self.path.is_dir():
             raise InvalidSetting(f"--out {path} is a file; give a folder")
         there = sorted(p.name for p in self.path.iterdir()) if self.path.is_dir() else []
@@ -42,11 +49,18 @@ class OutputFolder:
                 f"{', ...' if len(other) > 3 else ''}); give a new or empty folder, or that of an "
                 "earlier run"
             )
+        whose = self._whose() if there else command
+        if whose not in (command, ""):
+            raise InvalidSetting(
+                f"--out {path} holds what 'loose {whose}' wrote, and 'loose {command}' would "
+                "overwrite it; give another folder"
+            )
 
     def prepared(self) -> Path:
         """Make the folder, and return the one inside it for what is kept between runs."""
         kept = self.path / _KEPT
         kept.mkdir(parents=True, exist_ok=True)
+        kept.joinpath(_WHOSE).write_text(self.command, encoding="utf-8")
         return kept
 
     def note(self, written: Iterable[Path]) -> None:
@@ -61,6 +75,19 @@ class OutputFolder:
         except (OSError, ValueError):
             return frozenset()
         return frozenset(str(name) for name in names) if isinstance(names, list) else frozenset()
+
+    def _whose(self) -> str:
+        """Command that wrote here before; "" if that is not known."""
+        try:
+            return self.path.joinpath(_KEPT, _WHOSE).read_text("utf-8").strip()
+        except (OSError, ValueError):
+            pass
+        try:
+            whole = json.loads(self.path.joinpath("result.json").read_text("utf-8"))
+        except (OSError, ValueError, RecursionError):
+            return ""
+        kind = str(whole.get("format", "")) if isinstance(whole, dict) else ""
+        return _FORMATS.get(kind.partition("/")[0], "")
 
 
 def _half_written(name: str) -> bool:

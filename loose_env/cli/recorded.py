@@ -36,7 +36,7 @@ def folder_of(options: argparse.Namespace) -> OutputFolder:
     InvalidSetting
         If it does, or the folder cannot be used.
     """
-    folder = OutputFolder(options.out)
+    folder = OutputFolder(options.out, options.command)
     if options.model is not None and options.model.resolve().is_relative_to(folder.path):
         raise InvalidSetting(
             f"--model {options.model} lies in the output folder, where it would be overwritten; "

@@ -12,7 +12,6 @@ from loose_env.instrument.result import HEALTHY, Diagnosis, NextMeasurement
 
 __all__ = [
     "begun",
-    "decided",
     "headline",
     "joint_words",
     "link_words",
@@ -25,8 +24,8 @@ __all__ = [
     "sure_words",
 ]
 
-DECIDED, LEANING = 0.95, 0.6
-"""Probabilities from which a diagnosis is said to stand, and to be probable."""
+_LEANING = 0.6
+"""Probability from which a diagnosis that is not settled is said to be probable."""
 _RIVAL = 0.01
 """Probability from which the next best explanation is worth a word."""
 
@@ -90,17 +89,11 @@ def short_name(arm: Arm, hypothesis: str) -> str:
 def headline(diagnosis: Diagnosis, arm: Arm) -> str:
     """The outcome in one sentence, no surer than it is."""
     said = short_name(arm, diagnosis.fault.hypothesis)
-    if decided(diagnosis):
+    if diagnosis.settled:
         return f"{begun(said)}."
-    if diagnosis.probability >= LEANING:
+    if diagnosis.probability >= _LEANING:
         return f"Probably {said}."
     return f"Not decided yet. Most likely so far: {said}."
-
-
-def decided(diagnosis: Diagnosis) -> bool:
-    """Whether the diagnosis stands: by its own setting ``sure`` where it has one."""
-    sure = diagnosis.settings.get("sure")
-    return diagnosis.probability >= (sure if isinstance(sure, float) else DECIDED)
 
 
 def sure_words(diagnosis: Diagnosis, arm: Arm) -> list[str]:
@@ -241,7 +234,7 @@ def steps(diagnosis: Diagnosis, arm: Arm) -> list[str]:
     fault = diagnosis.fault
     if diagnosis.next is not None:
         found.append(_measure(diagnosis.next, arm, diagnosis.posterior))
-    if not decided(diagnosis):
+    if not diagnosis.settled:
         if diagnosis.next is None:
             found.append(
                 "Measure in further poses, each far from those before, or louder: what is at hand "
@@ -249,11 +242,7 @@ def steps(diagnosis: Diagnosis, arm: Arm) -> list[str]:
             )
         return found
     if fault.kind == HEALTHY:
-        found.append(
-            "Keep this recording: it is the reference of the sound arm for the next time."
-            if diagnosis.next is None
-            else "Without another measurement, take this for now as a sound arm."
-        )
+        found.append("Keep this recording: it is the reference of the sound arm for the next time.")
     elif fault.kind == "backlash" and fault.where is not None:
         found.append(
             f"Look at the drive of {joint_words(arm, fault.where)}: gear, coupling, key, belt."

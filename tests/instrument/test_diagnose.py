@@ -221,6 +221,33 @@ def test_the_command_writes_a_result_and_takes_a_longer_recording(
     assert not [path.name for path in out.iterdir() if ".part" in path.name]
 
 
+def test_an_interrupted_diagnosis_says_that_it_begins_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_recording(tmp_path / "r", model_xml=write_model(tmp_path), runs=runs("slide", 1))
+
+    def stopped(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("loose_env.cli.diagnose.diagnose", stopped)
+    assert main(["diagnose", str(tmp_path / "r"), "--out", str(tmp_path / "found")]) == 130
+    said = capsys.readouterr().err
+    assert said == "loose diagnose: interrupted; the same command begins anew\n"
+
+
+def test_a_result_of_the_other_command_is_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_recording(tmp_path / "r", model_xml=write_model(tmp_path), runs=runs("slide", 1))
+    out = tmp_path / "out"
+    (out / ".gap").mkdir(parents=True)
+    (out / "result.json").write_text('{"format": "loose-gap/1"}')
+    assert main(["diagnose", str(tmp_path / "r"), "--out", str(out)]) == 1
+    said = capsys.readouterr().err
+    assert "holds what 'loose gap' wrote" in said and said.count("\n") == 1
+    assert (out / "result.json").read_text() == '{"format": "loose-gap/1"}'
+
+
 def test_a_result_never_stands_beside_the_page_of_another(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

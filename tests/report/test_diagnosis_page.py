@@ -81,20 +81,20 @@ def test_the_page_is_the_same_every_time_and_written_whole(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("probability", "said"),
+    ("course", "settled", "said"),
     [
-        (0.97, "Link 2 is loose."),
-        (0.8, "Probably link 2 is loose."),
-        (0.45, "Not decided yet. Most likely so far: link 2 is loose."),
+        ((0.7, 0.985), True, "Link 2 is loose."),
+        ((0.985,), False, "Probably link 2 is loose."),
+        ((0.8,), False, "Probably link 2 is loose."),
+        ((0.45,), False, "Not decided yet. Most likely so far: link 2 is loose."),
     ],
 )
-def test_the_headline_is_no_surer_than_the_probability(probability: float, said: str) -> None:
-    assert headline(diagnosis(flat(), course=(probability,)), flat()) == said
-
-
-def test_the_diagnosis_s_own_threshold_counts() -> None:
-    found = replace(diagnosis(flat(), course=(0.97,)), settings={"sure": 0.98})
-    assert headline(found, flat()) == "Probably link 2 is loose."
+def test_the_headline_is_no_surer_than_what_is_settled(
+    course: tuple[float, ...], settled: bool, said: str
+) -> None:
+    found = diagnosis(flat(), course=course)
+    assert found.settled == settled
+    assert headline(found, flat()) == said
 
 
 def test_the_reason_for_the_next_pose_is_in_words() -> None:
@@ -115,6 +115,8 @@ def test_an_undecided_diagnosis_sends_nobody_to_the_bolts() -> None:
     said = " ".join(steps(unsure, flat()))
     assert "bolts" not in said and "Measure once more" in said
     assert "joint 1 and joint 2 in turn" in said
+    early = " ".join(steps(diagnosis(flat(), course=(0.99,), following=True), flat()))
+    assert "bolts" not in early and "Measure once more" in early
     sure = " ".join(steps(diagnosis(flat()), flat()))
     assert "bolts" in sure
     assert "further poses" in " ".join(steps(diagnosis(flat(), course=(0.5,)), flat()))
