@@ -3,13 +3,13 @@
 A model that is stepped semi-implicitly is late by half a step, which encoders see. A Runge-Kutta
 method of fourth order is exact enough at the sample interval for most arms. Which step will do is
 measured: the nominal model is simulated at a step and at a quarter of it, and the difference is
-held against the noise.
+held against the noise, at the beginning of a run and where runs are fastest.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -24,11 +24,16 @@ from loose_env.recording import Run
 __all__ = ["Integration", "choose_integration"]
 
 _ENOUGH = 0.1
-"""Step error that is no matter, in noise standard deviations."""
+"""Step error that is sought, in noise standard deviations."""
 _OWN = 0.3
-"""Error up to which the model's own step and integrator are kept, where they are cheaper."""
+"""Error that is no matter: up to it the model's own step and integrator are kept, where they are
+cheaper; beyond it a reader is warned."""
 _SHORT = 2.0
-"""How much of the run the error is measured on [s]."""
+"""How much of the first run the error is measured on, from its beginning [s]."""
+_FASTEST, _RUNS = 0.75, 4
+"""Length of the fastest window of a run [s], and of how many runs such windows are measured on."""
+_SPEED = 0.02
+"""Time between readings whose difference tells how fast a run is [s]."""
 _FINEST = 16
 _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 
@@ -46,26 +51,55 @@ class Integration:
     nominal_error: float
     """That of the model's own step and integrator."""
 
+    def words(self, *, own: float) -> list[str]:
+        """What a reader should know: that the step was changed, and that it is still too coarse.
+
+        Parameters
+        ----------
+        own : float
+            The model's own step [s].
+        """
+        found = []
+        if self.nominal_error > _OWN and self.error < self.nominal_error:
+            found.append(
+                f"the model's own step of {own:g} s is a gap of its own: {self.nominal_error:.2g} "
+                "noise standard deviations in the worst channel; runs were simulated by a "
+                f"Runge-Kutta method at {self.step:.3g} s instead, and model.xml has that step"
+            )
+        if self.error > _OWN:
+            found.append(
+                f"the step is still too coarse to judge by: at {self.step:.3g} s its error is "
+                f"{self.error:.2g} noise standard deviations in the worst channel, and what is "
+                "named may stand for it. Give the model a finer step, or soften what is stiffer "
+                "than the recording can show"
+            )
+        return found
+
 
 def choose_integration(
     machine: Machine, runs: Sequence[Run], channels: tuple[Channel, ...], *, threads: int = 1
 ) -> Integration:
-    """Measure the step error on the first run that has commands, and choose a step."""
-    run = _beginning(next((r for r in runs if r.comparison == "forward"), runs[0]))
-    interval = float(np.median(np.diff(run.time)))
+    """Measure the step error on parts of the runs, and choose a step.
+
+    The parts are the beginning of the first run that has commands, and the fastest windows of the
+    fastest runs.
+    """
+    parts = _parts(runs)
+    interval = float(np.median(np.diff(parts[0].time)))
     own = float(machine.model.opt.timestep)
     longest = min(interval, 4 * own) if interval > 4 * own else interval
-    floors = np.array([channel_floor(_column(run, c)) for c in channels])
-    floors = np.where(np.isfinite(floors), floors, np.inf)
+    floors = _floors(runs, channels)
+
+    def laid_out(on: Machine, step: float) -> Comparison:
+        trials = [lay_out(part, on, channels, step=step) for part in parts]
+        return Comparison(on, trials, channels, floors, threads=threads)
 
     def residual(step: float, integrator: int) -> np.ndarray:
         stepped = Machine(machine.spec, step=step, integrator=integrator)
-        trial = lay_out(run, stepped, channels, step=step)
-        comparison = Comparison(stepped, [trial], channels, floors, threads=threads)
-        found = comparison.residuals([Hypothesis(effects=(), values=())])[0]
+        found = laid_out(stepped, step).residuals([Hypothesis(effects=(), values=())])[0]
         return np.asarray(found)
 
-    rows = Comparison(machine, [lay_out(run, machine, channels, step=own)], channels, floors).rows
+    rows = laid_out(machine, own).rows
 
     def worst(difference: np.ndarray) -> float:
         squares = np.bincount(rows.channel, difference**2, minlength=len(channels))
@@ -80,21 +114,58 @@ def choose_integration(
             if k not in finer:
                 finer[k] = residual(longest / k, _RK4)
     best = finer[4 * divided]
-    nominal = residual(own, int(machine.model.opt.integrator))
-    stages = 4 if int(machine.model.opt.integrator) == _RK4 else 1
-    if worst(nominal - best) < _OWN and stages / own < 4 * divided / longest:
-        return Integration(
-            step=own,
-            integrator=int(machine.model.opt.integrator),
-            error=worst(nominal - best),
-            nominal_error=worst(nominal - best),
-        )
-    return Integration(
-        step=longest / divided,
-        integrator=_RK4,
-        error=worst(finer[divided] - best),
-        nominal_error=worst(nominal - best),
-    )
+    integrator = int(machine.model.opt.integrator)
+    error, nominal = worst(finer[divided] - best), worst(residual(own, integrator) - best)
+    cheaper = (4 if integrator == _RK4 else 1) / own < 4 * divided / longest
+    if (nominal < _OWN and cheaper) or nominal <= error:
+        return Integration(step=own, integrator=integrator, error=nominal, nominal_error=nominal)
+    return Integration(step=longest / divided, integrator=_RK4, error=error, nominal_error=nominal)
+
+
+def _floors(runs: Sequence[Run], channels: tuple[Channel, ...]) -> np.ndarray:
+    """Noise of each channel (C,), the median over runs; infinite where it is not known."""
+    floors = np.full(len(channels), np.inf)
+    for k, channel in enumerate(channels):
+        found = [channel_floor(_column(run, channel)) for run in runs]
+        known = [floor for floor in found if np.isfinite(floor)]
+        if known:
+            floors[k] = float(np.median(known))
+    return floors
+
+
+def _parts(runs: Sequence[Run]) -> list[Run]:
+    """The parts of the runs that are simulated."""
+    first = next((run for run in runs if run.comparison == "forward"), runs[0])
+    fastest = sorted(
+        ((*_fastest(run), run) for run in runs), key=lambda found: -found[0]
+    )[:_RUNS]  # fmt: skip
+    begins = max(20, int(np.searchsorted(first.time - first.time[0], _SHORT)))
+    parts = [_between(first, 0, begins)]
+    for _, begin, end, run in fastest:
+        if run is not first or begin > begins // 2:
+            parts.append(_between(run, begin, end))
+    return parts
+
+
+def _fastest(run: Run) -> tuple[float, int, int]:
+    """How fast the fastest window of a run is, and its samples from the first to before the last.
+
+    Readings count by how much they change over a moment, relative to their noise.
+    """
+    interval = float(np.median(np.diff(run.time)))
+    apart = max(1, round(_SPEED / interval))
+    size = min(len(run.time), max(20, round(_FASTEST / interval)))
+    speed = np.zeros(len(run.time))
+    for values in run.sensors.values():
+        for column in np.atleast_2d(values.T):
+            floor = channel_floor(column)
+            if np.isfinite(floor):
+                change = np.nan_to_num(column[apart:] - column[:-apart]) / floor
+                speed[apart:] += change**2
+    summed = np.concatenate([[0.0], np.cumsum(speed)])
+    windows = summed[size:] - summed[:-size]
+    begin = int(np.argmax(windows))
+    return float(windows[begin]) / size, begin, begin + size
 
 
 def _column(run: Run, channel: Channel) -> np.ndarray:
@@ -106,16 +177,12 @@ def _column(run: Run, channel: Channel) -> np.ndarray:
     return np.asarray(values if channel.axis is None else values[:, channel.axis])
 
 
-def _beginning(run: Run) -> Run:
-    """First seconds of a run."""
-    count = max(20, int(np.searchsorted(run.time - run.time[0], _SHORT)))
-    return Run(
-        name=run.name,
-        time=run.time[:count],
-        controls={k: v[:count] for k, v in run.controls.items()},
-        sensors={k: v[:count] for k, v in run.sensors.items()},
-        torques={k: v[:count] for k, v in run.torques.items()},
-        excited=run.excited,
-        pose=run.pose,
-        condition=run.condition,
+def _between(run: Run, begin: int, end: int) -> Run:
+    """Some samples of a run, as a run."""
+    return replace(
+        run,
+        time=run.time[begin:end],
+        controls={k: v[begin:end] for k, v in run.controls.items()},
+        sensors={k: v[begin:end] for k, v in run.sensors.items()},
+        torques={k: v[begin:end] for k, v in run.torques.items()},
     )

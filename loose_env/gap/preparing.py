@@ -119,12 +119,7 @@ def prepare(recording: Recording, settings: GapSettings) -> Prepared:
     if simulated:
         integration = choose_integration(machine, simulated, channels, threads=settings.threads)
         step = integration.step
-        if integration.nominal_error > 0.5:
-            warnings.append(
-                f"the model's own step of {machine.model.opt.timestep:g} s is a gap of its own: "
-                f"{integration.nominal_error:.1f} noise standard deviations in the worst channel; "
-                f"runs were simulated by a Runge-Kutta method at {step:g} s instead"
-            )
+        warnings += integration.words(own=float(machine.model.opt.timestep))
     kept = Machine(
         machine.spec, step=step, integrator=None if integration is None else integration.integrator
     )

@@ -1,0 +1,99 @@
+"""The step of the simulation: measured where the runs are fast, warned of where it is coarse."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from loose_env.gap.integration import Integration, choose_integration
+from loose_env.gap.machine import Machine
+from loose_env.gap.preparing import GapSettings, prepare
+from loose_env.gap.trial import channels_of
+from loose_env.recording import Run, write_recording
+
+Array = NDArray[np.float64]
+RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
+ARM = """
+<mujoco>
+  <option timestep="{step}"/>
+  <worldbody>
+    <body name="link">
+      <joint name="turn" axis="0 1 0" damping="0.2" armature="0.02"/>
+      <inertial pos="0 0 -0.3" mass="1" diaginertia="0.01 0.01 0.01"/>
+      <site name="tool" pos="0 0 -0.5"/>
+    </body>
+  </worldbody>
+  <actuator><position name="servo" joint="turn" kp="{kp}" kv="4"/></actuator>
+  <sensor><jointpos name="q" joint="turn"/></sensor>
+</mujoco>
+"""
+
+
+def run_of(command: Array, *, noise: float, interval: float = 0.01, name: str = "a.csv") -> Run:
+    """A run whose encoder shows the command late, with noise."""
+    shown = np.interp(np.arange(len(command)) - 3, np.arange(len(command)), command)
+    shown = shown + np.random.default_rng(1).normal(0, noise, len(shown))
+    return Run(
+        name=name, time=interval * np.arange(len(command)), controls={"servo": command},
+        sensors={"q": shown},
+    )  # fmt: skip
+
+
+def wave(rate: float, seconds: float, *, still: float = 0.0, interval: float = 0.01) -> Array:
+    """A sine of so many turns a second, after some time of rest."""
+    time = interval * np.arange(round(seconds / interval))
+    return 0.5 * np.sin(2 * np.pi * rate * np.maximum(time - still, 0.0))
+
+
+def chosen(*runs: Run, step: float = 0.01, kp: float = 100.0) -> Integration:
+    machine = Machine(mujoco.MjSpec.from_string(ARM.format(step=step, kp=kp)))
+    return choose_integration(machine, runs, channels_of(list(runs)), threads=1)
+
+
+def test_what_happens_after_the_beginning_counts() -> None:
+    still = chosen(run_of(wave(3.0, 2.0, still=2.0), noise=1e-3))
+    late = chosen(run_of(wave(3.0, 6.0, still=2.5), noise=1e-3))
+    assert still.nominal_error < 0.1
+    assert late.nominal_error > 1
+
+
+def test_the_fastest_run_counts_wherever_it_stands() -> None:
+    slow = run_of(wave(0.1, 4.0), noise=1e-3)
+    fast = run_of(wave(3.0, 4.0), noise=1e-3, name="b.csv")
+    alone, both = chosen(slow), chosen(slow, fast)
+    assert both.nominal_error > 3 * alone.nominal_error
+    assert both.nominal_error == pytest.approx(chosen(fast, slow).nominal_error, rel=0.6)
+
+
+def test_a_step_that_was_changed_is_told_of() -> None:
+    run = run_of(wave(1.0, 4.0), noise=1e-3)
+    first = chosen(run)
+    # noise at which the model's own step is off by 0.4 of it
+    found = chosen(run_of(wave(1.0, 4.0), noise=1e-3 * first.nominal_error / 0.4))
+    assert 0.3 < found.nominal_error < 0.5
+    assert found.integrator == RK4
+    (words,) = found.words(own=0.01)
+    assert "0.01 s" in words and "Runge-Kutta" in words
+    quiet = chosen(run_of(wave(1.0, 4.0), noise=1e-3 * first.nominal_error / 0.05))
+    assert quiet.words(own=0.01) == []
+
+
+def test_a_step_that_stays_too_coarse_is_warned_of(tmp_path: Path) -> None:
+    # a servo of 500 Hz, which no sixteenth of 20 ms follows
+    interval, kp = 0.02, 0.12 * (2 * np.pi * 500) ** 2
+    runs = [
+        run_of(wave(1.0, 4.0, interval=interval), noise=1e-5, interval=interval, name=name)
+        for name in ("a.csv", "b.csv")
+    ]
+    found = chosen(*runs, step=0.02, kp=kp)
+    assert found.error > 0.1
+    assert any("still" in words for words in found.words(own=0.02))
+    recording = write_recording(
+        tmp_path / "r", model_xml=ARM.format(step=0.02, kp=kp), runs=runs, file_format="csv"
+    )
+    warnings = prepare(recording, GapSettings(threads=1, kinds=("viscous_friction",))).warnings
+    assert any("still" in words and "finer" in words for words in warnings)
