@@ -77,10 +77,17 @@ def register(effect: Kind) -> Kind:
     Raises
     ------
     InvalidSetting
-        If it has no identifier, or one that another effect has.
+        If it has no identifier, or one that another effect has, or a term on the torque without
+        anything that applies it to the written model.
     """
     if not effect.kind:
         raise InvalidSetting(f"{effect.__name__} needs a kind, its identifier in the result file")
+    term = effect.torque is not Effect.torque and effect.export is Effect.export
+    if term and (effect.in_model or effect.torque_code is Effect.torque_code):
+        raise InvalidSetting(
+            f"{effect.__name__} is a term on the torque: give it in_model = False and a "
+            "torque_code that applies it, or an export where MJCF has means for it"
+        )
     if CATALOGUE.get(effect.kind, effect) is not effect:
         raise InvalidSetting(
             f"{effect.__name__} has the kind {effect.kind!r} of "

@@ -70,9 +70,36 @@ def _keep_keyframes(spec: mujoco.MjSpec, machine: Machine) -> None:
 
 
 def correction_code(effects: Sequence[Effect], values: Sequence[Array]) -> str:
-    """Python lines that apply to readings what MJCF cannot express; "" if nothing."""
-    lines = [effect.code(own) for effect, own in zip(effects, values, strict=True)]
-    return "\n".join(line for line in lines if line)
+    """Python lines that apply to a simulation what MJCF cannot express; "" if nothing.
+
+    Terms on the torque go before each step, and what acts on readings after it. The lines work on
+    ``model`` and ``data`` of MuJoCo. A torque is held over a step, and so taken in its middle:
+    half a step early for an accelerometer.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+        In the order in which they act.
+    values : sequence of ndarray (P,)
+        Of the parameters of each.
+    """
+    pairs = list(zip(effects, values, strict=True))
+    terms = [line for effect, own in pairs if (line := effect.torque_code(own))]
+    readings = [line for effect, own in pairs if (line := effect.code(own))]
+    if not terms:
+        return "\n".join(readings)
+    names = ", ".join(map(repr, effects[0].machine.joints))
+    laid_out = (
+        "# before every mj_step",
+        "import numpy as np",
+        f"joints = [model.joint(name) for name in [{names}]]",
+        "dofs = [int(joint.dofadr[0]) for joint in joints]",
+        "speed, torque = data.qvel[dofs], np.zeros(len(joints))",
+        "position = data.qpos[[int(joint.qposadr[0]) for joint in joints]]",
+        "position = position + 0.5 * model.opt.timestep * speed",
+    )
+    after = ("# after every mj_step", *readings) if readings else ()
+    return "\n".join((*laid_out, *terms, "data.qfrc_applied[dofs] = torque", *after))
 
 
 def write_model(

@@ -233,7 +233,7 @@ def write_model_and_result(folder: Path, outputs: GapOutputs, result: GapResult)
             f"{name} {value:.4g} {each.units.get(name, '')}".rstrip()
             for name, value in each.parameters.items()
         )
-        place = "" if each.in_model else " (on the reading: see result.json, code)"
+        place = "" if each.in_model else " (not in this file: see result.json, code)"
         notes.append(f"{each.kind} at {each.where}: {numbers}{place}")
     if result.nominal_figures:
         off = max(abs(v - 1) for v in result.nominal_figures.values())

@@ -189,8 +189,8 @@ def next_steps(result: GapResult) -> list[str]:
         )
     if result.code:
         steps.append(
-            "Apply the lines below to the readings: MJCF has no means for them, so model.xml does "
-            "not carry them."
+            "Apply the lines below to the simulation: MJCF has no means for them, so model.xml "
+            "does not carry them."
         )
     for effect in result.effects:
         for other in effect.ambiguous_with:

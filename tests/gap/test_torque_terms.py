@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -11,10 +12,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from loose_env.errors import InvalidData
-from loose_env.gap.catalogue import CATALOGUE
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.gap.catalogue import CATALOGUE, register
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
+from loose_env.gap.export import correction_code, write_model
 from loose_env.gap.horizons import horizon_errors
 from loose_env.gap.inverse import InverseDynamics
 from loose_env.gap.machine import Machine
@@ -278,3 +280,40 @@ def test_a_free_pendulum_with_a_cubic_spring() -> None:
 
 def compared_with(own: Machine, run: Trial) -> Comparison:
     return Comparison(own, [run], CHANNELS, NOISE, threads=1)
+
+
+def test_the_code_of_the_result_applies_a_term_to_the_written_model(tmp_path: Path) -> None:
+    own = machine()
+    term, gain = CubicSpring(own, "joint2"), CATALOGUE["sensor_gain"](own, "encoder2")
+    hinge = CATALOGUE["joint_compliance"](own, "joint1")  # shifts the numbers of the joints
+    effects = [hinge, term, gain]
+    values = [np.array(hinge.starts[0]), np.array([300.0]), np.array([1.1])]
+    file = write_model(tmp_path / "model.xml", own, effects, values)[0]
+    before, after = correction_code(effects, values).split("# after every mj_step")
+    model = mujoco.MjModel.from_xml_path(str(file))
+    data, shown = mujoco.MjData(model), np.zeros((COUNT, len(CHANNELS)))
+    names = {"model": model, "data": data}
+    given = np.vstack([np.zeros((400, 3)), commands()])
+    for k, command in enumerate(given):
+        data.ctrl[: len(command)] = command
+        exec(before, names)  # as a user would
+        mujoco.mj_step(model, data)
+        exec(after, names)
+        shown[max(k - 400, 0)] = [*data.sensordata[:3], *data.sensordata[4:6]]
+    hypothesis = Hypothesis(effects=tuple(effects), values=tuple(values))
+    simulator = Simulator(own, [trial()], CHANNELS, threads=1)
+    (expected,), (without,) = simulator.predict([hypothesis, of(hinge, *values[0])])
+    off = np.sqrt(np.mean((shown - expected) ** 2, axis=0))
+    visible = np.sqrt(np.mean((without - expected) ** 2, axis=0))
+    assert np.all(off[:3] < 0.001 * visible[:3]), (off / visible).round(4)
+    # it is the torque of half a step later that an accelerometer shows
+    assert np.all(off[3:] < 0.05 * visible[3:]), (off / visible).round(4)
+
+
+def test_a_term_that_nothing_applies_is_not_registered() -> None:
+    with pytest.raises(InvalidSetting, match=r"LinearSpring .* torque_code"):
+        register(LinearSpring)
+    try:
+        assert register(CubicSpring) is CubicSpring
+    finally:
+        del CATALOGUE["cubic_spring"]
