@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from loose_env.gap.comparison import BURN_IN
 from loose_env.gap.machine import Machine
+from loose_env.gap.readings_at import PARTS, STATES, changes_within, commands_at, readings_at
 from loose_env.gap.rest import SETTLE
 from loose_env.gap.simulator import Hypothesis, Simulator
 from loose_env.gap.torque_terms import BatchWithTerms, with_terms
@@ -117,6 +118,8 @@ def horizon_errors(
             speed=None if hypothesis.speed is None else hypothesis.speed[t : t + 1],
         )
         begun = _starts(trial, every, min(horizons))
+        if changes_within(hypothesis):
+            trial = trial.finer(PARTS)
         with quiet():
             whole = _whole(simulator, own, trial)
             errors = _restarted(simulator, own, trial, whole, begun, longest, floors)
@@ -177,16 +180,13 @@ def _whole(simulator: Simulator, hypothesis: Hypothesis, trial: Trial) -> _Whole
         held = np.repeat(controls[:, :1], round(SETTLE / trial.step), axis=1)
         _rollout(moved, held, ("qpos",))
         batch.time[:] = 0.0
-    kept = ["qpos", "qvel"] + (["act"] if model.na else [])
-    begin = {name: np.array(getattr(batch, name)[0]) for name in kept}
-    found = _rollout(moved, controls, (*kept, "sensordata", "actuator_force"))
-    # What is recorded of a step is the state after it, and the readings before it.
-    states = {name: np.vstack([begin[name][None], found[name][0, :-1]]) for name in kept}
+    states, found = _followed(moved, batch, controls)
+    shown = _shown(simulator, hypothesis, trial, model, np.arange(trial.steps)[None], states, found)
     return _Whole(
         model=model,
         controls=controls[0],
-        states=states,
-        shown=trial.at_samples(_shown(simulator, found)[0]),
+        states={name: values[0] for name, values in states.items()},
+        shown=trial.at_samples(shown[0]),
     )
 
 
@@ -207,7 +207,8 @@ def _restarted(
     offset, drift = _corrections(simulator, trial, trial.measured - predicted, starts)
     at = np.minimum(np.round(trial.time[starts] / trial.step).astype(int), trial.steps - 1)
     count = min(round(longest / trial.step) + 2, trial.steps)
-    controls = whole.controls[np.minimum(at[:, None] + np.arange(count), trial.steps - 1)]
+    passed = np.minimum(at[:, None] + np.arange(count), trial.steps - 1)
+    controls = whole.controls[passed]
     batch = Batch(model, len(starts), simulator.threads)
     batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
     for name, values in whole.states.items():
@@ -217,7 +218,7 @@ def _restarted(
     batch.qvel[:, dofs] += drift
     batch.time[:] = trial.time[starts]
     moved = with_terms(batch, machine, [hypothesis] * len(starts))
-    shown = _shown(simulator, _rollout(moved, controls, ("sensordata", "actuator_force")))
+    shown = _shown(simulator, hypothesis, trial, model, passed, *_followed(moved, batch, controls))
     found = []
     for k, first in enumerate(starts):
         until = trial.time[first] + longest * (1 + 1e-9)
@@ -283,10 +284,46 @@ def _places(machine: Machine, model: mujoco.MjModel) -> tuple[list[int], list[in
     return [int(j.qposadr[0]) for j in at], [int(j.dofadr[0]) for j in at]
 
 
-def _shown(simulator: Simulator, found: dict[str, Array]) -> Array:
-    """Sensors and forces of the machine's own actuators (sims, steps, sensors + actuators)."""
+def _followed(
+    moved: Batch | BatchWithTerms, batch: Batch, controls: Array
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """States at the beginning of every step (sims, steps, ...), and what was recorded of it.
+
+    What the engine records of a step is the state after it, and the readings before it.
+    """
+    begin = {name: np.array(getattr(batch, name)) for name in STATES}
+    found = _rollout(moved, controls, (*STATES, "sensordata", "actuator_force"))
+    states = {
+        name: np.concatenate([begin[name][:, None], found[name][:, :-1]], axis=1) for name in STATES
+    }
+    return states, found
+
+
+def _shown(
+    simulator: Simulator,
+    hypothesis: Hypothesis,
+    trial: Trial,
+    model: mujoco.MjModel,
+    steps: NDArray[np.intp],
+    states: dict[str, Array],
+    found: dict[str, Array],
+) -> Array:
+    """Sensors and forces of the machine's own actuators (sims, steps, sensors + actuators).
+
+    `steps` are those of the run which each simulation passes (sims, steps).
+    """
     driven = len(simulator.machine.actuators)
-    return np.concatenate([found["sensordata"], found["actuator_force"][..., :driven]], axis=-1)
+    shown = np.concatenate([found["sensordata"], found["actuator_force"][..., :driven]], axis=-1)
+    if not changes_within(hypothesis):
+        return shown
+    clock = np.arange(trial.steps, dtype=float) * trial.step
+    commands = commands_at(hypothesis, clock, trial.controls)
+    for k in np.flatnonzero(np.isfinite(shown).all(axis=(1, 2))):
+        own = {name: values[k] for name, values in states.items()}
+        shown[k] = readings_at(
+            simulator.machine, hypothesis, model, own, commands[steps[k]], simulator.threads
+        )
+    return shown
 
 
 def _between(values: Array, steps: Array) -> Array:

@@ -15,10 +15,12 @@ from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
-from loose_env.gap.effect import Effect, Readings
+from loose_env.gap.effect import Readings
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.machine import Machine
+from loose_env.gap.readings_at import PARTS, STATES, changes_within, commands_at, readings_at
 from loose_env.gap.rest import SETTLE
-from loose_env.gap.torque_terms import BatchWithTerms, has_terms, torque_terms, with_terms
+from loose_env.gap.torque_terms import BatchWithTerms, has_terms, with_terms
 from loose_env.gap.trial import Channel, Trial
 from loose_env.rig.quiet import quiet
 
@@ -28,41 +30,6 @@ Array = NDArray[np.float64]
 
 _CHUNK = 2_000_000
 """Numbers recorded at a time."""
-_AGAIN = 1024
-"""States at which sensors are worked out at a time."""
-_OFF = 30
-"""Group of actuators that are switched off."""
-_WITHIN = 2
-"""Parts of a step where commands change within it: a mean moves the speed rightly, and the place
-only as far as the change lies in the middle."""
-
-
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """Effects and their values, in the order in which they act; start offsets of free runs."""
-
-    effects: tuple[Effect, ...]
-    """What the nominal model lacks."""
-    values: tuple[Array, ...]
-    """Of the parameters of each."""
-    position: Array | None = None
-    """Added to the measured start [rad, m] (trials, joints)."""
-    speed: Array | None = None
-    """Added to the measured start speeds [rad/s, m/s] (trials, joints)."""
-
-    def model(self, machine: Machine, step: float, *, released: bool = False) -> mujoco.MjModel:
-        """Compile the model that it stands for, its drives off if the arm was let go."""
-        spec = machine.fresh()
-        spec.option.timestep = step
-        for effect, values in zip(self.effects, self.values, strict=True):
-            effect.edit(spec, values)
-        model = spec.compile()
-        if released:  # effects that are written as actuators are none of its drives
-            model.actuator_group[: len(machine.actuators)] = _OFF
-            model.opt.disableactuator |= 1 << _OFF
-        if _unconstrained(model):
-            model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-        return model
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,7 +88,7 @@ class Simulator:
         for (step, _, released), members in alike.items():
             groups: dict[tuple[object, ...], list[_Slot]] = {}
             for key, hypothesis in motions.items():
-                parts = _WITHIN if _changes_within(hypothesis) else 1
+                parts = PARTS if changes_within(hypothesis) else 1
                 model = hypothesis.model(self.machine, step / parts, released=released)
                 layout = (*_layout(model), parts, has_terms(hypothesis))
                 groups.setdefault(layout, []).extend(
@@ -154,15 +121,14 @@ class Simulator:
         """Sensors and actuator forces at the samples (T, sensors + actuators), by slot."""
         batch = self._batch(layout, slots)
         moved = with_terms(batch, self.machine, [slot.hypothesis for slot in slots])
-        first, parts = self.trials[slots[0].trial], slots[0].parts
-        steps, step = (first.steps - 1) * parts + 1, first.step / parts
-        settle = round(SETTLE / step)
+        parts = slots[0].parts
+        first = self.trials[slots[0].trial].finer(parts)
+        steps, settle = first.steps, round(SETTLE / first.step)
         self._set_start(batch, slots)
         controls = np.zeros((len(slots), steps, slots[0].model.nu))
-        clock: Array = np.arange(steps, dtype=float) * step
+        clock: Array = np.arange(steps, dtype=float) * first.step
         for k, slot in enumerate(slots):
-            values, hypothesis = self.trials[slot.trial].controls, slot.hypothesis
-            values = np.repeat(values, parts, axis=0)[:steps]
+            values, hypothesis = self.trials[slot.trial].finer(parts).controls, slot.hypothesis
             for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
                 values = effect.command(clock, values, own)
             controls[k, :, : values.shape[1]] = values
@@ -176,7 +142,7 @@ class Simulator:
         sensed, driven = slots[0].model.nsensordata, len(self.machine.actuators)
         width = sensed + driven
         # where a command changes within a step, sensors are worked out once more
-        names = ["qpos", "qvel", "act"] if parts > 1 else []
+        names = STATES if parts > 1 else ()
         states: dict[str, list[Array]] = {name: [] for name in names}
         size = max(1, min(steps, _CHUNK // max(1, len(slots) * width)))
         kept = np.empty((len(slots), steps, width))
@@ -197,53 +163,15 @@ class Simulator:
             begun = {name: np.concatenate(found, axis=1) for name, found in states.items()}
             for k in np.flatnonzero(~wild).tolist():
                 own_states = {name: found[k, ::parts] for name, found in begun.items()}
-                kept[k] = self._read_again(slots[k], layout, own_states, clock[::parts])
+                hypothesis = slots[k].hypothesis
+                commands = commands_at(
+                    hypothesis, clock[::parts], self.trials[slots[k].trial].controls
+                )
+                kept[k] = readings_at(
+                    self.machine, hypothesis, slots[k].model, own_states, commands, self.threads
+                )
         kept[wild] = np.nan
         return [self.trials[s.trial].at_samples(k) for s, k in zip(slots, kept, strict=True)]
-
-    def _read_again(
-        self, slot: _Slot, layout: tuple[object, ...], states: dict[str, Array], clock: Array
-    ) -> Array:
-        """Sensors and actuator forces (steps, sensors + actuators) with commands as at each step.
-
-        Parameters
-        ----------
-        slot : _Slot
-            The simulation.
-        layout : tuple
-            Of its model.
-        states : dict
-            Positions, speeds and activations at the beginning of each step.
-        clock : ndarray (steps,)
-            Steps [s].
-        """
-        controls = self.trials[slot.trial].controls
-        for effect, own in zip(slot.hypothesis.effects, slot.hypothesis.values, strict=True):
-            controls = effect.command_at(clock, controls, own)
-        model, driven = slot.model, len(self.machine.actuators)
-        key = (*layout, "again")
-        if key not in self._batches:
-            self._batches[key] = Batch(model, _AGAIN, self.threads)
-        batch = self._batches[key]
-        batch.set_models(model)
-        batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
-        sensed, force = batch.bind("sensordata"), batch.bind("actuator_force")
-        joints = [model.joint(name) for name in self.machine.joints]
-        places = [int(joint.qposadr[0]) for joint in joints]
-        dofs = [int(joint.dofadr[0]) for joint in joints]
-        found = np.empty((len(controls), model.nsensordata + driven))
-        for first in range(0, len(controls), _AGAIN):
-            count = min(_AGAIN, len(controls) - first)
-            part = slice(first, first + count)
-            for name, values in states.items():
-                getattr(batch, name)[:count] = values[part]
-            batch.ctrl[:count, : controls.shape[1]] = controls[part]
-            if has_terms(slot.hypothesis):
-                at = states["qpos"][part][:, places], states["qvel"][part][:, dofs]
-                batch.qfrc_applied[:count, dofs] = torque_terms(slot.hypothesis, *at)
-            batch.forward()
-            found[part] = np.hstack([sensed[:count], force[:count, :driven]])
-        return found
 
     def _batch(self, layout: tuple[object, ...], slots: list[_Slot]) -> Batch:
         """Batch of as many slots, with these models."""
@@ -298,24 +226,6 @@ class Simulator:
             ],
             axis=1,
         )
-
-
-def _changes_within(hypothesis: Hypothesis) -> bool:
-    """Whether commands may change within a step."""
-    return any(type(effect).command_at is not Effect.command_at for effect in hypothesis.effects)
-
-
-def _unconstrained(model: mujoco.MjModel) -> bool:
-    """Whether nothing in a model can ever become a constraint; it is simulated faster then."""
-    contact = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    limit = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
-    return not (
-        (contact and (model.geom_contype | model.geom_conaffinity).any())
-        or (limit and (model.jnt_limited.any() or model.tendon_limited.any()))
-        or model.dof_frictionloss.any()
-        or model.tendon_frictionloss.any()
-        or model.neq
-    )
 
 
 def _layout(model: mujoco.MjModel) -> tuple[object, ...]:

@@ -11,7 +11,6 @@ worked out with the term as it is there.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -20,10 +19,8 @@ from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.gap.effect import Effect
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.machine import Machine
-
-if TYPE_CHECKING:
-    from loose_env.gap.simulator import Hypothesis
 
 __all__ = ["BatchWithTerms", "has_terms", "torque_terms", "with_terms"]
 

@@ -79,6 +79,12 @@ class Trial:
         """Samples per second, mean."""
         return (len(self.time) - 1) / float(self.time[-1])
 
+    def finer(self, parts: int) -> Trial:
+        """The same, every step in so many parts."""
+        steps = (self.steps - 1) * parts + 1
+        controls = np.repeat(self.controls, parts, axis=0)[:steps]
+        return replace(self, step=self.step / parts, steps=steps, controls=controls)
+
     def until(self, seconds: float) -> Trial:
         """The beginning of the run, of so many seconds; the whole if it is no longer."""
         count = int(np.searchsorted(self.time, seconds, side="right"))

@@ -99,6 +99,18 @@ def test_with_noise_the_truth_is_at_the_floor_and_a_wrong_model_is_not() -> None
     assert max(wrong[-1].by_channel, key=lambda c: wrong[-1].by_channel[c]) == "sensor.encoder1"
 
 
+@pytest.mark.parametrize(("kind", "value"), [("command_delay", 0.0024), ("actuator_lag", 0.0017)])
+def test_commands_that_change_within_a_step_are_no_error_of_their_own(
+    kind: str, value: float
+) -> None:
+    own = machine()
+    effect = next(e for e in candidates(own) if e.kind == kind and e.where == "servo2")
+    truth = hypothesis_of(effect, np.array([value]))
+    trial = measured(own, truth)
+    for each in horizon_errors(own, [trial], CHANNELS, FLOORS, truth, threads=1):
+        assert each.over_floor < 0.05, (each.horizon, each.by_channel)
+
+
 def test_missing_samples_are_skipped_and_count_for_nothing() -> None:
     own = machine()
     truth = hypothesis_of(None)

@@ -1,0 +1,60 @@
+"""What is simulated: a nominal model with effects in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.effect import Effect
+from loose_env.gap.machine import Machine
+
+__all__ = ["Hypothesis"]
+
+Array = NDArray[np.float64]
+
+_OFF = 30
+"""Group of actuators that are switched off."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Effects and their values, in the order in which they act; start offsets of free runs."""
+
+    effects: tuple[Effect, ...]
+    """What the nominal model lacks."""
+    values: tuple[Array, ...]
+    """Of the parameters of each."""
+    position: Array | None = None
+    """Added to the measured start [rad, m] (trials, joints)."""
+    speed: Array | None = None
+    """Added to the measured start speeds [rad/s, m/s] (trials, joints)."""
+
+    def model(self, machine: Machine, step: float, *, released: bool = False) -> mujoco.MjModel:
+        """Compile the model that it stands for, its drives off if the arm was let go."""
+        spec = machine.fresh()
+        spec.option.timestep = step
+        for effect, values in zip(self.effects, self.values, strict=True):
+            effect.edit(spec, values)
+        model = spec.compile()
+        if released:  # effects that are written as actuators are none of its drives
+            model.actuator_group[: len(machine.actuators)] = _OFF
+            model.opt.disableactuator |= 1 << _OFF
+        if _unconstrained(model):
+            model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        return model
+
+
+def _unconstrained(model: mujoco.MjModel) -> bool:
+    """Whether nothing in a model can ever become a constraint; it is simulated faster then."""
+    contact = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    limit = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    return not (
+        (contact and (model.geom_contype | model.geom_conaffinity).any())
+        or (limit and (model.jnt_limited.any() or model.tendon_limited.any()))
+        or model.dof_frictionloss.any()
+        or model.tendon_frictionloss.any()
+        or model.neq
+    )

@@ -1,0 +1,100 @@
+"""What sensors read at a moment, where commands change within a step.
+
+A step is simulated with the mean of a command over it. An accelerometer reads what is there at its
+moment: a servo's acceleration jumps with every command that it is given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from loose_env.gap.effect import Effect
+from loose_env.gap.hypothesis import Hypothesis
+from loose_env.gap.machine import Machine
+from loose_env.gap.torque_terms import has_terms, torque_terms
+
+__all__ = ["PARTS", "STATES", "changes_within", "commands_at", "readings_at"]
+
+Array = NDArray[np.float64]
+
+PARTS = 2
+"""Parts of a step where commands change within it: a mean moves the speed rightly, and the place
+only as far as the change lies in the middle."""
+STATES = ("qpos", "qvel", "act")
+"""What the state of a simulation consists of."""
+_AT_A_TIME = 1024
+"""States at which sensors are worked out at a time."""
+
+
+def changes_within(hypothesis: Hypothesis) -> bool:
+    """Whether commands may change within a step."""
+    return any(type(effect).command_at is not Effect.command_at for effect in hypothesis.effects)
+
+
+def commands_at(hypothesis: Hypothesis, clock: Array, controls: Array) -> Array:
+    """What is at the actuators at each step itself.
+
+    Parameters
+    ----------
+    hypothesis : Hypothesis
+        Effects with their values.
+    clock : ndarray (T,)
+        Steps [s].
+    controls : ndarray (T, actuators)
+        Commands that were given, held from their step to the next.
+    """
+    for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
+        controls = effect.command_at(clock, controls, own)
+    return controls
+
+
+def readings_at(
+    machine: Machine,
+    hypothesis: Hypothesis,
+    model: mujoco.MjModel,
+    states: Mapping[str, Array],
+    controls: Array,
+    threads: int,
+) -> Array:
+    """Sensors and forces of the machine's own actuators (T, sensors + actuators).
+
+    Parameters
+    ----------
+    machine : Machine
+        The nominal model.
+    hypothesis : Hypothesis
+        What is simulated.
+    model : mujoco.MjModel
+        The same, compiled.
+    states : mapping
+        Of `STATES`, (T, ...) each.
+    controls : ndarray (T, actuators)
+        Commands there.
+    threads : int
+        Threads of the simulation; 0: all processors.
+    """
+    driven = len(machine.actuators)
+    batch = Batch(model, min(_AT_A_TIME, len(controls)), threads)
+    batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+    sensed, force = batch.bind("sensordata"), batch.bind("actuator_force")
+    joints = [model.joint(name) for name in machine.joints]
+    places = [int(joint.qposadr[0]) for joint in joints]
+    dofs = [int(joint.dofadr[0]) for joint in joints]
+    found = np.empty((len(controls), model.nsensordata + driven))
+    for first in range(0, len(controls), _AT_A_TIME):
+        count = min(_AT_A_TIME, len(controls) - first)
+        part = slice(first, first + count)
+        for name, values in states.items():
+            getattr(batch, name)[:count] = values[part]
+        batch.ctrl[:count, : controls.shape[1]] = controls[part]
+        if has_terms(hypothesis):
+            at = states["qpos"][part][:, places], states["qvel"][part][:, dofs]
+            batch.qfrc_applied[:count, dofs] = torque_terms(hypothesis, *at)
+        batch.forward()
+        found[part] = np.hstack([sensed[:count], force[:count, :driven]])
+    return found
