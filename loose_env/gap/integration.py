@@ -28,6 +28,8 @@ _ENOUGH = 0.1
 _OWN = 0.3
 """Error that is no matter: up to it the model's own step and integrator are kept, where they are
 cheaper; beyond it a reader is warned."""
+_SHARE = 0.3
+"""Share of what the nominal model is off by, in place of the noise, where that is more."""
 _SHORT = 2.0
 """How much of the first run the error is measured on, from its beginning [s]."""
 _FASTEST, _RUNS = 0.75, 4
@@ -50,6 +52,11 @@ class Integration:
     """Step error of the worst channel, in noise standard deviations."""
     nominal_error: float
     """That of the model's own step and integrator."""
+    matter: float
+    """As `error`, where the nominal model is off by more than three noise standard deviations as a
+    share of a third of that: what is a hundred times off need not be simulated to the noise."""
+    nominal_matter: float
+    """That of the model's own step and integrator."""
 
     def words(self, *, own: float) -> list[str]:
         """What a reader should know: that the step was changed, and that it is still too coarse.
@@ -60,13 +67,13 @@ class Integration:
             The model's own step [s].
         """
         found = []
-        if self.nominal_error > _OWN and self.error < self.nominal_error:
+        if self.nominal_matter > _OWN and self.matter < self.nominal_matter:
             found.append(
                 f"the model's own step of {own:g} s is a gap of its own: {self.nominal_error:.2g} "
                 "noise standard deviations in the worst channel; runs were simulated by a "
                 f"Runge-Kutta method at {self.step:.3g} s instead, and model.xml has that step"
             )
-        if self.error > _OWN:
+        if self.matter > _OWN:
             found.append(
                 f"the step is still too coarse to judge by: at {self.step:.3g} s its error is "
                 f"{self.error:.2g} noise standard deviations in the worst channel, and what is "
@@ -101,10 +108,16 @@ def choose_integration(
 
     rows = laid_out(machine, own).rows
 
+    def by_channel(values: np.ndarray) -> np.ndarray:
+        squares = np.bincount(rows.channel, values**2, minlength=len(channels))
+        return np.sqrt(squares / np.maximum(np.bincount(rows.channel, minlength=len(channels)), 1))
+
+    integrator = int(machine.model.opt.integrator)
+    as_given = residual(own, integrator)
+    scales = np.maximum(1.0, _SHARE * by_channel(as_given))
+
     def worst(difference: np.ndarray) -> float:
-        squares = np.bincount(rows.channel, difference**2, minlength=len(channels))
-        counts = np.maximum(np.bincount(rows.channel, minlength=len(channels)), 1)
-        return float(np.sqrt(np.max(squares / counts)))
+        return float(np.max(by_channel(difference) / scales))
 
     finer = {k: residual(longest / k, _RK4) for k in (1, 4)}
     divided = 1
@@ -114,12 +127,20 @@ def choose_integration(
             if k not in finer:
                 finer[k] = residual(longest / k, _RK4)
     best = finer[4 * divided]
-    integrator = int(machine.model.opt.integrator)
-    error, nominal = worst(finer[divided] - best), worst(residual(own, integrator) - best)
-    cheaper = (4 if integrator == _RK4 else 1) / own < 4 * divided / longest
-    if (nominal < _OWN and cheaper) or nominal <= error:
-        return Integration(step=own, integrator=integrator, error=nominal, nominal_error=nominal)
-    return Integration(step=longest / divided, integrator=_RK4, error=error, nominal_error=nominal)
+    given, chosen = as_given - best, finer[divided] - best
+    stages = 4 if integrator == _RK4 else 1
+    cheaper = stages / own < 4 * divided / longest
+    step, kept = longest / divided, _RK4
+    if (worst(given) < _OWN and cheaper) or worst(given) <= worst(chosen):
+        step, kept, chosen = own, integrator, given
+    return Integration(
+        step=step,
+        integrator=kept,
+        error=float(np.max(by_channel(chosen))),
+        nominal_error=float(np.max(by_channel(given))),
+        matter=worst(chosen),
+        nominal_matter=worst(given),
+    )
 
 
 def _floors(runs: Sequence[Run], channels: tuple[Channel, ...]) -> np.ndarray:

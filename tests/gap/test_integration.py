@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -33,9 +34,16 @@ ARM = """
 """
 
 
-def run_of(command: Array, *, noise: float, interval: float = 0.01, name: str = "a.csv") -> Run:
-    """A run whose encoder shows the command late, with noise."""
-    shown = np.interp(np.arange(len(command)) - 3, np.arange(len(command)), command)
+def run_of(
+    command: Array, *, noise: float, interval: float = 0.01, name: str = "a.csv", kp: float = 100.0
+) -> Run:
+    """A run of this arm, finely simulated, with noise."""
+    model = mujoco.MjModel.from_xml_string(ARM.format(step=interval / 100, kp=kp))
+    model.opt.integrator = RK4
+    data, shown = mujoco.MjData(model), np.zeros(len(command))
+    for k, value in enumerate(command):
+        shown[k], data.ctrl[0] = data.qpos[0], value
+        mujoco.mj_step(model, data, 100)
     shown = shown + np.random.default_rng(1).normal(0, noise, len(shown))
     return Run(
         name=name, time=interval * np.arange(len(command)), controls={"servo": command},
@@ -82,11 +90,19 @@ def test_a_step_that_was_changed_is_told_of() -> None:
     assert quiet.words(own=0.01) == []
 
 
+def test_what_is_far_off_need_not_be_simulated_to_the_noise() -> None:
+    right = run_of(wave(3.0, 4.0), noise=1e-4)
+    off = replace(right, sensors={"q": 4.0 * right.sensors["q"]})
+    found, sloppy = chosen(right), chosen(off)
+    assert found.nominal_matter > 0.3 and found.words(own=0.01)
+    assert sloppy.nominal_error > 0.3 and sloppy.nominal_matter < 0.5 * found.nominal_matter
+
+
 def test_a_step_that_stays_too_coarse_is_warned_of(tmp_path: Path) -> None:
     # a servo of 500 Hz, which no sixteenth of 20 ms follows
     interval, kp = 0.02, 0.12 * (2 * np.pi * 500) ** 2
     runs = [
-        run_of(wave(1.0, 4.0, interval=interval), noise=1e-5, interval=interval, name=name)
+        run_of(wave(1.0, 4.0, interval=interval), noise=1e-5, interval=interval, name=name, kp=kp)
         for name in ("a.csv", "b.csv")
     ]
     found = chosen(*runs, step=0.02, kp=kp)
