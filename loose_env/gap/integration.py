@@ -28,8 +28,9 @@ _ENOUGH = 0.1
 _OWN = 0.3
 """Error that is no matter: up to it the model's own step and integrator are kept, where they are
 cheaper; beyond it a reader is warned."""
-_SHARE = 0.3
-"""Share of what the nominal model is off by, in place of the noise, where that is more."""
+_FAR, _SHARE = 50.0, 0.5
+"""How far the nominal model is off [noise standard deviations] where the noise is no measure any
+more, and the share of that which is one in its place."""
 _SHORT = 2.0
 """How much of the first run the error is measured on, from its beginning [s]."""
 _FASTEST, _RUNS = 0.75, 4
@@ -53,8 +54,8 @@ class Integration:
     nominal_error: float
     """That of the model's own step and integrator."""
     matter: float
-    """As `error`, where the nominal model is off by more than three noise standard deviations as a
-    share of a third of that: what is a hundred times off need not be simulated to the noise."""
+    """As `error`; where the nominal model is off by more than 50 noise standard deviations, as a
+    share of half of that: what is a hundred times off need not be simulated to the noise."""
     nominal_matter: float
     """That of the model's own step and integrator."""
 
@@ -114,10 +115,11 @@ def choose_integration(
 
     integrator = int(machine.model.opt.integrator)
     as_given = residual(own, integrator)
-    scales = np.maximum(1.0, _SHARE * by_channel(as_given))
+    off = float(np.sqrt(np.mean(as_given**2)))
+    scale = _SHARE * off if off > _FAR else 1.0
 
     def worst(difference: np.ndarray) -> float:
-        return float(np.max(by_channel(difference) / scales))
+        return float(np.max(by_channel(difference)) / scale)
 
     finer = {k: residual(longest / k, _RK4) for k in (1, 4)}
     divided = 1
