@@ -19,7 +19,7 @@ class NamingSettings:
     """Candidates that are fitted to that."""
     twice: int = 3
     """How many of them are fitted from a second start where one promises about as much."""
-    further: int = 10
+    further: int = 6
     """Further candidates that are fitted if none of those will do and much is left."""
     finalists: int = 3
     """Candidates that are fitted to whole runs."""
