@@ -15,10 +15,12 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import asdict
+from pathlib import Path
 
 from loose_env.arms.file_scan import files_of
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.cli.recorded import Said, add_recording_options, folder_of
+from loose_env.gap.effect_files import read_effects
 from loose_env.gap.finding import GapSettings, find_gap
 from loose_env.gap.reporting import outputs_of
 from loose_env.gap.result import GapResult
@@ -35,6 +37,14 @@ _OWN = ("threads",)
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     add_recording_options(parser)
+    parser.add_argument(
+        "--effects",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE.py",
+        help="Python file with effects of your own, considered beside the catalogue; it is run",
+    )
     add_settings(parser, GapSettings)
 
 
@@ -44,6 +54,9 @@ def run(options: argparse.Namespace) -> None:
     folder = folder_of(options)
     recording = read_recording(options.recording, model=options.model)
     plain = {k: v for k, v in asdict(settings).items() if k not in _OWN}
+    for file in options.effects:
+        read_effects(file)
+        plain[f"effects of {file}"] = file.read_text(encoding="utf-8")
     stages = Stages(folder.prepared() / "stages", key_of(recording, plain))
     say = Said(quiet=options.quiet)
     found = find_gap(recording, settings, say=say, stages=stages)

@@ -88,7 +88,10 @@ def register(effect: Kind) -> Kind:
             f"{effect.__name__} is a term on the torque: give it in_model = False and a "
             "torque_code that applies it, or an export where MJCF has means for it"
         )
-    if CATALOGUE.get(effect.kind, effect) is not effect:
+    known = CATALOGUE.get(effect.kind, effect)
+    # a notebook runs a cell again: the same class in a new version takes the place of the old one
+    again = (known.__module__, known.__qualname__) == (effect.__module__, effect.__qualname__)
+    if not again:
         raise InvalidSetting(
             f"{effect.__name__} has the kind {effect.kind!r} of "
             f"{CATALOGUE[effect.kind].__name__}; give it another"

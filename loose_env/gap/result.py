@@ -13,6 +13,7 @@ from loose_env.gap.locate import Location
 from loose_env.gap.plain import restored
 from loose_env.gap.residual_tests import LeftOver
 from loose_env.gap.result_file import json_text, read_result_file, whole_of
+from loose_env.gap.result_table import result_table
 
 __all__ = [
     "FORMAT",
@@ -133,6 +134,10 @@ class GapResult:
     """Where the disagreement was, before anything was added."""
     where_it_lives: tuple[str, ...] = ()
     """The same in sentences; of what is left where the verdict is "unexplained"."""
+    left: tuple[str, ...] = ()
+    """How much is left after the named effects, and where, in sentences; empty where nothing is."""
+    left_location: Location = field(default_factory=Location)
+    """Where that is, on the held-out runs, with the corrected model."""
     left_over: tuple[LeftOver, ...] = ()
     """Tests of what is left."""
     warnings: tuple[str, ...] = ()
@@ -150,6 +155,10 @@ class GapResult:
             raise InvalidData(
                 f"the verdict is one of {list(get_args(Verdict))}, not {self.verdict!r}"
             )
+
+    def _repr_html_(self) -> str:
+        """Return a short table, as notebooks show it."""
+        return result_table(self)
 
     def to_json(self) -> str:
         """Text of ``result.json``; numbers that are not finite become null."""

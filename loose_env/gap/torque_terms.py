@@ -26,9 +26,9 @@ __all__ = ["BatchWithTerms", "has_terms", "torque_terms", "with_terms"]
 
 Array = NDArray[np.float64]
 State = tuple[Array, Array]
-"""Positions and speeds of the machine's joints (sims, joints) each."""
+"""Positions and speeds of the machine's joints, (sims, joints) or (states, sims, joints) each."""
 
-_NODES = (0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0))
+_NODES = (0.5 + 0.5 / np.sqrt(3.0) * np.array([-1.0, 1.0]))[:, None, None]
 """Parts of a step at which a term is taken: Gauss's two nodes, whose mean is exact for a cubic."""
 _RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
 _STATE = ("qpos", "qvel", "act")
@@ -145,50 +145,51 @@ class BatchWithTerms:
         """
         batch = self.batch
         # asked for first: a field is worked out from the call after that on
-        fields = {name: batch.bind(name) for name in (*record, "qacc")}
+        fields = {name: batch.bind(name) for name in (*record, "qpos", "qvel", "qacc")}
+        commands, applied = batch.bind("ctrl"), batch.bind("qfrc_applied")
         found = {name: np.empty((len(ids), count, *fields[name].shape[1:])) for name in record}
         read = [name for name in record if name not in _STATE]
+        every = len(ids) == batch.nsim
+        own, called = (slice(None), None) if every else (ids, ids)
+        acting = (own, self._dofs) if every else (ids[:, None], self._dofs)
         rows, warned = self._rows(ids), np.array(batch.warning[ids])
         models = batch.models if isinstance(batch.models, tuple) else (batch.model,)
         step = float(models[0].opt.timestep)
         looks_ahead = int(models[0].opt.integrator) == _RUNGE_KUTTA
         owed = mean = np.zeros((len(ids), len(self._dofs)))
         before: State | None = None
-        passed: list[State] = []
         for k in range(count):
-            batch.ctrl[ids] = control[:, k]
-            now = batch.qpos[ids][:, self._places], batch.qvel[ids][:, self._dofs]
-            if before is not None:
-                passed = _nodes_between(before, now, step)
-            here, *along = self._terms(rows, [now, *passed])
-            self._apply(ids, here)
+            commands[own] = control[:, k]
+            now = fields["qpos"][own][:, self._places], fields["qvel"][own][:, self._dofs]
+            passed = [] if before is None else [_nodes_between(before, now, step)]
+            here, *along = self._terms(rows, [(now[0][None], now[1][None]), *passed])
+            applied[acting] = here
             if looks_ahead:
-                batch.forward(ids)
+                batch.forward(called)
                 for name in read:
-                    found[name][:, k] = fields[name][ids]
+                    found[name][:, k] = fields[name][own]
                 if along:
-                    owed = np.mean(along, axis=0) - mean
-                rate = fields["qacc"][ids][:, self._dofs]
-                mean = np.mean(self._terms(rows, _nodes_ahead(now, rate, step)), axis=0)
-                self._apply(ids, mean + owed)
+                    owed = 0.5 * (along[0] + along[1]) - mean
+                rate = fields["qacc"][own][:, self._dofs]
+                first, second = self._terms(rows, [_nodes_ahead(now, rate, step)])
+                mean = 0.5 * (first + second)
+                applied[acting] = mean + owed
                 before = now
-            batch.step(ids)
+            batch.step(called)
             for name in record:
                 if not (looks_ahead and name in read):
-                    found[name][:, k] = fields[name][ids]
-        batch.qfrc_applied[ids] = 0.0
+                    found[name][:, k] = fields[name][own]
+        applied[own] = 0.0
         wild = (batch.warning[ids] != warned).any(axis=(1, 2))
         for values in found.values():
             values[wild] = np.nan
         return found
 
-    def _apply(self, ids: NDArray[np.intp], torque: Array) -> None:
-        """Let torques (ids, joints) act from now on."""
-        self.batch.qfrc_applied[ids[:, None], self._dofs] = torque
-
-    def _rows(self, ids: NDArray[np.intp]) -> list[tuple[Hypothesis, NDArray[np.intp]]]:
+    def _rows(self, ids: NDArray[np.intp]) -> list[tuple[Hypothesis, slice | NDArray[np.intp]]]:
         """Hypotheses with terms, and which of the simulations are theirs."""
         known = {id(self.hypotheses[i]): self.hypotheses[i] for i in ids}
+        if len(known) == 1:
+            return [(hypothesis, slice(None)) for hypothesis in known.values()]
         return [
             (hypothesis, np.flatnonzero([self.hypotheses[i] is hypothesis for i in ids]))
             for hypothesis in known.values()
@@ -197,32 +198,32 @@ class BatchWithTerms:
 
     @staticmethod
     def _terms(
-        rows: Sequence[tuple[Hypothesis, NDArray[np.intp]]], states: Sequence[State]
+        rows: Sequence[tuple[Hypothesis, slice | NDArray[np.intp]]], states: Sequence[State]
     ) -> Array:
-        """What the terms give in some states (states, sims, joints)."""
-        position, speed = (np.stack(part) for part in zip(*states, strict=True))
+        """What the terms give in some states, one after the other (states, sims, joints)."""
+        position, speed = states[0]
+        if len(states) > 1:
+            position = np.concatenate([one for one, _ in states])
+            speed = np.concatenate([one for _, one in states])
         found = np.zeros(position.shape)
         for hypothesis, own in rows:
             found[:, own] = torque_terms(hypothesis, position[:, own], speed[:, own])
         return found
 
 
-def _nodes_ahead(now: State, rate: Array, step: float) -> list[State]:
+def _nodes_ahead(now: State, rate: Array, step: float) -> State:
     """Positions and speeds at the nodes of a step that begins, at an even acceleration."""
     position, speed = now
-    times = [part * step for part in _NODES]
-    return [(position + speed * t + 0.5 * rate * t**2, speed + rate * t) for t in times]
+    time = step * _NODES
+    return position + time * (speed + 0.5 * time * rate), speed + time * rate
 
 
-def _nodes_between(before: State, now: State, step: float) -> list[State]:
+def _nodes_between(before: State, now: State, step: float) -> State:
     """Positions and speeds at the nodes of a step that has passed, by Hermite's cubic."""
     (first, start), (last, end) = before, now
     slope = (last - first) / step
     bend, twist = 3 * slope - 2 * start - end, start + end - 2 * slope
-    return [
-        (
-            first + step * u * (start + u * (bend + u * twist)),
-            start + u * (2 * bend + 3 * u * twist),
-        )
-        for u in _NODES
-    ]
+    return (
+        first + step * _NODES * (start + _NODES * (bend + _NODES * twist)),
+        start + _NODES * (2 * bend + 3 * _NODES * twist),
+    )
