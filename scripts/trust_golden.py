@@ -2,7 +2,9 @@
 
 Usage: python -m scripts.trust_golden --because "what changed, in the words of CHANGELOG.md"
 
-The words have to stand in CHANGELOG.md: whoever gets other figures from the same seeds is told why.
+The words have to stand in CHANGELOG.md, among what is not released yet, and must not have served
+for an earlier change: whoever gets other figures from the same seeds is told why. A part whose
+figures are as before keeps its words.
 """
 
 from __future__ import annotations
@@ -10,7 +12,9 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 from pathlib import Path
+from typing import Any
 
 # As the tests have it: the order in which threads of BLAS add up changes the last digits.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -23,6 +27,43 @@ from scripts.trust.golden import GOLDEN, PARTS
 CHANGELOG = Path(__file__).resolve().parents[1] / "CHANGELOG.md"
 
 
+def check_said(because: str, changelog: str) -> None:
+    """Refuse words that do not stand under what is not released yet.
+
+    Raises
+    ------
+    InvalidSetting
+        If they do not.
+    """
+    parts = re.split(r"^(?=## )", changelog, flags=re.MULTILINE)
+    new = " ".join(part for part in parts if "unreleased" in part.partition("\n")[0].lower())
+    if not because or because not in " ".join(new.split()):
+        raise InvalidSetting(
+            f"CHANGELOG.md does not say {because!r} under what is unreleased; put it there first, "
+            "for those whose figures change"
+        )
+
+
+def renewed(name: str, kept: dict[str, Any] | None, found: Any, because: str) -> dict[str, Any]:
+    """A part as it is kept from now on.
+
+    Raises
+    ------
+    InvalidSetting
+        If its figures change, and the words are those of its last change.
+    """
+    if kept is None:
+        return {"because": because, "found": found}
+    if kept["found"] == found:
+        return kept
+    if " ".join(kept["because"].split()) == because:
+        raise InvalidSetting(
+            f"{name}: {because!r} was the reason of an earlier change; give CHANGELOG.md a line on "
+            "this one"
+        )
+    return {"because": because, "found": found}
+
+
 def main() -> None:
     """Read the options and write the figures."""
     parser = argparse.ArgumentParser(
@@ -32,15 +73,13 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=list(PARTS), help="parts; all by default")
     options = parser.parse_args()
     with errors_in_one_line("trust_golden"):
-        said = " ".join(CHANGELOG.read_text(encoding="utf-8").split())
-        if not options.because.strip() or " ".join(options.because.split()) not in said:
-            raise InvalidSetting(
-                f"CHANGELOG.md does not say {options.because!r}; put it there first, for those "
-                "whose figures change"
-            )
+        because = " ".join(options.because.split())
+        check_said(because, CHANGELOG.read_text(encoding="utf-8"))
         whole = json.loads(GOLDEN.read_text(encoding="utf-8")) if GOLDEN.is_file() else {}
         for name in options.only or PARTS:
-            whole[name] = {"because": options.because, "found": PARTS[name]()}
+            whole[name] = renewed(
+                name, whole.get(name), json.loads(json.dumps(PARTS[name]())), because
+            )
             print(f"{name}: done", flush=True)
         beside = GOLDEN.with_suffix(".part")
         text = json.dumps(whole, indent=None, separators=(",", ":"), sort_keys=True)

@@ -1,10 +1,11 @@
 """Kill training, comparison, gap and diagnosis at 20 random moments each, and see that they go on.
 
 Each command is run once without being stopped. Then it is killed (SIGKILL, with all its
-processes) after a random number of changes in its folder and run again in the same folder, over
-and over. After every kill all files of its folder have to be whole. In the end comparison, gap and
-diagnosis have to write what the run wrote that was not stopped; a training that was resumed has met
-other faults, so of it the steps, the evaluations and the files are compared.
+processes) after a random number of changes in its folder, of all that it makes, and run again in
+the same folder, over and over. After every kill all files of its folder have to be whole. In the
+end comparison, gap and diagnosis have to write what the run wrote that was not stopped; a training
+that was resumed has met other faults, so of it the steps, the evaluations and the files are
+compared.
 
 Usage: python -m scripts.trust_kills [--kills 20] [--only training comparison gap diagnosis]
 """
@@ -39,8 +40,8 @@ def main() -> None:
         options.out.mkdir(parents=True, exist_ok=True)
         known = commands(options.out / "kills")
         lines = [
-            "| command | kills | runs to the end | same result | problems |",
-            "|---|---:|---:|---:|---:|",
+            "| command | kills | after a write | runs to the end | same result | problems |",
+            "|---|---:|---:|---:|---:|---:|",
         ]
         bad = []
         for number, name in enumerate(options.only or known):
@@ -56,7 +57,8 @@ def main() -> None:
             )
             options.out.joinpath(f"kills-{name}.json").write_text(json.dumps(asdict(found)))
             lines.append(
-                f"| {name} | {found.kills} | {found.runs} | {found.equal} | {len(found.problems)} |"
+                f"| {name} | {found.kills} | {found.after_write} | {found.runs} | {found.equal} "
+                f"| {len(found.problems)} |"
             )
             bad += [f"{name}: {problem}" for problem in found.problems]
         print("\n".join([*lines, *bad]))

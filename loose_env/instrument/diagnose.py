@@ -243,6 +243,7 @@ def diagnose(
     recording: Recording,
     settings: DiagnoseSettings | None = None,
     *,
+    plan: bool = True,
     say: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
     """Say what is loose in the arm of a recording.
@@ -253,6 +254,8 @@ def diagnose(
         Runs that hold a pose each and shake a joint; healthy reference runs, if there are any.
     settings : DiagnoseSettings, optional
         What is known beforehand.
+    plan : bool
+        Whether to say what to measure next.
     say : callable
         Told what goes on, line by line.
 
@@ -281,7 +284,7 @@ def diagnose(
             'one without "condition": "healthy" in recording.json'
         )
     try:
-        return bench.diagnosis(say=say)
+        return bench.diagnosis(plan=plan, say=say)
     except np.linalg.LinAlgError as error:
         raise InvalidData(
             f"model and runs cannot be reckoned with ({error}): are masses, gains and readings in "

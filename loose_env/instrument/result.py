@@ -40,6 +40,15 @@ _SUM = 0.02
 """How far the probabilities of a file may be from a sum of 1."""
 
 
+_SHOWN = 300
+"""Most signs of what a file has that an error repeats."""
+
+
+def _short(value: object) -> str:
+    said = str(value)
+    return said if len(said) <= _SHOWN else f"{said[:_SHOWN]}..."
+
+
 def hypothesis_of(kind: str, where: str | None) -> str:
     """Name of a hypothesis, as the keys of a posterior have it.
 
@@ -96,7 +105,7 @@ class Fault:
                 f"the kind of a fault is one of {list(get_args(FaultKind))}, not {self.kind!r}"
             )
         if self.kind == HEALTHY and self.where is not None:
-            raise InvalidData(f"a healthy arm has no place, got {self.where!r}")
+            raise InvalidData(f"a healthy arm has no place, got {self.where!r:.60}")
         if self.kind != HEALTHY and not self.where:
             raise InvalidData(f"{self.kind} needs the name of a place, got {self.where!r}")
         if self.direction is not None:
@@ -160,9 +169,13 @@ class NextMeasurement:
             raise InvalidData(f"a band goes upwards from above 0 Hz, got {self.band_hz}")
         played = (*self.levels, *self.torques)
         if not all(math.isfinite(q) for q in self.pose.values()):
-            raise InvalidData(f"the pose of a next measurement is finite, got {dict(self.pose)}")
+            raise InvalidData(
+                f"the pose of a next measurement is finite, got {_short(dict(self.pose))}"
+            )
         if not all(0 <= value < math.inf for value in played):
-            raise InvalidData(f"levels and torques are finite and not negative, got {played}")
+            raise InvalidData(
+                f"levels and torques are finite and not negative, got {_short(played)}"
+            )
         NextSettings.within({"seconds": self.seconds, "rate_hz": self.rate_hz}, "next")
         _ = self.choice
 
@@ -278,11 +291,13 @@ class Diagnosis:
             )
         total = math.fsum(self.posterior.values())
         if not abs(total - 1) < _SUM or min(self.posterior.values(), default=-1.0) < 0:
-            raise InvalidData(f"the posterior has probabilities of sum 1, got {self.posterior}")
+            raise InvalidData(
+                f"the posterior has probabilities of sum 1, got {_short(self.posterior)}"
+            )
         if self.fault.hypothesis not in self.posterior:
             raise InvalidData(
-                f"the posterior does not have the fault {self.fault.hypothesis!r}; it has "
-                f"{list(self.posterior)}"
+                f"the posterior does not have the fault {self.fault.hypothesis!r:.80}; it has "
+                f"{_short(list(self.posterior))}"
             )
         _ = self.choice
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import pickle
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -11,43 +10,23 @@ from typing import Any
 
 import numpy as np
 
-from scripts.trust import documents
-from scripts.trust.hostile import ELEMENTS, WHOLE, YAML
-from scripts.trust.mutations import (
-    HUGE,
-    PATHS,
-    damaged_bytes,
-    damaged_json,
-    damaged_text,
-    damaged_xml,
-)
+from scripts.trust import documents, instrument_cases
+from scripts.trust.damage import csv, description, model, parquet, paths, pickled, xml
+from scripts.trust.hostile import YAML
+from scripts.trust.mutations import PATHS, damaged_bytes, damaged_json, damaged_text
 from scripts.trust.surroundings import Surroundings
 from scripts.trust.watch import Attempt
 
-__all__ = ["KINDS", "Trap", "attempt"]
+__all__ = ["KINDS", "attempt"]
 
 Rng = np.random.Generator
 Make = Callable[[Surroundings, Rng], Attempt]
-
-
-class Trap:
-    """Unpickling it makes a file: the proof that something ran."""
-
-    def __init__(self, place: Path) -> None:
-        self.place = place
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Path.touch, (self.place / "EXECUTED",)
 
 
 def attempt(kind: str, number: int, around: Surroundings, seed: int) -> Attempt:
     """Make one damaged file; the same seed, kind and number always give the same."""
     sequence = np.random.SeedSequence(seed, spawn_key=(list(KINDS).index(kind), number))
     return KINDS[kind](around, np.random.default_rng(sequence))
-
-
-def _pickled(around: Surroundings) -> bytes:
-    return pickle.dumps(Trap(around.cwd))
 
 
 def _recording_of(change: Callable[[dict[str, bytes], Surroundings, Rng], str]) -> Make:
@@ -72,68 +51,6 @@ def _recording_of(change: Callable[[dict[str, bytes], Surroundings, Rng], str]) 
     return make
 
 
-def _description(files: dict[str, bytes], around: Surroundings, rng: Rng) -> str:
-    damage, files["recording.json"] = damaged_json(files["recording.json"], rng)
-    return damage
-
-
-def _paths(files: dict[str, bytes], around: Surroundings, rng: Rng) -> str:
-    whole = json.loads(files["recording.json"])
-    place = str(rng.choice([*PATHS, str(around.secret / "secret.csv")]))
-    if rng.random() < 0.3:
-        whole["model"] = place.replace("csv", "xml")
-    else:
-        whole["runs"][0]["file"] = place
-    files["recording.json"] = json.dumps(whole).encode("utf-8", "surrogatepass")
-    return f"a path: {place[:20]!r}"
-
-
-def _csv(files: dict[str, bytes], around: Surroundings, rng: Rng) -> str:
-    if rng.random() < 0.4:
-        damage, files["run.csv"] = damaged_text(files["run.csv"], rng)
-        return damage
-    lines = [line.split(",") for line in files["run.csv"].decode().splitlines()]
-    row, column = int(rng.integers(len(lines))), int(rng.integers(len(lines[0])))
-    damage = str(rng.choice(["a cell", "a row lost", "rows swapped", "a cell lost", "a column"]))
-    if damage == "a cell":
-        cells = (*HUGE, "", "text", "=1+1", "\x00", "１", '"', "1;2", "inf", "-inf", "1e5000")
-        lines[row][column] = str(rng.choice(cells))
-    elif damage == "a row lost":
-        del lines[row]
-    elif damage == "rows swapped":
-        other = int(rng.integers(len(lines)))
-        lines[row], lines[other] = lines[other], lines[row]
-    elif damage == "a cell lost":
-        del lines[row][column]
-    else:
-        lines[0][column] = str(
-            rng.choice([lines[0][0], "sensor.none", "", "time", "ctrl.", "a" * 9999])
-        )
-    files["run.csv"] = "\n".join(map(",".join, lines)).encode()
-    return damage
-
-
-def _parquet(files: dict[str, bytes], around: Surroundings, rng: Rng) -> str:
-    if rng.random() < 0.15:
-        files["run.parquet"] = _pickled(around)
-        return "a pickle"
-    damage, files["run.parquet"] = damaged_bytes(files["run.parquet"], rng)
-    return damage
-
-
-def _model(files: dict[str, bytes], around: Surroundings, rng: Rng) -> str:
-    damage, files["model.xml"] = _xml(files["model.xml"], around, rng)
-    return damage
-
-
-def _xml(data: bytes, around: Surroundings, rng: Rng) -> tuple[str, bytes]:
-    if rng.random() < 0.05:
-        k = int(rng.integers(len(WHOLE)))
-        return f"whole file {k}", WHOLE[k].encode()
-    damage, changed = damaged_xml(data, rng, ELEMENTS)
-    return damage, changed.replace(b"{secret}", str(around.secret).encode())
-
-
 def _arm(text: Callable[[], bytes], name: str) -> Make:
     def make(around: Surroundings, rng: Rng) -> Attempt:
         import warnings
@@ -141,7 +58,7 @@ def _arm(text: Callable[[], bytes], name: str) -> Make:
         from loose_env.arms import Arm
         from loose_env.arms.from_file import describe_file
 
-        damage, data = _xml(text(), around, rng)
+        damage, data = xml(text(), around, rng)
         home = around.fresh({name: data, "two.stl": documents.tetrahedron()})
         whole = rng.random() < 0.15  # building an arm takes a second
 
@@ -167,7 +84,7 @@ def _json_file(
     def make(around: Surroundings, rng: Rng) -> Attempt:
         damage, data = damaged_json(whole(), rng)
         if rng.random() < 0.03:
-            damage, data = "a pickle", _pickled(around)
+            damage, data = "a pickle", pickled(around)
         home = around.fresh({name: data})
         read = reader()
         return Attempt(damage=damage, read=lambda: read(home / name), names=(name,))
@@ -179,12 +96,6 @@ def _gap_reader() -> Callable[[Path], Any]:
     from loose_env.gap.result import read_result
 
     return read_result
-
-
-def _diagnosis_reader() -> Callable[[Path], Any]:
-    from loose_env.instrument.result import read_diagnosis
-
-    return read_diagnosis
 
 
 def _rows(around: Surroundings, rng: Rng) -> Attempt:
@@ -262,7 +173,7 @@ def _tensors(folder: str, name: str, described: str, load: Callable[[Path], Any]
         if rng.random() < 0.35:
             damage, files[described] = damaged_json(files[described], rng)
         elif rng.random() < 0.1:
-            damage, files[name] = "a pickle", _pickled(around)
+            damage, files[name] = "a pickle", pickled(around)
         else:
             damage, files[name] = _safetensors(files[name], rng)
         home = around.fresh(files)
@@ -327,16 +238,16 @@ def _problem() -> Any:
 
 
 KINDS: dict[str, Make] = {
-    "recording.json": _recording_of(_description),
-    "paths in recording.json": _recording_of(_paths),
-    "CSV": _recording_of(_csv),
-    "Parquet": _recording_of(_parquet),
-    "model of a recording": _recording_of(_model),
+    "recording.json": _recording_of(description),
+    "paths in recording.json": _recording_of(paths),
+    "CSV": _recording_of(csv),
+    "Parquet": _recording_of(parquet),
+    "model of a recording": _recording_of(model),
     "MJCF": _arm(lambda: documents.MODEL.encode(), "arm.xml"),
     "MJCF, six joints": _arm(documents.arm_text, "desk.xml"),
     "URDF": _arm(lambda: documents.URDF.encode(), "arm.urdf"),
     "gap result": _json_file("result.json", documents.gap_result, _gap_reader),
-    "diagnosis result": _json_file("result.json", documents.diagnosis_result, _diagnosis_reader),
+    "diagnosis result": instrument_cases.result,
     "rows": _rows,
     "mapping": _mapping,
     "hyperparameters": _hyperparameters,
@@ -345,5 +256,10 @@ KINDS: dict[str, Make] = {
     "posterior": _tensors(
         "posterior-vera-default", "posterior.safetensors", "configuration.json", _posterior
     ),
+    "recording to diagnose": instrument_cases.to_diagnose,
+    "plan beside a recording": instrument_cases.plan_beside,
+    "MCAP": instrument_cases.log("log.mcap"),
+    "UFF": instrument_cases.log("log.uff"),
+    "table of a logger": instrument_cases.log("log.csv"),
 }
 """Kind of file -> what makes one damaged file of it."""

@@ -6,6 +6,8 @@ import functools
 import io
 import json
 import struct
+import tempfile
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +24,12 @@ __all__ = [
     "arm_text",
     "diagnosis_result",
     "gap_result",
+    "log_mapping",
+    "logs",
+    "plan",
     "recording",
     "rows",
+    "shaken",
     "tetrahedron",
 ]
 
@@ -153,25 +159,138 @@ def gap_result() -> bytes:
 
 
 @functools.cache
-def diagnosis_result() -> bytes:
-    """Result of a diagnosis."""
-    from loose_env.instrument.result import Diagnosis, Fault
+def _planned() -> Any:
+    """A plan for the small arm."""
+    from loose_env.instrument.next_settings import NextSettings
+    from loose_env.instrument.plan import plan as planned
 
+    with tempfile.TemporaryDirectory() as place, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        model = Path(place) / "arm.xml"
+        model.write_text(MODEL)
+        return planned(model, choice=NextSettings(poses=2, seconds=1.0, most_tool=2.0))
+
+
+@functools.cache
+def plan() -> bytes:
+    """Content of a plan's file."""
+    from loose_env.instrument.plan_files import plan_json
+
+    return json.dumps(plan_json(_planned(), ["run-01.csv"])).encode()
+
+
+@functools.cache
+def diagnosis_result() -> bytes:
+    """Result of a diagnosis, with what it asks for next."""
+    from loose_env.instrument.result import Diagnosis, Fault, RecordSeen, SlideDirection
+
+    made = _planned()
+    names = made.machine.hypotheses
+    posterior = dict.fromkeys(names, 0.1 / (len(names) - 1)) | {"backlash@bend": 0.9}
+    record = RecordSeen(
+        file="run-01.csv",
+        pose={"turn": 0.1, "bend": 0.2},
+        excited=("turn",),
+        condition="suspect",
+        probabilities=posterior,
+        direction_tool=(0.6, 0.0, 0.8),
+        half_angle_deg=12.0,
+    )
     result = Diagnosis(
         fault=Fault(kind="backlash", where="bend", gap_m=1e-4),
         probability=0.9,
-        posterior={"healthy": 0.1, "backlash@bend": 0.9},
+        posterior=posterior,
+        next=made.next,
         model="model.xml",
         warnings=("one record",),
+        records=(record,),
+        settings={"poses": 2, "seconds": 1.0, "sound": 0.5, "most_tool": 2.0},
+        directions={"lower": SlideDirection(axis=(0.0, 1.0, 0.0), half_angle_deg=9.0)},
     )
     return result.to_json().encode()
 
 
 @functools.cache
+def shaken() -> dict[str, bytes]:
+    """Files of a recording to diagnose: one short run, as CSV."""
+    from dataclasses import replace
+
+    from loose_env.recording import read_recording, write_recording
+    from scripts.trust.commands import make_shaken_recording
+
+    with tempfile.TemporaryDirectory() as place:
+        make_shaken_recording(Path(place) / "long")
+        whole = read_recording(Path(place) / "long")
+        run, rows = whole.runs[0], slice(500, 1000)
+        short = replace(
+            run,
+            name="run.csv",
+            time=run.time[rows] - run.time[500],
+            controls={name: v[rows] for name, v in run.controls.items()},
+            sensors={name: v[rows] for name, v in run.sensors.items()},
+        )
+        write_recording(
+            Path(place) / "short", model_xml=whole.model_path, runs=[short], file_format="csv"
+        )
+        return {p.name: p.read_bytes() for p in sorted(Path(place, "short").iterdir())}
+
+
+LOG_COLUMNS = {
+    "log.mcap": '"sensor.angle" = { topic = "/arm", channel = "q", unit = "rad" }',
+    "log.csv": '"sensor.angle" = { channel = "q", unit = "rad" }',
+    "log.uff": "\n".join(
+        f'"sensor.acc.{axis}" = {{ channel = "1+{axis.upper()}" }}' for axis in "xyz"
+    ),
+}
+"""What is imported of each kind of log."""
+
+
+def log_mapping(name: str) -> bytes:
+    """A mapping of one of the logs."""
+    clock = 'time = { column = "t" }\n' if name == "log.csv" else ""
+    text = f'format = "loose-mapping/1"\nmodel = "model.xml"\n[sources.s]\n{clock}[columns]\n'
+    return f"{text}{LOG_COLUMNS[name]}\n[[runs]]\n".encode()
+
+
+@functools.cache
+def logs() -> dict[str, bytes]:
+    """Files as loggers write them: MCAP, a table in text, a universal file."""
+    import pyuff
+    from mcap.writer import Writer
+
+    time = np.arange(60) / 100
+    angle = np.sin(3 * time)
+    text = "t,q\n" + "".join(f"{t:.9g},{q:.9g}\n" for t, q in zip(time, angle, strict=True))
+    packed = io.BytesIO()
+    writer = Writer(packed)
+    writer.start()
+    schema = writer.register_schema("Arm", "jsonschema", b'{"type": "object"}')
+    channel = writer.register_channel("/arm", "json", schema)
+    for t, q in zip(time, angle, strict=True):
+        ns = round(t * 1e9)
+        message = json.dumps({"q": float(q)}).encode()
+        writer.add_message(channel, log_time=ns, data=message, publish_time=ns)
+    writer.finish()
+    sets = [
+        pyuff.prepare_58(
+            id1="accelerometer", func_type=1, rsp_node=1, rsp_dir=k, ref_node=0, ref_dir=0,
+            num_pts=len(time), abscissa_spacing=1, abscissa_spec_data_type=17,
+            ordinate_spec_data_type=12, ordinate_axis_units_lab="m/s^2",
+            orddenom_spec_data_type=0, z_axis_spec_data_type=0, data=angle * k, x=time,
+        )
+        for k in (1, 2, 3)
+    ]  # fmt: skip
+    with tempfile.TemporaryDirectory() as place, warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)  # it leaves its files open
+        path = Path(place) / "log.uff"
+        pyuff.UFF(str(path)).write_sets(sets, mode="add")
+        universal = path.read_bytes()
+    return {"log.mcap": packed.getvalue(), "log.csv": text.encode(), "log.uff": universal}
+
+
+@functools.cache
 def rows() -> dict[str, bytes]:
     """Rows of a comparison as JSON and as Parquet."""
-    import tempfile
-
     from loose_env.report.rows_file import write_rows
 
     row: dict[str, Any] = {"agent": "a", "seed": 1, "episode": 0, "reward": 0.5, "success": True}

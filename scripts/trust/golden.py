@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["GOLDEN", "PARTS", "comparison", "diagnosis", "environments", "gap"]
+__all__ = ["GOLDEN", "PARTS", "comparison", "diagnosis", "environments", "gap", "instrument"]
 
 GOLDEN = Path(__file__).resolve().parents[2] / "tests" / "trust" / "golden.json"
 """The figures as they are kept."""
@@ -127,17 +127,54 @@ def gap(threads: int = 1) -> dict[str, Any]:
     }
 
 
+def instrument() -> dict[str, Any]:
+    """What `loose diagnose` says of a small recording, and what `loose plan` asks for."""
+    from loose_env.instrument.diagnose import diagnose
+    from loose_env.instrument.next_settings import NextSettings
+    from loose_env.instrument.plan import plan
+    from loose_env.instrument.settings import DiagnoseSettings
+    from loose_env.recording import read_recording
+    from scripts.trust.commands import make_shaken_recording
+
+    with tempfile.TemporaryDirectory() as place:
+        make_shaken_recording(Path(place) / "recording")
+        recording = read_recording(Path(place) / "recording")
+        # Two runs settle it by the usual threshold, and then nothing is asked for.
+        found = diagnose(recording, DiagnoseSettings(poses=4, seconds=1.0, sure=0.9999))
+        first = plan(recording.model_path, choice=NextSettings(poses=4, seconds=1.0))
+    assert found.next is not None
+    signal = first.signals[0]
+    return {
+        "fault": found.fault.hypothesis,
+        "posterior": {name: _plain(p) for name, p in found.posterior.items()},
+        "next": _measurement(found.next),
+        "first": _measurement(first.next),
+        "signal": {name: _plain(float(u @ u)) for name, u in signal.commands.items()},
+        "tool": _plain(signal.tool_rms),
+    }
+
+
+def _measurement(asked: Any) -> dict[str, Any]:
+    return {
+        "pose": {name: _plain(q) for name, q in asked.pose.items()},
+        "joints": list(asked.joints),
+        "torques": _digits(asked.torques),
+        "gain": _plain(asked.gain),
+    }
+
+
 PARTS = {
     "environments": environments,
     "comparison": comparison,
     "diagnosis": diagnosis,
     "gap": gap,
+    "instrument": instrument,
 }
 """Parts of the golden results, by name."""
 
 
 def _digits(values: Any) -> Any:
-    if isinstance(values, (list, np.ndarray)):
+    if isinstance(values, (list, tuple, np.ndarray)):
         return [_digits(value) for value in values]
     return _plain(float(values))
 

@@ -48,26 +48,31 @@ class Killed:
     """Runs that ended by themselves."""
     moments: list[int] = field(default_factory=list)
     """Changes of the folder that each kill waited for."""
+    after_write: int = 0
+    """Kills before which the run had changed its folder."""
     problems: list[str] = field(default_factory=list)
     """Everything that was wrong."""
     equal: int = 0
     """Finished runs whose result is that of the run that was let through."""
 
 
-def run_whole(command: Command, out: Path) -> tuple[int, float]:
-    """Let it through; return the changes of its folder and the time between two [s]."""
+def run_whole(command: Command, out: Path) -> list[float]:
+    """Let it through; return the time to each change of its folder, and to its end [s]."""
     process = _started(command, out)
-    begin, changes, before = time.monotonic(), 0, _listing(out)
+    begin, before = time.monotonic(), _listing(out)
+    times = [begin]
     while process.poll() is None:
         now = _listing(out)
-        changes, before = changes + (now != before), now
+        if now != before:
+            times.append(time.monotonic())
+        before = now
         if time.monotonic() - begin > LONGEST:
             _end(process)
             raise TimeoutError(f"{command.name}: not done after {LONGEST:g} s")
         time.sleep(POLL)
     if process.returncode:
         raise RuntimeError(f"{command.name} failed: {_said(process, out)}")
-    return changes, (time.monotonic() - begin) / max(changes, 1)
+    return np.diff([*times, time.monotonic()]).tolist()
 
 
 def kill_often(
@@ -81,7 +86,9 @@ def kill_often(
     """Kill a command, again and again, until it was killed so often; then let the last one through.
 
     It runs in one folder until it is done, then in a new one. A moment is a number of changes of
-    the folder since the run began, and a share of the usual time to the next change.
+    the folder since the run began, from none to all, and a share of the time that the run that
+    was let through took from there to the next change: so kills fall as often between the writes
+    of a command that writes at its end as into the work before.
 
     Parameters
     ----------
@@ -97,17 +104,19 @@ def kill_often(
         Told what goes on.
     """
     found = Killed(command=command.name)
-    found.events, pause = run_whole(command, place / "whole")
+    pauses = run_whole(command, place / "whole")
+    found.events = len(pauses) - 1
     wanted = command.result(place / "whole")
     found.problems += [f"unkilled: {p}" for p in command.problems(place / "whole")]
     chain = 0
     while True:
         out = place / f"chain-{chain}"
-        moment = int(rng.integers(0, max(found.events // 2, 1) + 1))
-        share = float(rng.random())
-        killed = found.kills < kills and _killed(command, out, moment, share * pause)
-        if killed:
+        moment = int(rng.integers(len(pauses)))
+        delay = float(rng.random()) * pauses[moment]
+        before = _listing(out)
+        if found.kills < kills and _killed(command, out, moment, delay):
             found.kills += 1
+            found.after_write += _listing(out) != before
             found.moments.append(moment)
             found.problems += [f"kill {found.kills}: {p}" for p in command.problems(out)]
             say(f"{command.name}: killed {found.kills} of {kills}, after {moment} changes")
@@ -179,8 +188,8 @@ def _words(out: Path) -> Path:
     return out.with_name(f"{out.name}.said")
 
 
-def _listing(folder: Path) -> frozenset[tuple[str, int, int]]:
-    """Files with what changes when they are written."""
+def _listing(folder: Path) -> frozenset[tuple[str, int, int, int]]:
+    """Files with what changes when they are written anew or in place."""
     found = set()
     for root, _, names in os.walk(folder):
         for name in names:
@@ -188,7 +197,7 @@ def _listing(folder: Path) -> frozenset[tuple[str, int, int]]:
                 state = os.stat(os.path.join(root, name))
             except OSError:  # renamed while it was looked at
                 continue
-            found.add((os.path.join(root, name), state.st_ino, state.st_size))
+            found.add((os.path.join(root, name), state.st_ino, state.st_size, state.st_mtime_ns))
     return frozenset(found)
 
 

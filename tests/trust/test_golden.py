@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +14,12 @@ import pytest
 
 pytest.importorskip("safetensors")
 
+from loose_env.errors import InvalidSetting
 from scripts.trust.golden import GOLDEN, PARTS
+from scripts.trust_golden import check_said, renewed
 
-CHANGELOG = Path(__file__).resolve().parents[2] / "CHANGELOG.md"
+ROOT = Path(__file__).resolve().parents[2]
+CHANGELOG = ROOT / "CHANGELOG.md"
 MEANT = (
     "the same seeds give other figures than before. If that is not meant, something broke. If it "
     "is, put a line into CHANGELOG.md and run: python -m scripts.trust_golden --because 'that line'"
@@ -21,6 +27,7 @@ MEANT = (
 # Another processor may round another way, and a simulation carries that on.
 RELATIVE, ABSOLUTE = 1e-4, 1e-5
 FITTED = 2e-2  # a search ends where it no longer gains
+SEARCHED = ("gap", "instrument")
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +62,7 @@ def test_the_same_seeds_give_the_same_figures_in_every_release(
     golden: dict[str, Any], part: str
 ) -> None:
     now = json.loads(json.dumps(PARTS[part]()))
-    found = differences(golden[part]["found"], now, part, FITTED if part == "gap" else RELATIVE)
+    found = differences(golden[part]["found"], now, part, FITTED if part in SEARCHED else RELATIVE)
     assert not found, f"{MEANT}\n" + "\n".join(found[:10])
 
 
@@ -72,6 +79,47 @@ def test_a_change_of_golden_results_has_its_line_in_the_changelog(
 def test_one_thread_and_many_give_the_same_to_the_last_digit(part: str) -> None:
     make: Any = PARTS[part]
     assert make(threads=1) == make(threads=3)
+
+
+def test_threads_of_the_linear_algebra_change_no_digit_of_a_diagnosis() -> None:
+    """They add up in another order: what comes out may differ in the last digits alone."""
+    code = (
+        "import json; from scripts.trust.golden import instrument; print(json.dumps(instrument()))"
+    )
+    found = []
+    for threads in ("1", "3"):
+        env = os.environ | {"OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads}
+        command = [sys.executable, "-W", "ignore", "-c", code]
+        done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        found.append(json.loads(done.stdout))
+    assert differences(found[0], found[1], "instrument", RELATIVE) == []
+
+
+CHANGES = """# Changelog
+
+## [0.2.0] - unreleased
+
+- The step is finer:
+  figures of the gap differ.
+
+## [0.1.0] - 2026-01-01
+
+- An old line.
+"""
+
+
+def test_a_change_of_golden_results_takes_a_new_line_under_what_is_unreleased() -> None:
+    check_said("The step is finer: figures of the gap differ.", CHANGES)
+    for old in ("An old line.", "", "Nobody wrote this."):
+        with pytest.raises(InvalidSetting, match="under what is unreleased"):
+            check_said(old, CHANGES)
+    kept = {"because": "The step is finer: figures of the gap differ.", "found": [1.0]}
+    assert renewed("gap", kept, [1.0], "another") == kept
+    assert renewed("gap", kept, [2.0], "another") == {"because": "another", "found": [2.0]}
+    assert renewed("gap", None, [2.0], "first") == {"because": "first", "found": [2.0]}
+    with pytest.raises(InvalidSetting, match="reason of an earlier change"):
+        renewed("gap", kept, [2.0], kept["because"])
 
 
 def test_a_small_change_is_found() -> None:

@@ -66,6 +66,29 @@ def test_a_command_that_writes_in_place_is_found_out(tmp_path: Path) -> None:
     assert any("cut short" in problem for problem in found.problems)
 
 
+LATE = """
+import sys, time, pathlib
+out = pathlib.Path(sys.argv[1]); out.mkdir(exist_ok=True)
+time.sleep(0.6)
+for k in range(3):
+    part = out / f".{k}.part"; part.write_text('{}'); time.sleep(0.05)
+    part.replace(out / f"{k}.json"); time.sleep(0.05)
+"""
+
+
+def test_a_command_that_writes_at_its_end_is_killed_between_its_writes_too(tmp_path: Path) -> None:
+    command = Command(
+        name="late",
+        words=lambda out: ("-c", LATE, str(out)),
+        problems=lambda out: [],
+        result=lambda out: sorted(p.name for p in out.glob("*.json")),
+    )
+    found = kill_often(command, tmp_path, kills=8, rng=np.random.default_rng(5))
+    assert found.problems == []
+    assert 4 <= found.after_write <= 8
+    assert max(found.moments) > found.events // 2
+
+
 def test_a_command_whose_result_depends_on_kills_is_found_out(tmp_path: Path) -> None:
     script = (
         "import sys, time, pathlib; out = pathlib.Path(sys.argv[1]); out.mkdir(exist_ok=True)\n"

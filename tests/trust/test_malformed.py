@@ -13,6 +13,8 @@ import pytest
 pytest.importorskip("safetensors")
 pytest.importorskip("yaml")
 pytest.importorskip("sb3_contrib")
+pytest.importorskip("mcap")
+pytest.importorskip("pyuff")
 
 from scripts.trust.cases import KINDS
 from scripts.trust.hostile import ELEMENTS
