@@ -24,6 +24,7 @@ OWN = {
     "your_arm.md": "test_examples.py",
     "gap.md": "test_examples.py",
     "importing.md": "test_importing.py",
+    "real_arm.md": "test_examples.py",
 }
 """Pages whose examples have a test of their own, which looks at what comes out, and its file."""
 
@@ -51,7 +52,6 @@ def some_arm(folder: Path) -> None:
 PREPARED: dict[str, Callable[[Path], None]] = {
     "gap_closing.md": corrected_models,
     "instrument.md": some_arm,
-    "real_arm.md": some_arm,
 }
 """What has to be there before a page's examples run."""
 
@@ -121,6 +121,18 @@ def test_from_a_model_file_to_a_loose_link(
     assert whole.place == "structural_looseness@link3"
     for found in (direction, whole.direction_in_link):
         assert np.degrees(np.arccos(min(1.0, abs(float(found @ true))))) < 10.0
+
+
+def test_the_loop_around_a_robot_settles_and_so_does_its_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    names = run(ROOT / "docs" / "real_arm.md", tmp_path)
+    ended, again, runs = names["ended"], names["again"], names["runs"]
+    assert ended.named and ended.diagnosis.fault.where == "forearm"
+    assert again.named and again.measurements == len(runs) >= 2
+    assert again.diagnosis.fault == names["found"].fault
+    assert again.diagnosis.fault.where == "forearm"
 
 
 def test_getting_started_finds_the_fault(
