@@ -13,16 +13,21 @@ pytest.importorskip("matplotlib")
 from loose_env.arms import vera
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.gap.reporting import gather, result_of
+from loose_env.instrument.next_settings import NextSettings
+from loose_env.instrument.plan import plan
+from loose_env.instrument.plan_settings import PlanSettings
 from loose_env.report.comparison import write_comparison
 from loose_env.report.diagnosis_page import write_page
 from loose_env.report.figures import success_bars
 from loose_env.report.gap_page import write_gap_page
+from loose_env.report.plan_page import write_plan_page
 from loose_env.report.plate import Plate
 from loose_env.report.story import tell_episode
 from loose_env.report.template import write_whole
 from tests.browser.chromium import Page
 from tests.browser.looks import WIDTHS, browser, fits_on_paper, is_in_order, pictures
 from tests.gap.gap_case import outputs_for, record
+from tests.instrument.plan_arms import SERVOED, written
 from tests.report.diagnosis_case import CASES
 from tests.report.test_page import ROWS, Guesser
 from tests.thesis.test_page import FAILED, outcome, render
@@ -65,10 +70,27 @@ def diagnosis_page(case: str) -> Callable[[Path], Path]:
     return write
 
 
+def plan_page(in_turn: int) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        model = written(folder, SERVOED)
+        settings = NextSettings(poses=2, seconds=1.0, most_tool=2.5, in_turn=in_turn)
+        made = plan(model, choice=settings, own=PlanSettings(pose_deg=(20.0, -60.0, 70.0)))
+        runs = [f"run-{k + 1:02d}.csv" for k in range(in_turn)]
+        # Paths as long as people have them: no command may push the page out of a phone's window.
+        long = "measurements/2026-03-18 cell 4 after the collision/session one of three"
+        return write_plan_page(
+            folder / "plan.html", made, runs, folder=long, model=f"{long}/the arm of cell 4.xml"
+        )
+
+    return write
+
+
 REPORTS: dict[str, tuple[Callable[[Path], Path], int]] = {
     "gap": (gap_page, 3),
     "comparison": (comparison_page, 6),
     "thesis": (thesis_page, 1),
+    "plan: one joint": (plan_page(1), 2),
+    "plan: two joints": (plan_page(2), 3),
     **{f"diagnosis: {case}": (diagnosis_page(case), 3) for case in CASES},
 }
 """Report -> how it is written, and how many pictures it has at least."""
