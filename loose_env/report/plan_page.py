@@ -194,6 +194,7 @@ def _figure(plan: Plan, signal: Signal) -> Figure:
     shown = frequency <= 2 * plan.next.band_hz[1]
     below.plot(frequency[shown], np.sqrt(power[shown]), color=INK, linewidth=0.9)
     below.set(xlabel="frequency [Hz]", ylabel="per √Hz", ylim=(0, None))
+    below.ticklabel_format(axis="y", scilimits=(-2, 3))  # long numbers push the label out
     for axes in (above, below):
         axes.spines[["top", "right"]].set_visible(False)
         axes.tick_params(labelsize=9)

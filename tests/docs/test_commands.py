@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tomllib
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,8 @@ from loose_env.cli.main import COMMANDS, parser
 from tests.docs.pages import PAGES, ROOT, commands
 
 FOUND = [(page.name, words) for page in PAGES for words in commands(page)]
+ELSEWHERE = ("pip", "pytest", "venv", "sphinx")
+"""Modules of others that pages may run."""
 NAMES = {".venv/bin/python": "python", "python3": "python", ".venv/bin/loose": "loose"}
 
 
@@ -49,6 +52,42 @@ def test_scripts_exist_and_know_the_options_shown(script: str) -> None:
     known = set(re.findall(r"(?<![\w-])-{1,2}[a-zA-Z][\w-]*", options_of(script)))
     unknown = sorted(f"{page}: {option}" for page, option in shown if option not in known)
     assert not unknown, f"{script} has no {unknown}"
+
+
+def of_modules() -> list[tuple[str, list[str]]]:
+    """What stands behind ``python -m``: the module and its options."""
+    return [(page, words[1:]) for page, words in of("python") if words[0] == "-m"]
+
+
+def test_no_command_of_python_goes_unlooked_at() -> None:
+    begins = {words[0] for _, words in of("python")}
+    assert {word for word in begins if word.startswith("-")} == {"-m"}
+    assert any(words[0].startswith("scripts.") for _, words in of_modules())
+
+
+@cache
+def help_of(module: str) -> str:
+    command = [sys.executable, "-m", module, "--help"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"python -m {module}: {done.stderr}"
+    return done.stdout
+
+
+@pytest.mark.parametrize("module", sorted({words[0] for _, words in of_modules()}))
+def test_modules_exist_and_know_the_options_shown(module: str) -> None:
+    if module in ELSEWHERE:
+        assert find_spec(module) is not None
+        return
+    pytest.importorskip(module.partition(".")[0])
+    shown = {
+        (page, word.partition("=")[0])
+        for page, words in of_modules()
+        for word in words[1:]
+        if words[0] == module and re.match(r"-{1,2}[a-zA-Z]", word)
+    }
+    known = set(re.findall(r"(?<![\w-])-{1,2}[a-zA-Z][\w-]*", help_of(module)))
+    unknown = sorted(f"{page}: {option}" for page, option in shown if option not in known)
+    assert not unknown, f"python -m {module} has no {unknown}"
 
 
 @pytest.mark.parametrize(("page", "words"), of("loose"))
