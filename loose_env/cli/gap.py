@@ -92,5 +92,7 @@ def summary(result: GapResult) -> str:
             others = ", ".join(f"{o.kind} at {o.where}" for o in effect.ambiguous_with)
             lines.append(f"  the held-out runs cannot tell it from {others}")
     gap = result.gap
+    if result.verdict == "named" and result.left:
+        lines += [f"left: {result.left[0]}", *(f"  {words}" for words in result.left[1:])]
     lines.append(f"gap on held-out runs: {gap.before:.2f} before, {gap.after:.2f} after; noise 1")
     return "\n".join(lines)

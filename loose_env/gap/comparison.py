@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.effect import Effect
+from loose_env.gap.features import RandomFeatures
 from loose_env.gap.inverse import InverseDynamics
 from loose_env.gap.machine import Machine
 from loose_env.gap.random_runs import GROUP, RandomRun
@@ -114,6 +115,11 @@ class Comparison:
             if trial.excited and trial.name in parting
         }
         self.rows, self.measured = self._rows()
+
+    @property
+    def features(self) -> dict[int, RandomFeatures]:
+        """Number of a run that is compared by features -> these."""
+        return {t: run.features for t, run in self._random.items()}
 
     def _spacing(self, number: int) -> int:
         """Samples of a run from one that is compared to the next."""

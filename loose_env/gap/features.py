@@ -178,6 +178,14 @@ class RandomFeatures:
             settings=settings,
         )
 
+    @cached_property
+    def about(self) -> NDArray[np.bool_]:
+        """Whether each feature is about each of the `used` channels (K, U)."""
+        found = np.zeros((len(self.names), len(self.used)), dtype=bool)
+        for k, own in enumerate([*self._linear.about, *self._rest.about]):
+            found[k, list(own)] = True
+        return found
+
     def of(self, values: Array, *, noisy: bool = False) -> Array:
         """Features of readings (T, C) -> (K,).
 

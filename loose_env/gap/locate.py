@@ -18,6 +18,7 @@ from loose_env.gap.comparison import LONGEST, Rows
 from loose_env.gap.dependence import REGRESSORS, Dependence, dependence
 from loose_env.gap.joint_motion import JointMotion
 from loose_env.gap.residual_series import Series, band_edges, density, series_of
+from loose_env.gap.structure import Structure, largest
 from loose_env.gap.trial import Channel, Trial
 
 __all__ = [
@@ -38,8 +39,13 @@ _SAMPLES = 2500
 """Samples of a run that are held against motion and load, at most."""
 _SURE = 3.0
 """Sureness from which on a dependence is worth telling [standard deviations]."""
+_LEAST = 0.05
+"""Share of a residual's power from which on a dependence is worth telling."""
 _VISIBLE = 1.2
 """Residual over the noise floor from which on it is told of."""
+_NO_NOISE = 4.0
+"""Sureness from which on what hangs together in time is told of, however small: of hundreds of
+runs and channels with nothing but noise none passes it."""
 _AS_GOOD = 0.85
 """Share of the strongest dependence from which on a simpler one is named in its place."""
 _SIMPLEST = ("direction", "position", "velocity", "load", "acceleration")
@@ -75,6 +81,10 @@ class ChannelGap:
     """From low frequencies to high ones."""
     depends: tuple[Dependence, ...]
     """For each regressor the joint that explains most; explained parts in noise deviations."""
+    together: float = 0.0
+    """The part that hangs together in time, which noise does not, in noise standard deviations."""
+    sureness: float = 0.0
+    """Of that part, over what white noise shows by chance, in standard deviations."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,10 +137,17 @@ def locate(
     motions : sequence of JointMotion
         Of each run, as of `loose_env.gap.joint_motion.joint_motion`.
     """
+    many = series_of(residual, rows, trials, channels)
+    sums = np.zeros((len(trials), len(channels)))
+    if many:
+        group = rows.trial * len(channels) + rows.channel
+        found = largest(Structure(rows).by_group(residual, group))
+        sums.flat[: len(found)] = found
+    number = {channel.name: c for c, channel in enumerate(channels)}
     return Location(
         channels=tuple(
-            _channel_gap(series, motions)
-            for series in series_of(residual, rows, trials, channels)
+            _channel_gap(series, motions, float(sums[series.trial, number[series.channel]]))
+            for series in many
         ),
         joints=tuple(
             gap for trial, motion in zip(trials, motions, strict=True)
@@ -139,7 +156,8 @@ def locate(
     )  # fmt: skip
 
 
-def _channel_gap(series: Series, motions: Sequence[JointMotion]) -> ChannelGap:
+def _channel_gap(series: Series, motions: Sequence[JointMotion], products: float) -> ChannelGap:
+    count = len(series.residual)
     return ChannelGap(
         run=series.run,
         channel=series.channel,
@@ -147,6 +165,8 @@ def _channel_gap(series: Series, motions: Sequence[JointMotion]) -> ChannelGap:
         offset=float(np.mean(series.residual)),
         bands=_bands(series),
         depends=depends_on([series], motions),
+        together=float(np.sqrt(products / count)),
+        sureness=products / max(series.rms**2 * float(np.sqrt(count)), 1e-300),
     )
 
 
@@ -222,9 +242,17 @@ def _joint_gaps(run: str, motion: JointMotion) -> list[JointGap]:
     return found
 
 
-def strongest(depends: Sequence[Dependence]) -> Dependence | None:
-    """The dependence to tell of: the simplest that explains about as much as the strongest."""
-    sure = [d for d in depends if d.sureness >= _SURE and d.share >= 0.05]
+def strongest(depends: Sequence[Dependence], *, least: float = _LEAST) -> Dependence | None:
+    """The dependence to tell of: the simplest that explains about as much as the strongest.
+
+    Parameters
+    ----------
+    depends : sequence of Dependence
+        Those of one channel.
+    least : float
+        Share of the residual's power from which on one is worth telling.
+    """
+    sure = [d for d in depends if d.sureness >= _SURE and d.share >= least]
     if not sure:
         return None
     most = max(d.share for d in sure)
@@ -234,13 +262,33 @@ def strongest(depends: Sequence[Dependence]) -> Dependence | None:
 
 def main_band(gap: ChannelGap) -> Band | None:
     """Band with most of the power beyond that of noise; None where there is only noise."""
+    return _loudest(gap) if _shows(gap) else None
+
+
+def _loudest(gap: ChannelGap) -> Band | None:
+    """Band with most of the power beyond that of noise, if any has more."""
     excess = {b: (b.over_floor**2 - 1) * (b.high - b.low) for b in gap.bands}
     band = max(excess, key=lambda b: excess[b], default=None)
-    return band if band is not None and gap.over_floor >= _VISIBLE and excess[band] > 0 else None
+    return band if band is not None and excess[band] > 0 else None
 
 
-def where_it_lives(location: Location, *, most: int = 3) -> list[str]:
+def _shows(gap: ChannelGap) -> bool:
+    """Whether there is more than noise: large, or faint and yet surely no white noise."""
+    return gap.over_floor >= _VISIBLE or gap.sureness >= _NO_NOISE
+
+
+def where_it_lives(location: Location, *, most: int = 3, always: bool = False) -> list[str]:
     """Sentences that say where a disagreement is, the worst channels first.
+
+    Parameters
+    ----------
+    location : Location
+        The disagreement.
+    most : int
+        Most channels, and joints, that are told of.
+    always : bool
+        Whether something is known to disagree: the likeliest channel is told of even where none
+        stands out.
 
     Examples
     --------
@@ -255,26 +303,56 @@ def where_it_lives(location: Location, *, most: int = 3) -> list[str]:
     >>> where_it_lives(Location(channels=(gap,)))
     ['sensor.q is up to 8.0 noise standard deviations off (a.csv), most of it between 0 and 1 Hz.']
     """
-    said = []
-    worst: dict[str, ChannelGap] = {}
-    for gap in location.channels:
-        if gap.channel not in worst or gap.over_floor > worst[gap.channel].over_floor:
-            worst[gap.channel] = gap
-    for gap in sorted(worst.values(), key=lambda g: -g.over_floor)[:most]:
-        if gap.over_floor < _VISIBLE:
-            continue
+    torques = _torque_words(location.joints, most)
+    large = _worst([g for g in location.channels if g.over_floor >= _VISIBLE], faint=False)
+    told = {gap.channel for gap in large}
+    faint = [g for g in location.channels if _shows(g) and g.channel not in told]
+    told_of = [*large, *_worst(faint, faint=True)][:most]
+    if always and not told_of and not torques:
+        told_of = _worst(location.channels, faint=True)[:1]
+    said = [_channel_words(gap, whole=always) for gap in told_of]
+    return said + torques
+
+
+def _channel_words(gap: ChannelGap, *, whole: bool) -> str:
+    """A sentence on one channel; with ``whole`` it says, too, that nothing of the motion fits."""
+    faint = gap.over_floor < _VISIBLE
+    # The part that hangs together: of a faint gap most of the power is noise.
+    share = min((gap.together / gap.over_floor) ** 2, 1.0) if faint and gap.over_floor else 1.0
+    if faint:
+        words = (
+            f"{gap.channel} is hardly off by more than its noise ({gap.over_floor:.2f} of its "
+            f"standard deviations, {gap.run}), but {gap.together:.2f} of that hang together in time"
+        )
+    else:
         words = (
             f"{gap.channel} is up to {gap.over_floor:.1f} noise standard deviations off ({gap.run})"
         )
-        band = main_band(gap)
-        if band is not None:
-            words += f", most of it between {band.low:g} and {band.high:g} Hz"
-        if abs(gap.offset) > 0.7 * gap.over_floor:
-            words += "; it is almost constant"
-        elif (found := strongest(gap.depends)) is not None:
-            words += f"; {100 * found.share:.0f} % of it goes with the {found.on} of {found.of}"
-        said.append(words + ".")
-    return said + _torque_words(location.joints, most)
+    band = _loudest(gap)
+    if band is not None:
+        words += f", most of it between {band.low:g} and {band.high:g} Hz"
+    found = strongest(gap.depends, least=_LEAST * share)
+    if abs(gap.offset) > 0.7 * gap.over_floor:
+        words += "; it is almost constant"
+    elif found is not None:
+        of_it = min(found.share / max(share, 1e-12), 1.0)
+        words += f"; {100 * of_it:.0f} % of it goes with the {found.on} of {found.of}"
+    elif whole:
+        words += f"; it goes surely with none of {', '.join(REGRESSORS)}"
+    return words + "."
+
+
+def _worst(gaps: Sequence[ChannelGap], *, faint: bool) -> list[ChannelGap]:
+    """The worst run of every channel, the worst channel first."""
+
+    def size(gap: ChannelGap) -> float:
+        return gap.sureness if faint else gap.over_floor
+
+    worst: dict[str, ChannelGap] = {}
+    for gap in gaps:
+        if gap.channel not in worst or size(gap) > size(worst[gap.channel]):
+            worst[gap.channel] = gap
+    return sorted(worst.values(), key=lambda gap: -size(gap))
 
 
 def _torque_words(joints: Sequence[JointGap], most: int) -> list[str]:

@@ -17,6 +17,7 @@ from loose_env.gap.finding import GapFound, GapSettings
 from loose_env.gap.horizons import HorizonError, horizon_errors
 from loose_env.gap.joint_motion import JointMotion, joint_motion
 from loose_env.gap.judgement import Judged
+from loose_env.gap.left import left_motions, left_words
 from loose_env.gap.locate import Location, locate, where_it_lives
 from loose_env.gap.machine import Machine
 from loose_env.gap.nominal import NominalFigures
@@ -24,6 +25,7 @@ from loose_env.gap.residual_tests import LeftOver, left_over
 from loose_env.gap.result import Gap, GapResult, NamedEffect, Ranked, Verdict
 from loose_env.gap.simulator import Hypothesis
 from loose_env.gap.start import StartState
+from loose_env.gap.struck import StruckChannel, struck_channels, struck_left
 from loose_env.recording import Recording
 
 __all__ = ["Evidence", "GapOutputs", "gather", "outputs_of", "result_of", "write_model_and_result"]
@@ -86,6 +88,12 @@ class Evidence:
     """What is left on the held-out runs."""
     left_location: Location
     """Where that is."""
+    struck_before: tuple[StruckChannel, ...] = ()
+    """Of the nominal model: channels of held-out runs that are compared by features."""
+    struck_after: tuple[StruckChannel, ...] = ()
+    """Of the corrected one."""
+    warnings: tuple[str, ...] = ()
+    """What came to light."""
 
 
 def outputs_of(found: GapFound, recording: Recording, settings: GapSettings) -> GapOutputs:
@@ -122,17 +130,27 @@ def machine_part(judged: Judged) -> Hypothesis:
 def gather(outputs: GapOutputs, *, say: Say = lambda _: None) -> Evidence:
     """Locate the gap, run open loop from many starts, and test what is left."""
     say("where the gap is")
-    machine, motions = _with_figures(outputs), {}
+    machine, motions, struck = _with_figures(outputs), {}, {}
+    before, corrected = machine_part(outputs.base), machine_part(outputs.best)
     for name, comparison in (("fit", outputs.fit), ("held", outputs.held)):
         motions[name] = tuple(
             joint_motion(machine, trial, comparison.channels, comparison.floors)
             for trial in comparison.trials
         )
+        struck[name] = struck_channels(comparison, before, motions[name])
+    struck_after = struck_channels(outputs.held, corrected, motions["held"])
     parts = [
         _located(outputs.fit, outputs.base.fitted.residual, motions["fit"]),
         _located(outputs.held, outputs.base.held_residual, motions["held"]),
     ]
-    after = _located(outputs.held, outputs.best.held_residual, motions["held"])
+    left = [
+        _left(outputs, comparison, residual, motions[name])
+        for name, comparison, residual in (
+            ("fit", outputs.fit, outputs.best.fitted.residual),
+            ("held", outputs.held, outputs.best.held_residual),
+        )
+    ]
+    struck_fit = struck_channels(outputs.fit, corrected, motions["fit"])
     say("open-loop errors by horizon")
     errors = [
         horizon_errors(
@@ -140,25 +158,39 @@ def gather(outputs: GapOutputs, *, say: Say = lambda _: None) -> Evidence:
             outputs.held.trials,
             outputs.held.channels,
             outputs.held.floors,
-            machine_part(judged),
+            hypothesis,
             threads=outputs.threads,
         )
-        for judged in (outputs.base, outputs.best)
+        for hypothesis in (before, corrected)
     ]
     say("tests of what is left")
     held = outputs.held
     return Evidence(
         motions_held=motions["held"],
         location=Location(
-            channels=tuple(gap for part in parts for gap in part.channels),
+            channels=(
+                *(gap for part in parts for gap in part.channels),
+                *(each.gap for many in struck.values() for each in many),
+            ),
             joints=tuple(gap for part in parts for gap in part.joints),
         ),
         before=errors[0],
         after=errors[1],
-        left_over=left_over(
-            outputs.best.held_residual, held.rows, held.trials, held.channels, motions["held"]
+        left_over=(
+            *left_over(
+                outputs.best.held_residual, held.rows, held.trials, held.channels, motions["held"]
+            ),
+            *struck_left(struck_after),
         ),
-        left_location=Location(channels=after.channels),
+        left_location=Location(
+            channels=(
+                *(gap for part in left for gap in part.channels),
+                *(each.gap for each in (*struck_fit, *struck_after)),
+            ),
+            joints=tuple(gap for part in left for gap in part.joints),
+        ),
+        struck_before=tuple(struck["held"]),
+        struck_after=tuple(struck_after),
     )
 
 
@@ -175,15 +207,19 @@ def _located(comparison: Comparison, residual: Array, motions: Sequence[JointMot
     return locate(residual, comparison.rows, comparison.trials, comparison.channels, motions)
 
 
+def _left(
+    outputs: GapOutputs, comparison: Comparison, residual: Array, motions: Sequence[JointMotion]
+) -> Location:
+    """Where the corrected model disagrees; as torque only where that is known of it."""
+    own = left_motions(outputs.machine, comparison, machine_part(outputs.best))
+    found = _located(comparison, residual, own or motions)
+    return found if own else Location(channels=found.channels)
+
+
 def result_of(outputs: GapOutputs, evidence: Evidence) -> GapResult:
     """Sum a comparison up."""
     held = outputs.held
     before, after = outputs.base.held_residual, outputs.best.held_residual
-    by_channel = {}
-    for c, channel in enumerate(held.channels):
-        own = (held.rows.channel == c) & ~held.rows.white
-        if own.any():
-            by_channel[channel.name] = (_rms(before[own]), _rms(after[own]))
     pairs = zip(evidence.before, evidence.after, strict=True)
     effects, values = zip(*outputs.added, strict=True)
     unexplained = outputs.verdict == "unexplained"
@@ -192,7 +228,7 @@ def result_of(outputs: GapOutputs, evidence: Evidence) -> GapResult:
         gap=Gap(
             before=_rms(before),
             after=_rms(after),
-            by_channel=by_channel,
+            by_channel=_by_channel(outputs, evidence),
             by_horizon_s={f"{b.horizon:.1f}": (b.over_floor, a.over_floor) for b, a in pairs},
         ),
         effects=outputs.effects,
@@ -202,12 +238,37 @@ def result_of(outputs: GapOutputs, evidence: Evidence) -> GapResult:
         nominal_figures=_figures(outputs),
         location=evidence.location,
         where_it_lives=tuple(
-            where_it_lives(evidence.left_location if unexplained else evidence.location, most=2)
+            where_it_lives(evidence.left_location, most=2, always=True)
+            if unexplained
+            else where_it_lives(evidence.location, most=2)
         ),
+        left=()
+        if outputs.verdict == "no_gap"
+        else tuple(left_words(outputs.base, outputs.best, evidence.left_location)),
+        left_location=evidence.left_location,
         left_over=evidence.left_over,
-        warnings=outputs.warnings,
+        warnings=(*outputs.warnings, *evidence.warnings),
         settings=outputs.settings,
     )
+
+
+def _by_channel(outputs: GapOutputs, evidence: Evidence) -> dict[str, tuple[float, float]]:
+    """Gap of each channel before and after; of runs compared by features, that of its features."""
+    held, found = outputs.held, {}
+    for c, channel in enumerate(held.channels):
+        own = (held.rows.channel == c) & ~held.rows.white
+        parts = [
+            np.concatenate(
+                [residual[own], *(s.features for s in many if s.gap.channel == channel.name)]
+            )
+            for residual, many in (
+                (outputs.base.held_residual, evidence.struck_before),
+                (outputs.best.held_residual, evidence.struck_after),
+            )
+        ]
+        if len(parts[0]):
+            found[channel.name] = (_rms(parts[0]), _rms(parts[1]))
+    return found
 
 
 def _figures(outputs: GapOutputs) -> dict[str, float]:

@@ -12,7 +12,7 @@ from scipy.signal import welch
 from loose_env.gap.comparison import Rows
 from loose_env.gap.trial import Channel, Trial
 
-__all__ = ["Series", "band_edges", "density", "mean_spectrum", "series_of", "spectrum"]
+__all__ = ["Series", "band_edges", "density", "in_bands", "mean_spectrum", "series_of", "spectrum"]
 
 Array = NDArray[np.float64]
 
@@ -114,7 +114,11 @@ def mean_spectrum(many: Sequence[Series]) -> tuple[Array, Array]:
 
 def spectrum(many: Sequence[Series], *, points: int = _POINTS) -> tuple[Array, Array]:
     """Mean spectrum in bands of even width on a logarithmic axis (K,), (K,)."""
-    frequency, power = mean_spectrum(many)
+    return in_bands(*mean_spectrum(many), points=points)
+
+
+def in_bands(frequency: Array, power: Array, *, points: int = _POINTS) -> tuple[Array, Array]:
+    """Means of a spectrum (K,), (K,) in bands of even width on a logarithmic axis."""
     if len(frequency) < 2:
         return frequency, power
     edges = np.geomspace(frequency[0] * 0.999, frequency[-1] * 1.001, points + 1)

@@ -99,6 +99,11 @@ class ResponseFeatures:
             found[members] = weights @ rows[channel]
         return found
 
+    @property
+    def about(self) -> list[tuple[int, ...]]:
+        """Numbers of the channels that each feature is about."""
+        return [(feature.channel,) for feature in self._features]
+
     def influences(self) -> Array:
         """What each sample of the measured rest adds to each feature (T, L)."""
         loose = self._rest.series(np.ones(len(self._rest.density), dtype=bool))

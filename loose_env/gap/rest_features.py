@@ -79,6 +79,18 @@ class RestFeatures:
             *(f"kurtosis of {own[c]}" for c in self._shaped),
         )
 
+    @property
+    def about(self) -> list[tuple[int, ...]]:
+        """Numbers of the channels that each feature is about, in the order of `names`."""
+        shaped = [(c,) for c in self._shaped]
+        return [
+            *((c,) for c in range(len(self._channels))),
+            *shaped,
+            *self._pairs,
+            *shaped,
+            *shaped,
+        ]
+
     def of(self, rest: Incoherent, *, noisy: bool) -> Array:
         """Features of a rest -> (R,); the noise floor is added to one that is not noisy."""
         noise = np.zeros_like(self._noise) if noisy else self._noise

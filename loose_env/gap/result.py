@@ -137,7 +137,7 @@ class GapResult:
     left: tuple[str, ...] = ()
     """How much is left after the named effects, and where, in sentences; empty where nothing is."""
     left_location: Location = field(default_factory=Location)
-    """Where that is, on the held-out runs, with the corrected model."""
+    """Where that is, with the corrected model, on all runs."""
     left_over: tuple[LeftOver, ...] = ()
     """Tests of what is left."""
     warnings: tuple[str, ...] = ()

@@ -92,6 +92,26 @@ class Structure:
         counts += np.bincount(self._white_channel, minlength=self.channels)
         return np.stack([*sums, counts])
 
+    def by_group(self, residual: Array, group: NDArray[np.intp]) -> Array:
+        """Sums of the products by lag and group of rows (3, G); features are left out.
+
+        Parameters
+        ----------
+        residual : ndarray (N,)
+            Of all rows.
+        group : ndarray (N,)
+            Number of a group for each row; rows of one run and channel are all in one.
+        """
+        count = int(group.max(initial=-1)) + 1
+        return np.stack(
+            [
+                np.bincount(
+                    group[first], weight * residual[first] * residual[second], minlength=count
+                )
+                for first, second, weight, _, _ in self._pairs
+            ]
+        )
+
 
 def largest(sums: Array) -> Array:
     """Largest of sums by lag (3, ...), of either sign (...)."""

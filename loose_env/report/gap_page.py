@@ -13,15 +13,14 @@ from loose_env.gap.dependence import Dependence
 from loose_env.gap.joint_motion import JointMotion
 from loose_env.gap.locate import main_band, strongest
 from loose_env.gap.reporting import Evidence, GapOutputs
-from loose_env.gap.residual_series import Series, series_of, spectrum
 from loose_env.gap.result import GapResult
 from loose_env.report.gap_figures import (
     channel_bars,
     horizon_curves,
     residual_panels,
-    spectrum_curves,
 )
 from loose_env.report.gap_parts import group, signed, spread
+from loose_env.report.gap_spectra import by_channel, spectra_group
 from loose_env.report.gap_words import (
     effect_words,
     headline,
@@ -38,8 +37,6 @@ __all__ = ["render_gap_page", "write_gap_page"]
 
 Array = NDArray[np.float64]
 
-_SPECTRA = 4
-"""Channels whose spectra are drawn."""
 _PANELS = ("position", "velocity", "load")
 _UNITS = {
     "N·m": {"position": "rad", "velocity": "rad/s", "load": "N·m"},
@@ -67,7 +64,7 @@ def render_gap_page(outputs: GapOutputs, evidence: Evidence, result: GapResult) 
     """Return the page that `write_gap_page` writes."""
     groups = [
         _gap_group(evidence, result),
-        _spectra_group(outputs, result),
+        spectra_group(outputs, evidence, result),
         _motion_group(outputs, evidence),
         _location_group(evidence),
         _ranking_group(result),
@@ -98,6 +95,8 @@ def _questions(result: GapResult) -> list[tuple[str, list[str]]]:
     if result.where_it_lives and result.verdict != "no_gap":
         found.append(("Where it shows", list(result.where_it_lives)))
     found.append(("How large it is", size_words(result)))
+    if result.left and result.verdict == "named":
+        found.append(("What is left", list(result.left)))
     if result.effects:
         found.append(
             ("How sure", [f"{e.kind} at {e.where}: {sure_words(e)}." for e in result.effects])
@@ -138,35 +137,6 @@ def _gap_group(evidence: Evidence, result: GapResult) -> dict[str, Any]:
         "On the held-out runs: the nominal model, fitted within its tolerance, and the corrected "
         "one. At 1 nothing is left but the sensors' noise.",
         plates=plates if pairs else [],
-    )
-
-
-def _series(outputs: GapOutputs, residual: Array) -> dict[str, list[Series]]:
-    held = outputs.held
-    found: dict[str, list[Series]] = {}
-    for series in series_of(residual, held.rows, held.trials, held.channels):
-        found.setdefault(series.channel, []).append(series)
-    return found
-
-
-def _spectra_group(outputs: GapOutputs, result: GapResult) -> dict[str, Any]:
-    before = _series(outputs, outputs.base.held_residual)
-    after = _series(outputs, outputs.best.held_residual)
-    worst = sorted(result.gap.by_channel, key=lambda c: -result.gap.by_channel[c][0])
-    plates = [
-        Plate(
-            title=channel,
-            image=spectrum_curves(spectrum(before[channel]), spectrum(after[channel])),
-            caption=f"Spectrum of what {channel} shows beyond the model, over that of its noise; "
-            "the dashed line is the noise floor.",
-        )
-        for channel in worst[:_SPECTRA]
-        if channel in before and len(spectrum(before[channel])[0]) > 1
-    ]
-    return group(
-        "Spectra before and after",
-        "At which frequencies the held-out runs disagree, of the channels with the largest gap.",
-        plates=plates,
     )
 
 
@@ -226,8 +196,8 @@ def _torque_plate(motions: Sequence[JointMotion], joint: str, number: int) -> Pl
 
 def _reading_plate(outputs: GapOutputs, evidence: Evidence) -> Plate | None:
     """Residual of the worst channel, before and after."""
-    before = _series(outputs, outputs.base.held_residual)
-    after = _series(outputs, outputs.best.held_residual)
+    before = by_channel(outputs, outputs.base.held_residual)
+    after = by_channel(outputs, outputs.best.held_residual)
     gaps = {
         name: np.sqrt(np.mean(np.concatenate([s.residual for s in many]) ** 2))
         for name, many in before.items()
@@ -343,8 +313,12 @@ def _left_group(result: GapResult) -> dict[str, Any]:
             {
                 "Channel": left.channel,
                 "Over the noise": f"{left.over_floor:.2f}",
-                "Neighbours": signed(left.autocorrelation),
-                "Hangs together": "white"
+                "Neighbours": "by features"
+                if np.isnan(left.autocorrelation)
+                else signed(left.autocorrelation),
+                "Hangs together": "by features"
+                if np.isnan(left.largest)
+                else "white"
                 if left.white
                 else f"{1e3 * left.correlation_time:.3g} ms",
                 "Goes with": "nothing surely"
@@ -356,7 +330,8 @@ def _left_group(result: GapResult) -> dict[str, Any]:
     note = (
         "The corrected model on the held-out runs. Neighbours: autocorrelation of neighbouring "
         "samples, 0 for noise. Hangs together: over what time. Drift: from the beginning of a run "
-        "to its end, in noise standard deviations."
+        "to its end, in noise standard deviations. By features: of runs in which stops are struck, "
+        "over what a right model scatters by, without an order in time."
     )
     return group("What is left", "", tables=[{"rows": rows, "note": note}] if rows else [])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from loose_env.gap.left import CLOSED
 from loose_env.gap.result import GapResult, NamedEffect, Place, Ranked
 from loose_env.gap.separating import how_to_separate
 
@@ -17,8 +18,6 @@ __all__ = [
     "sure_words",
 ]
 
-_CLOSED = 1.25
-"""Gap after, over the noise floor, up to which it counts as closed."""
 _PLAIN = {
     "viscous_friction": "viscous friction",
     "coulomb_friction": "dry friction",
@@ -69,7 +68,12 @@ def headline(result: GapResult) -> str:
     if result.verdict == "unexplained":
         beside = f" beside {listed}" if names else ""
         return f"Something is missing{beside} that is not in the catalogue."
-    return f"The model lacks {listed}."
+    return f"The model lacks {listed}{', and something else' if _open(result) else ''}."
+
+
+def _open(result: GapResult) -> bool:
+    """Whether much is left of the gap after what was named."""
+    return bool(result.left) and result.gap.after > CLOSED
 
 
 def _grouped(effects: Sequence[NamedEffect]) -> list[str]:
@@ -97,7 +101,7 @@ def size_words(result: GapResult) -> list[str]:
     if result.verdict == "no_gap":
         return [f"{said}: that is what its tolerance and the noise leave."]
     left = f"; the corrected model {gap.after:.2f} times."
-    if gap.after <= _CLOSED:
+    if gap.after <= CLOSED:
         left += " The gap is closed down to the noise."
     elif gap.after < 0.7 * gap.before:
         left += " The gap is smaller, not closed: see what is left."
@@ -202,6 +206,9 @@ def next_steps(result: GapResult) -> list[str]:
             steps.append(f"To tell {first} from {second}: {advice[0].lower()}{advice[1:]}")
     if result.verdict == "unexplained":
         steps += [f"Look here: {words}" for words in result.where_it_lives]
+    elif _open(result):
+        steps += [f"Look here for what else is missing: {words}" for words in result.left[1:]]
+    if result.verdict == "unexplained" or _open(result):
         steps.append(
             "If you know what it is, add it: an effect is one small class in one file, and is "
             "tried like the others."

@@ -15,7 +15,7 @@ from loose_env.cli.main import main
 from loose_env.errors import InvalidData
 from loose_env.gap.finding import GapSettings
 from loose_env.gap.reporting import GapOutputs
-from loose_env.gap.result import read_result
+from loose_env.gap.result import Gap, GapResult, NamedEffect, read_result
 from loose_env.recording import Recording
 from tests.gap.gap_case import outputs_for, record
 
@@ -162,3 +162,11 @@ def test_a_command_line_that_makes_no_sense_is_argparses_affair(
         main(["gap", "--help"])
     assert ended.value.code == 0
     assert "Exit codes" in capsys.readouterr().out
+
+
+def test_what_is_left_is_printed_beside_what_was_named() -> None:
+    found = GapResult(
+        verdict="named", gap=Gap(before=9.0, after=3.0), left=("3 are left of 9.", "q is off."),
+        effects=(NamedEffect(kind="actuator_gain", where="m1", parameters={"gain": 2.0}),),
+    )  # fmt: skip
+    assert "left: 3 are left of 9.\n  q is off.\ngap on held-out runs" in gap.summary(found)

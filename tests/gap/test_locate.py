@@ -8,7 +8,15 @@ from numpy.typing import NDArray
 from loose_env.gap.comparison import Rows
 from loose_env.gap.dependence import REGRESSORS, binned, dependence, direction_of
 from loose_env.gap.joint_motion import JointMotion, joint_motion
-from loose_env.gap.locate import locate, main_band, strongest, where_it_lives
+from loose_env.gap.locate import (
+    Band,
+    ChannelGap,
+    Location,
+    locate,
+    main_band,
+    strongest,
+    where_it_lives,
+)
 from loose_env.gap.machine import Machine
 from loose_env.gap.residual_series import band_edges, density, series_of, spectrum
 from loose_env.gap.residual_tests import left_over
@@ -135,6 +143,44 @@ def test_the_worst_run_speaks_for_a_channel() -> None:
     )
     assert len(location.channels) == 4
     assert "(run-02.csv)" in where_it_lives(location)[0]
+
+
+FAINT = 0.25 * np.sign(SPEED)
+"""A friction that shows as 1.03 of the noise: nothing by its size, and surely there."""
+
+
+def test_a_gap_that_is_hardly_larger_than_the_noise_is_told_of_where_it_hangs_together() -> None:
+    location = locate(residual(FAINT), rows_of(), [trial_of()], CHANNELS, [motion()])
+    gap = location.channels[0]
+    assert gap.over_floor < 1.1 and gap.sureness > 4
+    assert gap.together == pytest.approx(0.25, rel=0.2)
+    (words,) = where_it_lives(location)
+    assert words.startswith("sensor.q is hardly off by more than its noise")
+    assert "direction of turn" in words and "run-01.csv" in words and "Hz" in words
+
+
+def test_noise_does_not_hang_together() -> None:
+    sure = [
+        gap.sureness
+        for seed in range(40)
+        for gap in locate(
+            residual(np.zeros(COUNT), seed), rows_of(), [trial_of()], CHANNELS, [motion()]
+        ).channels
+    ]
+    assert max(sure) < 4
+
+
+def test_something_known_to_disagree_is_always_given_a_place() -> None:
+    faint = ChannelGap(
+        run="a", channel="sensor.q", over_floor=1.15, offset=0.0,
+        bands=(Band(low=0, high=1, over_floor=3.0, share=0.9),), depends=(), sureness=2.0,
+        together=0.3,
+    )  # fmt: skip
+    location = Location(channels=(faint,))
+    assert where_it_lives(location) == []
+    (words,) = where_it_lives(location, always=True)
+    assert "sensor.q" in words and "0 and 1 Hz" in words
+    assert "none of position, velocity, direction, acceleration, load" in words
 
 
 def simulated(damping: float, friction: float, *, noise: float = 2e-5) -> Trial:

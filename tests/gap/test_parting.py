@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import mujoco
@@ -11,10 +12,17 @@ from scipy import signal
 
 from loose_env.gap.effects.structural_looseness import StructuralLooseness
 from loose_env.gap.finding import GapSettings, find_gap, prepare
+from loose_env.gap.joint_motion import joint_motion
+from loose_env.gap.judgement import Judge
 from loose_env.gap.machine import Machine
-from loose_env.gap.reporting import gather, outputs_of, result_of
+from loose_env.gap.nominal import NominalFigures
+from loose_env.gap.reporting import GapOutputs, gather, outputs_of, result_of
+from loose_env.gap.simulator import Hypothesis
+from loose_env.gap.struck import struck_channels
 from loose_env.recording import Recording, Run, write_recording
+from loose_env.report.gap_page import render_gap_page
 from tests.gap.effect_arms import PLANAR
+from tests.gap.gap_case import stated
 
 # The plane is level, so that nothing but the excitation holds the slide at its stops.
 LEVEL = PLANAR.replace('gravity="0 -9.81 0"', 'gravity="0 0 -9.81"')
@@ -95,3 +103,47 @@ def test_the_loose_link_is_named_by_features(struck: Recording) -> None:
     result = result_of(outputs, gather(outputs))
     assert result.gap.after < 0.5 * result.gap.before
     assert result.effects[0].where == "link2"
+    names = {channel.name for channel in found.prepared.whole_held.channels}
+    assert set(result.gap.by_channel) == names
+    before, after = result.gap.by_channel["sensor.shake.y"]
+    assert before > 3 and after < 0.6 * before
+    assert {left.channel for left in result.left_over} == names
+
+
+def test_where_a_run_of_struck_stops_disagrees_is_told_from_its_features(struck: Recording) -> None:
+    prepared = prepare(struck, GapSettings(threads=1))
+    held = prepared.whole_held
+    machine = held.machine
+    judge = Judge(prepared.fit, held)
+    nominal = NominalFigures(machine, tolerance=0.03)
+    base = judge.judge(stated(prepared.fit, [nominal], [np.ones(len(nominal.parameters))]))
+    outputs = GapOutputs(
+        machine=machine, fit=prepared.fit, held=held, base=base, best=base, verdict="unexplained",
+        recording="struck", threads=1,
+    )  # fmt: skip
+    evidence = gather(outputs)
+    result = result_of(outputs, evidence)
+    assert {gap.run for gap in result.location.channels} == {run.name for run in struck.runs}
+    assert result.where_it_lives and all(".parquet" in words for words in result.where_it_lives)
+    assert any("Hz" in words for words in result.where_it_lives)
+    assert any("sensor.shake" in words for words in result.left)
+    assert result.left[0].startswith(f"{result.gap.after:.3g} noise standard deviations are left")
+    page = render_gap_page(outputs, evidence, result)
+    assert "Spectra before and after" in page and "By how much the power of sensor.shake" in page
+    assert "by features" in page and not re.search(r"\bnan\b", page, re.IGNORECASE)
+
+
+def test_a_right_model_of_struck_stops_disagrees_nowhere(struck: Recording) -> None:
+    """The simulation parts ways with the run, and its features, bands and motion do not."""
+    prepared = prepare(struck, GapSettings(threads=1))
+    held, machine = prepared.whole_held, prepared.machine
+    looseness = StructuralLooseness(machine, "link2")
+    right = Hypothesis(effects=(looseness,), values=(np.array([1.0, 2e-4, 1.0, 1e6, 0.03]),))
+    motions = [joint_motion(machine, t, held.channels, held.floors) for t in held.trials]
+    nothing = Hypothesis(effects=(), values=())
+    good, bad = (struck_channels(held, h, motions) for h in (right, nothing))
+    for one, other in zip(good, bad, strict=True):
+        assert one.gap.over_floor < 2.5
+        for a, b in zip(one.gap.bands, other.gap.bands, strict=True):
+            assert a.over_floor < max(2.0, 0.7 * b.over_floor)
+    assert max(one.gap.over_floor for one in bad) > 5

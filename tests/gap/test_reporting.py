@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from loose_env.gap.judgement import Judge
 from loose_env.gap.keeping import judged_of, plain_judged
 from loose_env.gap.nominal import NominalFigures
 from loose_env.gap.reporting import (
@@ -22,7 +23,7 @@ from loose_env.gap.reporting import (
 from loose_env.gap.result import read_result
 from loose_env.gap.stages import Stages, key_of
 from loose_env.recording import Recording, read_recording
-from tests.gap.gap_case import DAMPING, GAIN, outputs_for, record
+from tests.gap.gap_case import DAMPING, GAIN, outputs_for, record, stated
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +93,39 @@ def test_unexplained_says_where_what_is_left_lives(outputs: GapOutputs, evidence
     halfway = replace(outputs, verdict="unexplained", effects=())
     said = result_of(halfway, evidence).where_it_lives
     assert not any("joint2 got" in words for words in said)
+
+
+def test_what_is_left_after_the_named_effects_is_told_with_its_place(
+    outputs: GapOutputs, evidence: Evidence
+) -> None:
+    assert result_of(outputs, evidence).left == ()
+    # Only the friction at joint2 was named: the sensor's gain is left, and no torque.
+    judge = Judge(outputs.fit, outputs.held)
+    kept = outputs.added[:2]
+    stopped = replace(
+        outputs,
+        best=judge.judge(stated(outputs.fit, [e for e, _ in kept], [v for _, v in kept])),
+        effects=outputs.effects[:1],
+    )
+    found = gather(stopped)
+    result = result_of(stopped, found)
+    assert result.left[0] == (
+        f"{result.gap.after:.3g} noise standard deviations are left of {result.gap.before:.3g} on "
+        f"the held-out runs ({100 * result.gap.after / result.gap.before:.0f} %): something is "
+        "missing that was not named."
+    )
+    assert result.left[1].startswith("sensor.rate3 is up to") and "velocity" in result.left[1]
+    assert not any("joint2 got 4." in words for words in result.left)
+    assert any("joint2 got" in words for words in result.where_it_lives)
+    written = json.loads(result.to_json())
+    assert written["left"] == list(result.left)
+    assert len({gap["run"] for gap in written["left_location"]["channels"]}) == 3
+
+
+def test_unexplained_torque_stays_told_of_where_nothing_was_added(outputs: GapOutputs) -> None:
+    bare = replace(outputs, verdict="unexplained", effects=(), best=outputs.base)
+    said = result_of(bare, gather(bare)).where_it_lives
+    assert any(words.startswith("joint2 got 4.") for words in said)
 
 
 def test_a_judged_fit_is_kept_and_taken_up_again(

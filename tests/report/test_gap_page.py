@@ -179,6 +179,22 @@ def test_every_ambiguous_effect_gets_a_motion_that_separates_it() -> None:
     assert "move joint1 while joint2 is held" in steps[2]
 
 
+def test_a_remainder_is_told_in_the_headline_and_in_words() -> None:
+    part = result(
+        "named", gap=Gap(before=115.0, after=43.0), effects=named("m1"),
+        left=("43 noise standard deviations are left.", "sensor.q is up to 50 off."),
+    )  # fmt: skip
+    assert headline(part) == "The model lacks another gain (m1), and something else."
+    assert any("sensor.q is up to 50 off." in step for step in next_steps(part))
+
+
+def test_the_page_says_what_is_left(outputs: GapOutputs, evidence: Evidence) -> None:
+    part = replace(result_of(outputs, evidence), left=("Much is left.", "It is in encoder1."))
+    page = render_gap_page(outputs, evidence, part)
+    first = page.index("<svg")
+    assert 0 < page.index("Much is left.") < page.index("It is in encoder1.") < first
+
+
 def row(kind: str, where: str, *others: str, step: int = 1) -> Ranked:
     places = tuple(Place(kind=kind, where=other) for other in others)
     return Ranked(kind=kind, where=where, held_out=1.0, bic=-9.0, step=step, together_with=places)
