@@ -231,10 +231,10 @@ class GapSteps:
             else:
                 proposed = proposals(search, self.best.fitted.hypothesis, found)
                 screened = screen(short, trying.short_before, found, proposed=proposed)[:1]
-            judged = trying.singles(screened)
-        if not judged:
-            raise InvalidData(f"{found[0]!r} changes nothing that was measured, from any start")
-        tried = self._tried(judged[0])
+            fits = trying.singles(screened)
+            if not fits:
+                raise InvalidData(f"{found[0]!r} changes nothing that was measured, from any start")
+            tried = self._tried(self._judge.judge(polished(search, fits[0].fitted)))
         self.say(str(tried))
         return tried
 
@@ -251,8 +251,7 @@ class GapSteps:
             raise InvalidSetting(
                 f"{tried.effect!r} was tried before {self.added[-1]!r} was added; try it again"
             )
-        with quiet():
-            self.best = self._judge.judge(polished(self.prepared.search, tried.judged.fitted))
+        self.best = tried.judged
         self.say(f"{tried.effect!r} added: {self.best.held_rms:.2f} held out")
 
     def residuals(self) -> tuple[Series, ...]:
