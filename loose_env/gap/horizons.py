@@ -65,7 +65,7 @@ class _Whole:
     states: dict[str, Array]
     """qpos, qvel, act at every step (steps, ...)."""
     shown: Array
-    """Sensors and actuator forces at the samples (T, sensors + actuators)."""
+    """Sensors at the samples (T, sensors)."""
 
 
 def horizon_errors(
@@ -292,7 +292,7 @@ def _followed(
     What the engine records of a step is the state after it, and the readings before it.
     """
     begin = {name: np.array(getattr(batch, name)) for name in STATES}
-    found = _rollout(moved, controls, (*STATES, "sensordata", "actuator_force"))
+    found = _rollout(moved, controls, (*STATES, "sensordata"))
     states = {
         name: np.concatenate([begin[name][:, None], found[name][:, :-1]], axis=1) for name in STATES
     }
@@ -308,12 +308,11 @@ def _shown(
     states: dict[str, Array],
     found: dict[str, Array],
 ) -> Array:
-    """Sensors and forces of the machine's own actuators (sims, steps, sensors + actuators).
+    """Sensors (sims, steps, sensors).
 
     `steps` are those of the run which each simulation passes (sims, steps).
     """
-    driven = len(simulator.machine.actuators)
-    shown = np.concatenate([found["sensordata"], found["actuator_force"][..., :driven]], axis=-1)
+    shown = found["sensordata"]
     if not changes_within(hypothesis):
         return shown
     clock = np.arange(trial.steps, dtype=float) * trial.step

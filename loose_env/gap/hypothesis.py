@@ -15,6 +15,7 @@ __all__ = ["Hypothesis"]
 
 Array = NDArray[np.float64]
 
+_FORCE = "loose_env force of "
 _OFF = 30
 """Group of actuators that are switched off."""
 
@@ -33,11 +34,22 @@ class Hypothesis:
     """Added to the measured start speeds [rad/s, m/s] (trials, joints)."""
 
     def model(self, machine: Machine, step: float, *, released: bool = False) -> mujoco.MjModel:
-        """Compile the model that it stands for, its drives off if the arm was let go."""
+        """Compile the model that it stands for, its drives off if the arm was let go.
+
+        The last sensors are the forces of the machine's own actuators.
+        """
         spec = machine.fresh()
         spec.option.timestep = step
         for effect, values in zip(self.effects, self.values, strict=True):
             effect.edit(spec, values)
+        for name in machine.actuators:
+            # what a Runge-Kutta step leaves in actuator_force is the force at its end
+            spec.add_sensor(
+                name=_FORCE + name,
+                type=mujoco.mjtSensor.mjSENS_ACTUATORFRC,
+                objtype=mujoco.mjtObj.mjOBJ_ACTUATOR,
+                objname=name,
+            )
         model = spec.compile()
         if released:  # effects that are written as actuators are none of its drives
             model.actuator_group[: len(machine.actuators)] = _OFF

@@ -61,7 +61,7 @@ def readings_at(
     controls: Array,
     threads: int,
 ) -> Array:
-    """Sensors and forces of the machine's own actuators (T, sensors + actuators).
+    """Sensors, with commands as they are at the moment (T, sensors).
 
     Parameters
     ----------
@@ -78,14 +78,13 @@ def readings_at(
     threads : int
         Threads of the simulation; 0: all processors.
     """
-    driven = len(machine.actuators)
     batch = Batch(model, min(_AT_A_TIME, len(controls)), threads)
     batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
-    sensed, force = batch.bind("sensordata"), batch.bind("actuator_force")
+    sensed = batch.bind("sensordata")
     joints = [model.joint(name) for name in machine.joints]
     places = [int(joint.qposadr[0]) for joint in joints]
     dofs = [int(joint.dofadr[0]) for joint in joints]
-    found = np.empty((len(controls), model.nsensordata + driven))
+    found = np.empty((len(controls), model.nsensordata))
     for first in range(0, len(controls), _AT_A_TIME):
         count = min(_AT_A_TIME, len(controls) - first)
         part = slice(first, first + count)
@@ -96,5 +95,5 @@ def readings_at(
             at = states["qpos"][part][:, places], states["qvel"][part][:, dofs]
             batch.qfrc_applied[:count, dofs] = torque_terms(hypothesis, *at)
         batch.forward()
-        found[part] = np.hstack([sensed[:count], force[:count, :driven]])
+        found[part] = sensed[:count]
     return found

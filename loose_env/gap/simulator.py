@@ -118,7 +118,7 @@ class Simulator:
         )
 
     def _simulate(self, slots: list[_Slot], layout: tuple[object, ...]) -> list[Array]:
-        """Sensors and actuator forces at the samples (T, sensors + actuators), by slot."""
+        """Sensors at the samples (T, sensors), by slot."""
         batch = self._batch(layout, slots)
         moved = with_terms(batch, self.machine, [slot.hypothesis for slot in slots])
         parts = slots[0].parts
@@ -139,8 +139,7 @@ class Simulator:
             wild |= _advance(moved, settle, held, np.flatnonzero(resting), None)
             batch.time[resting] = 0.0
         self.simulated += len(slots) * steps
-        sensed, driven = slots[0].model.nsensordata, len(self.machine.actuators)
-        width = sensed + driven
+        width = slots[0].model.nsensordata
         # where a command changes within a step, sensors are worked out once more
         names = STATES if parts > 1 else ()
         states: dict[str, list[Array]] = {name: [] for name in names}
@@ -156,8 +155,7 @@ class Simulator:
             )
             for name, found in states.items():
                 found += [before[name][:, None], records[name][:, :-1]]
-            kept[:, chunk, :sensed] = records["sensordata"]
-            kept[:, chunk, sensed:] = records["actuator_force"][:, :, :driven]
+            kept[:, chunk] = records["sensordata"]
         kept = kept[:, ::parts]
         if parts > 1:
             begun = {name: np.concatenate(found, axis=1) for name, found in states.items()}
@@ -216,7 +214,8 @@ class Simulator:
                 values = whole[:, start : start + size]
                 readings[column] = values[:, 0] if size == 1 else values
             else:
-                readings[column] = whole[:, model.nsensordata :] @ self.machine.gears(name)
+                forces = whole[:, model.nsensordata - len(self.machine.actuators) :]
+                readings[column] = forces @ self.machine.gears(name)
         for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
             readings = effect.read(trial.time, readings, own)
         return np.stack(
@@ -252,7 +251,7 @@ def _advance(
     more: Sequence[str] = (),
 ) -> NDArray[np.bool_]:
     """Advance some slots; return which of all slots went wild."""
-    names = ("sensordata", "actuator_force", *more) if records is not None else ("qpos",)
+    names = ("sensordata", *more) if records is not None else ("qpos",)
     wild = np.zeros(batch.nsim, dtype=bool)
     try:
         out = batch.rollout(
