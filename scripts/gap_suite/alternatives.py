@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from .cases import Case, draw_case
+from .cases import HELD_OUT, Case, draw_case
 from .effects import RANDOM, Effect, Kind, Parameters, Place, kinds
 from .grade import Named, Separable
 from .motions import Motion
@@ -48,8 +48,8 @@ class Comparison:
         # a shaken arm's held-out run shakes the same joint in another pose
         motions = self.case.motions
         if self.case.form == RANDOM:
-            return motions[0], motions[2 % len(motions)]
-        return motions[0], motions[1]
+            return motions[-1 - min(2, len(motions) - 1)], motions[HELD_OUT]
+        return motions[0], motions[HELD_OUT]
 
     def separable(self, effect: int, named: Named) -> bool:
         """Whether held-out data tell an effect of the case from another kind and place.

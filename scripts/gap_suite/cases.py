@@ -39,6 +39,8 @@ SHORT, LONG = 3.0, 10.0
 """Lengths of runs [s]: with nothing missing, and else."""
 RUNS = 4
 """Runs of a recording."""
+HELD_OUT = -1
+"""Run that the tool holds out of so many: the last one."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -198,7 +200,7 @@ def _draw_effects(
     """Effects at places where they can be seen, or None if none was found."""
     if not wanted:
         return (), ()
-    visibility = Visibility(arm, runs[0], noise, form, seed=int(rng.integers(2**31)))
+    visibility = Visibility(arm, runs[HELD_OUT], noise, form, seed=int(rng.integers(2**31)))
     effects: list[Effect] = []
     sizes = []
     taken: set[int] = set()

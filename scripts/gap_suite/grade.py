@@ -52,6 +52,18 @@ SAID: Mapping[str, Mapping[str, str]] = {
 """Name of a parameter in a result, where it is not that of the truth."""
 NEUTRAL = {"gain": 1.0}
 """Values that change nothing; an error is judged against the distance from them."""
+OTHERS: Mapping[str, Mapping[str, Callable[[Mapping[str, Any]], float]]] = {
+    "stribeck_friction": {
+        "static_ratio": lambda p: p["static_torque"] / p["torque"],
+        "speed": lambda p: p["speed"],
+    },
+    "link_flexibility": {"position": lambda p: p["position"]},
+    "structural_looseness": {"friction": lambda p: p["friction"]},
+    "joint_spring": {"reference": lambda p: p["reference"]},
+    "torque_ripple": {"periods": lambda p: p["order"], "phase": lambda p: p["phase"]},
+}
+"""Further parameters of a result that mean the same in the truth: what they are there. Damping and
+stiffness of stops are laws of another form there, and have no counterpart."""
 LISTED: frozenset[frozenset[str]] = frozenset(
     frozenset(pair)
     for pair in (
@@ -98,13 +110,17 @@ class Grade:
     parameter_error: tuple[float, ...]
     """Relative error of the parameters of every effect named by its own name."""
     covered: tuple[bool, ...]
-    """Whether each 95 % interval given holds the truth."""
+    """Whether each 95 % interval given of these parameters holds the truth."""
+    covered_others: tuple[bool, ...]
+    """The same of further parameters that mean the same in truth and result."""
     gap_before: float
     """Held-out gap of the nominal model, in noise standard deviations."""
     gap_after: float
     """Held-out gap of the corrected model, in noise standard deviations."""
     seconds: float
     """Time the tool took, NaN if not given [s]."""
+    exported: float
+    """Held-out gap of the written model in plain MuJoCo, over that of the fit; NaN if unchecked."""
 
 
 def grade(
@@ -113,6 +129,7 @@ def grade(
     *,
     separable: Separable = lambda effect, named: True,
     seconds: float = float("nan"),
+    exported: float = float("nan"),
 ) -> Grade:
     """Mark a result.
 
@@ -127,6 +144,8 @@ def grade(
         named kind and place. By default all do.
     seconds : float
         Time the tool took [s].
+    exported : float
+        Held-out gap of the written model, over that of the fit.
 
     Returns
     -------
@@ -188,13 +207,14 @@ def grade(
         right = verdict == UNEXPLAINED
     else:
         right = len(match) == len(true) == len(said)
-    errors, covered = [], []
+    errors, covered, others = [], [], []
     if role in ("single", "pair"):
         for i, j in match.items():
             if true[i] != said[j]:
                 continue
             errors.append(_error(true[i][0], truth["effects"][i], effects[j]))
             covered += _covered(true[i][0], truth["effects"][i], effects[j])
+            others += _covered_others(true[i][0], truth["effects"][i], effects[j])
     gap = result.get("gap") or {}
     return Grade(
         case=str(truth["case"]),
@@ -209,9 +229,11 @@ def grade(
         ratio=min((e["size"]["ratio"] for e in truth["effects"]), default=float("nan")),
         parameter_error=tuple(error for error in errors if np.isfinite(error)),
         covered=tuple(covered),
+        covered_others=tuple(others),
         gap_before=_number(gap.get("before")),
         gap_after=_number(gap.get("after")),
         seconds=seconds,
+        exported=exported,
     )
 
 
@@ -242,9 +264,11 @@ def failed(truth: Mapping[str, Any]) -> Grade:
         ratio=min((e["size"]["ratio"] for e in truth["effects"]), default=nan),
         parameter_error=(),
         covered=(),
+        covered_others=(),
         gap_before=nan,
         gap_after=nan,
         seconds=nan,
+        exported=nan,
     )
 
 
@@ -305,4 +329,21 @@ def _covered(kind: str, truth: Mapping[str, Any], effect: Mapping[str, Any]) -> 
         if name in intervals:
             low, high = intervals[name]
             held.append(bool(low <= truth["parameters"][name] <= high))
+    return held
+
+
+def _covered_others(kind: str, truth: Mapping[str, Any], effect: Mapping[str, Any]) -> list[bool]:
+    """Whether the intervals of an effect's further parameters hold the truth."""
+    intervals, held = effect.get("interval_95") or {}, []
+    for name, of in OTHERS.get(kind, {}).items():
+        try:
+            true = float(of(truth["parameters"]))
+        except KeyError:
+            continue
+        if name in intervals:
+            low, high = intervals[name]
+            if name == "phase":  # the same after every turn
+                middle = 0.5 * (low + high)
+                true += 2 * np.pi * round((middle - true) / (2 * np.pi))
+            held.append(bool(low <= true <= high))
     return held

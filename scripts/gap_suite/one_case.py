@@ -23,7 +23,7 @@ from .alternatives import separable_by_data
 from .cases import draw_case, name_of, role_of
 from .grade import Grade, failed, grade
 from .recordings import is_written, write_case
-from .tool import RESULT, Tool, run_tool
+from .tool import EXPORTED, RESULT, Tool, run_tool
 
 __all__ = ["Folders", "Row", "grade_of", "line_of", "lost", "run_case", "shard_for"]
 
@@ -114,6 +114,7 @@ def run_case(shard: Shard, *, folders: Folders, tool: Tool = run_tool) -> list[R
                 json.loads((folder / RESULT).read_text(encoding="utf-8")),
                 read_truth(folders, name),
                 separable=separable_by_data(number),
+                exported=_exported(folder),
                 seconds=times.spent["tool"],
             )
     except Exception as error:
@@ -124,6 +125,15 @@ def run_case(shard: Shard, *, folders: Folders, tool: Tool = run_tool) -> list[R
     if not folders.keep:
         shutil.rmtree(folders.recordings / name, ignore_errors=True)
     return [_row(number, marks, "", times.spent)]
+
+
+def _exported(folder: Path) -> float:
+    """Gap that the written model leaves over that of the fit; NaN where it was not checked."""
+    file = folder / EXPORTED
+    if not file.exists():
+        return math.nan
+    gaps = json.loads(file.read_text(encoding="utf-8"))
+    return float(gaps["exported"]) / max(float(gaps["fit"]), 1e-12)
 
 
 def read_truth(folders: Folders, name: str) -> dict[str, Any]:
@@ -162,7 +172,7 @@ def grade_of(row: Mapping[str, Any]) -> Grade:
     marks = dict(row["grade"])
     for name in ("truth", "said"):
         marks[name] = tuple((str(kind), str(where)) for kind, where in marks[name])
-    for name in ("parameter_error", "covered"):
+    for name in ("parameter_error", "covered", "covered_others"):
         marks[name] = tuple(marks[name])
     return Grade(**marks)
 

@@ -4,13 +4,13 @@ Let d be the difference that an effect makes to the readings of one run, in stan
 of the noise, and G the change of the readings with the nuisance parameters (masses, inertias,
 dampings, gains and rotors, each known within the tolerance). What no nuisance explains is
 
-    excess = min |d + G t|²  over all t within twice the tolerance,
+    excess = min |d + G t|²  over all t that the tolerance leaves,
 
 the chi-square that the best model without the effect has above its expectation N, the number of
-independent readings. Twice the tolerance, because the true figure may lie at one end of it and
-the effect may seem to carry it to the other: an effect that could be such a figure is not
-counted as seen, wherever the nominal figures happen to lie. The chi-square's own standard
-deviation is sqrt(2 N + 4 excess). An effect is just visible when its excess is three times that.
+independent readings. The nominal figures may move within the tolerance: of a true figure that lies
+2 % above the nominal one they may reach 5 % below it and 1 % above. The chi-square's own standard
+deviation is sqrt(2 N + 4 excess). The run is one that the tool holds out. An effect is just visible
+when its excess is three times that.
 Kinds that could stand for it (a steady friction for a Stribeck curve) join G without bounds.
 
 The readings are: every sample of every sensor for commanded and free motion (their noise is
@@ -93,7 +93,10 @@ class Visibility:
         # a figure that does nothing (an inertia about an axis that never turns) is left out
         lengths = np.linalg.norm(columns, axis=0)
         self._acts, self._lengths = lengths > 0, lengths[lengths > 0]
-        self._bound = 2 * TOLERANCE * self._lengths
+        # of the true figures: a figure of the model less that of the arm, changed in sign
+        off = (self.arm.factors.flat() - 1.0)[self._acts]
+        self._low = (off - TOLERANCE) * self._lengths
+        self._high = (off + TOLERANCE) * self._lengths
         self._q, self._r = np.linalg.qr(columns[:, self._acts] / self._lengths)
 
     def _signals(self, arm: TrueArm) -> Signals:
@@ -168,23 +171,24 @@ class Visibility:
         """
         if not np.all(np.isfinite(difference)):
             return float("inf")
-        q, r, bound = self._q, self._r, self._bound
+        q, r, low, high = self._q, self._r, self._low, self._high
         if rivals is not None:
             inside = q.T @ rivals
             new, corner = np.linalg.qr(rivals - q @ inside)  # what the nuisances leave of them
             q = np.hstack((q, new))
             zero = np.zeros((corner.shape[0], r.shape[1]))
             r = np.block([[r, inside], [zero, corner]])
-            bound = np.concatenate((bound, np.full(rivals.shape[1], np.inf)))
+            free = np.full(rivals.shape[1], np.inf)
+            low, high = np.concatenate((low, -free)), np.concatenate((high, free))
         inside = q.T @ difference
         rest = float(difference @ difference - inside @ inside)
-        found = lsq_linear(r, -inside, bounds=(-bound, bound), method="bvls")
+        found = lsq_linear(r, -inside, bounds=(low, high), method="bvls")
         return max(rest, 0.0) + 2 * float(found.cost)
 
     def explained(self, difference: Array) -> Array:
         """Changes of the nuisance factors that undo most of a difference, of shape (6 n,)."""
         found = lsq_linear(
-            self._r, -self._q.T @ difference, bounds=(-self._bound, self._bound), method="bvls"
+            self._r, -self._q.T @ difference, bounds=(self._low, self._high), method="bvls"
         )
         changes = np.zeros(len(self._acts))
         changes[self._acts] = found.x / self._lengths

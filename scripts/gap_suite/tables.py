@@ -53,6 +53,8 @@ def summary(grades: Sequence[Grade]) -> list[tuple[str, str, str]]:
     before = [g.gap_before for g in missing if np.isfinite(g.gap_before)]
     errors = [error for g in missing for error in g.parameter_error]
     covered = [held for g in missing for held in g.covered]
+    others = [held for g in missing for held in g.covered_others]
+    exported = [g.exported for g in grades if np.isfinite(g.exported)]
     found = sum(g.found for g in by["pair"])
     seconds = [g.seconds for g in grades if np.isfinite(g.seconds)]
     rows = [
@@ -70,6 +72,10 @@ def summary(grades: Sequence[Grade]) -> list[tuple[str, str, str]]:
         ("parameters within 10 % of the truth", "",
          share(sum(error <= CLOSE for error in errors), len(errors))),
         ("95 % intervals that hold the truth", "85 to 99 %", share(sum(covered), len(covered))),
+        ("the same of further parameters", "", share(sum(others), len(others))),
+        ("gap of the written model in plain MuJoCo over the fit's, median and largest", "",
+         f"{np.median(exported):.3f}, {max(exported):.3f} ({len(exported)} cases)"
+         if exported else "none"),
         ("time of one run, median and largest [s]", "at most 300",
          f"{np.median(seconds):.0f}, {max(seconds):.0f}" if seconds else "none"),
         ("cases that failed, wrong in all of the above", "0",

@@ -1,11 +1,12 @@
-"""The tool under test, run on one recording: only what is graded, without page and corrected model.
+"""The tool under test, run on one recording: only what is graded, without the page.
 
-This is the one module here that imports the tool. It is told where the recording lies and where
-its result goes, and nothing else.
+This module and `exported`, which simulates the model that is written, are the ones here that import
+the tool. They are told where the recording lies and where its result goes, and nothing else.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -17,12 +18,16 @@ from loose_env.gap.finding import GapFound, GapSettings, find_gap
 from loose_env.gap.result import Gap, GapResult, read_result
 from loose_env.recording import read_recording
 
-__all__ = ["LOG", "RESULT", "Tool", "quick_result", "run_tool"]
+from .exported import exported_gap
+
+__all__ = ["EXPORTED", "LOG", "RESULT", "Tool", "quick_result", "run_tool"]
 
 Tool = Callable[[Path, Path], None]
 """Reads the recording in the first folder and leaves ``result.json`` in the second."""
 RESULT = "result.json"
 """File of a result."""
+EXPORTED = "exported.json"
+"""File of the gap that the written model leaves in plain MuJoCo, beside that of the fit."""
 LOG = "log.txt"
 """File of what the tool said on its way."""
 
@@ -35,7 +40,8 @@ def run_tool(recording: Path, folder: Path) -> None:
     recording : Path
         Folder of the recording.
     folder : Path
-        Folder that exists; `RESULT` and `LOG` are written to it, the result last.
+        Folder that exists; `RESULT` and `LOG` are written to it, and `EXPORTED` with the model
+        where there is one to be checked; the result last.
 
     Raises
     ------
@@ -47,6 +53,10 @@ def run_tool(recording: Path, folder: Path) -> None:
         found = find_gap(read_recording(recording), settings, say=lambda line: _put(log, line))
     result = quick_result(found, settings)
     GapResult.from_json(result.to_json())
+    gaps = exported_gap(found, folder)
+    if gaps is not None:
+        text = json.dumps(dict(zip(("exported", "fit"), gaps, strict=True)))
+        (folder / EXPORTED).write_text(text + "\n", encoding="utf-8")
     read_result(result.write(folder / RESULT))
 
 

@@ -137,3 +137,26 @@ def test_the_tables_count_every_case():
     assert "| shaking_force |" in markdown(grades)
     assert "coulomb_friction" in text(grades)
     assert "no cases" in markdown([])
+
+
+def test_further_parameters_are_graded_apart_where_they_mean_the_same():
+    ripple = ("torque_ripple", "joint1", {"amplitude": 1.0, "order": 12.0, "phase": -3.0})
+    periods, phase = {"periods": [11.9, 12.1]}, {"phase": [3.2, 3.4]}  # a turn further on
+    named = (
+        "torque_ripple",
+        "joint1",
+        {"amplitude": 1.0},
+        {"amplitude": [0.9, 1.1], **periods, **phase},
+    )
+    marks = grade(said("named", named), truth("single", ripple))
+    assert marks.covered == (True,) and marks.covered_others == (True, True)
+    bump = {"torque": 1.0, "static_torque": 1.8, "speed": 0.1}
+    friction = ("stribeck_friction", "joint1", bump)
+    named = (
+        "stribeck_friction", "joint1", {"torque": 1.0},
+        {"torque": [0.9, 1.1], "static_ratio": [1.2, 1.5], "speed": [0.05, 0.2]},
+    )  # fmt: skip
+    marks = grade(said("named", named), truth("single", friction))
+    assert marks.covered_others == (False, True)
+    lines = [line for line in summary([marks]) if "further parameters" in line[0]]
+    assert lines[0][2].startswith("1/2")

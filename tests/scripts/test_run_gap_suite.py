@@ -22,7 +22,7 @@ from scripts import run_gap_suite as script
 from scripts.gap_suite import cases, one_case
 from scripts.gap_suite.cases import full_list, name_of, quick_list, role_of
 from scripts.gap_suite.one_case import Folders, grade_of, run_case, shard_for
-from scripts.gap_suite.tool import quick_result, run_tool
+from scripts.gap_suite.tool import EXPORTED, quick_result, run_tool
 
 NUMBERS = [0, 1, 1000, 1001, 3000]
 SAID = {0: "no_gap", 1: "payload", 1000: "payload", 1001: "backlash", 3000: "unexplained"}
@@ -325,6 +325,24 @@ def test_the_command_shows_what_is_stored(tmp_path: Path, capsys: Any) -> None:
         script.main(["--numbers", "x"])
 
 
+def test_a_whole_run_goes_to_the_docs_and_a_part_does_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folders, page = write_blind(tmp_path), tmp_path / "docs" / "gap_suite.md"
+    monkeypatch.setattr(script, "DOCS", page)
+    monkeypatch.setattr(script, "full_list", lambda: NUMBERS)
+    monkeypatch.setattr(script, "quick_list", lambda: NUMBERS[:2])
+    show = ["--show", "--out", str(folders.out)]
+    suite(folders, numbers=NUMBERS[:3])
+    script.main(show)  # cut short
+    script.main([*show, "--quick"])
+    script.main([*show, "--numbers", "0-1"])
+    assert not page.exists()
+    suite(folders)
+    script.main(show)
+    assert "5 cases" in page.read_text() and "| payload |" in page.read_text()
+
+
 def test_the_short_form_of_a_result_is_of_the_format(tmp_path: Path) -> None:
     channel = np.array([0, 0, 1, 1])
     held = SimpleNamespace(
@@ -363,4 +381,17 @@ def test_a_case_from_its_drawing_to_its_marks(
     assert 0.5 < marks.gap_after <= marks.gap_before
     result = read_result(folders.results(row["case"]))
     assert len(result.held_out_runs) == 1
+    assert np.isnan(marks.exported)  # nothing was added
     assert not (folders.recordings / row["case"]).exists()
+
+
+def test_the_gap_of_the_written_model_goes_into_the_row(tmp_path: Path) -> None:
+    folders = write_blind(tmp_path, [1000])
+
+    def with_model(recording: Path, folder: Path) -> None:
+        stub(recording, folder)
+        (folder / EXPORTED).write_text(json.dumps({"exported": 1.5, "fit": 1.2}))
+
+    (row,) = run_case(shard_for(1000), folders=folders, tool=with_model)
+    assert grade_of(row).exported == pytest.approx(1.25)
+    assert "1.250, 1.250 (1 cases)" in script.tables([row], 1)
