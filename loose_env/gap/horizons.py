@@ -118,7 +118,7 @@ def horizon_errors(
             speed=None if hypothesis.speed is None else hypothesis.speed[t : t + 1],
         )
         begun = _starts(trial, every, min(horizons))
-        if changes_within(hypothesis):
+        if changes_within(machine, hypothesis, channels):
             trial = trial.finer(PARTS)
         with quiet():
             whole = _whole(simulator, own, trial)
@@ -313,7 +313,7 @@ def _shown(
     `steps` are those of the run which each simulation passes (sims, steps).
     """
     shown = found["sensordata"]
-    if not changes_within(hypothesis):
+    if not changes_within(simulator.machine, hypothesis, simulator.channels):
         return shown
     clock = np.arange(trial.steps, dtype=float) * trial.step
     commands = commands_at(hypothesis, clock, trial.controls)

@@ -6,7 +6,7 @@ moment: a servo's acceleration jumps with every command that it is given.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -14,9 +14,11 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from loose_env.gap.effect import Effect
+from loose_env.gap.effects.sensor_kinds import of_place_or_speed
 from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.machine import Machine
 from loose_env.gap.torque_terms import has_terms, torque_terms
+from loose_env.gap.trial import Channel
 
 __all__ = ["PARTS", "STATES", "changes_within", "commands_at", "readings_at"]
 
@@ -31,8 +33,13 @@ _AT_A_TIME = 1024
 """States at which sensors are worked out at a time."""
 
 
-def changes_within(hypothesis: Hypothesis) -> bool:
-    """Whether commands may change within a step."""
+def changes_within(machine: Machine, hypothesis: Hypothesis, channels: Sequence[Channel]) -> bool:
+    """Whether commands may change within a step, and a channel shows it.
+
+    Positions and speeds follow the mean of a command.
+    """
+    if all(of_place_or_speed(machine, channel.column) for channel in channels):
+        return False
     return any(type(effect).command_at is not Effect.command_at for effect in hypothesis.effects)
 
 

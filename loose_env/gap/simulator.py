@@ -88,7 +88,7 @@ class Simulator:
         for (step, _, released), members in alike.items():
             groups: dict[tuple[object, ...], list[_Slot]] = {}
             for key, hypothesis in motions.items():
-                parts = PARTS if changes_within(hypothesis) else 1
+                parts = PARTS if changes_within(self.machine, hypothesis, self.channels) else 1
                 model = hypothesis.model(self.machine, step / parts, released=released)
                 layout = (*_layout(model), parts, has_terms(hypothesis))
                 groups.setdefault(layout, []).extend(

@@ -23,7 +23,7 @@ __all__ = ["Trying"]
 
 Array = NDArray[np.float64]
 
-_WHOLE_FAMILIES = 2
+_WHOLE_FAMILIES = 3
 """Families that are fitted to all data."""
 _PARTS = (-0.75, -0.5, -0.25, -0.1, 0.1, 0.25, 0.5, 0.75)
 """Parts of a sample by which a delay is moved to see whether that is better."""
