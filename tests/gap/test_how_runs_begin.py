@@ -131,6 +131,8 @@ def test_an_arm_that_stands_under_its_first_command_is_held_by_it(tmp_path: Path
         controls={"hip_drive": commands[:, 0], "knee_drive": commands[:, 1]},
         sensors={"hip_at": noisy[:, 0], "knee_at": noisy[:, 1]},
     )
-    write_recording(tmp_path / "recording", model_xml=SERVOS, runs=[run, replace(run, name="other.csv")])
+    write_recording(
+        tmp_path / "recording", model_xml=SERVOS, runs=[run, replace(run, name="other.csv")]
+    )
     prepared = prepare(read_recording(tmp_path / "recording"), GapSettings(kinds=KINDS, threads=1))
     assert all(trial.resting for trial in prepared.search.trials)
