@@ -59,6 +59,8 @@ class FitSettings:
     """Share of the promised gain below which sensitivities are worked out anew."""
     dampings: tuple[float, ...] = (0.0, 0.1, 3.0)
     """Levenberg's dampings that are tried at once, as shares of the curvature."""
+    shorter: tuple[float, ...] = (0.3, 0.1, 0.03)
+    """Shares of the damped steps that are tried where none of the whole steps is any good."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -236,13 +238,15 @@ def fit(
                 comparison, effects, free, residual, which, difference=settings.difference
             )
         steps = [step_of(jacobian, residual, free, parameters, d) for d in settings.dampings]
-        found = comparison.residuals([hypothesis_of(effects, free + step) for step in steps])
-        costs = [cost_of(r, free + s, parameters) for r, s in zip(found, steps, strict=True)]
-        best = int(np.argmin(costs))
-        gained = cost - costs[best]
-        hoped = cost - cost_of(residual + jacobian @ steps[best], free + steps[best], parameters)
+        step, left, after = _best_of(comparison, effects, free, parameters, steps)
+        hoped = cost - cost_of(residual + jacobian @ step, free + step, parameters)
+        if which and cost - after < settings.enough * cost <= hoped:
+            # far from the best the slope says where it lies and not how far
+            short = [share * long for long in steps[1:] for share in settings.shorter]
+            step, left, after = _best_of(comparison, effects, free, parameters, [step, *short])
+        gained = cost - after
         if gained > 0:
-            free, residual, cost = free + steps[best], found[best], costs[best]
+            free, residual, cost = free + step, left, after
         if gained < settings.enough * cost:
             if which or hoped < settings.enough * cost:
                 break
@@ -252,6 +256,20 @@ def fit(
         else:
             renew = _NONE
     return Fit(effects=tuple(effects), free=free, residual=residual, jacobian=jacobian, cost=cost)
+
+
+def _best_of(
+    comparison: Comparison,
+    effects: Sequence[Effect],
+    free: Array,
+    parameters: Sequence[Parameter],
+    steps: Sequence[Array],
+) -> tuple[Array, Array, float]:
+    """The best of some steps, with what it leaves and its cost."""
+    found = comparison.residuals([hypothesis_of(effects, free + step) for step in steps])
+    costs = [cost_of(r, free + s, parameters) for r, s in zip(found, steps, strict=True)]
+    best = int(np.argmin(costs))
+    return steps[best], found[best], costs[best]
 
 
 def step_of(

@@ -24,9 +24,9 @@ from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.effects.sensor_kinds import of_place_or_speed
 from loose_env.gap.fit import Fit, hypothesis_of, parameters_of, prior_of, started
-from loose_env.gap.parameter import free_of
+from loose_env.gap.parameter import Parameter, free_of
 
-__all__ = ["Screened", "screen"]
+__all__ = ["Screened", "along", "screen"]
 
 Array = NDArray[np.float64]
 
@@ -223,9 +223,9 @@ def _weigh(
         return None
     values = start
     if effect.nothing is not None:
-        values = _along(effect, start, effect.nothing, share)
+        values = along(effect, start, effect.nothing, share)
     elif effect.proportional is not None:
-        values = _along(effect, start, (0.0,) * len(start), share)
+        values = along(effect, start, (0.0,) * len(start), share)
     return Screened(
         effect=effect,
         values=values,
@@ -249,17 +249,25 @@ def _proposed(
     gain = -float(change @ (2 * lens.residual + change))
     if gain <= 0 or share < _SMALLEST_SHARE:
         return None
-    return gain / float(lens.residual @ lens.residual), _along(effect, start, effect.nothing, share)
+    return gain / float(lens.residual @ lens.residual), along(effect, start, effect.nothing, share)
 
 
-def _along(
+def along(
     effect: Effect, start: Sequence[float], nothing: Sequence[float], share: float
 ) -> tuple[float, ...]:
     """Values at a share of the way from nothing to the start, within the bounds.
 
     All parameters go that way, or only the one that what the effect changes is proportional to.
+    Where ratios count they are what goes on: twice from a whole gain to a half of it is a quarter.
     """
     return tuple(
-        p.clipped(none + share * (value - none)) if effect.proportional in (None, k) else value
+        p.clipped(_between(p, none, value, share)) if effect.proportional in (None, k) else value
         for k, (p, none, value) in enumerate(zip(effect.parameters, nothing, start, strict=True))
     )
+
+
+def _between(parameter: Parameter, none: float, value: float, share: float) -> float:
+    """Value at a share of the way from nothing to a value."""
+    if parameter.log and none > 0:
+        return float(none * (value / none) ** share)
+    return none + share * (value - none)

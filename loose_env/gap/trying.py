@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.comparison import Comparison
+from loose_env.gap.effect import Effect
 from loose_env.gap.effects.sensor_kinds import of_place_or_speed
 from loose_env.gap.families import families
 from loose_env.gap.fit import Fit, cost_of, fit, hypothesis_of, parameters_of, refined
@@ -27,6 +28,8 @@ _WHOLE_FAMILIES = 3
 """Families that are fitted to all data."""
 _PARTS = (-0.75, -0.5, -0.25, -0.1, 0.1, 0.25, 0.5, 0.75)
 """Parts of a sample by which a delay is moved to see whether that is better."""
+_NEARER = (1.0, 0.5, 0.25)
+"""Shares of the way from nothing to where screening says that are tried as starts."""
 _DEAF = 1e6
 """Factor on the noise of what shall not count."""
 _NEAR = 1.5
@@ -172,10 +175,8 @@ class Trying:
 
     def _to_windows(self, members: Sequence[Screened], *, both: bool = False) -> Fit:
         """Fit candidates together to the windows; one candidate from both its starts."""
-        start = self.short_before.free
-        for each in members:
-            start = np.concatenate([start, free_of(each.effect.parameters, np.array(each.values))])
         effects = (*self.before.effects, *(each.effect for each in members))
+        start = self._start(effects, members)
         found = fit(self.short, effects, start, known=self.short_before.jacobian)
         if both and members[0].second is not None:
             other = free_of(members[0].effect.parameters, np.array(members[0].second))
@@ -190,6 +191,29 @@ class Trying:
             again = fit(self.short, effects, first.free, known=self.short_before.jacobian)
             found = self._between_samples(min((found, again), key=lambda f: f.cost))
         return found
+
+    def _start(self, effects: Sequence[Effect], members: Sequence[Screened]) -> Array:
+        """Where screening says, or nearer to nothing if that is better: it looks along tangents."""
+        at = [free_of(each.effect.parameters, np.array(each.values)) for each in members]
+        none = [
+            values if each.effect.nothing is None
+            else free_of(each.effect.parameters, np.array(each.effect.nothing))
+            for each, values in zip(members, at, strict=True)
+        ]  # fmt: skip
+        tried = [
+            np.concatenate(
+                [
+                    self.short_before.free,
+                    *(a + share * (b - a) for a, b in zip(none, at, strict=True)),
+                ]
+            )
+            for share in _NEARER
+        ]
+        residuals = self.short.residuals([hypothesis_of(effects, free) for free in tried])
+        costs = [
+            cost_of(r, f, parameters_of(effects)) for r, f in zip(residuals, tried, strict=True)
+        ]
+        return tried[int(np.nanargmin(np.nan_to_num(costs, nan=np.inf)))]
 
     def _between_samples(self, fitted: Fit) -> Fit:
         """Move the last effect, a delay, by parts of a sample, and fit on where that is better.
