@@ -19,9 +19,10 @@ from loose_env.gap.machine import Machine
 from loose_env.gap.noise import channel_floor
 from loose_env.gap.simulator import Hypothesis
 from loose_env.gap.trial import Channel, lay_out
+from loose_env.gap.windows import windowed
 from loose_env.recording import Run
 
-__all__ = ["Integration", "choose_integration"]
+__all__ = ["Integration", "choose_integration", "corrected_step_words"]
 
 _ENOUGH = 0.1
 """Step error that is sought, in noise standard deviations."""
@@ -37,6 +38,9 @@ _FASTEST, _RUNS = 0.75, 4
 """Length of the fastest window of a run [s], and of how many runs such windows are measured on."""
 _SPEED = 0.02
 """Time between readings whose difference tells how fast a run is [s]."""
+_CHECKED, _FINER = 15.0, 4
+"""How much of the held-out runs the corrected model's step is checked on [s], and by how many times
+finer steps."""
 _FINEST = 16
 _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 
@@ -143,6 +147,45 @@ def choose_integration(
         matter=worst(chosen),
         nominal_matter=worst(given),
     )
+
+
+def corrected_step_words(held_out: Comparison, hypothesis: Hypothesis) -> list[str]:
+    """A sentence where the corrected model, too, needs a finer step; none where it does not.
+
+    What was added may be stiffer than the nominal model by which the step was chosen. Runs that
+    are compared by features or backwards are left out.
+
+    Parameters
+    ----------
+    held_out : Comparison
+        The runs that judge.
+    hypothesis : Hypothesis
+        What was added.
+    """
+    machine, chosen = held_out.machine, windowed(held_out, _CHECKED)
+    trials = [t for t in chosen.trials if t.form != "inverse" and t.name not in chosen.parting]
+    if not trials:
+        return []
+    found = []
+    for parts in (1, _FINER):
+        stepped = replace(machine, step=machine.step / parts)
+        own = [trial.finer(parts) for trial in trials]
+        compared = Comparison(stepped, own, chosen.channels, chosen.floors, threads=chosen.threads)
+        found.append(compared.residuals([hypothesis])[0])
+    channel = compared.rows.channel
+    counts = np.maximum(np.bincount(channel), 1)
+    error, left = (
+        np.sqrt(np.bincount(channel, values**2) / counts)
+        for values in (found[0] - found[1], found[1])
+    )
+    worst = int(np.argmax(error / np.maximum(1.0, _SHARE * left)))
+    if error[worst] <= _OWN * max(1.0, _SHARE * left[worst]):
+        return []
+    return [
+        f"the corrected model needs a finer step than {machine.step:.3g} s: its step error is "
+        f"{error[worst]:.2g} noise standard deviations in {chosen.channels[worst].name}. Set a "
+        "smaller timestep in the nominal model and run it again"
+    ]
 
 
 def _floors(runs: Sequence[Run], channels: tuple[Channel, ...]) -> np.ndarray:

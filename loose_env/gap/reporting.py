@@ -10,11 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loose_env.gap.catalogue import candidates
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.export import correction_code, write_model
 from loose_env.gap.finding import GapFound, GapSettings
 from loose_env.gap.horizons import HorizonError, horizon_errors
+from loose_env.gap.identifiability import identifiability
+from loose_env.gap.integration import corrected_step_words
 from loose_env.gap.joint_motion import JointMotion, joint_motion
 from loose_env.gap.judgement import Judged
 from loose_env.gap.left import left_motions, left_words
@@ -22,10 +25,11 @@ from loose_env.gap.locate import Location, locate, where_it_lives
 from loose_env.gap.machine import Machine
 from loose_env.gap.nominal import NominalFigures
 from loose_env.gap.residual_tests import LeftOver, left_over
-from loose_env.gap.result import Gap, GapResult, NamedEffect, Ranked, Verdict
+from loose_env.gap.result import Gap, GapResult, NamedEffect, Place, Ranked, Verdict
 from loose_env.gap.simulator import Hypothesis
 from loose_env.gap.start import StartState
 from loose_env.gap.struck import StruckChannel, struck_channels, struck_left
+from loose_env.gap.unseen import Identifiability, identifiability_words
 from loose_env.recording import Recording
 
 __all__ = ["Evidence", "GapOutputs", "gather", "outputs_of", "result_of", "write_model_and_result"]
@@ -92,6 +96,8 @@ class Evidence:
     """Of the nominal model: channels of held-out runs that are compared by features."""
     struck_after: tuple[StruckChannel, ...] = ()
     """Of the corrected one."""
+    identifiability: Identifiability = field(default_factory=Identifiability)
+    """What the motions could not show, or tell apart."""
     warnings: tuple[str, ...] = ()
     """What came to light."""
 
@@ -163,6 +169,9 @@ def gather(outputs: GapOutputs, *, say: Say = lambda _: None) -> Evidence:
         )
         for hypothesis in (before, corrected)
     ]
+    say("what these motions can show")
+    kinds = outputs.settings.get("kinds") or None
+    shown = identifiability(outputs.fit, outputs.best.fitted, candidates(outputs.machine, kinds))
     say("tests of what is left")
     held = outputs.held
     return Evidence(
@@ -191,6 +200,11 @@ def gather(outputs: GapOutputs, *, say: Say = lambda _: None) -> Evidence:
         ),
         struck_before=tuple(struck["held"]),
         struck_after=tuple(struck_after),
+        identifiability=shown,
+        warnings=(
+            *corrected_step_words(outputs.held, corrected),
+            *identifiability_words(shown),
+        ),
     )
 
 
@@ -231,7 +245,7 @@ def result_of(outputs: GapOutputs, evidence: Evidence) -> GapResult:
             by_channel=_by_channel(outputs, evidence),
             by_horizon_s={f"{b.horizon:.1f}": (b.over_floor, a.over_floor) for b, a in pairs},
         ),
-        effects=outputs.effects,
+        effects=tuple(_with_alike(e, evidence.identifiability) for e in outputs.effects),
         held_out_runs=tuple(trial.name for trial in held.trials),
         ranking=outputs.ranking,
         code=correction_code(effects, values),
@@ -247,6 +261,7 @@ def result_of(outputs: GapOutputs, evidence: Evidence) -> GapResult:
         else tuple(left_words(outputs.base, outputs.best, evidence.left_location)),
         left_location=evidence.left_location,
         left_over=evidence.left_over,
+        identifiability=evidence.identifiability,
         warnings=(*outputs.warnings, *evidence.warnings),
         settings=outputs.settings,
     )
@@ -269,6 +284,16 @@ def _by_channel(outputs: GapOutputs, evidence: Evidence) -> dict[str, tuple[floa
         if len(parts[0]):
             found[channel.name] = (_rms(parts[0]), _rms(parts[1]))
     return found
+
+
+def _with_alike(effect: NamedEffect, found: Identifiability) -> NamedEffect:
+    """A named effect with what these motions do not tell from it, beside what was fitted."""
+    others = [
+        Place(kind=pair.other_kind, where=pair.other_where)
+        for pair in found.alike
+        if (pair.kind, pair.where) == (effect.kind, effect.where)
+    ]
+    return replace(effect, ambiguous_with=tuple(dict.fromkeys((*effect.ambiguous_with, *others))))
 
 
 def _figures(outputs: GapOutputs) -> dict[str, float]:

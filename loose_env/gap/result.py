@@ -14,6 +14,7 @@ from loose_env.gap.plain import restored
 from loose_env.gap.residual_tests import LeftOver
 from loose_env.gap.result_file import json_text, read_result_file, whole_of
 from loose_env.gap.result_table import result_table
+from loose_env.gap.unseen import Identifiability
 
 __all__ = [
     "FORMAT",
@@ -140,6 +141,8 @@ class GapResult:
     """Where that is, with the corrected model, on all runs."""
     left_over: tuple[LeftOver, ...] = ()
     """Tests of what is left."""
+    identifiability: Identifiability = field(default_factory=Identifiability)
+    """What the motions that were recorded could not show, or tell apart."""
     warnings: tuple[str, ...] = ()
     """What a reader should know before trusting it."""
     settings: Mapping[str, Any] = field(default_factory=dict)

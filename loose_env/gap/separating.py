@@ -1,8 +1,8 @@
-"""Motions and measurements that separate effects which a recording could not tell apart."""
+"""Motions and measurements that show effects, and that separate those which look alike."""
 
 from __future__ import annotations
 
-__all__ = ["how_to_separate"]
+__all__ = ["how_to_see", "how_to_separate"]
 
 _PAIRS = {
     (
@@ -92,6 +92,32 @@ _PAIRS = {
     ("structural_looseness", "backlash"): "Shake one joint at a time with an accelerometer at the "
     "tool: a loose link moves along a direction of its own, a joint about its axis.",
 }
+_GRAVITY = "hold many poses, the level ones and the stretched ones among them"
+_SEE = {
+    "viscous_friction": "move at several constant speeds, the highest included",
+    "coulomb_friction": "reverse the joint slowly, many times",
+    "stribeck_friction": "reverse the joint slowly, and creep at a few low speeds",
+    "quadratic_drag": "move at the highest speed",
+    "joint_compliance": "accelerate hard and stop, or shake the joint up to well above 10 Hz",
+    "backlash": "reverse slowly under a small load that changes sides",
+    "structural_looseness": "shake one joint at a time, hard, with an accelerometer at the tool",
+    "link_flexibility": "accelerate hard and stop, with an accelerometer at the tool",
+    "link_mass": _GRAVITY,
+    "link_com": _GRAVITY,
+    "payload": _GRAVITY,
+    "rotor_inertia": "accelerate and brake hard, to and fro",
+    "actuator_gain": "hold known loads at rest, and accelerate hard",
+    "actuator_lag": "command sweeps to well above 1 / (2π time constant)",
+    "command_delay": "command fast sweeps or steps",
+    "sensor_delay": "move fast, and read densely",
+    "encoder_offset": _GRAVITY,
+    "sensor_misalignment": "turn the sensor into many directions, and shake it in each",
+    "sensor_gain": "let the sensor read over its whole range",
+    "sensor_bias": "hold several poses at rest that turn the sensor",
+    "base_tilt": _GRAVITY,
+    "torque_ripple": "turn slowly at a constant speed over a whole turn or as far as it goes",
+    "joint_spring": "hold the joint at many angles over its whole range",
+}
 _OF_KIND = {
     "sensor": "Let a second sensor see the same motion.",
     "actuator": "Hold known loads at rest, and move at several speeds and accelerations.",
@@ -108,10 +134,14 @@ def how_to_separate(kind: str, where: str, other: str, elsewhere: str) -> str:
     'Move the last joint by itself, with its axis level'
     >>> how_to_separate("viscous_friction", "joint1", "viscous_friction", "joint2")
     'Move joint1 while joint2 is held, and the other way round.'
+    >>> how_to_separate("command_delay", "motor1", "command_delay", "all")
+    'Command the drives one at a time.'
     """
     known = _PAIRS.get((kind, other)) or _PAIRS.get((other, kind))
     if known and (kind != other):
         return known
+    if kind == other and "all" in (where, elsewhere):
+        return "Command the drives one at a time."
     if where != elsewhere and kind == other:
         return f"Move {where} while {elsewhere} is held, and the other way round."
     for each in (kind, other):
@@ -119,3 +149,17 @@ def how_to_separate(kind: str, where: str, other: str, elsewhere: str) -> str:
             if each.startswith(family):
                 return _OF_KIND[family]
     return _OF_KIND["joint"]
+
+
+def how_to_see(kind: str) -> str:
+    """Name a motion that shows an effect.
+
+    Examples
+    --------
+    >>> how_to_see("coulomb_friction")
+    'reverse the joint slowly, many times'
+    >>> how_to_see("own_effect")
+    'move the joint alone, slowly and fast, both ways, over its whole range'
+    """
+    general = _OF_KIND["joint"].rstrip(".")
+    return _SEE.get(kind, general[0].lower() + general[1:])

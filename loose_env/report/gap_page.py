@@ -20,6 +20,7 @@ from loose_env.report.gap_figures import (
     residual_panels,
 )
 from loose_env.report.gap_parts import group, signed, spread
+from loose_env.report.gap_shown import shown_group
 from loose_env.report.gap_spectra import by_channel, spectra_group
 from loose_env.report.gap_words import (
     effect_words,
@@ -69,6 +70,7 @@ def render_gap_page(outputs: GapOutputs, evidence: Evidence, result: GapResult) 
         _location_group(evidence),
         _ranking_group(result),
         _left_group(result),
+        shown_group(result.identifiability),
         _figures_group(result),
         _next_group(result),
     ]

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.gap.integration import Integration, choose_integration
+from loose_env.gap.effects.actuator_gain import ActuatorGain
+from loose_env.gap.integration import Integration, choose_integration, corrected_step_words
 from loose_env.gap.machine import Machine
 from loose_env.gap.preparing import GapSettings, prepare
+from loose_env.gap.simulator import Hypothesis
 from loose_env.gap.trial import channels_of
 from loose_env.recording import Run, write_recording
 
@@ -28,17 +30,23 @@ ARM = """
       <site name="tool" pos="0 0 -0.5"/>
     </body>
   </worldbody>
-  <actuator><position name="servo" joint="turn" kp="{kp}" kv="4"/></actuator>
+  <actuator><position name="servo" joint="turn" kp="{kp}" kv="{kv}"/></actuator>
   <sensor><jointpos name="q" joint="turn"/></sensor>
 </mujoco>
 """
 
 
 def run_of(
-    command: Array, *, noise: float, interval: float = 0.01, name: str = "a.csv", kp: float = 100.0
+    command: Array,
+    *,
+    noise: float,
+    interval: float = 0.01,
+    name: str = "a.csv",
+    kp: float = 100.0,
+    kv: float = 4.0,
 ) -> Run:
     """A run of this arm, finely simulated, with noise."""
-    model = mujoco.MjModel.from_xml_string(ARM.format(step=interval / 100, kp=kp))
+    model = mujoco.MjModel.from_xml_string(ARM.format(step=interval / 100, kp=kp, kv=kv))
     model.opt.integrator = RK4
     data, shown = mujoco.MjData(model), np.zeros(len(command))
     for k, value in enumerate(command):
@@ -58,7 +66,7 @@ def wave(rate: float, seconds: float, *, still: float = 0.0, interval: float = 0
 
 
 def chosen(*runs: Run, step: float = 0.01, kp: float = 100.0) -> Integration:
-    machine = Machine(mujoco.MjSpec.from_string(ARM.format(step=step, kp=kp)))
+    machine = Machine(mujoco.MjSpec.from_string(ARM.format(step=step, kp=kp, kv=4.0)))
     return choose_integration(machine, runs, channels_of(list(runs)), threads=1)
 
 
@@ -109,7 +117,28 @@ def test_a_step_that_stays_too_coarse_is_warned_of(tmp_path: Path) -> None:
     assert found.error > 0.1
     assert any("still" in words for words in found.words(own=0.02))
     recording = write_recording(
-        tmp_path / "r", model_xml=ARM.format(step=0.02, kp=kp), runs=runs, file_format="csv"
+        tmp_path / "r", model_xml=ARM.format(step=0.02, kp=kp, kv=4.0), runs=runs, file_format="csv"
     )
     warnings = prepare(recording, GapSettings(threads=1, kinds=("viscous_friction",))).warnings
     assert any("still" in words and "finer" in words for words in warnings)
+
+
+def test_a_corrected_model_that_needs_a_finer_step_is_warned_of(tmp_path: Path) -> None:
+    """The machine's servo is ten times as stiff as its model, for which a coarse step will do."""
+    runs = [
+        run_of(wave(1.0, 4.0), noise=1e-5, name=name, kp=1000.0, kv=40.0)
+        for name in ("a.csv", "b.csv")
+    ]
+    recording = write_recording(
+        tmp_path / "r",
+        model_xml=ARM.format(step=0.01, kp=100.0, kv=4.0),
+        runs=runs,
+        file_format="csv",
+    )
+    prepared = prepare(recording, GapSettings(threads=1, kinds=("viscous_friction",)))
+    held = prepared.whole_held
+    assert corrected_step_words(held, Hypothesis(effects=(), values=())) == []
+    gain = ActuatorGain(prepared.machine, "servo")
+    corrected = Hypothesis(effects=(gain,), values=(np.array([10.0]),))
+    (words,) = corrected_step_words(held, corrected)
+    assert "finer step" in words and "sensor.q" in words

@@ -12,11 +12,12 @@ from loose_env.gap.catalogue import CATALOGUE
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.fit import Fit
+from loose_env.gap.independent import independent_rows
 from loose_env.gap.judgement import Judged, lead_of
 from loose_env.gap.machine import Machine
 from loose_env.gap.naming import Named
 from loose_env.gap.nominal import NominalFigures
-from loose_env.gap.ranking import bic, independent_rows, ranking_of
+from loose_env.gap.ranking import bic, ranking_of
 from loose_env.gap.result import Place
 from loose_env.gap.trial import Channel, Trial
 from tests.gap.effect_arms import PLANAR

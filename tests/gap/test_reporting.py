@@ -62,6 +62,8 @@ def test_the_result_says_where_it_was_and_what_is_left(
     assert len(result.left_over) == len(outputs.held.channels)
     assert all(0.8 < left.over_floor < 1.3 for left in result.left_over)
     assert set(result.nominal_figures.values()) == {1.0}
+    told = [words for words in result.warnings if words.startswith("these motions")]
+    assert bool(told) == bool(result.identifiability.unseen or result.identifiability.alike)
     assert result.settings["tolerance"] == 0.03
 
 

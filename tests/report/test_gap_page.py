@@ -16,6 +16,7 @@ from loose_env.errors import MissingExtra
 from loose_env.gap.reporting import Evidence, GapOutputs, gather, result_of
 from loose_env.gap.result import Gap, GapResult, NamedEffect, Place, Ranked
 from loose_env.gap.separating import how_to_separate
+from loose_env.gap.unseen import Alike, Identifiability, Unseen, identifiability_words
 from loose_env.report import gap_report
 from loose_env.report.gap_page import render_gap_page, write_gap_page
 from loose_env.report.gap_report import write_outputs
@@ -99,6 +100,7 @@ def test_words_stand_before_figures_in_the_order_of_the_questions(page: str) -> 
         "Where the disagreement is",
         "What was tried",
         "What is left",
+        "What these motions can show",
         "Nominal figures",
         "What to do next",
     ]
@@ -193,6 +195,34 @@ def test_the_page_says_what_is_left(outputs: GapOutputs, evidence: Evidence) -> 
     page = render_gap_page(outputs, evidence, part)
     first = page.index("<svg")
     assert 0 < page.index("Much is left.") < page.index("It is in encoder1.") < first
+
+
+def test_what_was_not_shown_is_told_with_what_would_show_it(
+    outputs: GapOutputs, evidence: Evidence
+) -> None:
+    shown = Identifiability(
+        unseen=(
+            Unseen(kind="quadratic_drag", where="joint1", parameters={"drag": 0.2}, sureness=1.5,
+                   more_s=52.0),
+        ),
+        alike=(
+            Alike(kind="actuator_lag", where="m1", other_kind="command_delay", other_where="m1",
+                  sureness=0.2, more_s=None),
+        ),
+    )  # fmt: skip
+    words = identifiability_words(shown)
+    assert words[0] == (
+        "these motions would not show quadratic_drag at joint1 (such as drag 0.2); record about "
+        "52 s more of them, or better: move at the highest speed"
+    )
+    assert words[1].startswith(
+        "these motions do not tell actuator_lag at m1 from command_delay at m1; more of the same "
+        "will not help: command a sweep"
+    )
+    other = replace(result_of(outputs, evidence), identifiability=shown, warnings=tuple(words))
+    page = render_gap_page(outputs, evidence, other)
+    part = page[page.index("What these motions can show") : page.index("Nominal figures")]
+    assert "quadratic_drag at joint1" in part and "52 s" in part and "no help" in part
 
 
 def row(kind: str, where: str, *others: str, step: int = 1) -> Ranked:
