@@ -76,8 +76,8 @@ def identifiability_words(found: Identifiability) -> list[str]:
             f"{pair.other_where}; {_missing(pair.more_s)}{advice[0].lower()}{advice[1:]}"
         )
     further = [
-        f"{len(by_kind) - _LISTED} kinds of effect that are not shown" * (len(by_kind) > _LISTED),
-        f"{len(found.alike) - _LISTED} pairs that look alike" * (len(found.alike) > _LISTED),
+        f"kinds of effect not shown ({len(by_kind) - _LISTED})" * (len(by_kind) > _LISTED),
+        f"pairs that look alike ({len(found.alike) - _LISTED})" * (len(found.alike) > _LISTED),
     ]
     if any(further):
         listed = " and ".join(filter(None, further))
@@ -88,4 +88,5 @@ def identifiability_words(found: Identifiability) -> list[str]:
 def _missing(seconds: float | None) -> str:
     if seconds is None:
         return "more of the same will not help: "
-    return f"record about {seconds:.2g} s more of them, or better: "
+    rounded = float(f"{seconds:.2g}")
+    return f"record about {rounded:g} s more of them, or better: "
