@@ -243,7 +243,8 @@ def fit(
         if which and cost - after < settings.enough * cost <= hoped:
             # far from the best the slope says where it lies and not how far
             short = [share * long for long in steps[1:] for share in settings.shorter]
-            step, left, after = _best_of(comparison, effects, free, parameters, [step, *short])
+            shortened = _best_of(comparison, effects, free, parameters, short)
+            step, left, after = min((step, left, after), shortened, key=lambda found: found[2])
         gained = cost - after
         if gained > 0:
             free, residual, cost = free + step, left, after

@@ -32,6 +32,8 @@ cheaper; beyond it a reader is warned."""
 _FAR, _SHARE = 50.0, 0.5
 """How far the nominal model is off [noise standard deviations] where the noise is no measure any
 more, and the share of that which is one in its place."""
+_LEFT = 0.3
+"""Share of what the corrected model leaves in a channel that counts as a noise where it is more."""
 _SHORT = 2.0
 """How much of the first run the error is measured on, from its beginning [s]."""
 _FASTEST, _RUNS = 0.75, 4
@@ -178,8 +180,8 @@ def corrected_step_words(held_out: Comparison, hypothesis: Hypothesis) -> list[s
         np.sqrt(np.bincount(channel, values**2) / counts)
         for values in (found[0] - found[1], found[1])
     )
-    worst = int(np.argmax(error / np.maximum(1.0, _SHARE * left)))
-    if error[worst] <= _OWN * max(1.0, _SHARE * left[worst]):
+    worst = int(np.argmax(error / np.maximum(1.0, _LEFT * left)))
+    if error[worst] <= _OWN * max(1.0, _LEFT * left[worst]):
         return []
     return [
         f"the corrected model needs a finer step than {machine.step:.3g} s: its step error is "

@@ -161,9 +161,9 @@ def _step(
             say("  none of these will do: others that promised less")
             yield trying.singles(screened, further=True)
 
+    acceptance = Acceptance(comparison, judge, found.base, best, settings)
     ranked: list[Judged] = []
     for tried in waves():
-        acceptance = Acceptance(comparison, judge, found.base, best, settings)
         ranked = acceptance.ranked([*ranked, *tried])
         for judged in ranked:
             if not any(judged is each for each in tried) or not acceptance.worth_naming(judged):

@@ -81,6 +81,8 @@ class Trial:
 
     def finer(self, parts: int) -> Trial:
         """The same, every step in so many parts."""
+        if parts == 1:
+            return self
         steps = (self.steps - 1) * parts + 1
         controls = np.repeat(self.controls, parts, axis=0)[:steps]
         return replace(self, step=self.step / parts, steps=steps, controls=controls)

@@ -176,8 +176,9 @@ class Trying:
     def _to_windows(self, members: Sequence[Screened], *, both: bool = False) -> Fit:
         """Fit candidates together to the windows; one candidate from both its starts."""
         effects = (*self.before.effects, *(each.effect for each in members))
-        start = self._start(effects, members)
-        found = fit(self.short, effects, start, known=self.short_before.jacobian)
+        start, residual = self._start(effects, members)
+        known = self.short_before.jacobian
+        found = fit(self.short, effects, start, known=known, residual=residual)
         if both and members[0].second is not None:
             other = free_of(members[0].effect.parameters, np.array(members[0].second))
             other = np.concatenate([self.short_before.free, other])
@@ -192,7 +193,7 @@ class Trying:
             found = self._between_samples(min((found, again), key=lambda f: f.cost))
         return found
 
-    def _start(self, effects: Sequence[Effect], members: Sequence[Screened]) -> Array:
+    def _start(self, effects: Sequence[Effect], members: Sequence[Screened]) -> tuple[Array, Array]:
         """Where screening says, or nearer to nothing if that is better: it looks along tangents."""
         at = [free_of(each.effect.parameters, np.array(each.values)) for each in members]
         none = [
@@ -213,7 +214,8 @@ class Trying:
         costs = [
             cost_of(r, f, parameters_of(effects)) for r, f in zip(residuals, tried, strict=True)
         ]
-        return tried[int(np.nanargmin(np.nan_to_num(costs, nan=np.inf)))]
+        best = int(np.nanargmin(np.nan_to_num(costs, nan=np.inf)))
+        return tried[best], residuals[best]
 
     def _between_samples(self, fitted: Fit) -> Fit:
         """Move the last effect, a delay, by parts of a sample, and fit on where that is better.
