@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
-from loose_env.gap.fit import UNNAMED, fit_without, hypothesis_of, polished, slices_of
+from loose_env.gap.fit import UNNAMED, fit, fit_without, hypothesis_of, polished, slices_of
 from loose_env.gap.judgement import Judge, Judged, Lead, lead_of
+from loose_env.gap.kinship import joint_of
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.parameter import free_of, values_of
 
@@ -150,8 +151,32 @@ class Acceptance:
             if effect.kind not in UNNAMED:
                 without = self._without(best, effect)
                 if not self.believed(lead_of(best, without)):
+                    rather = self.rather(best, effect)
+                    if rather is not None and rather.total < without.total:
+                        return rather, []
                     return without, [effect]
         return best, []
+
+    def rather(self, judged: Judged, effect: Effect) -> Judged | None:
+        """What an idle effect was before, and without the one at its joint that made it idle.
+
+        A fit of many at once may give one joint the wrong one of two: a servo that is soft, or a
+        friction that holds it back as much. From there a step by step fit does not come back.
+        """
+        count, fitted = len(self.before.fitted.effects), judged.fitted
+        joint = joint_of(effect.machine, effect.where)
+        new = [
+            (later, fitted.free[own])
+            for later, own in zip(
+                fitted.effects[count:], slices_of(fitted.effects)[count:], strict=True
+            )
+        ]
+        kept = [(e, v) for e, v in new if joint is None or joint_of(e.machine, e.where) != joint]
+        if not kept or len(kept) == len(new):
+            return None
+        effects = (*fitted.effects[:count], *(e for e, _ in kept))
+        start = np.concatenate([self.before.fitted.free, *(values for _, values in kept)])
+        return self.judge.judge(fit(self.comparison, effects, start))
 
     def _pruned(self, judged: Judged, new: int) -> Judged:
         """Take out those of several new effects that are not believed by themselves."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -175,6 +176,11 @@ _EXPLAINED = 0.8
 _EXPLAINED_BY_IMPACTS = 0.45
 """The same if a link slides. When its stops are struck depends on the last digit of friction and
 gap: a simulation misses some blows, and each one missed counts twice."""
+_EXPLAINED_AT_MANY = 0.5
+"""The same if one kind of effect was found at several places (`_MANY`), each believed by itself: a
+machine that is wrong all over lacks more than one thing, and what it still lacks does not speak
+against what was found. Something else that is missing at one place is not mistaken for that."""
+_MANY = 3
 _SURE = 4.0
 """Sureness from which on what is left counts as a gap [standard deviations over blocks]."""
 
@@ -184,8 +190,12 @@ def _verdict(base: Judged, best: Judged) -> Verdict:
     if all(effect.kind in UNNAMED for effect in best.fitted.effects):
         return "unexplained" if best.structure_sureness > _SURE else "no_gap"
     explained = 1 - best.structure / max(base.structure, 1e-12)
-    strikes = any(effect.kind == "structural_looseness" for effect in best.fitted.effects)
-    least = _EXPLAINED_BY_IMPACTS if strikes else _EXPLAINED
+    kinds = Counter(effect.kind for effect in best.fitted.effects if effect.kind not in UNNAMED)
+    least = _EXPLAINED
+    if max(kinds.values()) >= _MANY:
+        least = _EXPLAINED_AT_MANY
+    if "structural_looseness" in kinds:
+        least = min(least, _EXPLAINED_BY_IMPACTS)
     if explained < least and best.structure_sureness > _SURE:
         return "unexplained"
     return "named"

@@ -30,6 +30,8 @@ class Intervals:
     """Free numbers of the fit (P,)."""
     covariance: Array
     """Of the free numbers, over blocks (P, P)."""
+    misfit: float = 1.0
+    """Variance of the blocks' slopes, in units of what the noise alone makes; at least 1."""
 
     def may_be_nothing(self, effect: Effect, own: slice) -> bool:
         """Whether an effect, whose parameters stand at `own`, may be nothing at all.
@@ -52,7 +54,10 @@ def bootstrap(
     """Draw blocks of time with replacement and take the step that each draw asks for.
 
     The residual is linear in the parameters nearby, so that no draw needs a simulation. Blocks
-    keep together what hangs together in time.
+    keep together what hangs together in time. Where the model fits badly the data are worth as much
+    less (a quasi-likelihood, Wedderburn, Biometrika 61, 1974), and what is known beforehand weighs
+    more: else a wrong model would move masses and gains, and what trades against them, far beyond
+    the tolerance within which they are known.
 
     Parameters
     ----------
@@ -75,9 +80,12 @@ def bootstrap(
         own = order[edges[b] : edges[b + 1]]
         jacobian = fitted.jacobian[own]
         curvatures[b], slopes[b] = jacobian.T @ jacobian, jacobian.T @ fitted.residual[own]
-    inverse = np.linalg.inv(curvatures.sum(axis=0) + np.diag(weights**2 + 1e-9))
+    misfit = _misfit(curvatures, slopes)
+    curvatures, slopes = curvatures / misfit, slopes / misfit
+    known = np.diag(weights**2 + 1e-9)
+    inverse = np.linalg.inv(curvatures.sum(axis=0) + known)
     drawn = rng.multinomial(blocks, np.full(blocks, 1 / blocks), size=draws)
-    curvature = np.tensordot(drawn, curvatures, 1) + np.diag(weights**2 + 1e-9)
+    curvature = np.tensordot(drawn, curvatures, 1) + known
     # Deviations from the whole sample's slope, so that a fit at a bound is not pushed further.
     slope = (drawn - 1) @ slopes
     # What is known beforehand is as uncertain as it says: along directions that the data leave
@@ -91,7 +99,17 @@ def bootstrap(
         high=np.array([p.value(v) for p, v in zip(parameters, high, strict=True)]),
         free=fitted.free,
         covariance=inverse @ (slopes.T @ slopes + np.diag(weights**2)) @ inverse,
+        misfit=misfit,
     )
+
+
+def _misfit(curvatures: Array, slopes: Array) -> float:
+    """How much more the slopes of blocks (B, P) vary than by noise: there as their curvature."""
+    by_noise = np.einsum("bpp->p", curvatures)
+    seen = by_noise > 0
+    if not seen.any():
+        return 1.0
+    return max(1.0, float(np.mean(np.sum(slopes[:, seen] ** 2, axis=0) / by_noise[seen])))
 
 
 def widened(comparison: Comparison, fitted: Fit, intervals: Intervals) -> Intervals:
@@ -115,11 +133,12 @@ def widened(comparison: Comparison, fitted: Fit, intervals: Intervals) -> Interv
         return intervals
     parameters = parameters_of(fitted.effects)
     _, weights = prior_of(parameters)
-    curvature = fitted.jacobian.T @ fitted.jacobian + np.diag(weights**2 + 1e-9)
+    worth = 1 / intervals.misfit
+    curvature = worth * fitted.jacobian.T @ fitted.jacobian + np.diag(weights**2 + 1e-9)
     slopes = np.zeros((len(runs), len(weights)))
     for k, run in enumerate(runs):
         own = comparison.rows.trial == run
-        slopes[k] = fitted.jacobian[own].T @ fitted.residual[own]
+        slopes[k] = worth * fitted.jacobian[own].T @ fitted.residual[own]
     asked = np.linalg.solve(curvature, (slopes - slopes.mean(axis=0)).T)
     room = stats.t.ppf(0.975, len(runs) - 1) * np.sqrt(
         (asked**2).sum(axis=1) * len(runs) / (len(runs) - 1)

@@ -7,16 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from loose_env.gap.acceptance import Acceptance
 from loose_env.gap.catalogue import CATALOGUE
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
-from loose_env.gap.fit import fit
+from loose_env.gap.fit import FitSettings, fit, slices_of
 from loose_env.gap.judgement import Judge, Judged, lead_of
 from loose_env.gap.machine import Machine
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.noise import noise_floor
 from loose_env.gap.nominal import NominalFigures
-from loose_env.gap.parameter import free_of
+from loose_env.gap.parameter import free_of, values_of
 from loose_env.gap.trial import channels_of, lay_out
 from loose_env.gap.trying import Trying
 from tests.gap.gap_case import DAMPING, GAIN, STEP, record
@@ -73,3 +74,26 @@ def test_of_two_effects_neither_does_alone(case: Case) -> None:
     base, both = case.fitted([]), case.fitted([gain, wet])
     assert case.alone(base, case.fitted([gain]), both) is None
     assert case.alone(base, case.fitted([wet]), case.fitted([wet, gain])) is None
+
+
+def test_what_made_an_effect_idle_may_be_the_one_too_many(case: Case) -> None:
+    """The new friction at joint2 took over; without it the old one and the other new one do."""
+    wet = case.effect("viscous_friction", "joint2", [DAMPING])
+    dry = case.effect("coulomb_friction", "joint2", [1.5])
+    gain = case.effect("sensor_gain", "rate3", [GAIN])
+    base, before = case.fitted([]), case.fitted([wet])
+    together = [*before.fitted.effects, dry[0], gain[0]]
+    own = slices_of(together)
+    new = [free_of(effect.parameters, np.array(values)) for effect, values in (dry, gain)]
+    free = np.concatenate([before.fitted.free, *new])
+    free[own[1]] = free_of(wet[0].parameters, np.array([0.1]))
+    as_is = FitSettings(iterations=0)
+    stuck = case.judge.judge(fit(case.comparison, together, free, settings=as_is))
+    acceptance = Acceptance(case.comparison, case.judge, base, before, NamingSettings())
+    rather = acceptance.rather(stuck, wet[0])
+    assert rather is not None
+    assert [e.kind for e in rather.fitted.effects] == ["nominal", "viscous_friction", "sensor_gain"]
+    assert rather.total < 0.5 * stuck.total
+    kept = values_of(wet[0].parameters, rather.fitted.free[own[1]])
+    assert kept[0] == pytest.approx(DAMPING, rel=0.1)
+    assert acceptance.rather(case.fitted([wet, gain]), wet[0]) is None  # nothing new at its joint
