@@ -22,6 +22,7 @@ from loose_env.cli.options import add_settings, settings_of
 from loose_env.cli.recorded import Said, add_recording_options, folder_of
 from loose_env.gap.effect_files import read_effects
 from loose_env.gap.finding import GapSettings, find_gap
+from loose_env.gap.quantities import quantity_words
 from loose_env.gap.reporting import outputs_of
 from loose_env.gap.result import GapResult
 from loose_env.gap.stages import Stages, key_of
@@ -95,4 +96,5 @@ def summary(result: GapResult) -> str:
     if result.verdict == "named" and result.left:
         lines += [f"left: {result.left[0]}", *(f"  {words}" for words in result.left[1:])]
     lines.append(f"gap on held-out runs: {gap.before:.2f} before, {gap.after:.2f} after; noise 1")
+    lines += [f"  {words}" for words in quantity_words(gap.by_quantity)]
     return "\n".join(lines)

@@ -24,6 +24,7 @@ from loose_env.gap.left import left_motions, left_words
 from loose_env.gap.locate import Location, locate, where_it_lives
 from loose_env.gap.machine import Machine
 from loose_env.gap.nominal import NominalFigures
+from loose_env.gap.quantities import errors_by_quantity
 from loose_env.gap.residual_tests import LeftOver, left_over
 from loose_env.gap.result import Gap, GapResult, NamedEffect, Place, Ranked, Verdict
 from loose_env.gap.simulator import Hypothesis
@@ -244,6 +245,7 @@ def result_of(outputs: GapOutputs, evidence: Evidence) -> GapResult:
             after=_rms(after),
             by_channel=_by_channel(outputs, evidence),
             by_horizon_s={f"{b.horizon:.1f}": (b.over_floor, a.over_floor) for b, a in pairs},
+            by_quantity=errors_by_quantity(outputs.machine, held, before, after),
         ),
         effects=tuple(_with_alike(e, evidence.identifiability) for e in outputs.effects),
         held_out_runs=tuple(trial.name for trial in held.trials),

@@ -105,10 +105,12 @@ class Gap:
     """Channel -> before and after."""
     by_horizon_s: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Seconds, such as "0.5" -> error of predictions that run on their own so long."""
+    by_quantity: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Quantity and unit, such as "joint position [rad]" -> error in that unit, before and after."""
     noise_floor: float = 1.0
     """What the noise of the sensors alone leaves."""
     unit: str = UNIT
-    """Of all of these."""
+    """Of all of these but `by_quantity`."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
+from loose_env.gap.quantities import quantity_words
+
 if TYPE_CHECKING:
     from loose_env.gap.result import GapResult, NamedEffect
 
@@ -51,6 +53,7 @@ def result_table(result: GapResult) -> str:
             html_table(_HEADS, rows),
             f"<ul>{lives}</ul>" if unexplained else "",
             html_table(["held-out runs, in noise standard deviations", "before", "after"], errors),
+            *(f"<p>{escape(words)}</p>" for words in quantity_words(gap.by_quantity)),
             *(f"<p>Warning: {escape(words)}</p>" for words in result.warnings),
         ]
     )

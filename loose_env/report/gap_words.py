@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from loose_env.gap.left import CLOSED
+from loose_env.gap.quantities import quantity_words
 from loose_env.gap.result import GapResult, NamedEffect, Place, Ranked
 from loose_env.gap.separating import how_to_separate
 
@@ -107,7 +108,8 @@ def size_words(result: GapResult) -> list[str]:
         left += " The gap is smaller, not closed: see what is left."
     else:
         left += " Most of the gap is still there."
-    return [said + left]
+    in_units = quantity_words(gap.by_quantity)
+    return [said + left, *(f"{words[0].upper()}{words[1:]}." for words in in_units)]
 
 
 def sure_words(effect: NamedEffect) -> str:

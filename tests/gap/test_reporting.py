@@ -47,6 +47,19 @@ def test_the_gap_closes_by_channel_and_by_horizon(outputs: GapOutputs, evidence:
     assert set(gap.by_channel) == {channel.name for channel in outputs.held.channels}
     before, after = gap.by_channel["sensor.encoder2"]
     assert before > 3 and 0.8 < after < 1.2
+    assert list(gap.by_quantity) == [
+        "joint position [rad]",
+        "joint speed [rad/s]",
+        "acceleration [m/s²]",
+    ]
+    floor = outputs.held.floors[-1]
+    own = np.isin(outputs.held.rows.channel, [4, 5, 6])
+    for given, residual in zip(
+        gap.by_quantity["acceleration [m/s²]"],
+        (outputs.base.held_residual, outputs.best.held_residual),
+        strict=True,
+    ):
+        assert given == pytest.approx(np.sqrt(np.mean(residual[own] ** 2)) * floor, rel=0.1)
     assert list(gap.by_horizon_s) == ["0.1", "0.5", "2.0"]
     assert all(before > 1.5 and 0.9 < after < 1.3 for before, after in gap.by_horizon_s.values())
 
