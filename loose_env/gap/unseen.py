@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from loose_env.gap.durations import duration_words
 from loose_env.gap.separating import how_to_see, how_to_separate
 
 __all__ = ["Alike", "Identifiability", "Unseen", "identifiability_words"]
@@ -88,5 +89,4 @@ def identifiability_words(found: Identifiability) -> list[str]:
 def _missing(seconds: float | None) -> str:
     if seconds is None:
         return "more of the same will not help: "
-    rounded = float(f"{seconds:.2g}")
-    return f"record about {rounded:g} s more of them, or better: "
+    return f"record about {duration_words(seconds)} more of them, or better: "

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.dependence import Dependence
+from loose_env.gap.durations import duration_words
 from loose_env.gap.joint_motion import JointMotion
 from loose_env.gap.locate import main_band, strongest
 from loose_env.gap.reporting import Evidence, GapOutputs
@@ -322,7 +323,7 @@ def _left_group(result: GapResult) -> dict[str, Any]:
                 if np.isnan(left.largest)
                 else "white"
                 if left.white
-                else f"{1e3 * left.correlation_time:.3g} ms",
+                else duration_words(left.correlation_time),
                 "Goes with": "nothing surely"
                 if found is None
                 else f"{found.on} of {found.of}, {100 * found.share:.0f} %",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from loose_env.gap.durations import duration_words
 from loose_env.gap.separating import how_to_see, how_to_separate
 from loose_env.gap.unseen import Identifiability
 from loose_env.report.gap_parts import group
@@ -50,7 +51,7 @@ def shown_group(found: Identifiability) -> dict[str, Any]:
 
 
 def _more(seconds: float | None) -> str:
-    return "no help" if seconds is None else f"{seconds:.2g} s"
+    return "no help" if seconds is None else duration_words(seconds)
 
 
 def _rest(count: int) -> str:
