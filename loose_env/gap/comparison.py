@@ -94,6 +94,7 @@ class Comparison:
     ) -> None:
         self.machine, self.trials = machine, list(trials)
         self.channels, self.floors, self.threads = channels, floors, threads
+        self._lighter: dict[bool, Comparison] = {}
         backwards = [t for t, trial in enumerate(self.trials) if trial.form == "inverse"]
         self._backwards = np.array(backwards, dtype=np.intp)
         self._ahead = np.setdiff1d(np.arange(len(self.trials)), self._backwards)
@@ -181,24 +182,39 @@ class Comparison:
             return type(effect).command is Effect.command
         return self.inverse is not None and self.inverse.shows(effect)
 
-    def lighter(self) -> Comparison:
+    def lighter(self, *, stiff: bool = False) -> Comparison:
         """The same runs, simulated with one evaluation a step in place of four, if it is four.
 
         What an effect changes comes out nearly the same, for the error of the step is in both;
         not so where it adds a stiff spring.
+
+        Parameters
+        ----------
+        stiff : bool
+            Whether there are stiff springs in both: then every step is taken, else several at once
+            where the step is finer than the recording asks for (`Machine.spare`).
         """
         if self.machine.integrator != _RUNGE_KUTTA:
             return self
-        machine = replace(self.machine, integrator=_IMPLICIT)
-        return Comparison(
-            machine,
-            self.trials,
-            self.channels,
-            self.floors,
-            threads=self.threads,
-            inverse=self.inverse,
-            parting=self.parting,
-        )
+        if stiff not in self._lighter:
+            spare = 1 if stiff else self.machine.spare
+            trials = [trial.coarser(spare) for trial in self.trials]
+            if any(
+                trial.step == other.step for trial, other in zip(trials, self.trials, strict=True)
+            ):
+                trials, spare = self.trials, 1
+            self._lighter[stiff] = Comparison(
+                replace(
+                    self.machine, integrator=_IMPLICIT, step=self.machine.step * spare, spare=1
+                ),
+                trials,
+                self.channels,
+                self.floors,
+                threads=self.threads,
+                inverse=self.inverse,
+                parting=self.parting,
+            )
+        return self._lighter[stiff]
 
     def __len__(self) -> int:
         """How many numbers are compared."""

@@ -58,7 +58,8 @@ class FitSettings:
     trusted: float = 0.7
     """Share of the promised gain below which sensitivities are worked out anew."""
     dampings: tuple[float, ...] = (0.0, 0.1, 3.0)
-    """Levenberg's dampings that are tried at once, as shares of the curvature."""
+    """Levenberg's dampings, as shares of the curvature; those after the first are tried where its
+    step does not bring what it promises."""
     shorter: tuple[float, ...] = (0.3, 0.1, 0.03)
     """Shares of the damped steps that are tried where none of the whole steps is any good."""
 
@@ -133,7 +134,11 @@ def sensitivities(
     *,
     difference: float = 0.05,
 ) -> Array:
-    """Change of the residual with some of the free numbers (N, len(which)); inward at bounds."""
+    """Change of the residual with some of the free numbers (N, len(which)); inward at bounds.
+
+    A difference of two simulations hardly depends on how finely both are integrated: where no stiff
+    spring is among the effects a cheaper integrator does.
+    """
     parameters = parameters_of(effects)
     known = _of_starts(comparison, effects, free, residual, which)
     which, wanted = [k for k in which if k not in known], which
@@ -145,7 +150,10 @@ def sensitivities(
         moved[k] = np.clip(moved[k] + step, low, high)
         steps.append(moved[k] - free[k])
         tried.append(hypothesis_of(effects, moved))
-    found = comparison.residuals(tried)
+    compared = comparison if any(e.adds_motion for e in effects) else comparison.lighter()
+    if compared is not comparison and tried:
+        residual = compared.residuals([hypothesis_of(effects, free)])[0]
+    found = compared.residuals(tried)
     known |= dict(zip(which, (found - residual) / np.array(steps)[:, None], strict=True))
     return np.stack([known[k] for k in wanted], axis=1)
 
@@ -238,8 +246,12 @@ def fit(
                 comparison, effects, free, residual, which, difference=settings.difference
             )
         steps = [step_of(jacobian, residual, free, parameters, d) for d in settings.dampings]
-        step, left, after = _best_of(comparison, effects, free, parameters, steps)
+        step, left, after = _best_of(comparison, effects, free, parameters, steps[:1])
         hoped = cost - cost_of(residual + jacobian @ step, free + step, parameters)
+        if cost - after < settings.trusted * hoped and hoped >= settings.enough * cost:
+            damped = _best_of(comparison, effects, free, parameters, steps[1:])
+            step, left, after = min((step, left, after), damped, key=lambda found: found[2])
+            hoped = cost - cost_of(residual + jacobian @ step, free + step, parameters)
         if which and cost - after < settings.enough * cost <= hoped:
             # far from the best the slope says where it lies and not how far
             short = [share * long for long in steps[1:] for share in settings.shorter]

@@ -35,6 +35,8 @@ class Machine:
         Typical torque [N·m] or force [N] of each joint in the recording; by default from the model.
     speeds : ndarray (joints,), optional
         Typical speed of each joint [rad/s, m/s] in the recording; 1 by default.
+    spare : int
+        How many steps could be one: the step is that much finer than the recording asks for.
 
     Raises
     ------
@@ -47,6 +49,7 @@ class Machine:
     integrator: int | None = None
     loads: Array | None = None
     speeds: Array | None = None
+    spare: int = 1
 
     def __post_init__(self) -> None:
         """Check, and write every inertia out, so that an edit finds it in the spec."""

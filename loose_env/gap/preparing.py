@@ -121,7 +121,10 @@ def prepare(recording: Recording, settings: GapSettings) -> Prepared:
         step = integration.step
         warnings += integration.words(own=float(machine.model.opt.timestep))
     kept = Machine(
-        machine.spec, step=step, integrator=None if integration is None else integration.integrator
+        machine.spec,
+        step=step,
+        integrator=None if integration is None else integration.integrator,
+        spare=1 if integration is None else integration.spare,
     )
     trials = [lay_out(run, kept, channels, step=step) for run in runs]
     floors = _floors(kept, trials, channels)
@@ -251,10 +254,8 @@ def _scaled(
             [Hypothesis(effects=(), values=())]
         )[0]
         loads = np.sqrt(np.nanmean(np.concatenate(simulated) ** 2, axis=0))
-    return Machine(
-        machine.spec,
-        step=machine.step,
-        integrator=machine.integrator,
+    return replace(
+        machine,
         loads=np.where(loads > 0, loads, machine.load_scales),
         speeds=np.where(speeds > 0, speeds, 1.0),
     )

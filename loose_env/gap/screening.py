@@ -38,6 +38,8 @@ _SECOND = 0.5
 """Promise of another start, as a share of the best one's, from which on it is kept."""
 _FAR = 0.5
 """Distance of a start that is another, in free numbers: some one of them is so far off."""
+_MANY = 4
+"""Starts of one candidate above which only the best are simulated as exactly as a spring needs."""
 _ROOM = 1e-9
 """Least room between bounds that the solver needs."""
 
@@ -81,10 +83,9 @@ def screen(
     known = _Known.of(fitted)
     slow = _slow_rows(comparison)
     lens = _Known.of(fitted, slow) if 0 < slow.sum() < len(slow) else None
-    lighter = comparison.lighter()
-    alike = fitted.residual
-    if lighter is not comparison:
-        alike = lighter.residuals([fitted.hypothesis])[0]
+    lighter = comparison.lighter(stiff=any(e.adds_motion for e in fitted.effects))
+    alike = _lightly(comparison, lighter, fitted)
+    proposed = dict(proposed) | _best_starts(comparison, fitted, known, candidates, proposed)
     seen: dict[int, list[Screened]] = {}
     for springs, compared, base in ((True, comparison, fitted.residual), (False, lighter, alike)):
         entries = [
@@ -104,6 +105,46 @@ def screen(
         for effect, start, signature in _signatures(compared, fitted, entries, base):
             _keep(seen, _weigh(comparison, known, effect, start, signature))
     return sorted((_best(each) for each in seen.values()), key=lambda s: -s.promise)
+
+
+def _lightly(comparison: Comparison, lighter: Comparison, fitted: Fit) -> Array:
+    """What the present fit leaves as the lighter comparison simulates it (N,)."""
+    if lighter is comparison:
+        return fitted.residual
+    return np.asarray(lighter.residuals([fitted.hypothesis])[0])
+
+
+def _best_starts(
+    comparison: Comparison,
+    fitted: Fit,
+    known: _Known,
+    candidates: Sequence[Effect],
+    proposed: Mapping[tuple[str, str, str], Sequence[tuple[float, ...]]],
+) -> dict[tuple[str, str, str], list[tuple[float, ...]]]:
+    """The best starts of candidates with many, by candidate: those of a loose link go all ways.
+
+    A stiff spring comes out badly in a lighter simulation, but all of its starts alike.
+    """
+    entries = [
+        (effect, start)
+        for effect in candidates
+        for starts in [proposed.get(effect.key) or effect.starts]
+        for start in starts
+        if effect.adds_motion and len(starts) > _MANY
+    ]
+    lighter = comparison.lighter(stiff=True)
+    if lighter is comparison or not entries:
+        return {}
+    base = _lightly(comparison, lighter, fitted)
+    found: dict[tuple[str, str, str], list[tuple[float, tuple[float, ...]]]] = {}
+    for effect, start, signature in _signatures(lighter, fitted, entries, base):
+        weighed = _weigh(comparison, known, effect, start, signature)
+        promise = 0.0 if weighed is None else weighed.promise
+        found.setdefault(effect.key, []).append((promise, start))
+    return {
+        key: [start for _, start in sorted(many, key=lambda each: -each[0])[:_MANY]]
+        for key, many in found.items()
+    }
 
 
 def _signatures(

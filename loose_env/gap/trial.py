@@ -87,6 +87,16 @@ class Trial:
         controls = np.repeat(self.controls, parts, axis=0)[:steps]
         return replace(self, step=self.step / parts, steps=steps, controls=controls)
 
+    def coarser(self, parts: int) -> Trial:
+        """The same with so many steps in one; itself where samples or commands come between."""
+        at, steps = self.time / (self.step * parts), -(-(self.steps - 1) // parts) + 1
+        controls = self.controls[::parts]
+        between = np.any(np.abs(at - np.round(at)) > 1e-5)
+        if between or np.any(np.repeat(controls, parts, axis=0)[: self.steps] != self.controls):
+            return self
+        controls = np.concatenate([controls, self.controls[-1:]])[:steps]
+        return replace(self, step=self.step * parts, steps=steps, controls=controls)
+
     def until(self, seconds: float) -> Trial:
         """The beginning of the run, of so many seconds; the whole if it is no longer."""
         count = int(np.searchsorted(self.time, seconds, side="right"))
