@@ -21,6 +21,9 @@ __all__ = ["Comparison", "Rows"]
 
 Array = NDArray[np.float64]
 
+_ASTRAY = 100.0
+"""Error of a cheaper integrator above which its differences are not taken [noise standard
+deviations], where it is larger than what is to be explained."""
 _WILD = 1e4
 """Residual where a simulation went wild, and the largest that counts [standard deviations]."""
 _RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
@@ -215,6 +218,30 @@ class Comparison:
                 parting=self.parting,
             )
         return self._lighter[stiff]
+
+    def lightly(
+        self, hypothesis: Hypothesis, residual: Array, *, stiff: bool = False
+    ) -> tuple[Comparison, Array]:
+        """A lighter comparison with what a hypothesis leaves in it (N,).
+
+        Where the cheaper integrator cannot follow, that is this one with the residual given.
+
+        Parameters
+        ----------
+        hypothesis : Hypothesis
+            What differences are taken from.
+        residual : ndarray (N,)
+            What it leaves here.
+        stiff : bool
+            As of `lighter`.
+        """
+        lighter = self.lighter(stiff=stiff)
+        if lighter is self:
+            return self, residual
+        found = np.asarray(lighter.residuals([hypothesis])[0])
+        off = float(np.mean((found - residual) ** 2))
+        astray = off > max(_ASTRAY**2, float(np.mean(residual**2)))
+        return (self, residual) if astray else (lighter, found)
 
     def __len__(self) -> int:
         """How many numbers are compared."""

@@ -136,12 +136,40 @@ def sensitivities(
 ) -> Array:
     """Change of the residual with some of the free numbers (N, len(which)); inward at bounds.
 
-    A difference of two simulations hardly depends on how finely both are integrated: where no stiff
-    spring is among the effects a cheaper integrator does.
+    A difference of two simulations hardly depends on how finely both are integrated: a cheaper
+    integrator does for what is only a nuisance, where no stiff spring is among the effects. What an
+    effect is named by, and how surely, is simulated as everything else.
     """
     parameters = parameters_of(effects)
     known = _of_starts(comparison, effects, free, residual, which)
-    which, wanted = [k for k in which if k not in known], which
+    named = [k for k in which if k not in known and not _only_nuisance(effects, k)]
+    known |= _differences(comparison, effects, free, residual, named, difference, parameters)
+    rest = [k for k in which if k not in known]
+    compared = comparison
+    if rest and not any(e.adds_motion for e in effects):
+        compared, residual = comparison.lightly(hypothesis_of(effects, free), residual)
+    known |= _differences(compared, effects, free, residual, rest, difference, parameters)
+    return np.stack([known[k] for k in which], axis=1)
+
+
+def _only_nuisance(effects: Sequence[Effect], number: int) -> bool:
+    """Whether a free number is one of the nominal figures."""
+    return any(
+        effect.kind == "nominal" and own.start <= number < own.stop
+        for effect, own in zip(effects, slices_of(effects), strict=True)
+    )
+
+
+def _differences(
+    comparison: Comparison,
+    effects: Sequence[Effect],
+    free: Array,
+    residual: Array,
+    which: Sequence[int],
+    difference: float,
+    parameters: Sequence[Parameter],
+) -> dict[int, Array]:
+    """Free number -> change of the residual with it (N,), by a step inside its bounds."""
     tried, steps = [], []
     for k in which:
         moved = free.copy()
@@ -150,12 +178,10 @@ def sensitivities(
         moved[k] = np.clip(moved[k] + step, low, high)
         steps.append(moved[k] - free[k])
         tried.append(hypothesis_of(effects, moved))
-    compared = comparison if any(e.adds_motion for e in effects) else comparison.lighter()
-    if compared is not comparison and tried:
-        residual = compared.residuals([hypothesis_of(effects, free)])[0]
-    found = compared.residuals(tried)
-    known |= dict(zip(which, (found - residual) / np.array(steps)[:, None], strict=True))
-    return np.stack([known[k] for k in wanted], axis=1)
+    if not tried:
+        return {}
+    found = comparison.residuals(tried)
+    return dict(zip(which, (found - residual) / np.array(steps)[:, None], strict=True))
 
 
 def _of_starts(

@@ -231,13 +231,14 @@ def _changes(
     error is in both.
     """
     found: list[_Signature | None] = [None] * len(entries)
-    for springs, compared in ((True, short), (False, short.lighter() if cheap else short)):
+    stiff = any(effect.adds_motion for effect in base.effects)
+    for springs in (True, False):
         own = [k for k, (effect, _) in enumerate(entries) if effect.adds_motion == springs]
         if not own:
             continue
-        alike = base.residual
-        if compared is not short:
-            alike = compared.residuals([base.hypothesis])[0]
+        compared, alike = short, base.residual
+        if cheap and not springs:
+            compared, alike = short.lightly(base.hypothesis, base.residual, stiff=stiff)
         for begin in range(0, len(own), _GROUP):
             group = own[begin : begin + _GROUP]
             tried = [

@@ -83,8 +83,8 @@ def screen(
     known = _Known.of(fitted)
     slow = _slow_rows(comparison)
     lens = _Known.of(fitted, slow) if 0 < slow.sum() < len(slow) else None
-    lighter = comparison.lighter(stiff=any(e.adds_motion for e in fitted.effects))
-    alike = _lightly(comparison, lighter, fitted)
+    stiff = any(e.adds_motion for e in fitted.effects)
+    lighter, alike = comparison.lightly(fitted.hypothesis, fitted.residual, stiff=stiff)
     proposed = dict(proposed) | _best_starts(comparison, fitted, known, candidates, proposed)
     seen: dict[int, list[Screened]] = {}
     for springs, compared, base in ((True, comparison, fitted.residual), (False, lighter, alike)):
@@ -107,13 +107,6 @@ def screen(
     return sorted((_best(each) for each in seen.values()), key=lambda s: -s.promise)
 
 
-def _lightly(comparison: Comparison, lighter: Comparison, fitted: Fit) -> Array:
-    """What the present fit leaves as the lighter comparison simulates it (N,)."""
-    if lighter is comparison:
-        return fitted.residual
-    return np.asarray(lighter.residuals([fitted.hypothesis])[0])
-
-
 def _best_starts(
     comparison: Comparison,
     fitted: Fit,
@@ -132,10 +125,11 @@ def _best_starts(
         for start in starts
         if effect.adds_motion and len(starts) > _MANY
     ]
-    lighter = comparison.lighter(stiff=True)
-    if lighter is comparison or not entries:
+    if not entries:
         return {}
-    base = _lightly(comparison, lighter, fitted)
+    lighter, base = comparison.lightly(fitted.hypothesis, fitted.residual, stiff=True)
+    if lighter is comparison:
+        return {}
     found: dict[tuple[str, str, str], list[tuple[float, tuple[float, ...]]]] = {}
     for effect, start, signature in _signatures(lighter, fitted, entries, base):
         weighed = _weigh(comparison, known, effect, start, signature)

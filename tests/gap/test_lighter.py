@@ -1,0 +1,100 @@
+"""Differences by a cheaper integrator: near those of the exact one, and never where it is lost."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from loose_env.gap.catalogue import CATALOGUE
+from loose_env.gap.comparison import Comparison
+from loose_env.gap.fit import hypothesis_of, sensitivities
+from loose_env.gap.machine import Machine
+from loose_env.gap.nominal import NominalFigures
+from loose_env.gap.parameter import free_of
+from loose_env.gap.trial import Trial, channels_of, lay_out
+from loose_env.recording import Recording
+from tests.gap.gap_case import STEP, record
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return record(tmp_path_factory.mktemp("lighter") / "recording")
+
+
+def comparison_of(recording: Recording, *, parts: int, spare: int) -> Comparison:
+    """The runs at a part of the sample interval, as long as the model says or much finer."""
+    machine = Machine(
+        recording.spec(), step=STEP / parts, integrator=int(mujoco.mjtIntegrator.mjINT_RK4),
+        spare=spare,
+    )  # fmt: skip
+    channels = channels_of(list(recording.runs))
+    trials = [lay_out(run, machine, channels, step=STEP / parts) for run in recording.runs[:2]]
+    floors = np.array([2e-5] * 3 + [2e-3] + [0.02] * 3)
+    return Comparison(machine, trials, channels, floors, threads=1)
+
+
+@pytest.mark.parametrize("spare", [1, 2])
+def test_sensitivities_by_the_cheaper_integrator_are_near_the_exact_ones(
+    recording: Recording, spare: int
+) -> None:
+    comparison = comparison_of(recording, parts=2, spare=spare)
+    assert comparison.lighter().trials[0].step == STEP / 2 * spare
+    assert comparison.lighter() is comparison.lighter()
+    figures = NominalFigures(comparison.machine, tolerance=0.03)
+    free = free_of(figures.parameters, np.array(figures.starts[0]))
+    residual = comparison.residuals([hypothesis_of([figures], free)])[0]
+    which = range(len(free))
+    cheap = sensitivities(comparison, [figures], free, residual, which)
+    moved = [hypothesis_of([figures], free + 0.05 * row) for row in np.eye(len(free))]
+    exact = ((comparison.residuals(moved) - residual) / 0.05).T
+    size, off = (np.linalg.norm(columns, axis=0) for columns in (exact, cheap - exact))
+    seen = size > 1.0  # a figure that these runs show
+    assert seen.sum() >= 6
+    assert np.median(off[seen] / size[seen]) < 0.05
+    # beside what the runs show best, an error in what they hardly show is none
+    assert np.all(off[seen] < 0.05 * size.max())
+
+
+def test_what_an_effect_is_named_by_is_simulated_exactly(recording: Recording) -> None:
+    comparison = comparison_of(recording, parts=2, spare=2)
+    figures = NominalFigures(comparison.machine, tolerance=0.03)
+    drag = CATALOGUE["viscous_friction"](comparison.machine, "joint2")
+    effects = [figures, drag]
+    free = np.append(free_of(figures.parameters, np.array(figures.starts[0])), 0.3)
+    residual = comparison.residuals([hypothesis_of(effects, free)])[0]
+    cheap = sensitivities(comparison, effects, free, residual, range(len(free)))
+    step = np.eye(len(free))[-1] * 0.05
+    exact = (comparison.residuals([hypothesis_of(effects, free + step)])[0] - residual) / 0.05
+    assert np.allclose(cheap[:, -1], exact, rtol=1e-6, atol=1e-6)
+
+
+def test_a_spring_in_the_model_keeps_every_step(recording: Recording) -> None:
+    comparison = comparison_of(recording, parts=2, spare=2)
+    assert comparison.lighter(stiff=True).trials[0].step == STEP / 2
+
+
+def test_steps_are_joined_where_no_sample_comes_between(recording: Recording) -> None:
+    def trial(parts: int) -> Trial:
+        return comparison_of(recording, parts=parts, spare=1).trials[0]
+
+    joined, whole = trial(2).coarser(2), trial(1)
+    assert (joined.step, joined.steps) == (whole.step, whole.steps)
+    assert np.array_equal(joined.controls, whole.controls)
+    assert trial(3).coarser(2).step == trial(3).step  # every other sample lies between two
+
+
+def test_where_the_cheaper_integrator_is_lost_it_is_not_used(recording: Recording) -> None:
+
+    comparison = comparison_of(recording, parts=2, spare=2)
+    figures = NominalFigures(comparison.machine, tolerance=0.03)
+    free = free_of(figures.parameters, np.array(figures.starts[0]))
+    hypothesis = hypothesis_of([figures], free)
+    residual = comparison.residuals([hypothesis])[0]
+    used, left = comparison.lightly(hypothesis, residual)
+    assert used is comparison.lighter() and len(left) == len(residual)
+    lost = comparison.lighter()
+    lost.measured = lost.measured + 5e3  # as if it had run away
+    used, left = comparison.lightly(hypothesis, residual)
+    assert used is comparison
+    assert left is residual
