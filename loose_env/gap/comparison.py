@@ -97,7 +97,7 @@ class Comparison:
     ) -> None:
         self.machine, self.trials = machine, list(trials)
         self.channels, self.floors, self.threads = channels, floors, threads
-        self._lighter: dict[bool, Comparison] = {}
+        self._lighter: dict[int, Comparison] = {}
         backwards = [t for t, trial in enumerate(self.trials) if trial.form == "inverse"]
         self._backwards = np.array(backwards, dtype=np.intp)
         self._ahead = np.setdiff1d(np.arange(len(self.trials)), self._backwards)
@@ -199,16 +199,14 @@ class Comparison:
         """
         if self.machine.integrator != _RUNGE_KUTTA:
             return self
-        if stiff not in self._lighter:
-            spare = 1 if stiff else self.machine.spare
-            trials = [trial.coarser(spare) for trial in self.trials]
-            if any(
-                trial.step == other.step for trial, other in zip(trials, self.trials, strict=True)
-            ):
-                trials, spare = self.trials, 1
-            self._lighter[stiff] = Comparison(
+        spare = 1 if stiff else self.machine.spare
+        if spare not in self._lighter:
+            trials, parts = [trial.coarser(spare) for trial in self.trials], spare
+            if any(t.step == own.step for t, own in zip(trials, self.trials, strict=True)):
+                trials, parts = self.trials, 1
+            self._lighter[spare] = Comparison(
                 replace(
-                    self.machine, integrator=_IMPLICIT, step=self.machine.step * spare, spare=1
+                    self.machine, integrator=_IMPLICIT, step=self.machine.step * parts, spare=1
                 ),
                 trials,
                 self.channels,
@@ -217,7 +215,7 @@ class Comparison:
                 inverse=self.inverse,
                 parting=self.parting,
             )
-        return self._lighter[stiff]
+        return self._lighter[spare]
 
     def lightly(
         self, hypothesis: Hypothesis, residual: Array, *, stiff: bool = False

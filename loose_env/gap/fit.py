@@ -140,24 +140,26 @@ def sensitivities(
     integrator does for what is only a nuisance, where no stiff spring is among the effects. What an
     effect is named by, and how surely, is simulated as everything else.
     """
-    parameters = parameters_of(effects)
     known = _of_starts(comparison, effects, free, residual, which)
-    named = [k for k in which if k not in known and not _only_nuisance(effects, k)]
-    known |= _differences(comparison, effects, free, residual, named, difference, parameters)
+    nuisances = _nuisances(effects)
+    named = [k for k in which if k not in known and k not in nuisances]
+    known |= _differences(comparison, effects, free, residual, named, difference)
     rest = [k for k in which if k not in known]
     compared = comparison
     if rest and not any(e.adds_motion for e in effects):
         compared, residual = comparison.lightly(hypothesis_of(effects, free), residual)
-    known |= _differences(compared, effects, free, residual, rest, difference, parameters)
+    known |= _differences(compared, effects, free, residual, rest, difference)
     return np.stack([known[k] for k in which], axis=1)
 
 
-def _only_nuisance(effects: Sequence[Effect], number: int) -> bool:
-    """Whether a free number is one of the nominal figures."""
-    return any(
-        effect.kind == "nominal" and own.start <= number < own.stop
+def _nuisances(effects: Sequence[Effect]) -> set[int]:
+    """Numbers of the free numbers that are nominal figures."""
+    return {
+        k
         for effect, own in zip(effects, slices_of(effects), strict=True)
-    )
+        if effect.kind == "nominal"
+        for k in range(own.start, own.stop)
+    }
 
 
 def _differences(
@@ -167,9 +169,9 @@ def _differences(
     residual: Array,
     which: Sequence[int],
     difference: float,
-    parameters: Sequence[Parameter],
 ) -> dict[int, Array]:
     """Free number -> change of the residual with it (N,), by a step inside its bounds."""
+    parameters = parameters_of(effects)
     tried, steps = [], []
     for k in which:
         moved = free.copy()
@@ -253,12 +255,8 @@ def fit(
     held = 0 if known is None else known.shape[1]
     # Nominal figures move within their tolerance only: where their sensitivities are known, they
     # are not worked out again.
-    again = [
-        k
-        for effect, own in zip(effects, slices_of(effects), strict=True)
-        for k in range(own.start, own.stop)
-        if not held or effect.kind != "nominal"
-    ]
+    kept = _nuisances(effects) if held else set()
+    again = [k for k in range(len(parameters)) if k not in kept]
     jacobian = np.zeros((len(residual), len(parameters)))
     if known is not None:
         jacobian[:, :held] = known

@@ -12,7 +12,7 @@ from loose_env.gap.comparison import Comparison
 from loose_env.gap.machine import Machine
 from loose_env.gap.trial import Channel
 
-__all__ = ["errors_by_quantity", "quantity_of", "quantity_words"]
+__all__ = ["errors_by_quantity", "quantity_of", "quantity_words", "rms"]
 
 _SENSOR = mujoco.mjtSensor
 _OF_A_JOINT = {
@@ -93,7 +93,7 @@ def errors_by_quantity(
     for quantity in dict.fromkeys(of_channel):
         own = (of_channel[rows.channel] == quantity) & ~rows.white
         if quantity and own.any():
-            found[str(quantity)] = (_rms(before[own] * scale[own]), _rms(after[own] * scale[own]))
+            found[str(quantity)] = (rms(before[own] * scale[own]), rms(after[own] * scale[own]))
     return found
 
 
@@ -117,5 +117,6 @@ def _unit(model: mujoco.MjModel, joint: int, turning: str, sliding: str) -> str:
     return sliding if slides else turning
 
 
-def _rms(values: NDArray[np.float64]) -> float:
+def rms(values: NDArray[np.float64]) -> float:
+    """Root mean square (N,)."""
     return float(np.sqrt(np.mean(values**2)))

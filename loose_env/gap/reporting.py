@@ -24,7 +24,7 @@ from loose_env.gap.left import left_motions, left_words
 from loose_env.gap.locate import Location, locate, where_it_lives
 from loose_env.gap.machine import Machine
 from loose_env.gap.nominal import NominalFigures
-from loose_env.gap.quantities import errors_by_quantity
+from loose_env.gap.quantities import errors_by_quantity, rms
 from loose_env.gap.residual_tests import LeftOver, left_over
 from loose_env.gap.result import Gap, GapResult, NamedEffect, Place, Ranked, Verdict
 from loose_env.gap.simulator import Hypothesis
@@ -241,8 +241,8 @@ def result_of(outputs: GapOutputs, evidence: Evidence) -> GapResult:
     return GapResult(
         verdict=outputs.verdict,
         gap=Gap(
-            before=_rms(before),
-            after=_rms(after),
+            before=rms(before),
+            after=rms(after),
             by_channel=_by_channel(outputs, evidence),
             by_horizon_s={f"{b.horizon:.1f}": (b.over_floor, a.over_floor) for b, a in pairs},
             by_quantity=errors_by_quantity(outputs.machine, held, before, after),
@@ -284,7 +284,7 @@ def _by_channel(outputs: GapOutputs, evidence: Evidence) -> dict[str, tuple[floa
             )
         ]
         if len(parts[0]):
-            found[channel.name] = (_rms(parts[0]), _rms(parts[1]))
+            found[channel.name] = (rms(parts[0]), rms(parts[1]))
     return found
 
 
@@ -306,10 +306,6 @@ def _figures(outputs: GapOutputs) -> dict[str, float]:
         if isinstance(effect, NominalFigures)
         for parameter, value in zip(effect.parameters, values, strict=True)
     }
-
-
-def _rms(residual: Array) -> float:
-    return float(np.sqrt(np.mean(residual**2)))
 
 
 def write_model_and_result(folder: Path, outputs: GapOutputs, result: GapResult) -> list[Path]:
