@@ -208,7 +208,13 @@ class Acceptance:
         if lead.share >= settings.share or gained >= settings.base_share * base.structure:
             return True
         # A machine may lack something at every joint: what is little of all is much of a channel.
-        whole, count = base.channel_structure
-        sure = whole > settings.channel_sureness * np.sqrt(count)
-        by_channel = self.before.channel_structure[0] - judged.channel_structure[0]
-        return bool(np.any(sure & (by_channel >= settings.channel_share * whole)))
+        gains = self.before.channel_structure[0] - judged.channel_structure[0]
+        for there, share in (
+            (base.channel_structure, settings.channel_share),
+            (self.before.channel_structure, settings.channel_whole),
+        ):
+            whole, count = there
+            sure = whole > settings.channel_sureness * np.sqrt(count)
+            if np.any(sure & (gains >= share * whole)):
+                return True
+        return False

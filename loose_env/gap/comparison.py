@@ -194,21 +194,16 @@ class Comparison:
         Parameters
         ----------
         stiff : bool
-            Whether there are stiff springs in both: then every step is taken, else several at once
-            where the step is finer than the recording asks for (`Machine.spare`).
+            Whether there is a stiff spring in either: then both take every step, else several as
+            one where there are steps to spare (`Machine.spare`).
         """
         if self.machine.integrator != _RUNGE_KUTTA:
             return self
         spare = 1 if stiff else self.machine.spare
         if spare not in self._lighter:
-            trials, parts = [trial.coarser(spare) for trial in self.trials], spare
-            if any(t.step == own.step for t, own in zip(trials, self.trials, strict=True)):
-                trials, parts = self.trials, 1
             self._lighter[spare] = Comparison(
-                replace(
-                    self.machine, integrator=_IMPLICIT, step=self.machine.step * parts, spare=1
-                ),
-                trials,
+                replace(self.machine, integrator=_IMPLICIT, spare=spare),
+                self.trials,
                 self.channels,
                 self.floors,
                 threads=self.threads,

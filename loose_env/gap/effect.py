@@ -75,6 +75,9 @@ class Effect:
     proportional: ClassVar[int | None] = None
     """Number of the only parameter that what it changes is about proportional to; None if all of
     them scale it, or none does."""
+    adds_up: ClassVar[bool] = False
+    """Whether its parameters are small steps along axes, of which what they change adds up: then
+    screening looks at each by itself and works out how much of every one is best."""
     searches: ClassVar[bool] = False
     """Whether `starts` cannot cover what it may be, so that `propose` has to find it in data."""
     limit: ClassVar[tuple[tuple[str, str], ...]] = ()

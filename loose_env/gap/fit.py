@@ -49,12 +49,13 @@ _NONE, _NEW, _ALL = 0, 1, 2
 class FitSettings:
     """How a fit goes about it."""
 
-    iterations: int = 8
+    iterations: int = 16
     """Most Gauss-Newton steps."""
     enough: float = 1e-3
     """Share of the cost below which a further step is not worth its simulations."""
-    difference: float = 0.05
-    """Step of the sensitivities, in free units."""
+    difference: float = 0.002
+    """Step of the sensitivities, in free units. Figures that nearly cancel one another leave a
+    valley, which differences over longer steps bar: what bends in each of them does not cancel."""
     trusted: float = 0.7
     """Share of the promised gain below which sensitivities are worked out anew."""
     dampings: tuple[float, ...] = (0.0, 0.1, 3.0)
@@ -132,23 +133,12 @@ def sensitivities(
     residual: Array,
     which: Sequence[int],
     *,
-    difference: float = 0.05,
+    difference: float = FitSettings.difference,
 ) -> Array:
-    """Change of the residual with some of the free numbers (N, len(which)); inward at bounds.
-
-    A difference of two simulations hardly depends on how finely both are integrated: a cheaper
-    integrator does for what is only a nuisance, where no stiff spring is among the effects. What an
-    effect is named by, and how surely, is simulated as everything else.
-    """
+    """Change of the residual with some of the free numbers (N, len(which)); inward at bounds."""
     known = _of_starts(comparison, effects, free, residual, which)
-    nuisances = _nuisances(effects)
-    named = [k for k in which if k not in known and k not in nuisances]
-    known |= _differences(comparison, effects, free, residual, named, difference)
     rest = [k for k in which if k not in known]
-    compared = comparison
-    if rest and not any(e.adds_motion for e in effects):
-        compared, residual = comparison.lightly(hypothesis_of(effects, free), residual)
-    known |= _differences(compared, effects, free, residual, rest, difference)
+    known |= _differences(comparison, effects, free, residual, rest, difference)
     return np.stack([known[k] for k in which], axis=1)
 
 

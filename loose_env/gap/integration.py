@@ -44,6 +44,8 @@ _CHECKED, _FINER = 15.0, 4
 """How much of the held-out runs the corrected model's step is checked on [s], and by how many times
 finer steps."""
 _FINEST = 16
+_JOINED = 4
+"""Most steps that are taken as one."""
 _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 
 
@@ -68,7 +70,9 @@ class Integration:
     @property
     def spare(self) -> int:
         """How many steps could be one: a Runge-Kutta step of twice the length errs 16 times."""
-        return 2 if self.integrator == _RK4 and 2**4 * self.matter < _ENOUGH else 1
+        if self.integrator != _RK4:
+            return 1
+        return max(k for k in range(1, _JOINED + 1) if k == 1 or k**4 * self.matter < _ENOUGH)
 
     def words(self, *, own: float) -> list[str]:
         """What a reader should know: that the step was changed, and that it is still too coarse.

@@ -36,7 +36,8 @@ class Machine:
     speeds : ndarray (joints,), optional
         Typical speed of each joint [rad/s, m/s] in the recording; 1 by default.
     spare : int
-        How many steps could be one: the step is that much finer than the recording asks for.
+        How many steps are taken as one where no stiff spring asks for them: the step is that much
+        finer than the recording asks for.
 
     Raises
     ------

@@ -13,10 +13,12 @@ class NamingSettings:
 
     most: int = 3
     """Most effects named."""
-    sorting: float = 10.0
+    sorting: float = 6.0
     """How much of the runs is used to sort candidates, in all [s]."""
     candidates: int = 7
     """Candidates that are fitted to that."""
+    surer: int = 2
+    """Further ones that promise less and are surer than all of those."""
     twice: int = 3
     """How many of them are fitted from a second start where one promises about as much."""
     further: int = 6
@@ -25,7 +27,10 @@ class NamingSettings:
     """Candidates that are fitted to whole runs."""
     kin: int = 2
     """Further candidates fitted to whole runs because the best one may be mistaken for them."""
-    alone: float = 0.5
+    hopeless: float = 2.0
+    """Sum of squares on what sorts candidates, over that of the best of them, from which on one is
+    not fitted to whole runs, if the best one is surely ahead of it (`sureness`)."""
+    alone: float = 0.4
     """Share of what is still to be explained below which no effect by itself will do, and one kind
     at several places is tried."""
     much: float = 0.2
@@ -49,6 +54,9 @@ class NamingSettings:
     channel_share: float = 0.3
     """Share of what there was to explain at first in one channel in which it hung together surely
     (`channel_sureness`)."""
+    channel_whole: float = 0.85
+    """Share of what is still to be explained in one such channel that will do, too: a law that is
+    a little wrong elsewhere may leave more than a second effect ever did."""
     channel_sureness: float = 10.0
     """Mean product of a residual of that channel with itself a little later, over what white
     noise shows by chance [standard deviations]."""

@@ -94,13 +94,30 @@ def screen(
             if effect.adds_motion == springs
             for start in proposed.get(effect.key) or effect.starts
         ]
+        axes = {
+            id(effect): (effect, _axes_of(effect))
+            for effect in candidates
+            if effect.adds_up and effect.adds_motion == springs and len(effect.parameters) > 1
+        }
+        entries += [
+            (effect, start)
+            for effect, own in axes.values()
+            for start in own
+            if start not in effect.starts
+        ]
+        apart: dict[int, dict[tuple[float, ...], Array]] = {}
         again: dict[int, tuple[float, Effect, tuple[float, ...]]] = {}
         for effect, start, signature in _signatures(compared, fitted, entries, base):
             _keep(seen, _weigh(comparison, known, effect, start, signature))
+            if id(effect) in axes:
+                apart.setdefault(id(effect), {})[start] = signature
             if lens is not None and effect.shifts:
                 found = _proposed(lens, slow, effect, start, signature)
                 if found is not None and found[0] > again.get(id(effect), (0.0,))[0]:
                     again[id(effect)] = (found[0], effect, found[1])
+        for key, (effect, own) in axes.items():
+            together = np.stack([apart[key][start] for start in own], axis=1)
+            _keep(seen, _weigh_together(comparison, known, effect, own, together))
         entries = [(effect, start) for _, effect, start in again.values()]
         for effect, start, signature in _signatures(compared, fitted, entries, base):
             _keep(seen, _weigh(comparison, known, effect, start, signature))
@@ -211,31 +228,30 @@ class _Known:
             (np.minimum(low - fitted.free, 0.0), np.maximum(high - fitted.free, 0.0)),
         )
 
-    def taken_up(self, signature: Array, least: float, most: float) -> tuple[float, Array] | None:
-        """Share of a signature that helps most, and what it changes with all else adjusted (N,).
+    def taken_up(self, signatures: Array, least: float, most: float) -> tuple[Array, Array] | None:
+        """Shares of signatures (N, K) that help most (K,), and what they change (N,).
 
-        Present parameters move within their bounds: a figure that is known within a tolerance
-        takes up no more of a signature than that.
+        All else is adjusted. Present parameters move within their bounds: a figure that is known
+        within a tolerance takes up no more of a signature than that.
         """
-        jacobian, residual = self.jacobian, self.residual
-        across, size = jacobian.T @ signature, float(signature @ signature)
-        if not np.isfinite(size) or size <= 0:
+        jacobian, residual, count = self.jacobian, self.residual, signatures.shape[1]
+        across, sizes = jacobian.T @ signatures, signatures.T @ signatures
+        if not np.all(np.isfinite(sizes)) or not sizes.any():
             return None
-        curvature = np.block(
-            [[self.curvature, across[:, None]], [across[None], np.array([[size]])]]
-        )
-        slope = np.append(self.slope, signature @ residual)
+        curvature = np.block([[self.curvature, across], [across.T, sizes]])
+        slope = np.append(self.slope, signatures.T @ residual)
         diagonal = np.sqrt(np.diag(curvature) + 1e-12)
         scaled = curvature / np.outer(diagonal, diagonal) + 1e-9 * np.eye(len(slope))
         root = np.linalg.cholesky(scaled)
-        low, high = np.append(self.room[0], least), np.append(self.room[1], most)
+        low = np.append(self.room[0], np.full(count, least))
+        high = np.append(self.room[1], np.full(count, most))
         found = lsq_linear(
             root.T,
             -np.linalg.solve(root, slope / diagonal),
             bounds=(low * diagonal - _ROOM, high * diagonal + _ROOM),
         )
         moved = found.x / diagonal
-        return float(moved[-1]), moved[-1] * signature + jacobian @ moved[:-1]
+        return moved[-count:], signatures @ moved[-count:] + jacobian @ moved[:-count]
 
 
 def _weigh(
@@ -248,19 +264,52 @@ def _weigh(
     """What a signature promises, once the present parameters have taken up their share."""
     linear = effect.nothing is not None
     most = _LARGEST_SHARE if linear or effect.proportional is not None else 1.0
-    taken = known.taken_up(signature, -_LARGEST_SHARE if linear else 0.0, most)
-    if taken is None:
+    taken = known.taken_up(signature[:, None], -_LARGEST_SHARE if linear else 0.0, most)
+    if taken is None or abs(taken[0][0]) < _SMALLEST_SHARE:
         return None
-    share, change = taken
-    residual = known.residual
-    gains = comparison.by_block(-change * (2 * residual + change))
-    if gains.sum() <= 0 or abs(share) < _SMALLEST_SHARE:
-        return None
-    values = start
+    share, values = float(taken[0][0]), start
     if effect.nothing is not None:
         values = along(effect, start, effect.nothing, share)
     elif effect.proportional is not None:
         values = along(effect, start, (0.0,) * len(start), share)
+    return _screened(comparison, known, effect, values, taken[1])
+
+
+def _weigh_together(
+    comparison: Comparison,
+    known: _Known,
+    effect: Effect,
+    axes: Sequence[tuple[float, ...]],
+    signatures: Array,
+) -> Screened | None:
+    """What the signatures of an effect's axes (N, K) promise, as much of each as is best."""
+    taken = known.taken_up(signatures, -_LARGEST_SHARE, _LARGEST_SHARE)
+    if taken is None or effect.nothing is None:
+        return None
+    values = np.array(effect.nothing) + taken[0] @ (np.array(axes) - np.array(effect.nothing))
+    within = tuple(p.clipped(float(v)) for p, v in zip(effect.parameters, values, strict=True))
+    return _screened(comparison, known, effect, within, taken[1])
+
+
+def _axes_of(effect: Effect) -> list[tuple[float, ...]]:
+    """Starts of an effect along one of its parameters each, as far out as its own starts lie."""
+    none = np.array(effect.nothing)
+    sizes = np.max(np.array(effect.starts) - none, axis=0)
+    return [tuple(float(v) for v in none + row) for row in np.diag(sizes)]
+
+
+def _screened(
+    comparison: Comparison,
+    known: _Known,
+    effect: Effect,
+    values: tuple[float, ...],
+    change: Array,
+) -> Screened | None:
+    """What a change of the residual (N,) promises; None if it is no better for it."""
+    residual = known.residual
+    gains = comparison.by_block(-change * (2 * residual + change))
+    if gains.sum() <= 0:
+        return None
     return Screened(
         effect=effect,
         values=values,
@@ -277,10 +326,10 @@ def _proposed(
     signature: Array,
 ) -> tuple[float, tuple[float, ...]] | None:
     """Share that some of the rows would explain, and the values at which they would."""
-    taken = lens.taken_up(signature[rows], 0.0, _LARGEST_SHARE)
+    taken = lens.taken_up(signature[rows, None], 0.0, _LARGEST_SHARE)
     if taken is None or effect.nothing is None:
         return None
-    share, change = taken
+    share, change = float(taken[0][0]), taken[1]
     gain = -float(change @ (2 * lens.residual + change))
     if gain <= 0 or share < _SMALLEST_SHARE:
         return None

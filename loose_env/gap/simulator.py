@@ -39,13 +39,19 @@ class _Slot:
     key: object
     hypothesis: Hypothesis
     model: mujoco.MjModel
-    trial: int
+    number: int
+    """Number of the run."""
+    trial: Trial
+    """The run on the steps that are taken."""
     parts: int
     """In how many parts each step of the run is simulated."""
 
 
 class Simulator:
     """Simulates the runs of a recording.
+
+    Where the machine has steps to spare, several are taken as one, except behind stiff springs,
+    which the nominal model by which the step was chosen does not have.
 
     Parameters
     ----------
@@ -69,6 +75,7 @@ class Simulator:
     ) -> None:
         self.machine, self.trials, self.channels = machine, list(trials), channels
         self.threads = threads
+        self._joined = [trial.coarser(machine.spare) for trial in self.trials]
         self._batches: dict[tuple[object, ...], Batch] = {}
         self.simulated = 0
 
@@ -81,24 +88,27 @@ class Simulator:
             By hypothesis, by trial; NaN where the simulation went wild.
         """
         motions = {self._motion(hypothesis): hypothesis for hypothesis in hypotheses}
-        alike: dict[tuple[float, int, bool], list[int]] = {}
-        for t, trial in enumerate(self.trials):
-            alike.setdefault((trial.step, trial.steps, trial.form == "free"), []).append(t)
-        seen: dict[tuple[object, int], tuple[mujoco.MjModel, Array]] = {}
-        for (step, _, released), members in alike.items():
-            groups: dict[tuple[object, ...], list[_Slot]] = {}
-            for key, hypothesis in motions.items():
-                parts = PARTS if changes_within(self.machine, hypothesis, self.channels) else 1
-                model = hypothesis.model(self.machine, step / parts, released=released)
-                layout = (*_layout(model), parts, has_terms(hypothesis))
-                groups.setdefault(layout, []).extend(
-                    _Slot(key=key, hypothesis=hypothesis, model=model, trial=t, parts=parts)
-                    for t in members
+        alike: dict[tuple[object, ...], list[_Slot]] = {}
+        for key, hypothesis in motions.items():
+            parts = PARTS if changes_within(self.machine, hypothesis, self.channels) else 1
+            springs = any(effect.adds_motion for effect in hypothesis.effects)
+            models: dict[tuple[float, bool], mujoco.MjModel] = {}
+            for t, trial in enumerate(self.trials if springs else self._joined):
+                which = trial.step, trial.form == "free"
+                if which not in models:
+                    step = trial.step / parts
+                    models[which] = hypothesis.model(self.machine, step, released=which[1])
+                model = models[which]
+                group = (_layout(model), which, trial.steps, parts, has_terms(hypothesis))
+                slot = _Slot(
+                    key=key, hypothesis=hypothesis, model=model, number=t, trial=trial, parts=parts
                 )
-            with quiet():
-                for layout, slots in groups.items():
-                    for slot, whole in zip(slots, self._simulate(slots, layout), strict=True):
-                        seen[slot.key, slot.trial] = slot.model, whole
+                alike.setdefault(group, []).append(slot)
+        seen: dict[tuple[object, int], tuple[mujoco.MjModel, Array]] = {}
+        with quiet():
+            for slots in alike.values():
+                for slot, whole in zip(slots, self._simulate(slots), strict=True):
+                    seen[slot.key, slot.number] = slot.model, whole
         return [
             [
                 self._columns(hypothesis, *seen[self._motion(hypothesis), t], trial)
@@ -117,23 +127,23 @@ class Simulator:
             *(None if start is None else start.tobytes() for start in starts),
         )
 
-    def _simulate(self, slots: list[_Slot], layout: tuple[object, ...]) -> list[Array]:
+    def _simulate(self, slots: list[_Slot]) -> list[Array]:
         """Sensors at the samples (T, sensors), by slot."""
-        batch = self._batch(layout, slots)
+        batch = self._batch(slots)
         moved = with_terms(batch, self.machine, [slot.hypothesis for slot in slots])
         parts = slots[0].parts
-        first = self.trials[slots[0].trial].finer(parts)
+        first = slots[0].trial.finer(parts)
         steps, settle = first.steps, round(SETTLE / first.step)
         self._set_start(batch, slots)
         controls = np.zeros((len(slots), steps, slots[0].model.nu))
         clock: Array = np.arange(steps, dtype=float) * first.step
         for k, slot in enumerate(slots):
-            values, hypothesis = self.trials[slot.trial].finer(parts).controls, slot.hypothesis
+            values, hypothesis = slot.trial.finer(parts).controls, slot.hypothesis
             for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
                 values = effect.command(clock, values, own)
             controls[k, :, : values.shape[1]] = values
         wild = np.zeros(len(slots), dtype=bool)
-        resting = np.array([self.trials[slot.trial].resting for slot in slots])
+        resting = np.array([slot.trial.resting for slot in slots])
         if resting.any() and settle:
             held = np.repeat(controls[resting, :1], settle, axis=1)
             wild |= _advance(moved, settle, held, np.flatnonzero(resting), None)
@@ -162,18 +172,16 @@ class Simulator:
             for k in np.flatnonzero(~wild).tolist():
                 own_states = {name: found[k, ::parts] for name, found in begun.items()}
                 hypothesis = slots[k].hypothesis
-                commands = commands_at(
-                    hypothesis, clock[::parts], self.trials[slots[k].trial].controls
-                )
+                commands = commands_at(hypothesis, clock[::parts], slots[k].trial.controls)
                 kept[k] = readings_at(
                     self.machine, hypothesis, slots[k].model, own_states, commands, self.threads
                 )
         kept[wild] = np.nan
-        return [self.trials[s.trial].at_samples(k) for s, k in zip(slots, kept, strict=True)]
+        return [slot.trial.at_samples(k) for slot, k in zip(slots, kept, strict=True)]
 
-    def _batch(self, layout: tuple[object, ...], slots: list[_Slot]) -> Batch:
+    def _batch(self, slots: list[_Slot]) -> Batch:
         """Batch of as many slots, with these models."""
-        key = (*layout, len(slots))
+        key = (*_layout(slots[0].model), has_terms(slots[0].hypothesis), len(slots))
         if key not in self._batches:
             if len(self._batches) > 6:
                 self._batches.clear()
@@ -187,15 +195,15 @@ class Simulator:
         batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
         qpos, qvel = batch.qpos, batch.qvel
         for k, slot in enumerate(slots):
-            trial, hypothesis = self.trials[slot.trial], slot.hypothesis
+            trial, hypothesis = slot.trial, slot.hypothesis
             at = [slot.model.joint(name) for name in self.machine.joints]
             places = [int(j.qposadr[0]) for j in at]
             dofs = [int(j.dofadr[0]) for j in at]
             position, speed = trial.position, trial.speed
             if hypothesis.position is not None:
-                position = position + hypothesis.position[slot.trial]
+                position = position + hypothesis.position[slot.number]
             if hypothesis.speed is not None:
-                speed = speed + hypothesis.speed[slot.trial]
+                speed = speed + hypothesis.speed[slot.number]
             qpos[k] = slot.model.qpos0
             qpos[k, places] = position
             qvel[k] = 0.0

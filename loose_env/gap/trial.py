@@ -87,13 +87,20 @@ class Trial:
         controls = np.repeat(self.controls, parts, axis=0)[:steps]
         return replace(self, step=self.step / parts, steps=steps, controls=controls)
 
-    def coarser(self, parts: int) -> Trial:
-        """The same with so many steps in one; itself where samples or commands come between."""
+    def coarser(self, most: int) -> Trial:
+        """The same with several steps in one, at most so many and none that hides a command.
+
+        Samples and changes of commands stay at the beginning of a step.
+        """
+        return next((found for k in range(most, 1, -1) if (found := self._joined(k))), self)
+
+    def _joined(self, parts: int) -> Trial | None:
+        """The same with so many steps in one; None where samples or commands come between."""
         at, steps = self.time / (self.step * parts), -(-(self.steps - 1) // parts) + 1
         controls = self.controls[::parts]
         between = np.any(np.abs(at - np.round(at)) > 1e-5)
         if between or np.any(np.repeat(controls, parts, axis=0)[: self.steps] != self.controls):
-            return self
+            return None
         controls = np.concatenate([controls, self.controls[-1:]])[:steps]
         return replace(self, step=self.step * parts, steps=steps, controls=controls)
 

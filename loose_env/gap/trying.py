@@ -95,6 +95,8 @@ class Trying:
     ) -> None:
         self.comparison, self.short, self.judge = comparison, short, judge
         self.before, self.settings = before.fitted, settings
+        self._best: Fit | None = None
+        """The best fit to the windows so far."""
 
     @cached_property
     def short_before(self) -> Fit:
@@ -121,11 +123,18 @@ class Trying:
         settings = self.settings
         least = settings.promise * screened[0].promise if screened else 0.0
         first = [each for each in screened[: settings.candidates] if each.promise >= least]
-        taken = screened[len(first) :][: settings.further] if further else first
+        # what is small and everywhere promises little beside a law that is a little wrong
+        most = max((each.sureness for each in first), default=0.0)
+        surer = [each for each in screened[len(first) :] if each.sureness > most]
+        first += sorted(surer, key=lambda each: -each.sureness)[: settings.surer]
+        rest = [each for each in screened if not any(each is own for own in first)]
+        taken = rest[: settings.further] if further else first
         if not taken:
             return []
         fits = [self._to_windows([each], both=k < settings.twice) for k, each in enumerate(taken)]
-        fits.sort(key=lambda f: f.cost)
+        fits = self._with_hope(fits)
+        if not fits:
+            return []
         surest = max(fits[settings.finalists :], key=self._sureness, default=None)
         finalists = fits[: settings.finalists]
         # a few blocks that nothing explains yet may hide what is small and everywhere
@@ -137,6 +146,26 @@ class Trying:
         kin = [f for f in others if akin(winner, f.effects[-1])]
         return found + [self._to_all(each) for each in kin[: settings.kin]]
 
+    def _with_hope(self, fits: Sequence[Fit]) -> list[Fit]:
+        """Those of some fits to the windows that may be the best on all data, the best first.
+
+        Earlier ones are remembered: several effects at once have to be ahead of single ones.
+        """
+        found = sorted(fits, key=lambda f: f.cost)
+        if not found:
+            return []
+        best = found[0]
+        if self._best is not None and self._best.cost < best.cost:
+            best = self._best
+        self._best = best
+        blocks = self.short.by_block(best.residual**2)
+        return [
+            each
+            for each in found
+            if each.cost < self.settings.hopeless * best.cost
+            or sureness_of(self.short.by_block(each.residual**2), blocks) < self.settings.sureness
+        ]
+
     def _sureness(self, each: Fit) -> float:
         """How surely a fit to the windows is ahead of what is there."""
         before, after = (
@@ -146,9 +175,10 @@ class Trying:
 
     def families(self, screened: Sequence[Screened]) -> list[Judged]:
         """Fit one kind of effect at several places at once."""
+        single = np.inf if self._best is None else self._best.cost
         fits = [self._to_windows(each) for each in families(screened, self.settings.families)]
-        fits.sort(key=lambda f: f.cost)
-        return [self._to_all(each) for each in fits[:_WHOLE_FAMILIES]]
+        better = self._with_hope([each for each in fits if each.cost < single])
+        return [self._to_all(each) for each in better[:_WHOLE_FAMILIES]]
 
     def alone(self, judged: Judged, base: Fit) -> Judged | None:
         """The new effects of a hypothesis without the earlier ones; None if they are needed.

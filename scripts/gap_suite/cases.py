@@ -35,7 +35,7 @@ TRIES = 12
 """Places and shapes that are tried until an effect can be seen."""
 NONE, SINGLE, PAIR, OUT = 0, 1000, 2000, 3000
 """First numbers of the cases with nothing missing, one effect, two, one outside the catalogue."""
-SHORT, LONG = 3.0, 10.0
+SHORT, LONG = 3.0, 6.0
 """Lengths of runs [s]: with nothing missing, and else."""
 RUNS = 4
 """Runs of a recording."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -28,6 +29,7 @@ class LinkCom(Effect):
     """
 
     kind = "link_com"
+    adds_up: ClassVar[bool] = True
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:

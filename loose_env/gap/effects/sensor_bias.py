@@ -24,6 +24,7 @@ class SensorBias(Effect):
 
     kind = "sensor_bias"
     in_model: ClassVar[bool] = False
+    adds_up: ClassVar[bool] = True
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:

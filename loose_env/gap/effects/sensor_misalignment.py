@@ -25,6 +25,7 @@ class SensorMisalignment(Effect):
 
     kind = "sensor_misalignment"
     nothing: ClassVar[tuple[float, ...] | None] = (0.0, 0.0, 0.0)
+    adds_up: ClassVar[bool] = True
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
