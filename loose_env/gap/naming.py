@@ -17,7 +17,7 @@ from loose_env.gap.parameter import free_of
 from loose_env.gap.proposals import proposals
 from loose_env.gap.screening import screen
 from loose_env.gap.trying import Trying
-from loose_env.gap.windows import windowed
+from loose_env.gap.windows import SHORTEST, windowed
 
 __all__ = ["Keep", "Named", "NamingSettings", "Step", "name_effects"]
 
@@ -103,7 +103,8 @@ def name_effects(
     base = keep.judged("nominal", lambda: judge.judge(fit(comparison, given, start)))
     found = Named(base=base)
     say(f"nominal model: {base.held_rms:.2f} noise standard deviations on held-out runs")
-    short = windowed(comparison, settings.sorting)
+    windows = SHORTEST * min(len(comparison.trials), settings.sorted_runs)
+    short = windowed(comparison, max(settings.sorting, windows))
     for number in range(1, settings.most + 1):
         if sum(e.kind not in UNNAMED for e in found.best.fitted.effects) >= settings.most:
             break

@@ -14,7 +14,9 @@ class NamingSettings:
     most: int = 3
     """Most effects named."""
     sorting: float = 6.0
-    """How much of the runs is used to sort candidates, in all [s]."""
+    """How much of the runs is used to sort candidates, in all [s]; more where runs are many."""
+    sorted_runs: int = 6
+    """Runs of which a window each is used for that, where there are as many."""
     candidates: int = 7
     """Candidates that are fitted to that."""
     surer: int = 2

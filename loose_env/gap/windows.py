@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.trial import Trial
 
-__all__ = ["windowed"]
+__all__ = ["SHORTEST", "windowed"]
 
 Array = NDArray[np.float64]
 
