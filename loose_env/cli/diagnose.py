@@ -48,9 +48,9 @@ def run(options: argparse.Namespace) -> None:
     if options.recording.resolve() == folder.path:
         raise InvalidSetting("--out is the recording itself; give another folder")
     recording = read_recording(options.recording, model=options.model)
-    folder.prepared()
     say = Said(quiet=options.quiet)
-    found = diagnose(recording, settings, say=say)
+    with folder.worked_in():
+        found = diagnose(recording, settings, say=say)
     written = []
     # An earlier result must not stand beside a later page if this run is cut short.
     (folder.path / "result.json").unlink(missing_ok=True)

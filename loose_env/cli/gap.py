@@ -58,9 +58,10 @@ def run(options: argparse.Namespace) -> None:
     for file in options.effects:
         read_effects(file)
         plain[f"effects of {file}"] = file.read_text(encoding="utf-8")
-    stages = Stages(folder.prepared() / "stages", key_of(recording, plain))
     say = Said(quiet=options.quiet)
-    found = find_gap(recording, settings, say=say, stages=stages)
+    with folder.worked_in() as kept:
+        stages = Stages(kept / "stages", key_of(recording, plain))
+        found = find_gap(recording, settings, say=say, stages=stages)
     if stages.taken_up:
         say(f"taken up from an earlier run: {', '.join(stages.taken_up)}")
     # Known as this command's own even if it is cut short while it copies.

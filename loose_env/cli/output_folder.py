@@ -6,10 +6,12 @@ Commands write files of the same names, so the folder notes whose they are.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+import shutil
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-from loose_env.errors import InvalidSetting
+from loose_env.errors import InvalidSetting, LooseEnvError
 
 __all__ = ["OutputFolder"]
 
@@ -62,6 +64,20 @@ class OutputFolder:
         kept.mkdir(parents=True, exist_ok=True)
         kept.joinpath(_WHOSE).write_text(self.command, encoding="utf-8")
         return kept
+
+    @contextmanager
+    def worked_in(self) -> Iterator[Path]:
+        """Work with the folder prepared; what a user's mistake leaves empty is removed again."""
+        before = self.path.exists()
+        kept = self.prepared()
+        try:
+            yield kept
+        except LooseEnvError:
+            if not any(p.is_file() and p.name != _WHOSE for p in self.path.rglob("*")):
+                shutil.rmtree(kept)
+                if not before:
+                    self.path.rmdir()
+            raise
 
     def note(self, written: Iterable[Path]) -> None:
         """Note what was written, so that a later run knows it as its own."""

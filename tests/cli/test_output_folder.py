@@ -14,6 +14,27 @@ def test_a_new_and_an_empty_folder_are_taken(tmp_path: Path) -> None:
     OutputFolder(tmp_path / "empty", "gap")
 
 
+def test_a_mistake_leaves_no_empty_folder_behind(tmp_path: Path) -> None:
+    def mistaken(folder: Path, *, keeps: bool = False) -> None:
+        with (
+            pytest.raises(InvalidSetting, match="no such effect"),
+            OutputFolder(folder, "gap").worked_in() as kept,
+        ):
+            if keeps:
+                kept.joinpath("stage.npz").write_text("an hour of work")
+            raise InvalidSetting("no such effect")
+
+    mistaken(tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+    (tmp_path / "empty").mkdir()
+    mistaken(tmp_path / "empty")
+    assert list((tmp_path / "empty").iterdir()) == []
+    mistaken(tmp_path / "worth", keeps=True)
+    assert (tmp_path / "worth" / ".gap" / "stage.npz").exists()
+    mistaken(tmp_path / "worth")
+    assert (tmp_path / "worth" / ".gap" / "stage.npz").exists()
+
+
 def test_a_folder_with_other_files_is_refused_and_names_them(tmp_path: Path) -> None:
     tmp_path.joinpath("thesis.tex").write_text("years of work")
     with pytest.raises(InvalidSetting, match=r"thesis\.tex"):
