@@ -64,15 +64,16 @@ catalogue, 24 with two effects, 18 with one that the catalogue does not have. Op
 1000: one effect, 2000: two, 3000: outside the catalogue), `--workers`, `--backend`. What is done is
 stored; the same command goes on where it stopped.
 
-The arm is integrated in closed form and without MuJoCo; the laws of its friction, play and stops
-are not those of the catalogue; its masses, inertias, dampings and gains are 1 to 3 % off the model
-in every case. Sizes are drawn from the one that is just visible (on held-out runs the true model
-leads by three standard deviations of what the nominal model leaves, with its figures fitted within
-the tolerance) to thirty times that. The tool sees the recording alone; its
-result is written before the truth is opened. An effect is right if kind and place are; one that the
-true parameters' own held-out likelihoods cannot tell from it counts too, a list that is too long
-does not. The model that is written is simulated once more by plain MuJoCo on the held-out runs, and
-what it leaves is held against what the tool says is left. Shares stand with Wilson's 95 % interval.
+A recording has four runs, of 6 s each at 1 kHz, or 3 s where nothing is missing; the last one is
+held out. The arm is integrated in closed form and without MuJoCo; the laws of its friction, play
+and stops are not those of the catalogue; its masses, inertias, dampings and gains are 1 to 3 % off
+the model in every case. Sizes are drawn from the one that is just visible (on held-out runs the
+true model leads by three standard deviations of what the nominal model leaves, with its figures
+fitted within the tolerance) to thirty times that. The tool sees the recording alone; its result is
+written before the truth is opened. An effect is right if kind and place are; one that the true
+parameters' own held-out likelihoods cannot tell from it counts too, a list that is too long does
+not. The model that is written is simulated once more by plain MuJoCo on the held-out runs, and what
+it leaves is held against what the tool says is left. Shares stand with Wilson's 95 % interval.
 
 {BEGIN}
 {END}

@@ -23,6 +23,9 @@ ENVIRONMENTS: tuple[tuple[str, dict[str, Any]], ...] = (
 )
 """Environments whose episodes are kept."""
 SEED = 20260101
+DURATIONS = (0.1, 0.15)
+"""Lengths of records [s]. Stops that are struck carry on what a processor rounds another way: after
+half a second a loose arm may be somewhere else."""
 WIDTH = 3
 RECORDS = 2
 
@@ -35,7 +38,9 @@ def environments(threads: int = 1) -> dict[str, Any]:
 
     found = {}
     for env_id, arguments in ENVIRONMENTS:
-        envs: Any = gymnasium.make_vec(env_id, num_envs=WIDTH, threads=threads, **arguments)
+        envs: Any = gymnasium.make_vec(
+            env_id, num_envs=WIDTH, threads=threads, durations=DURATIONS, **arguments
+        )
         rng = np.random.default_rng(SEED)
         observation, _ = envs.reset(seed=SEED)
         faults = [envs.batch.episode(k).fault.hypothesis for k in range(WIDTH)]
@@ -86,7 +91,7 @@ def diagnosis() -> dict[str, Any]:
     from agents.base import Problem
     from agents.belief import Tracker
 
-    env: Any = gymnasium.make("loose_env/Vera-v0").unwrapped
+    env: Any = gymnasium.make("loose_env/Vera-v0", durations=DURATIONS).unwrapped
     tracker = Tracker(Problem.of(env.arm, env.settings))
     found = {}
     for fault in env.hypotheses:

@@ -96,6 +96,29 @@ def test_threads_of_the_linear_algebra_change_no_digit_of_a_diagnosis() -> None:
     assert differences(found[0], found[1], "instrument", RELATIVE) == []
 
 
+ANOTHER = {
+    "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F,-AVX",
+    "OPENBLAS_CORETYPE": "Nehalem",
+    "NPY_DISABLE_CPU_FEATURES": "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX2 "
+    "FMA3",
+}
+"""Makes the libraries of this processor round as an older one does, where they can be asked to."""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks the C library of Linux")
+@pytest.mark.parametrize("part", ["environments", "comparison", "diagnosis"])
+def test_a_processor_that_rounds_another_way_gives_the_same_figures(part: str) -> None:
+    code = (
+        f"import json; from scripts.trust.golden import {part} as part; print(json.dumps(part()))"
+    )
+    command = [sys.executable, "-W", "ignore", "-c", code]
+    env = os.environ | ANOTHER
+    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    now = json.loads(json.dumps(PARTS[part]()))
+    assert differences(now, json.loads(done.stdout), part, RELATIVE) == []
+
+
 CHANGES = """# Changelog
 
 ## [0.2.0] - unreleased
