@@ -42,12 +42,15 @@ from scripts.gap_suite.one_case import (
     run_case,
     shard_for,
 )
+from scripts.gap_suite.rows import take_rows, write_rows
 from scripts.gap_suite.tables import markdown, text
 from scripts.gap_suite.tool import Tool, run_tool
 
 ROOT = Path(__file__).resolve().parents[1]
 OUT = ROOT / "out" / "gap_suite"
 DOCS = ROOT / "docs" / "gap_suite.md"
+ROWS = "gap_suite_rows.jsonl"
+"""File of the rows, beside the page."""
 LAST = 3999
 """Largest number of a case."""
 BEGIN, END = "<!-- tables: begin -->", "<!-- tables: end -->"
@@ -74,6 +77,9 @@ written before the truth is opened. An effect is right if kind and place are; on
 parameters' own held-out likelihoods cannot tell from it counts too, a list that is too long does
 not. The model that is written is simulated once more by plain MuJoCo on the held-out runs, and what
 it leaves is held against what the tool says is left. Shares stand with Wilson's 95 % interval.
+
+What every case was, what was said and its marks stand in {{download}}`{ROWS}`; `--take` reads such
+a file, so that machines can share the work.
 
 {BEGIN}
 {END}
@@ -133,7 +139,7 @@ def configuration() -> dict[str, Any]:
         "tool": code_hash([package / "gap", package / "recording", package / "statistics"]),
         "suite": code_hash(
             [ROOT / "scripts" / "gap_suite"],
-            without=("__init__.py", "__main__.py", "tables.py", "fingerprint.py"),
+            without=("__init__.py", "__main__.py", "tables.py", "rows.py", "fingerprint.py"),
         ),
         "versions": {
             name: importlib.metadata.version(name) for name in ("mujoco", "numpy", "scipy")
@@ -306,6 +312,10 @@ def parser_of() -> argparse.ArgumentParser:
         help="keep recordings after their case is graded (about 3 MB each)",
     )
     parser.add_argument("--show", action="store_true", help="run nothing, print what is stored")
+    parser.add_argument(
+        "--take", type=Path, nargs="+", default=[], metavar="FILE",
+        help=f"take over rows of the same code, as in docs/{ROWS}",
+    )  # fmt: skip
     parser.add_argument("--afresh", action="store_true", help="remove stored rows first")
     parser.add_argument(
         "--retry-failed",
@@ -340,6 +350,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             keep=chosen.keep_recordings or chosen.blind is not None,
         )
         store = store_in(out, afresh=chosen.afresh)
+        for file in chosen.take:
+            print(f"{take_rows(file, store)} rows taken from {file}", file=sys.stderr)
         if chosen.retry_failed:
             for row in stored(numbers, store):
                 if row["error"]:
@@ -358,6 +370,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             page = DOCS  # a whole run goes to the docs by itself
         if page is not None:
             write_docs(page, content)
+            write_rows(page.with_name(ROWS), store.configuration, rows)
         print(f"{time.monotonic() - began:.0f} s; tables: {out / 'summary.md'}", file=sys.stderr)
 
 
