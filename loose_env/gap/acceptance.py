@@ -98,7 +98,8 @@ class Acceptance:
                 fitted.effects[-new:], slices_of(fitted.effects)[-new:], strict=True
             )
         )
-        return self.believed(lead) and self._material(judged, lead) and not all(slight)
+        material = self._visible(judged) and self._material(judged, lead)
+        return self.believed(lead) and material and not all(slight)
 
     def ahead_of_its_limit(self, judged: Judged) -> bool:
         """Whether an effect explains more than the way in which it is simulated.
@@ -200,6 +201,19 @@ class Acceptance:
         """Whether a lead is no chance: seen in both halves of the data, and surely in one."""
         one, other = lead.fitted, lead.held
         return min(one, other) >= self.settings.held and max(one, other) >= self.settings.sureness
+
+    def _visible(self, judged: Judged) -> bool:
+        """Whether it lowers the sum of squares by more than that scatters by chance.
+
+        A sum of N squares of unit noise scatters by the root of 2 N. What gains less, however
+        surely, is the last trace of an effect that is there already.
+        """
+        held = float(self.before.held_blocks.sum() - judged.held_blocks.sum())
+        fitted = float(self.before.fitted_blocks.sum() - judged.fitted_blocks.sum())
+        count, others = len(judged.held_residual), len(judged.fitted.residual)
+        least = self.settings.visible
+        alone = held > least * np.sqrt(2 * count)
+        return bool(alone or held + fitted > least * np.sqrt(2 * (count + others)))
 
     def _material(self, judged: Judged, lead: Lead) -> bool:
         """Whether it explains enough: a law that is a little wrong leaves room for many effects."""

@@ -195,14 +195,14 @@ class Comparison:
         ----------
         stiff : bool
             Whether there is a stiff spring in either: then both take every step, else several as
-            one where there are steps to spare (`Machine.spare`).
+            one where the machine allows it (`Machine.joined`).
         """
         if self.machine.integrator != _RUNGE_KUTTA:
             return self
-        spare = 1 if stiff else self.machine.spare
-        if spare not in self._lighter:
-            self._lighter[spare] = Comparison(
-                replace(self.machine, integrator=_IMPLICIT, spare=spare),
+        joined = 1 if stiff else self.machine.joined
+        if joined not in self._lighter:
+            self._lighter[joined] = Comparison(
+                replace(self.machine, integrator=_IMPLICIT, joined=joined, even=True),
                 self.trials,
                 self.channels,
                 self.floors,
@@ -210,7 +210,7 @@ class Comparison:
                 inverse=self.inverse,
                 parting=self.parting,
             )
-        return self._lighter[spare]
+        return self._lighter[joined]
 
     def lightly(
         self, hypothesis: Hypothesis, residual: Array, *, stiff: bool = False

@@ -85,6 +85,8 @@ class Effect:
     all, where `nothing` is None."""
     adds_motion: ClassVar[bool] = False
     """Whether the edit adds a degree of freedom, which no inverse comparison can show."""
+    sharp: ClassVar[bool] = False
+    """Whether it asks for finer steps than a smooth model: a stiff spring, a joint that sticks."""
     shifts: ClassVar[bool] = False
     """Whether it shifts signals in time by its only parameter: accelerations answer that in
     proportion over a fraction of a millisecond only, positions over many."""

@@ -15,6 +15,7 @@ from loose_env.errors import InvalidData
 from loose_env.gap.effect import Effect
 from loose_env.gap.files import written_beside
 from loose_env.gap.machine import Machine
+from loose_env.gap.stepping import step_with
 from loose_env.recording.columns import ModelColumns
 
 __all__ = ["corrected_spec", "correction_code", "write_model"]
@@ -25,7 +26,7 @@ Array = NDArray[np.float64]
 def corrected_spec(
     machine: Machine, effects: Sequence[Effect], values: Sequence[Array]
 ) -> mujoco.MjSpec:
-    """Nominal model with all effects that MJCF can express, with the machine's step.
+    """Nominal model with all effects that MJCF can express, with the step that they ask for.
 
     Keyframes keep the positions of the model's own joints; what an effect adds is at its zero.
 
@@ -40,7 +41,7 @@ def corrected_spec(
     """
     spec = machine.spec.copy()
     if machine.step > 0:
-        spec.option.timestep = machine.step
+        spec.option.timestep = step_with(machine, effects)
     if machine.integrator is not None:
         spec.option.integrator = machine.integrator
     for effect, own in zip(effects, values, strict=True):

@@ -20,6 +20,7 @@ from loose_env.gap.machine import Machine
 from loose_env.gap.readings_at import PARTS, STATES, changes_within, commands_at, readings_at
 from loose_env.gap.rest import SETTLE
 from loose_env.gap.simulator import Hypothesis, Simulator
+from loose_env.gap.stepping import stepped
 from loose_env.gap.torque_terms import BatchWithTerms, with_terms
 from loose_env.gap.trial import Channel, Trial
 from loose_env.rig.quiet import quiet
@@ -118,6 +119,7 @@ def horizon_errors(
             speed=None if hypothesis.speed is None else hypothesis.speed[t : t + 1],
         )
         begun = _starts(trial, every, min(horizons))
+        trial = stepped(trial, machine, hypothesis.effects)
         if changes_within(machine, hypothesis, channels):
             trial = trial.finer(PARTS)
         with quiet():

@@ -18,6 +18,7 @@ from loose_env.gap.comparison import Comparison
 from loose_env.gap.machine import Machine
 from loose_env.gap.noise import channel_floor
 from loose_env.gap.simulator import Hypothesis
+from loose_env.gap.stepping import step_with
 from loose_env.gap.trial import Channel, lay_out
 from loose_env.gap.windows import windowed
 from loose_env.recording import Run
@@ -44,8 +45,9 @@ _CHECKED, _FINER = 15.0, 4
 """How much of the held-out runs the corrected model's step is checked on [s], and by how many times
 finer steps."""
 _FINEST = 16
-_JOINED = 4
-"""Most steps that are taken as one."""
+_UNSEEN = 0.01
+"""Error that cannot be seen in as many readings as a recording has [noise standard deviations]: up
+to it hypotheses may take different steps."""
 _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 
 
@@ -68,11 +70,19 @@ class Integration:
     """That of the model's own step and integrator."""
 
     @property
-    def spare(self) -> int:
-        """How many steps could be one: a Runge-Kutta step of twice the length errs 16 times."""
+    def joined(self) -> int:
+        """How many steps can be one: a Runge-Kutta step of twice the length errs 16 times."""
         if self.integrator != _RK4:
             return 1
-        return max(k for k in range(1, _JOINED + 1) if k == 1 or k**4 * self.matter < _ENOUGH)
+        return max(k for k in (1, 2, 4) if k == 1 or k**4 * self.matter < _UNSEEN)
+
+    @property
+    def cut(self) -> int:
+        """Parts of a step for what is sharp.
+
+        None where the step's own error is seen: a finer step would explain that, too.
+        """
+        return 2 if self.integrator == _RK4 and self.matter < _UNSEEN else 1
 
     def words(self, *, own: float) -> list[str]:
         """What a reader should know: that the step was changed, and that it is still too coarse.
@@ -174,6 +184,7 @@ def corrected_step_words(held_out: Comparison, hypothesis: Hypothesis) -> list[s
         What was added.
     """
     machine, chosen = held_out.machine, windowed(held_out, _CHECKED)
+    step = step_with(machine, hypothesis.effects)
     trials = [t for t in chosen.trials if t.form != "inverse" and t.name not in chosen.parting]
     if not trials:
         return []
@@ -193,7 +204,7 @@ def corrected_step_words(held_out: Comparison, hypothesis: Hypothesis) -> list[s
     if error[worst] <= _OWN * max(1.0, _LEFT * left[worst]):
         return []
     return [
-        f"the corrected model needs a finer step than {machine.step:.3g} s: its step error is "
+        f"the corrected model needs a finer step than {step:.3g} s: its step error is "
         f"{error[worst]:.2g} noise standard deviations in {chosen.channels[worst].name}. Set a "
         "smaller timestep in the nominal model and run it again"
     ]

@@ -63,13 +63,14 @@ class Judged:
     def structure_sureness(self) -> float:
         """How surely anything does: over what white noise of the same size shows by chance.
 
-        An autocorrelation of white noise scatters by one over the root of the sample size
-        (Bartlett, J. R. Stat. Soc. Suppl. 8, 1946, 27). Residuals far below the noise are those
-        of the arithmetic and count as no gap, however they hang together.
+        Of the runs held out, or of all, whichever is surer: one family of motions may show what
+        the others hardly do. An autocorrelation of white noise scatters by one over the root of the
+        sample size (Bartlett, J. R. Stat. Soc. Suppl. 8, 1946, 27). Residuals far below the noise
+        are those of the arithmetic and count as no gap, however they hang together.
         """
-        count = len(self.held_residual) + len(self.fitted.residual)
-        mean_square = float(self.held_blocks.sum() + self.fitted_blocks.sum()) / count
-        return self.structure / (max(mean_square, _FAR_BELOW) * float(np.sqrt(count)))
+        held = len(self.held_residual), self.held_blocks, self.held_structure
+        fitted = len(self.fitted.residual), self.fitted_blocks, self.fitted_structure
+        return max(_sureness(held), _sureness(held, fitted))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,6 +133,14 @@ def sureness_of(behind: Array, ahead: Array) -> float:
     """
     gains = np.sqrt(behind) - np.sqrt(ahead)
     return float(gains.sum()) / max(float(np.sqrt(np.sum(gains**2))), 1e-12)
+
+
+def _sureness(*parts: tuple[int, Array, Array]) -> float:
+    """Structure of some runs together: for each their count, squares and products by block."""
+    count = sum(part[0] for part in parts)
+    mean_square = sum(float(squares.sum()) for _, squares, _ in parts) / count
+    structure = float(largest(np.sum([products.sum(axis=1) for *_, products in parts], axis=0)))
+    return structure / (max(mean_square, _FAR_BELOW) * float(np.sqrt(count)))
 
 
 def _added(one: Array, other: Array) -> Array:

@@ -35,9 +35,14 @@ class Machine:
         Typical torque [N·m] or force [N] of each joint in the recording; by default from the model.
     speeds : ndarray (joints,), optional
         Typical speed of each joint [rad/s, m/s] in the recording; 1 by default.
-    spare : int
-        How many steps are taken as one where no stiff spring asks for them: the step is that much
-        finer than the recording asks for.
+    joined : int
+        How many steps are taken as one, at most, where nothing sharp asks for each: the step is
+        that much finer than the recording asks for.
+    cut : int
+        Into how many parts a step is cut for what is sharp, where none are taken as one.
+    even : bool
+        Whether every hypothesis takes the same steps, so that a difference between two is not that
+        of their steps.
 
     Raises
     ------
@@ -50,7 +55,9 @@ class Machine:
     integrator: int | None = None
     loads: Array | None = None
     speeds: Array | None = None
-    spare: int = 1
+    joined: int = 1
+    cut: int = 1
+    even: bool = False
 
     def __post_init__(self) -> None:
         """Check, and write every inertia out, so that an edit finds it in the spec."""

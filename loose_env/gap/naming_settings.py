@@ -49,6 +49,9 @@ class NamingSettings:
     [standard deviations]."""
     held: float = 2.0
     """Lead that it needs on either."""
+    visible: float = 2.0
+    """By how much it has to lower the sum of squares, on the runs held out or on all [standard
+    deviations of the sum of as many squares of noise]."""
     share: float = 0.4
     """Share of what is still to be explained that it has to explain; or else:"""
     base_share: float = 0.04

@@ -124,7 +124,8 @@ def prepare(recording: Recording, settings: GapSettings) -> Prepared:
         machine.spec,
         step=step,
         integrator=None if integration is None else integration.integrator,
-        spare=1 if integration is None else integration.spare,
+        joined=1 if integration is None else integration.joined,
+        cut=1 if integration is None else integration.cut,
     )
     trials = [lay_out(run, kept, channels, step=step) for run in runs]
     floors = _floors(kept, trials, channels)

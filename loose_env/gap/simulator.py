@@ -20,6 +20,7 @@ from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.machine import Machine
 from loose_env.gap.readings_at import PARTS, STATES, changes_within, commands_at, readings_at
 from loose_env.gap.rest import SETTLE
+from loose_env.gap.stepping import stepped
 from loose_env.gap.torque_terms import BatchWithTerms, has_terms, with_terms
 from loose_env.gap.trial import Channel, Trial
 from loose_env.rig.quiet import quiet
@@ -50,9 +51,6 @@ class _Slot:
 class Simulator:
     """Simulates the runs of a recording.
 
-    Where the machine has steps to spare, several are taken as one, except behind stiff springs,
-    which the nominal model by which the step was chosen does not have.
-
     Parameters
     ----------
     machine : Machine
@@ -75,7 +73,6 @@ class Simulator:
     ) -> None:
         self.machine, self.trials, self.channels = machine, list(trials), channels
         self.threads = threads
-        self._joined = [trial.coarser(machine.spare) for trial in self.trials]
         self._batches: dict[tuple[object, ...], Batch] = {}
         self.simulated = 0
 
@@ -91,9 +88,9 @@ class Simulator:
         alike: dict[tuple[object, ...], list[_Slot]] = {}
         for key, hypothesis in motions.items():
             parts = PARTS if changes_within(self.machine, hypothesis, self.channels) else 1
-            springs = any(effect.adds_motion for effect in hypothesis.effects)
             models: dict[tuple[float, bool], mujoco.MjModel] = {}
-            for t, trial in enumerate(self.trials if springs else self._joined):
+            for t, laid_out in enumerate(self.trials):
+                trial = stepped(laid_out, self.machine, hypothesis.effects)
                 which = trial.step, trial.form == "free"
                 if which not in models:
                     step = trial.step / parts

@@ -143,8 +143,15 @@ class Trying:
         found = [self._to_all(each) for each in finalists]
         winner = min(found, key=lambda j: j.total).fitted.effects[-1]
         others = [f for f in fits if not any(f is g for g in finalists)]
-        kin = [f for f in others if akin(winner, f.effects[-1])]
-        return found + [self._to_all(each) for each in kin[: settings.kin]]
+        kin = [f for f in others if akin(winner, f.effects[-1])][: settings.kin]
+        # what promised too little to be fitted, because its start was far off, may be the true one
+        relatives = [
+            each
+            for each in screened
+            if not any(each is tried for tried in taken) and akin(winner, each.effect)
+        ][: settings.kin - len(kin)]
+        kin += self._with_hope([self._to_windows([each]) for each in relatives])
+        return found + [self._to_all(each) for each in kin]
 
     def _with_hope(self, fits: Sequence[Fit]) -> list[Fit]:
         """Those of some fits to the windows that may be the best on all data, the best first.

@@ -23,11 +23,11 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     return record(tmp_path_factory.mktemp("lighter") / "recording")
 
 
-def comparison_of(recording: Recording, *, parts: int, spare: int) -> Comparison:
+def comparison_of(recording: Recording, *, parts: int, joined: int) -> Comparison:
     """The runs at a part of the sample interval, as long as the model says or much finer."""
     machine = Machine(
         recording.spec(), step=STEP / parts, integrator=int(mujoco.mjtIntegrator.mjINT_RK4),
-        spare=spare,
+        joined=joined,
     )  # fmt: skip
     channels = channels_of(list(recording.runs))
     trials = [lay_out(run, machine, channels, step=STEP / parts) for run in recording.runs[:2]]
@@ -35,11 +35,11 @@ def comparison_of(recording: Recording, *, parts: int, spare: int) -> Comparison
     return Comparison(machine, trials, channels, floors, threads=1)
 
 
-@pytest.mark.parametrize("spare", [1, 2])
+@pytest.mark.parametrize("joined", [1, 2])
 def test_changes_by_the_cheaper_integrator_are_near_the_exact_ones(
-    recording: Recording, spare: int
+    recording: Recording, joined: int
 ) -> None:
-    comparison = comparison_of(recording, parts=2, spare=spare)
+    comparison = comparison_of(recording, parts=2, joined=joined)
     assert comparison.lighter() is comparison.lighter()
     figures = NominalFigures(comparison.machine, tolerance=0.03)
     free = free_of(figures.parameters, np.array(figures.starts[0]))
@@ -57,7 +57,7 @@ def test_changes_by_the_cheaper_integrator_are_near_the_exact_ones(
 
 
 def test_joined_steps_cost_half_and_show_the_same(recording: Recording) -> None:
-    every, joined = (comparison_of(recording, parts=2, spare=spare) for spare in (1, 2))
+    every, joined = (comparison_of(recording, parts=2, joined=count) for count in (1, 2))
     nothing = Hypothesis(effects=(), values=())
     left = [each.residuals([nothing])[0] for each in (every, joined)]
     assert 0 < np.std(left[0] - left[1]) < 0.05  # noise standard deviations
@@ -65,7 +65,7 @@ def test_joined_steps_cost_half_and_show_the_same(recording: Recording) -> None:
 
 
 def test_a_spring_keeps_every_step(recording: Recording) -> None:
-    every, joined = (comparison_of(recording, parts=2, spare=spare) for spare in (1, 2))
+    every, joined = (comparison_of(recording, parts=2, joined=count) for count in (1, 2))
     spring = CATALOGUE["joint_compliance"](every.machine, "joint2")
     hypothesis = hypothesis_of([spring], free_of(spring.parameters, np.array(spring.starts[0])))
     left = [each.residuals([hypothesis])[0] for each in (every, joined)]
@@ -77,7 +77,7 @@ def test_a_spring_keeps_every_step(recording: Recording) -> None:
 
 def test_steps_are_joined_where_no_sample_comes_between(recording: Recording) -> None:
     def trial(parts: int) -> Trial:
-        return comparison_of(recording, parts=parts, spare=1).trials[0]
+        return comparison_of(recording, parts=parts, joined=1).trials[0]
 
     joined, whole = trial(2).coarser(2), trial(1)
     assert (joined.step, joined.steps) == (whole.step, whole.steps)
@@ -88,7 +88,7 @@ def test_steps_are_joined_where_no_sample_comes_between(recording: Recording) ->
 
 def test_where_the_cheaper_integrator_is_lost_it_is_not_used(recording: Recording) -> None:
 
-    comparison = comparison_of(recording, parts=2, spare=2)
+    comparison = comparison_of(recording, parts=2, joined=2)
     figures = NominalFigures(comparison.machine, tolerance=0.03)
     free = free_of(figures.parameters, np.array(figures.starts[0]))
     hypothesis = hypothesis_of([figures], free)

@@ -27,6 +27,7 @@ class CoulombFriction(JointEffect):
     """
 
     kind = "coulomb_friction"
+    sharp: ClassVar[bool] = True
     nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
 
     @property

@@ -49,6 +49,7 @@ class SplitJoint(JointEffect):
     """
 
     adds_motion = True
+    sharp = True
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:

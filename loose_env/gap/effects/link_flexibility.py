@@ -51,6 +51,7 @@ class LinkFlexibility(Effect):
     kind = "link_flexibility"
     limit: ClassVar[tuple[tuple[str, str], ...]] = (("stiffness", "high"),)
     adds_motion: ClassVar[bool] = True
+    sharp: ClassVar[bool] = True
     variants: ClassVar[tuple[str, ...]] = ("", "across")
 
     @classmethod

@@ -35,6 +35,7 @@ class StribeckFriction(JointEffect):
     """
 
     kind = "stribeck_friction"
+    sharp: ClassVar[bool] = True
 
     proportional: ClassVar[int | None] = 0
     limit: ClassVar[tuple[tuple[str, str], ...]] = (("torque", "low"),)

@@ -47,6 +47,7 @@ class StructuralLooseness(Effect):
     kind = "structural_looseness"
     limit: ClassVar[tuple[tuple[str, str], ...]] = (("friction", "high"),)
     adds_motion: ClassVar[bool] = True
+    sharp: ClassVar[bool] = True
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
