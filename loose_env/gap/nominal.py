@@ -20,8 +20,9 @@ __all__ = ["NominalFigures"]
 
 Array = NDArray[np.float64]
 
-_BEYOND = 1.15
-"""Share of the tolerance to which a figure may go; more than 1 for figures right at its end."""
+_BEYOND = 1.02
+"""Share of the tolerance to which a figure may go; more than 1 for figures right at its end. With
+more room, stronger servos take up what is a friction."""
 _SPREAD = 0.6
 """Standard deviation of a figure beforehand, as a share of the tolerance (uniform: 0.58)."""
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.machine import Machine
 from loose_env.gap.nominal import NominalFigures
 from loose_env.gap.parameter import free_of
+from loose_env.gap.stepping import step_with
 from loose_env.gap.trial import Trial, channels_of, lay_out
 from loose_env.recording import Recording
 from tests.gap.gap_case import STEP, record
@@ -100,3 +103,24 @@ def test_where_the_cheaper_integrator_is_lost_it_is_not_used(recording: Recordin
     used, left = comparison.lightly(hypothesis, residual)
     assert used is comparison
     assert left is residual
+
+
+@pytest.mark.parametrize("kind", ["joint_compliance", "coulomb_friction"])
+def test_what_is_sharp_takes_steps_half_as_long(recording: Recording, kind: str) -> None:
+    def left(parts: int, effect: str | None, **settings: int | bool) -> np.ndarray:
+        comparison = comparison_of(recording, parts=parts, joined=1)
+        machine = replace(comparison.machine, **settings)  # type: ignore[arg-type]
+        own = Comparison(
+            machine, comparison.trials, comparison.channels, comparison.floors, threads=1
+        )
+        if effect is None:
+            return own.residuals([Hypothesis(effects=(), values=())])[0]
+        sharp = CATALOGUE[effect](machine, "joint2")
+        free = free_of(sharp.parameters, np.array(sharp.starts[0]))
+        assert step_with(machine, [sharp]) == machine.step / (1 if "even" in settings else 2)
+        return own.residuals([hypothesis_of([sharp], free)])[0]
+
+    assert np.array_equal(left(1, None, cut=2), left(1, None))
+    cut, fine = left(1, kind, cut=2), left(2, kind, even=True)
+    assert np.std(cut - fine) < 1e-6 * np.std(fine)
+    assert np.std(cut - left(1, kind, even=True)) > 0

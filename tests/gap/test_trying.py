@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -97,3 +98,25 @@ def test_what_made_an_effect_idle_may_be_the_one_too_many(case: Case) -> None:
     kept = values_of(wet[0].parameters, rather.fitted.free[own[1]])
     assert kept[0] == pytest.approx(DAMPING, rel=0.1)
     assert acceptance.rather(case.fitted([wet, gain]), wet[0]) is None  # nothing new at its joint
+
+
+def test_a_last_trace_is_not_named_however_sure_it_is(case: Case) -> None:
+    wet = case.effect("viscous_friction", "joint2", [DAMPING])
+    gain = case.effect("sensor_gain", "rate3", [GAIN])
+    bias = case.effect("sensor_bias", "rate3", [0.001])
+    base, before = case.fitted([]), case.fitted([wet, gain])
+    # all that hangs together is explained, and in every block of time a little less is left
+    part, whole = (
+        replace(
+            case.fitted([wet, gain, bias]),
+            held_blocks=before.held_blocks * (1 - less),
+            fitted_blocks=before.fitted_blocks * (1 - less),
+            held_structure=0.0 * before.held_structure,
+            fitted_structure=0.0 * before.fitted_structure,
+        )
+        for less in (1e-3, 0.1)
+    )
+    acceptance = Acceptance(case.comparison, case.judge, base, before, NamingSettings())
+    assert all(acceptance.believed(lead_of(each, before)) for each in (part, whole))
+    assert acceptance.worth_naming(whole)
+    assert not acceptance.worth_naming(part)
