@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from loose_env.gap.effect import Effect
 from loose_env.gap.features import RandomFeatures
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.inverse import InverseDynamics
 from loose_env.gap.machine import Machine
 from loose_env.gap.random_runs import GROUP, RandomRun
-from loose_env.gap.simulator import Hypothesis, Simulator
+from loose_env.gap.simulator import Simulator
 from loose_env.gap.trial import Channel, Trial
 
 __all__ = ["Comparison", "Rows"]

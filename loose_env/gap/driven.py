@@ -14,9 +14,9 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.machine import Machine
 from loose_env.gap.motion import Motion
-from loose_env.gap.simulator import Hypothesis
 from loose_env.gap.torque_terms import torque_terms
 
 __all__ = ["Drive"]

@@ -16,8 +16,8 @@ from scipy.optimize import lsq_linear
 
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.parameter import Parameter, free_of, values_of
-from loose_env.gap.simulator import Hypothesis
 from loose_env.gap.start import StartState
 
 __all__ = [

@@ -16,10 +16,11 @@ from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
 from loose_env.gap.comparison import BURN_IN
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.machine import Machine
 from loose_env.gap.readings_at import PARTS, STATES, changes_within, commands_at, readings_at
 from loose_env.gap.rest import SETTLE
-from loose_env.gap.simulator import Hypothesis, Simulator
+from loose_env.gap.simulator import Simulator
 from loose_env.gap.stepping import stepped
 from loose_env.gap.torque_terms import BatchWithTerms, with_terms
 from loose_env.gap.trial import Channel, Trial

@@ -26,11 +26,10 @@ from loose_env.gap.fit import (
     prior_of,
     refined,
     slices_of,
-    started,
 )
 from loose_env.gap.independent import independent_rows
 from loose_env.gap.kinship import akin
-from loose_env.gap.screening import along
+from loose_env.gap.screening import along, signatures
 from loose_env.gap.unseen import Alike, Identifiability, Unseen
 from loose_env.gap.windows import windowed
 
@@ -50,8 +49,6 @@ _PRECISION = 1.05
 """Ratio to which such a factor is found."""
 _RIDGE = 1e-12
 """What is added to the diagonal of a scaled problem, against rounding."""
-_GROUP = 24
-"""Hypotheses simulated at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,14 +236,9 @@ def _changes(
         compared, alike = short, base.residual
         if cheap and not springs:
             compared, alike = short.lightly(base.hypothesis, base.residual, stiff=stiff)
-        for begin in range(0, len(own), _GROUP):
-            group = own[begin : begin + _GROUP]
-            tried = [
-                hypothesis_of((*base.effects, effect), started(base, effect, values))
-                for effect, values in (entries[k] for k in group)
-            ]
-            for k, residual in zip(group, compared.residuals(tried), strict=True):
-                found[k] = _Signature(*entries[k], unit * (residual - alike))
+        changes = signatures(compared, base, [entries[k] for k in own], alike)
+        for k, (effect, values, change) in zip(own, changes, strict=True):
+            found[k] = _Signature(effect, values, unit * change)
     return [each for each in found if each is not None]
 
 

@@ -24,10 +24,11 @@ from numpy.typing import NDArray
 from loose_env.gap.driven import Drive
 from loose_env.gap.effect import Effect
 from loose_env.gap.effects.sensor_kinds import column_of
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.machine import Machine
 from loose_env.gap.motion import Motion, filled, smooth_motion
 from loose_env.gap.noise import noise_floor
-from loose_env.gap.simulator import Hypothesis, _layout
+from loose_env.gap.simulator import _layout
 from loose_env.gap.torque_terms import has_terms, torque_terms
 from loose_env.gap.trial import Channel, Trial
 

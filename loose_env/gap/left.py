@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.joint_motion import JointMotion, joint_motion
 from loose_env.gap.judgement import Judged
 from loose_env.gap.locate import Location, where_it_lives
 from loose_env.gap.machine import Machine
-from loose_env.gap.simulator import Hypothesis
 from loose_env.gap.structure import largest
 
 __all__ = ["CLOSED", "left_motions", "left_words"]

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from loose_env.gap.effect import Effect
 from loose_env.gap.features import RandomFeatures
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.machine import Machine
-from loose_env.gap.simulator import Hypothesis, Simulator
+from loose_env.gap.simulator import Simulator
 from loose_env.gap.trial import Channel, Trial
 
 __all__ = ["parting_runs"]

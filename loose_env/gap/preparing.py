@@ -12,13 +12,14 @@ from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.gap.catalogue import candidates
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effects.payload import payload_words
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.integration import Integration, choose_integration
 from loose_env.gap.machine import Machine
 from loose_env.gap.names import naming_words
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.noise import channel_floor
 from loose_env.gap.parting import parting_runs
-from loose_env.gap.simulator import Hypothesis, Simulator
+from loose_env.gap.simulator import Simulator
 from loose_env.gap.split import split_runs
 from loose_env.gap.sufficiency import shortfalls
 from loose_env.gap.trial import Channel, Trial, channels_of, lay_out

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from loose_env.errors import InvalidData
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.motion import Motion, smooth_motion
 from loose_env.gap.residual_accelerations import residual_accelerations
-from loose_env.gap.simulator import Hypothesis
 from loose_env.gap.torque_terms import torque_terms
 from loose_env.gap.trial import Trial
 

@@ -16,6 +16,7 @@ from loose_env.gap.effect import Effect
 from loose_env.gap.export import correction_code, write_model
 from loose_env.gap.finding import GapFound, GapSettings
 from loose_env.gap.horizons import HorizonError, horizon_errors
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.identifiability import identifiability
 from loose_env.gap.integration import corrected_step_words
 from loose_env.gap.joint_motion import JointMotion, joint_motion
@@ -27,7 +28,6 @@ from loose_env.gap.nominal import NominalFigures
 from loose_env.gap.quantities import errors_by_quantity, rms
 from loose_env.gap.residual_tests import LeftOver, left_over
 from loose_env.gap.result import Gap, GapResult, NamedEffect, Place, Ranked, Verdict
-from loose_env.gap.simulator import Hypothesis
 from loose_env.gap.start import StartState
 from loose_env.gap.struck import StruckChannel, struck_channels, struck_left
 from loose_env.gap.unseen import Identifiability, identifiability_words

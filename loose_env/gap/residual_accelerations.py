@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from loose_env.gap.accelerations import ResidualAccelerations
 from loose_env.gap.comparison import Comparison
-from loose_env.gap.simulator import Hypothesis
+from loose_env.gap.hypothesis import Hypothesis
 
 __all__ = ["residual_accelerations"]
 

@@ -26,7 +26,7 @@ from loose_env.gap.effects.sensor_kinds import of_place_or_speed
 from loose_env.gap.fit import Fit, hypothesis_of, parameters_of, prior_of, started
 from loose_env.gap.parameter import Parameter, free_of
 
-__all__ = ["Screened", "along", "screen"]
+__all__ = ["Screened", "along", "screen", "signatures"]
 
 Array = NDArray[np.float64]
 
@@ -107,7 +107,7 @@ def screen(
         ]
         apart: dict[int, dict[tuple[float, ...], Array]] = {}
         again: dict[int, tuple[float, Effect, tuple[float, ...]]] = {}
-        for effect, start, signature in _signatures(compared, fitted, entries, base):
+        for effect, start, signature in signatures(compared, fitted, entries, base):
             _keep(seen, _weigh(comparison, known, effect, start, signature))
             if id(effect) in axes:
                 apart.setdefault(id(effect), {})[start] = signature
@@ -119,7 +119,7 @@ def screen(
             together = np.stack([apart[key][start] for start in own], axis=1)
             _keep(seen, _weigh_together(comparison, known, effect, own, together))
         entries = [(effect, start) for _, effect, start in again.values()]
-        for effect, start, signature in _signatures(compared, fitted, entries, base):
+        for effect, start, signature in signatures(compared, fitted, entries, base):
             _keep(seen, _weigh(comparison, known, effect, start, signature))
     return sorted((_best(each) for each in seen.values()), key=lambda s: -s.promise)
 
@@ -148,7 +148,7 @@ def _best_starts(
     if lighter is comparison:
         return {}
     found: dict[tuple[str, str, str], list[tuple[float, tuple[float, ...]]]] = {}
-    for effect, start, signature in _signatures(lighter, fitted, entries, base):
+    for effect, start, signature in signatures(lighter, fitted, entries, base):
         weighed = _weigh(comparison, known, effect, start, signature)
         promise = 0.0 if weighed is None else weighed.promise
         found.setdefault(effect.key, []).append((promise, start))
@@ -158,13 +158,25 @@ def _best_starts(
     }
 
 
-def _signatures(
+def signatures(
     compared: Comparison,
     fitted: Fit,
     entries: Sequence[tuple[Effect, tuple[float, ...]]],
     base: Array,
 ) -> Iterator[tuple[Effect, tuple[float, ...], Array]]:
-    """What each start of each candidate changes in the residual (N,)."""
+    """What each start of each candidate changes in the residual (N,), one after the other.
+
+    Parameters
+    ----------
+    compared : Comparison
+        What they are simulated in.
+    fitted : Fit
+        What they are added to.
+    entries : sequence of (Effect, values)
+        The starts.
+    base : ndarray (N,)
+        What `fitted` leaves in that comparison.
+    """
     for begin in range(0, len(entries), _GROUP):
         group = entries[begin : begin + _GROUP]
         tried = [

@@ -25,7 +25,7 @@ from loose_env.gap.torque_terms import BatchWithTerms, has_terms, with_terms
 from loose_env.gap.trial import Channel, Trial
 from loose_env.rig.quiet import quiet
 
-__all__ = ["Hypothesis", "Simulator"]
+__all__ = ["Simulator"]
 
 Array = NDArray[np.float64]
 

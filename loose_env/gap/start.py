@@ -24,7 +24,7 @@ from loose_env.gap.trial import Channel, Trial
 
 if TYPE_CHECKING:
     from loose_env.gap.comparison import Comparison
-    from loose_env.gap.simulator import Hypothesis
+    from loose_env.gap.hypothesis import Hypothesis
 
 __all__ = ["StartState"]
 

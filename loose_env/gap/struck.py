@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from loose_env.gap.comparison import LONGEST, Comparison
 from loose_env.gap.dependence import Dependence
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.joint_motion import JointMotion
 from loose_env.gap.locate import Band, ChannelGap, depends_on
 from loose_env.gap.residual_series import Series, band_edges, density
 from loose_env.gap.residual_tests import LeftOver
-from loose_env.gap.simulator import Hypothesis
 from loose_env.gap.trial import Trial
 
 __all__ = ["StruckChannel", "struck_channels", "struck_left"]

@@ -8,8 +8,8 @@ import pytest
 
 from loose_env.gap.catalogue import CATALOGUE, candidates
 from loose_env.gap.comparison import Rows
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.machine import Machine
-from loose_env.gap.simulator import Hypothesis
 from loose_env.gap.structure import Structure, largest
 from loose_env.recording import Run
 from tests.gap.effect_arms import PLANAR, commands, simulate

@@ -7,10 +7,10 @@ import numpy as np
 
 from loose_env.gap.catalogue import CATALOGUE
 from loose_env.gap.fit import hypothesis_of, parameters_of, sensitivities
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.judgement import Judge
 from loose_env.gap.machine import Machine
 from loose_env.gap.parameter import free_of
-from loose_env.gap.simulator import Hypothesis
 from loose_env.gap.start import StartState
 from loose_env.recording import Run
 from tests.gap.recorded_runs import PENDULUM, compared, fitted, pendulum_run

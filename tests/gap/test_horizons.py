@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from loose_env.gap.catalogue import candidates
 from loose_env.gap.effect import Effect
 from loose_env.gap.horizons import HorizonError, horizon_errors
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.machine import Machine
-from loose_env.gap.simulator import Hypothesis, Simulator
+from loose_env.gap.simulator import Simulator
 from loose_env.gap.trial import Channel, Trial
 from tests.gap.effect_arms import PLANAR
 

@@ -10,11 +10,11 @@ from loose_env.gap.catalogue import CATALOGUE, candidates
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.fit import Fit
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.identifiability import identifiability
 from loose_env.gap.machine import Machine
 from loose_env.gap.nominal import NominalFigures
 from loose_env.gap.separating import how_to_see
-from loose_env.gap.simulator import Hypothesis
 from loose_env.gap.trial import Channel, lay_out
 from loose_env.gap.unseen import Identifiability, identifiability_words
 from loose_env.recording import Run

@@ -9,9 +9,9 @@ import pytest
 from loose_env.errors import InvalidData
 from loose_env.gap.catalogue import CATALOGUE, candidates
 from loose_env.gap.comparison import Comparison
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.machine import Machine
 from loose_env.gap.motion import motion_band, smooth_motion
-from loose_env.gap.simulator import Hypothesis
 from loose_env.gap.trial import channels_of, lay_out
 from loose_env.recording import Run
 from tests.gap.effect_arms import PLANAR, SHARED, SPATIAL

@@ -12,12 +12,12 @@ from scipy import signal
 
 from loose_env.gap.effects.structural_looseness import StructuralLooseness
 from loose_env.gap.finding import GapSettings, find_gap, prepare
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.joint_motion import joint_motion
 from loose_env.gap.judgement import Judge
 from loose_env.gap.machine import Machine
 from loose_env.gap.nominal import NominalFigures
 from loose_env.gap.reporting import GapOutputs, gather, outputs_of, result_of
-from loose_env.gap.simulator import Hypothesis
 from loose_env.gap.struck import struck_channels
 from loose_env.recording import Recording, Run, write_recording
 from loose_env.report.gap_page import render_gap_page

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from loose_env.gap.catalogue import CATALOGUE
 from loose_env.gap.comparison import Comparison
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.machine import Machine
 from loose_env.gap.proposals import missing_torque, proposals
-from loose_env.gap.simulator import Hypothesis, Simulator
+from loose_env.gap.simulator import Simulator
 from loose_env.gap.trial import Channel, Trial, channels_of, lay_out
 from loose_env.recording import Recording
 from tests.gap.effect_arms import PLANAR

@@ -8,8 +8,9 @@ import pytest
 from numpy.typing import NDArray
 
 from loose_env.gap.catalogue import CATALOGUE
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.machine import Machine
-from loose_env.gap.simulator import Hypothesis, Simulator
+from loose_env.gap.simulator import Simulator
 from loose_env.gap.trial import Channel, Trial
 from tests.gap.effect_arms import PLANAR
 

@@ -18,10 +18,11 @@ from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.export import correction_code, write_model
 from loose_env.gap.horizons import horizon_errors
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.inverse import InverseDynamics
 from loose_env.gap.machine import Machine
 from loose_env.gap.proposals import missing_torque
-from loose_env.gap.simulator import Hypothesis, Simulator
+from loose_env.gap.simulator import Simulator
 from loose_env.gap.torque_terms import BatchWithTerms, torque_terms
 from loose_env.gap.trial import Channel, Trial, channels_of, lay_out
 from tests.gap.effect_arms import PLANAR
