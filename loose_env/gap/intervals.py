@@ -17,6 +17,12 @@ __all__ = ["Intervals", "bootstrap", "widened"]
 
 Array = NDArray[np.float64]
 
+_ANSWER = 1.0
+"""Rise of the sum of squares [noise variances] with a step of one free number, about the least size
+that matters, below which the data do not answer to it."""
+_ANYWHERE = 1e6
+"""Factor on the squared range of such a number, for its variance."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Intervals:
@@ -94,11 +100,18 @@ def bootstrap(
     steps = -np.linalg.solve(curvature, slope[..., None])[..., 0]
     free = fitted.free + steps
     low, high = np.quantile(free, (0.025, 0.975), axis=0)
+    covariance = inverse @ (slopes.T @ slopes + np.diag(weights**2)) @ inverse
+    # Data that do not answer to a parameter have no scatter in it either: it may be anything.
+    blind = (np.einsum("bpp->p", curvatures) < _ANSWER) & (weights == 0)
+    ends = np.array([p.bounds for p in parameters])
+    low[blind], high[blind] = ends[blind].T
+    covariance[blind], covariance[:, blind] = 0.0, 0.0
+    covariance[blind, blind] = np.ptp(ends[blind], axis=1) ** 2 * _ANYWHERE
     return Intervals(
         low=np.array([p.value(v) for p, v in zip(parameters, low, strict=True)]),
         high=np.array([p.value(v) for p, v in zip(parameters, high, strict=True)]),
         free=fitted.free,
-        covariance=inverse @ (slopes.T @ slopes + np.diag(weights**2)) @ inverse,
+        covariance=covariance,
         misfit=misfit,
     )
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.intervals import Intervals, widened
+from loose_env.gap.fit import Fit
+from loose_env.gap.intervals import Intervals, bootstrap, widened
 from loose_env.gap.parameter import free_of
 from tests.gap.effect_arms import machine_of
 
@@ -93,3 +94,24 @@ def test_runs_that_disagree_widen_an_interval_and_never_to_nothing() -> None:
     wide = widened(comparison, fitted, narrow)  # type: ignore[arg-type]
     assert wide.low[0] == narrow.low[0]
     assert wide.high[0] > 1.5 * narrow.high[0]
+
+
+@pytest.mark.parametrize(("first", "nothing"), [(0.0, True), (3.0, False)])
+def test_what_the_data_do_not_answer_to_may_be_anything(first: float, nothing: bool) -> None:
+    rng = np.random.default_rng(6)
+    effect = CATALOGUE["link_com"](machine_of("planar"), "link2")
+    count = len(effect.parameters)
+    assert count == 2
+    jacobian = np.stack([rng.normal(size=2000), np.zeros(2000)], axis=1)
+    fitted = Fit(
+        effects=(effect,),
+        free=np.array([first, 0.5]),  # nobody knows why the second one is not zero
+        residual=rng.normal(size=2000),
+        jacobian=jacobian,
+        cost=0.0,
+    )
+    comparison = SimpleNamespace(rows=SimpleNamespace(block=np.repeat(np.arange(50), 40)))
+    found = bootstrap(comparison, fitted, rng)
+    assert (found.low[1], found.high[1]) == (effect.parameters[1].low, effect.parameters[1].high)
+    assert found.high[0] - found.low[0] < 0.2 * effect.parameters[0].scale
+    assert found.may_be_nothing(effect, slice(0, 2)) is nothing
