@@ -325,6 +325,34 @@ def test_the_command_shows_what_is_stored(tmp_path: Path, capsys: Any) -> None:
         script.main(["--numbers", "x"])
 
 
+def test_rows_are_published_beside_the_page_and_taken_over(
+    tmp_path: Path,
+    capsys: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    configuration: dict[str, Any],
+) -> None:
+    folders, page = write_blind(tmp_path), tmp_path / "docs" / "page.md"
+    rows = suite(folders)
+    script.main(["--show", "--out", str(folders.out), "--docs", str(page)])
+    file, there = page.with_name(script.ROWS), tmp_path / "another machine"
+    take = ["--show", "--out", str(there), "--take", str(file)]
+    for count in (len(NUMBERS), 0):
+        script.main(take)
+        assert f"{count} rows taken from" in capsys.readouterr().err
+    assert script.stored(NUMBERS, script.store_in(there)) == rows
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join([*lines[:2], lines[2][:40], *lines[3:]]))
+    with pytest.raises(SystemExit, match="line 3 is no row"):
+        script.main(take)
+    file.write_text("not a file of rows")
+    with pytest.raises(SystemExit, match="no file of rows"):
+        script.main(take)
+    file.write_text("\n".join(lines))
+    monkeypatch.setattr(script, "configuration", lambda: {**configuration, "tool": "another"})
+    with pytest.raises(SystemExit, match="other code made the rows"):
+        script.main(["--show", "--out", str(tmp_path / "third"), "--take", str(file)])
+
+
 def test_a_whole_run_goes_to_the_docs_and_a_part_does_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
