@@ -217,6 +217,12 @@ class ShardStore:
         """Results of the shards, one after the other, in their order."""
         return map(self.read, shards)
 
+    def unlike(self, configuration: Any) -> str:
+        """In what another configuration differs from this store's; empty if in nothing."""
+        if configuration_hash(configuration) == self.hash:
+            return ""
+        return differences(configuration, self.configuration) or "its hash is another"
+
     def _holds(self, shard: Span) -> bool:
         path = self.path(shard)
         if not path.exists():
@@ -234,11 +240,11 @@ class ShardStore:
             raise InvalidSetting(
                 f"{described} cannot be read ({error}); choose another folder or remove this one"
             ) from error
-        if configuration_hash(before) != self.hash:
+        unlike = self.unlike(before)
+        if unlike:
             raise InvalidSetting(
-                f"{self.folder} holds results of another configuration: "
-                f"{differences(before, self.configuration)}; choose another folder, or remove "
-                "this one to begin anew"
+                f"{self.folder} holds results of another configuration: {unlike}; choose another "
+                "folder, or remove this one to begin anew"
             )
 
     def _put(self, path: Path, write: Any) -> None:

@@ -88,22 +88,21 @@ def screen(
     proposed = dict(proposed) | _best_starts(comparison, fitted, known, candidates, proposed)
     seen: dict[int, list[Screened]] = {}
     for springs, compared, base in ((True, comparison, fitted.residual), (False, lighter, alike)):
-        entries = [
-            (effect, start)
-            for effect in candidates
-            if effect.adds_motion == springs
-            for start in proposed.get(effect.key) or effect.starts
-        ]
+        own = [effect for effect in candidates if effect.adds_motion == springs]
         axes = {
             id(effect): (effect, _axes_of(effect))
-            for effect in candidates
-            if effect.adds_up and effect.adds_motion == springs and len(effect.parameters) > 1
+            for effect in own
+            if effect.adds_up and len(effect.parameters) > 1
         }
-        entries += [
+        entries = [
             (effect, start)
-            for effect, own in axes.values()
-            for start in own
-            if start not in effect.starts
+            for effect in own
+            for start in dict.fromkeys(
+                (
+                    *(proposed.get(effect.key) or effect.starts),
+                    *axes.get(id(effect), (effect, ()))[1],
+                )
+            )
         ]
         apart: dict[int, dict[tuple[float, ...], Array]] = {}
         again: dict[int, tuple[float, Effect, tuple[float, ...]]] = {}
@@ -115,9 +114,9 @@ def screen(
                 found = _proposed(lens, slow, effect, start, signature)
                 if found is not None and found[0] > again.get(id(effect), (0.0,))[0]:
                     again[id(effect)] = (found[0], effect, found[1])
-        for key, (effect, own) in axes.items():
-            together = np.stack([apart[key][start] for start in own], axis=1)
-            _keep(seen, _weigh_together(comparison, known, effect, own, together))
+        for key, (effect, starts) in axes.items():
+            together = np.stack([apart[key][start] for start in starts], axis=1)
+            _keep(seen, _weigh_together(comparison, known, effect, starts, together))
         entries = [(effect, start) for _, effect, start in again.values()]
         for effect, start, signature in signatures(compared, fitted, entries, base):
             _keep(seen, _weigh(comparison, known, effect, start, signature))

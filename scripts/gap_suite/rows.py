@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from agents.configuration import configuration_hash, differences
 from agents.shard_store import ShardStore
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.gap.files import written_beside
@@ -53,7 +52,9 @@ def take_rows(path: Path, store: ShardStore) -> int:
         If the file is no such file, or a line of it is broken.
     """
     try:
-        first, *lines = path.read_text(encoding="utf-8").splitlines()
+        first, *lines = path.read_text(encoding="utf-8").splitlines() or [""]
+        if not first:
+            raise ValueError("it is empty")
         head = json.loads(first)
         if head["format"] != FORMAT:
             raise ValueError(f"format {head['format']!r}")
@@ -62,10 +63,9 @@ def take_rows(path: Path, store: ShardStore) -> int:
         raise InvalidData(
             f"{path} is no file of rows as this command writes it: {error}"
         ) from error
-    if configuration_hash(made) != store.hash:
-        raise InvalidSetting(
-            f"other code made the rows of {path}: {differences(made, store.configuration)}"
-        )
+    unlike = store.unlike(made)
+    if unlike:
+        raise InvalidSetting(f"other code made the rows of {path}: {unlike}")
     taken = 0
     for number, line in enumerate(lines, start=2):
         try:
