@@ -6,7 +6,7 @@ import re
 import tempfile
 import warnings as python_warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -131,6 +131,7 @@ def load_model_arm(
         raise UnknownName(f"unknown hold {hold!r}: 'model', 'brake', 'servo' or 'compliant'")
     file = read_model_file(path)
     given, notes = (tool, []) if tool is not None else _sensed(path)
+    sensed = tool is None and given is not None
     chain = find_chain(file, given, None)
     outermost = _fixed_beyond(file, chain) if given is None else None
     if outermost is not None:
@@ -143,6 +144,8 @@ def load_model_arm(
         file, chain, payload_kg=payload_kg, payload_at_m=tuple(float(x) for x in payload_at_m)
     )
     found = report(file, chain)
+    if sensed:
+        found = replace(found, tool_origin=f"where the model's {made.accelerometer!r} sits")
     own: HoldKind = "brake" if hold == "model" else hold
     with (
         tempfile.TemporaryDirectory() as folder,

@@ -283,6 +283,22 @@ def _typed(machine: ModelArm, name: str, given: tuple[float, ...]) -> Array | No
     return np.asarray(pose)
 
 
+def _giving_way(machine: ModelArm, signal: Signal) -> list[str]:
+    """What to know where servos give way under the weight of the arm."""
+    sliding = machine.arm.sliding
+    far = [
+        f"{machine.joints[j]} by {_shown(sliding[j], abs(float(signal.sags[j])))}"
+        for j in np.flatnonzero(np.abs(signal.sags) > _SAGS[sliding.astype(int)])
+    ]
+    if not far:
+        return []
+    return [
+        f"servos give way under the arm's weight: {', '.join(far)}. The signal begins with the "
+        "pose as its command, makes up for that before the noise and goes back after it; a "
+        "controller that holds joints exactly where it is told would move the arm by so much"
+    ]
+
+
 def _shown(slides: np.bool_, value: float) -> str:
     return f"{value * 1e3:.4g} mm" if slides else f"{np.degrees(value):.4g} degrees"
 
@@ -320,18 +336,11 @@ def _warnings(
     low, high = pose_range(machine.arm, 0.0)
     for j in np.flatnonzero((pose < low + 1e-3) | (pose > high - 1e-3)):
         said.append(f"joint {machine.joints[j]} is at the end of its range")
-    for j in np.flatnonzero(np.abs(signals[0].sags) > _SAGS[machine.arm.sliding.astype(int)]):
-        far = _shown(machine.arm.sliding[j], float(signals[0].sags[j]))
-        said.append(
-            f"joint {machine.joints[j]}: its servo gives way under the arm's weight, so that its "
-            f"command has to be {far} beside the pose. The signal begins at the pose, goes there "
-            "before the noise and back after it; a controller that holds joints exactly where it "
-            "is told would move the arm by so much"
-        )
+    said += _giving_way(machine, signals[0])
     for signal in signals:
         if signal.scale < 0.99:
             said.append(
-                f"joint {signal.joint}: {signal.limited_by} allows {signal.scale:.0%} of the level"
+                f"{signal.joint} is shaken at {signal.scale:.0%} of the level: {signal.limited_by}"
             )
     said += [
         note

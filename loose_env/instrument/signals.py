@@ -281,8 +281,8 @@ def _scale(
             scale = max(spare, 0.0) / peaks[i]
             unit = "N" if arm.sliding[i] else "N·m"
             why = (
-                f"{share:.0%} of the {most:g} {unit} of joint {name}, {abs(float(load[i])):.3g} of "
-                "which hold the pose"
+                f"{share:.0%} of the {most:g} {unit} of {name}'s drive are used at most, and "
+                f"{abs(float(load[i])):.3g} {unit} of them hold the pose"
             )
     travel = np.abs(answer.positions).max(axis=1)
     for i, allowed in enumerate(arm.joint_ranges):
@@ -291,7 +291,7 @@ def _scale(
         spare = min(pose[i] - allowed[0], allowed[1] - pose[i])
         if spare < scale * travel[i]:
             scale = max(float(spare), 0.0) / travel[i]
-            why = f"the range {allowed[0]:g} to {allowed[1]:g} of joint {machine.joints[i]}"
+            why = f"{machine.joints[i]} goes from {allowed[0]:g} to {allowed[1]:g}"
     drive = machine.drives[j]
     assert drive is not None
     ahead = answer.in_time(answer.torque * (1 + answer.s * drive.lag), _OVERSAMPLED) / drive.gain
@@ -299,5 +299,5 @@ def _scale(
     spare, peak = min(holding - low, high - holding), float(np.abs(ahead).max())
     if spare < scale * peak:
         scale = max(spare, 0.0) / peak
-        why = f"the command range {low:g} to {high:g} of actuator {drive.actuator}"
+        why = f"actuator {drive.actuator} takes commands from {low:g} to {high:g}"
     return scale, why

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -22,6 +22,7 @@ __all__ = [
     "short_name",
     "steps",
     "sure_words",
+    "with_plain_names",
 ]
 
 _LEANING = 0.6
@@ -224,6 +225,27 @@ def sentence(words: str) -> str:
     return begun(ended) + ("" if ended[-1:] in (".", "!", "?", "") else ".")
 
 
+def with_plain_names(words: str, names: Mapping[str, str]) -> str:
+    """Words with hypotheses said as a person says them.
+
+    Parameters
+    ----------
+    words : str
+        What a program says.
+    names : Mapping of str to str
+        Hypotheses, and each in a few words. "healthy" stays: it is a word of its own.
+
+    Examples
+    --------
+    >>> with_plain_names("backlash@j1 is left", {"backlash@j1": "joint 1 has play"})
+    '“joint 1 has play” is left'
+    """
+    for name in sorted(names, key=len, reverse=True):
+        if "@" in name:
+            words = words.replace(name, f"“{names[name]}”")
+    return words
+
+
 def _count(number: int, noun: str) -> str:
     return f"one {noun}" if number == 1 else f"{number} {noun}s"
 
@@ -264,10 +286,8 @@ def _measure(following: NextMeasurement, arm: Arm, names_of: Iterable[str]) -> s
     names = [joint_words(arm, joint) for joint in following.joints]
     shaken = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]} in turn"
     reason = following.reason.strip()
-    for name in sorted(names_of, key=len, reverse=True):
-        if "@" in name:
-            reason = reason.replace(name, f"“{short_name(arm, name)}”")
-    reason = f" {sentence(reason)}" if reason else ""
+    if reason:
+        reason = f" {sentence(with_plain_names(reason, {n: short_name(arm, n) for n in names_of}))}"
     return (
         f"Measure once more in the pose shown below: shake {shaken} for {following.seconds:g} s, "
         f"hold the others.{reason}"

@@ -14,10 +14,10 @@ from loose_env.envs.drawing.ink import INK, MEASURED, MUTED
 from loose_env.instrument.plan import Plan
 from loose_env.instrument.signals import Signal
 from loose_env.report.diagnosis_arm import arm_figure
-from loose_env.report.diagnosis_words import percent, short_name
+from loose_env.report.diagnosis_words import percent, sentence, with_plain_names
 from loose_env.report.figures import new_figure
 from loose_env.report.gap_parts import group
-from loose_env.report.plan_words import pose_rows, starts, steps
+from loose_env.report.plan_words import plain_names, pose_rows, starts, steps
 from loose_env.report.plate import Plate
 from loose_env.report.template import template, write_whole
 
@@ -73,7 +73,7 @@ def plan_page(
     model: str | Path | None = None,
 ) -> str:
     """Return the page that `write_plan_page` writes."""
-    arm, chosen = plan.machine.arm, plan.next
+    arm, chosen, plain = plan.machine.arm, plan.next, plain_names(plan)
     joints = " and ".join(chosen.joints)
     groups = [
         group("What to do", "", points=steps(plan, tuple(runs), folder, model)),
@@ -85,7 +85,7 @@ def plan_page(
         title=f"Next: shake {joints}",
         kicker=f"{plan.machine.path.name} · the next measurement",
         questions=[
-            ("Why this", [_begun(chosen.reason)]),
+            ("Why this", [sentence(with_plain_names(chosen.reason, plain))]),
             (
                 "What it takes",
                 [
@@ -94,9 +94,9 @@ def plan_page(
                     f"tool is shaken by {_rms(plan.signals)} m/s² rms."
                 ],
             ),
-            ("How the joints are held", [_begun(plan.machine.held_by) + "."]),
+            ("How the joints are held", [sentence(plan.machine.held_by)]),
         ],
-        warnings=[_begun(warning) for warning in plan.warnings],
+        warnings=[sentence(with_plain_names(warning, plain)) for warning in plan.warnings],
         groups=[each for each in groups if each],
         notes=[
             f"The accelerometer is taken to sit at {plan.machine.report.tool} "
@@ -202,19 +202,16 @@ def _figure(plan: Plan, signal: Signal) -> Figure:
 
 
 def _expected_group(plan: Plan) -> dict[str, Any]:
-    arm, machine = plan.machine.arm, plan.machine
+    plain = plain_names(plan)
     rows = []
     ranked = sorted(plan.expected.items(), key=lambda item: -item[1].probability)
     for name, one in ranked:
         if one.probability < _LISTED:
             continue
-        kind, _, where = name.partition("@")
-        if kind == "backlash":
-            where = arm.joints[machine.joints.index(where)]
         seen = one.direction_tool
         rows.append(
             {
-                "If": short_name(arm, f"{kind}@{where}" if where else kind),
+                "If": plain[name],
                 "So far": percent(one.probability),
                 "Motion is lost along": "nothing"
                 if name == "healthy"
@@ -244,7 +241,3 @@ def _rms(signals: Sequence[Signal]) -> str:
     values = [signal.tool_rms for signal in signals]
     low, high = f"{min(values):.2g}", f"{max(values):.2g}"
     return low if low == high else f"{low} to {high}"
-
-
-def _begun(words: str) -> str:
-    return words[:1].upper() + words[1:]

@@ -14,7 +14,7 @@ from loose_env.instrument.plan_files import RECORDING, run_columns, signal_stems
 from loose_env.instrument.signals import Signal
 from loose_env.report.diagnosis_words import percent, place_value, short_name
 
-__all__ = ["pose_rows", "starts", "steps", "summary"]
+__all__ = ["plain_names", "pose_rows", "starts", "steps", "summary"]
 
 _LISTED = 0.02
 """Probability from which a hypothesis is mentioned [1]."""
@@ -138,23 +138,26 @@ def summary(plan: Plan) -> str:
             f"  torque {signal.drive_rms:.3g} {unit} rms, peaks {signal.torque_peaks[j]:.3g} of "
             f"{arm.torque_limits[j]:g} {unit} with what holds the pose"
         )
+    plain = plain_names(plan)
     known = sorted(plan.expected.items(), key=lambda item: -item[1].probability)
     if any("@" in name and one.probability > 0.3 for name, one in known):
         lines.append("in question")
         for name, one in known:
             if one.probability >= _LISTED:
-                lines.append(
-                    f"  {percent(one.probability):>8}  {short_name(arm, _own(plan, name))}"
-                )
+                lines.append(f"  {percent(one.probability):>8}  {plain[name]}")
     return "\n".join(lines)
 
 
-def _own(plan: Plan, name: str) -> str:
-    """A hypothesis by the names that the arm uses: its own of reserved ones."""
-    kind, _, where = name.partition("@")
-    if kind == "backlash":
-        where = plan.machine.arm.joints[plan.machine.joints.index(where)]
-    return f"{kind}@{where}" if where else kind
+def plain_names(plan: Plan) -> dict[str, str]:
+    """Each hypothesis of a plan in a few words."""
+    machine = plan.machine
+    found = {}
+    for name in plan.expected:
+        kind, _, where = name.partition("@")
+        if kind == "backlash":  # the arm has a name of its own in the place of a reserved one
+            where = machine.arm.joints[machine.joints.index(where)]
+        found[name] = short_name(machine.arm, f"{kind}@{where}" if where else kind)
+    return found
 
 
 def _small(travel: float, slides: bool) -> str:
