@@ -23,7 +23,8 @@ def scan(file: Path) -> ET.Element:
     ------
     InvalidData
         If one of them is not XML, is a xacro, declares entities, asks for more copies than any
-        arm needs, or refers to anything outside the folder of the first.
+        arm needs, or refers to anything outside the folder of the first. The message names the
+        first file, and the one in which it is.
     """
     return _looked_over(file).parsed[file]
 
@@ -51,6 +52,15 @@ class _Found:
 
 
 def _looked_over(file: Path) -> _Found:
+    try:
+        return _followed(file)
+    except InvalidData as error:
+        if str(error).startswith(f"{file.name}:"):
+            raise
+        raise InvalidData(f"{file.name}: it includes {error}") from None
+
+
+def _followed(file: Path) -> _Found:
     found = _Found(folder=file.parent, places=[file.parent])
     waiting = [file]
     while waiting:

@@ -460,6 +460,13 @@ def test_an_include_outside_the_folder_is_refused_behind_a_link(
         describe_file(file)
 
 
+def test_what_is_wrong_in_an_included_file_is_said_of_both(write: Write) -> None:
+    write('<mujoco><include file="../secret.xml"/></mujoco>', "inner/part.xml")
+    file = write(simple(extra='<include file="part.xml"/>'), "inner/arm.xml")
+    with pytest.raises(InvalidData, match=r"^arm\.xml: it includes part\.xml: .* lies outside"):
+        describe_file(file)
+
+
 def test_names_that_do_not_exist_are_answered_with_those_that_do(write: Write) -> None:
     file = write(MIXED)
     with pytest.raises(UnknownName, match=r"'flange'.*sites: 'camera', 'site2'; bodies: 'crate'"):
