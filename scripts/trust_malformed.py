@@ -6,7 +6,7 @@ or read where the damage is harmless; nothing outside may be opened or written, 
 
 Usage: python -m scripts.trust_malformed [--count 10000] [--out out/trust]
 
-The same command goes on where it was stopped; the rows lie in malformed.jsonl.
+The same command goes on where it was stopped; the rows lie in malformed-SEED.jsonl.
 """
 
 from __future__ import annotations
@@ -89,9 +89,10 @@ def missing(
 
 def table(rows: list[dict[str, Any]]) -> str:
     """Counts by kind, as a table in Markdown, and every row that must not be."""
-    counts: dict[str, Counter[str]] = {}
+    there = {row["kind"] for row in rows}
+    counts: dict[str, Counter[str]] = {kind: Counter() for kind in KINDS if kind in there}
     for row in rows:
-        counts.setdefault(row["kind"], Counter())[row["outcome"]] += 1
+        counts[row["kind"]][row["outcome"]] += 1
     lines = ["| kind | files | refused | read | anything else |", "|---|---:|---:|---:|---:|"]
     whole: Counter[str] = Counter()
     for kind, found in [*counts.items(), ("all", whole)]:
