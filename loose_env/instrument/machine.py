@@ -21,6 +21,7 @@ from loose_env.arms.serial_chain import find_chain
 from loose_env.errors import InvalidData
 from loose_env.instrument.drives import actuators_on
 from loose_env.instrument.result import HEALTHY, hypothesis_of
+from loose_env.instrument.tool_site import tool_site
 
 __all__ = ["Drives", "Machine", "Reading"]
 
@@ -90,20 +91,13 @@ class Machine:
         self.path = path
         file, _, spec = load_spec(path)
         self.model = model = compile_spec(spec, file)
-        accelerometers = [
-            s
-            for s in range(model.nsensor)
-            if _KINDS.get(int(model.sensor_type[s])) == "acceleration"
-        ]
-        if not accelerometers:
+        if not (model.sensor_type == mujoco.mjtSensor.mjSENS_ACCELEROMETER).any():
             raise InvalidData(
                 f"{path.name}: the model has no accelerometer; a diagnosis needs one at the tool: "
                 '<sensor><accelerometer name="tool_acc" site="tool"/></sensor>'
             )
-        sites = [int(model.sensor_objid[s]) for s in accelerometers]
-        deepest = max(sites, key=lambda s: _depth(model, int(model.site_bodyid[s])))
-        name = model.site(deepest).name
-        if not name:
+        name = tool_site(spec)
+        if name is None:
             raise InvalidData(f"{path.name}: the site of the tool's accelerometer needs a name")
         with python_warnings.catch_warnings():
             python_warnings.simplefilter("ignore", UserWarning)  # limits and ranges are not used
@@ -187,14 +181,6 @@ class Machine:
     def named(self, pose: Array) -> dict[str, float]:
         """Positions by joint."""
         return {joint: float(q) for joint, q in zip(self.joints, pose, strict=True)}
-
-
-def _depth(model: mujoco.MjModel, body: int) -> int:
-    depth = 0
-    while body > 0:
-        depth += int(model.body_jntnum[body])
-        body = int(model.body_parentid[body])
-    return depth
 
 
 def _with_probes(

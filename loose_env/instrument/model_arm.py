@@ -21,6 +21,7 @@ from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.instrument.collisions import Collisions
 from loose_env.instrument.drives import JointDrive, drives_of, held_by_drives
 from loose_env.instrument.recordable import Recordable, recordable
+from loose_env.instrument.tool_site import sensed_sites, tool_site
 
 __all__ = ["Hold", "ModelArm", "load_model_arm"]
 
@@ -105,7 +106,7 @@ def load_model_arm(
         MJCF or URDF of a serial arm on a fixed base.
     tool : str, optional
         Site or body that carries the accelerometer. By default where the model's own
-        accelerometer sits; else as `loose_env.arms.from_file.arm_from_file` finds it.
+        accelerometer sits, of several as `loose_env.instrument.tool_site` says; else as `loose_env.arms.from_file.arm_from_file` finds it.
     hold : {"model", "brake", "servo", "compliant"}
         "model": on the springs of the model's position servos; where it has none, by a controller
         that is slow beside the band, `loose_env.instrument.drives.held_by_drives`.
@@ -191,28 +192,15 @@ def _check_payload(mass: float, at: tuple[float, ...]) -> None:
 
 
 def _sensed(path: str | Path) -> tuple[str | None, list[str]]:
-    """Site of the model's own accelerometer, the one farthest from the base of several."""
-    kind = mujoco.mjtSensor.mjSENS_ACCELEROMETER
+    """Site of the model's own accelerometer, and what to know where it has several."""
     spec = load_spec(path)[2]
-    sites = [s.objname for s in spec.sensors if s.type == kind and s.objname]
-    if not sites:
-        return None, []
-
-    def depth(site: str) -> int:
-        body, joints = spec.site(site).parent, 0
-        while body.name != "world":
-            joints += len(body.joints)
-            body = body.parent
-        return joints
-
-    sites.sort(key=depth)
-    notes = []
-    if len(set(sites)) > 1:
-        notes.append(
-            f"the model has accelerometers at {', '.join(dict.fromkeys(sites))}; the one "
-            f"farthest out, {sites[-1]}, is taken for the tool's: name another with --tool"
-        )
-    return sites[-1], notes
+    sites, taken = sensed_sites(spec), tool_site(spec)
+    if len(sites) < 2:
+        return taken, []
+    return taken, [
+        f"the model has accelerometers at {', '.join(sites)}; the one at {taken} is taken for the "
+        "tool's: name another with --tool"
+    ]
 
 
 def _fixed_beyond(file: ModelFile, chain: Chain) -> str | None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from loose_env.arms.model_file import ModelFile, compile_spec, load_spec
 from loose_env.arms.serial_chain import Chain
+from loose_env.instrument.tool_site import mark_tool
 
 __all__ = ["ACCELEROMETER", "Recordable", "recordable"]
 
@@ -47,7 +48,7 @@ def recordable(
 
     Shapes from files go, inertias found from them are written out. A site, an accelerometer and
     position sensors are added where they are missing, and a torque motor to every driven joint
-    without an actuator.
+    without an actuator. Which site is the tool's is written into it.
 
     Parameters
     ----------
@@ -71,9 +72,10 @@ def recordable(
     m = file.model
     site = _tool(spec, m, chain)
     if payload_kg > 0:
-        _load(spec, site, payload_kg, payload_at_m)
+        _load(spec, m, chain, payload_kg, payload_at_m)
         notes.append(f"a payload of {payload_kg:g} kg is added at the tool")
     accelerometer = _accelerometer(spec, site, notes)
+    mark_tool(spec, site)
     joints = [m.joint(j).name for j in chain.joints]
     positions = _positions(spec, joints, notes)
     if _motors(spec, m, chain, notes):
@@ -146,16 +148,21 @@ def _tool(spec: mujoco.MjSpec, m: mujoco.MjModel, chain: Chain) -> str:
     return name
 
 
-def _load(spec: mujoco.MjSpec, site: str, mass: float, at: tuple[float, ...]) -> None:
+def _load(
+    spec: mujoco.MjSpec, m: mujoco.MjModel, chain: Chain, mass: float, at: tuple[float, ...]
+) -> None:
     """Put a payload on the tool: a solid ball of the density of steel."""
-    place = spec.site(site)
-    carrier = place.parent
-    quat, turned = np.asarray(place.quat, dtype=float), np.zeros(3)
-    mujoco.mju_rotVecQuat(turned, np.asarray(at, dtype=float), quat / np.linalg.norm(quat))
+    body, place, quat = chain.tool_body, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+    if chain.tool_site is not None:
+        # As compiled: in the file a site may be turned by other angles, or stand in a frame.
+        body = int(m.site_bodyid[chain.tool_site])
+        place, quat = m.site_pos[chain.tool_site], m.site_quat[chain.tool_site]
+    turned = np.zeros(3)
+    mujoco.mju_rotVecQuat(turned, np.asarray(at, dtype=float), quat)
     radius = (3 * mass / (4 * np.pi * 7850.0)) ** (1 / 3)
-    carrier.add_body(
+    spec.body(m.body(body).name).add_body(
         name=_free("payload", (b.name for b in spec.bodies)),
-        pos=list(np.asarray(place.pos, dtype=float) + turned),
+        pos=list(place + turned),
         mass=mass,
         ipos=[0, 0, 0],
         inertia=[0.4 * mass * radius**2] * 3,

@@ -1,0 +1,65 @@
+"""Which accelerometer is the tool's, of a model that has several."""
+
+from __future__ import annotations
+
+import mujoco
+
+__all__ = ["mark_tool", "sensed_sites", "tool_site"]
+
+_MARK = "loose_env_tool"
+"""Name of the custom text in which a model says which site is the tool's."""
+
+
+def mark_tool(spec: mujoco.MjSpec, site: str) -> None:
+    """Write into a model which site is the tool's, as `tool_site` reads it."""
+    for text in list(spec.texts):
+        if text.name == _MARK:
+            spec.delete(text)
+    spec.add_text(name=_MARK, data=site)
+
+
+def tool_site(spec: mujoco.MjSpec) -> str | None:
+    """Site of the tool's accelerometer; None where no accelerometer sits at a site with a name.
+
+    It is the one that `mark_tool` marked, else the one with most joints between it and the base;
+    of several of these the first sensor's.
+
+    Parameters
+    ----------
+    spec : mujoco.MjSpec
+        The model; it need not compile.
+
+    Examples
+    --------
+    >>> body = '<body><joint/><geom size=".1"/><site name="a"/><site name="b"/></body>'
+    >>> sensors = '<accelerometer site="b"/><accelerometer site="a"/>'
+    >>> worldbody = f"<worldbody>{body}</worldbody><sensor>{sensors}</sensor>"
+    >>> spec = mujoco.MjSpec.from_string(f"<mujoco>{worldbody}</mujoco>")
+    >>> tool_site(spec)
+    'b'
+    >>> mark_tool(spec, "a")
+    >>> tool_site(spec)
+    'a'
+    """
+    sites = sensed_sites(spec)
+    marked = next((text.data for text in spec.texts if text.name == _MARK), None)
+    if marked in sites:
+        return str(marked)
+    return max(sites, key=lambda name: _depth(spec, name), default=None)
+
+
+def sensed_sites(spec: mujoco.MjSpec) -> tuple[str, ...]:
+    """Sites with an accelerometer, in the order of the sensors, each once."""
+    kind = mujoco.mjtSensor.mjSENS_ACCELEROMETER
+    there = {site.name for site in spec.sites}
+    names = (s.objname for s in spec.sensors if s.type == kind)
+    return tuple(dict.fromkeys(str(name) for name in names if name and name in there))
+
+
+def _depth(spec: mujoco.MjSpec, site: str) -> int:
+    """Joints between a site and the base."""
+    depth, body = 0, spec.site(site).parent
+    while body.name != "world":
+        depth += len(body.joints)
+        body = body.parent
+    return depth
