@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -47,29 +48,34 @@ def open_text(path: Path, name: str, encoding: str) -> Iterator[IO[str]]:
 def cells(file: IO[str], name: str, layout: CsvLayout) -> Iterator[tuple[int, list[str]]]:
     """Rows of a table from its line of names on, each with its line; blank lines are left out.
 
+    Lines that the layout skips may be anything; they are not looked at as a table.
+
     Raises
     ------
     InvalidData
         If a line is endless, or a quote is not closed.
     """
+    lines = _lines(file, name)
+    for _ in itertools.islice(lines, layout.skip):
+        pass
     reader = csv.reader(
-        _lines(file, name),
+        lines,
         delimiter=layout.separator,
         skipinitialspace=layout.separator == " ",
         strict=True,
     )
     try:
-        for row in _rows(reader):
-            if reader.line_num > layout.skip and any(cell.strip() for cell in row):
+        for row in reader:
+            if any(cell.strip() for cell in row):
+                number = layout.skip + reader.line_num
                 if len(row) > _MOST_COLUMNS:
                     raise InvalidData(
-                        f"{name}: line {reader.line_num}: {len(row)} cells; at most "
-                        f"{_MOST_COLUMNS} are read"
+                        f"{name}: line {number}: {len(row)} cells; at most {_MOST_COLUMNS} are read"
                     )
-                yield reader.line_num, row
+                yield number, row
     except csv.Error as error:
         raise InvalidData(
-            f"{name}: line {reader.line_num}: not a table: {error}; look for a quote that is "
+            f"{name}: line {layout.skip + reader.line_num}: not a table: {error}; look for a quote that is "
             "not closed, or skip lines of words before the table"
         ) from None
 
@@ -79,10 +85,6 @@ def header_of(row: list[str], layout: CsvLayout) -> list[str]:
     if not layout.header:
         return [str(i + 1) for i in range(len(row))]
     return [" ".join(cell.split()) for cell in row]
-
-
-def _rows(reader: Iterator[list[str]]) -> Iterator[list[str]]:
-    yield from reader
 
 
 def _lines(file: IO[str], name: str) -> Iterator[str]:

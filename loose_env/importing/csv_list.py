@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import re
+from dataclasses import replace
 from pathlib import Path
 
 from loose_env.errors import InvalidData
@@ -17,6 +19,7 @@ from loose_env.importing.units import UNITS, unit_named
 __all__ = ["list_csv"]
 
 _LOOKED_AT = 200  # lines
+_PREAMBLE = 40  # lines above a table, at most
 _ENCODINGS = ("utf-8", "utf-16", "cp1252", "latin-1")
 _MARKED = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 _TAILED = re.compile(r"_([a-zA-Z/0-9^]+)$")
@@ -94,14 +97,14 @@ def _table(
 ) -> tuple[int, list[str], list[list[str]], int, int] | None:
     """Lines to skip, names, rows, numbers a row, and lines between names and numbers."""
     lines: list[tuple[int, list[str]]] = []
-    try:
-        with open_text(path, name, layout.encoding) as file:
-            for each in cells(file, name, layout):
-                lines.append(each)
-                if len(lines) == _LOOKED_AT:
-                    break
-    except InvalidData:
-        return None
+    for skip in range(_PREAMBLE):  # a quote in the words above the table may not be closed
+        try:
+            with open_text(path, name, layout.encoding) as file:
+                rows_of = cells(file, name, replace(layout, skip=skip))
+                lines = list(itertools.islice(rows_of, _LOOKED_AT))
+            break
+        except InvalidData:
+            continue
     # The table starts where a row of numbers is followed by its like.
     for i, (_, row) in enumerate(lines):
         width = len(row)

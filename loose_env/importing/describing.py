@@ -43,7 +43,12 @@ def describe_sources(sources: Sequence[str], model: mujoco.MjModel | None = None
     InvalidData
         If a file cannot be read.
     """
-    lists = {_name(name): list_file(path) for name, path in given_files(sources).items()}
+    lists: dict[str, FileList] = {}
+    for given, path in given_files(sources).items():
+        name, count = _name(given), 2
+        while name in lists:  # run-01.mcap and run-01.csv
+            name, count = f"{_name(given)}-{count}", count + 1
+        lists[name] = list_file(path)
     lines = [f"format = {_text(MAPPING_FORMAT)}", 'model = "model.xml"  # MJCF, beside this file']
     if model is not None:
         lines += ["", "# Columns that the model allows:"]

@@ -19,6 +19,7 @@ from loose_env.importing.sources import files_of_runs, given_files, read_source
 from loose_env.recording import FileFormat, Recording, write_recording
 from loose_env.recording.columns import ModelColumns
 from loose_env.recording.folder import existing_file
+from loose_env.recording.writing import check_target
 
 __all__ = ["ImportSettings", "import_recording"]
 
@@ -83,6 +84,7 @@ def import_recording(
     """
     settings = settings or ImportSettings()
     say = say or _silent
+    check_target(out, overwrite=settings.overwrite)  # before hours of logs are read
     plan = read_mapping(mapping)
     given = given_files([str(each) for each in sources])
     model_file = _model_file(plan, Path(mapping), model)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.errors import InvalidData
+from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.instrument.cautions import warnings_of
 from loose_env.instrument.correlation_loops import loops_of
 from loose_env.instrument.directions import cone, seen_in_tool
@@ -153,7 +153,7 @@ class Workbench:
                 following = self._next(found)
                 said = (*found.warnings, *self._blind())
                 found = replace(found, next=following, warnings=said)
-            except InvalidData as error:
+            except (InvalidData, InvalidSetting) as error:  # what was found is not lost for it
                 found = replace(found, warnings=(*found.warnings, f"nothing next: {error}"))
         return found
 

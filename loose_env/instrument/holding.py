@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from loose_env.instrument.drives import actuators_on, drives_of
 from loose_env.instrument.model_arm import ModelArm
 
-__all__ = ["holding_commands", "starting_commands"]
+__all__ = ["holding_commands", "starting_commands", "why_not_held"]
 
 Array = NDArray[np.float64]
 
@@ -82,6 +82,32 @@ def starting_commands(machine: ModelArm, pose: Array) -> dict[str, float]:
             q = float(data.joint(drive.joint).qpos[0])
             commands[drive.actuator] = float(drive.command(0.0, q))
     return commands
+
+
+def why_not_held(machine: ModelArm, pose: Array) -> str:
+    """Why the actuators cannot be told to hold a pose; "" if they can.
+
+    Parameters
+    ----------
+    machine : ModelArm
+        The arm.
+    pose : ndarray (n,)
+        Joint positions [rad or m].
+    """
+    told = (holding_commands(machine, pose)[0], starting_commands(machine, pose))
+    for drive in machine.drives:
+        if drive is None:
+            continue
+        low, high = drive.command_range
+        room = 1e-9 * max(abs(low), abs(high), 1.0) if np.isfinite([low, high]).all() else 0.0
+        for commands in told:
+            command = commands[drive.actuator]
+            if not low - room <= command <= high + room:
+                return (
+                    f"{drive.actuator} would have to be told {command:.4g} to hold {drive.joint}, "
+                    f"and takes commands from {low:g} to {high:g}"
+                )
+    return ""
 
 
 def _standing(machine: ModelArm, pose: Array) -> mujoco.MjData:

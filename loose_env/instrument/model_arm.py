@@ -106,7 +106,8 @@ def load_model_arm(
         MJCF or URDF of a serial arm on a fixed base.
     tool : str, optional
         Site or body that carries the accelerometer. By default where the model's own
-        accelerometer sits, of several as `loose_env.instrument.tool_site` says; else as `loose_env.arms.from_file.arm_from_file` finds it.
+        accelerometer sits, of several as `loose_env.instrument.tool_site` says; else as
+        `loose_env.arms.from_file.arm_from_file` finds it.
     hold : {"model", "brake", "servo", "compliant"}
         "model": on the springs of the model's position servos; where it has none, by a controller
         that is slow beside the band, `loose_env.instrument.drives.held_by_drives`.

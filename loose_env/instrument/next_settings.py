@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,8 @@ _LENGTHS = (0.2, 600.0)
 _SAMPLES = 5_000_000
 """Most samples of a record."""
 _POSES, _IN_TURN = 10_000, 100
+_BAND_SHARE = 0.4
+"""Highest end of a band over the sampling rate: filters need room below half the rate."""
 _SEEDS = 2**63
 
 
@@ -58,7 +60,7 @@ class NextSettings:
     """Lower end of the noise's band [Hz]; by default as the arm's modes ask for."""
     band_high: float | None = None
     """Upper end of the noise's band, at most 0.4 of the rate [Hz]; by default as the arm's modes
-    ask for."""
+    and the rate ask for."""
     in_turn: int = 1
     """Joints that are shaken one after the other in the pose."""
     margin: float = 0.05
@@ -94,6 +96,11 @@ class NextSettings:
                 raise InvalidSetting(f"{name} is a frequency above 0 Hz, got {end!r}")
         if ends[0] is not None and ends[1] is not None and not ends[0] < ends[1]:
             raise InvalidSetting(f"a band goes upwards, got {ends[0]:g} to {ends[1]:g} Hz")
+        if ends[1] is not None and ends[1] > self.allowed_hz * (1 + 1e-9):
+            raise InvalidSetting(
+                f"band_high is at most 0.4 of the rate, {self.allowed_hz:g} Hz at rate_hz "
+                f"{self.rate_hz:g}, got {ends[1]:g}; take a higher rate or a lower band"
+            )
         for name, most in (("poses", _POSES), ("in_turn", _IN_TURN)):
             value = getattr(self, name)
             if not 1 <= value <= most:
@@ -136,8 +143,25 @@ class NextSettings:
         except InvalidSetting as error:
             raise InvalidData(f"{place}: {error}") from None
 
+    @property
+    def allowed_hz(self) -> float:
+        """Highest frequency of a band that the rate allows [Hz]."""
+        return _BAND_SHARE * self.rate_hz
+
+    def at_rate(self, rate_hz: float) -> NextSettings:
+        """These settings for a recorder of another rate; the band ends where that rate allows.
+
+        Examples
+        --------
+        >>> slow = NextSettings(band_high=200.0).at_rate(250.0)
+        >>> slow.rate_hz, slow.band_high
+        (250.0, 100.0)
+        """
+        high = None if self.band_high is None else min(self.band_high, _BAND_SHARE * rate_hz)
+        return replace(self, rate_hz=rate_hz, band_high=high)
+
     def band_of(self, band: tuple[float, float]) -> tuple[float, float]:
-        """A band with the ends that are given in the place of its own [Hz].
+        """A band with the ends that are given in the place of its own, as the rate allows [Hz].
 
         Raises
         ------
@@ -148,13 +172,16 @@ class NextSettings:
         --------
         >>> NextSettings(band_high=60.0).band_of((30.0, 150.0))
         (30.0, 60.0)
+        >>> NextSettings(rate_hz=200.0).band_of((30.0, 150.0))
+        (30.0, 80.0)
         """
         low = band[0] if self.band_low is None else self.band_low
-        high = band[1] if self.band_high is None else self.band_high
+        high = min(band[1], self.allowed_hz) if self.band_high is None else self.band_high
         if not low < high:
             raise InvalidSetting(
                 f"a band from {low:g} to {high:g} Hz is none: the arm's own goes from {band[0]:g} "
-                f"to {band[1]:g} Hz; give both band_low and band_high"
+                f"to {band[1]:g} Hz, and a rate of {self.rate_hz:g} Hz allows up to "
+                f"{self.allowed_hz:g} Hz; give band_low and band_high, or a higher rate"
             )
         return float(low), float(high)
 

@@ -21,6 +21,7 @@ from loose_env.errors import InvalidSetting
 from loose_env.instrument.candidates import pose_range
 from loose_env.instrument.expected import Expected, expected_of
 from loose_env.instrument.ground import Ground
+from loose_env.instrument.holding import why_not_held
 from loose_env.instrument.known import Known, known_of
 from loose_env.instrument.model_arm import ModelArm, load_model_arm
 from loose_env.instrument.next_pose import next_measurement
@@ -127,7 +128,9 @@ def next_for(
     stays_above = not own.pose_deg
 
     def allowed(pose: Array) -> bool:
-        return ground.clear(pose) and not machine.collisions.touch(pose)
+        if not ground.clear(pose) or machine.collisions.touch(pose):
+            return False
+        return not why_not_held(machine, pose)
 
     def reachable(here: Array, pose: Array) -> bool:
         if machine.collisions.touch_between(here, pose):

@@ -40,7 +40,8 @@ def proposed(arm: Arm, pose: Array, settings: NextSettings) -> Proposal:
     """Propose what to play in a pose, in the band that settings allow."""
     found = propose_excitation(arm, pose, gap=settings.gap_mm * 1e-3, duration=settings.seconds)
     low = found.band[0] if settings.band_low is None else max(found.band[0], settings.band_low)
-    high = found.band[1] if settings.band_high is None else min(found.band[1], settings.band_high)
+    allowed = settings.allowed_hz if settings.band_high is None else settings.band_high
+    high = min(found.band[1], allowed)
     if (low, high) == found.band:
         return found
     if not low < high:  # modes ask for a band that is not allowed at all

@@ -76,10 +76,10 @@ class DiagnoseSettings(NextSettings):
             Rate of the last run [Hz]. A recorder that is slower than asked for will be so again;
             one that is faster gives more than is needed.
         """
-        own = {field.name: getattr(self, field.name) for field in fields(NextSettings)}
+        own = NextSettings(**{each.name: getattr(self, each.name) for each in fields(NextSettings)})
         if recorded_hz is not None and recorded_hz < _AS_ASKED * self.rate_hz:
-            own["rate_hz"] = recorded_hz
-        return NextSettings(**own)
+            return own.at_rate(recorded_hz)
+        return own
 
     @property
     def tolerances(self) -> Tolerances:

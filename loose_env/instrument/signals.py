@@ -16,7 +16,7 @@ from scipy import fft
 from loose_env.arms.linear import LinearArm
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import Excitation, torque_signals
-from loose_env.instrument.holding import holding_commands, starting_commands
+from loose_env.instrument.holding import holding_commands, starting_commands, why_not_held
 from loose_env.instrument.model_arm import ModelArm
 
 __all__ = ["Signal", "holding_commands", "make_signal"]
@@ -126,7 +126,7 @@ def make_signal(
         raise InvalidSetting(
             f"there is no driven joint {joint!r}; the model has {', '.join(machine.joints)}"
         )
-    if not rate > 2.5 * band[1]:
+    if not rate > 2.5 * band[1] * (1 - 1e-9):
         raise InvalidSetting(
             f"a rate of {rate:g} Hz is too low for a band up to {band[1]:g} Hz; take "
             f"{np.ceil(2.5 * band[1]) + 1:g} Hz or more, or a lower band"
@@ -138,6 +138,9 @@ def make_signal(
             f"joint {joint!r} has no actuator that can be given in figures, so no command for it "
             f"can be worked out: {'; '.join(machine.notes)}"
         )
+    unheld = why_not_held(machine, pose)
+    if unheld:
+        raise InvalidData(f"the pose cannot be held: {unheld}; take one farther from the end")
     holding, load = holding_commands(machine, pose)
     start_at = starting_commands(machine, pose)
     noise = np.zeros(machine.arm.n)

@@ -109,5 +109,6 @@ def check_numbers(table: Table) -> None:
             raise InvalidData(
                 f"{table.place(name, int(missing[0]))} is the first of {missing.size} missing "
                 f"samples, {missing.size / rows:.1%} of {rows}; a column may miss 20 %. Leave the "
-                "column out, or cut the run to where it was recorded"
+                "column out, cut the run to where it was recorded or, where its sensor is slower "
+                "than the others, interpolate it at their times, as 'loose import' does"
             )

@@ -23,7 +23,7 @@ from loose_env.recording.parquet_file import write_parquet
 from loose_env.recording.recording import ENDINGS, Recording, read_recording
 from loose_env.recording.run import Run
 
-__all__ = ["FileFormat", "write_recording"]
+__all__ = ["FileFormat", "check_target", "write_recording"]
 
 FileFormat = Literal["parquet", "csv"]
 """How the tables of runs are kept."""
@@ -75,7 +75,7 @@ def write_recording(
     if file_format not in get_args(FileFormat):
         raise UnknownName(f"runs are kept as {list(get_args(FileFormat))}, not {file_format!r}")
     target = Path(folder).resolve()
-    _check_target(target, overwrite)
+    check_target(target, overwrite=overwrite)
     target.parent.mkdir(parents=True, exist_ok=True)
     beside = target.with_name(f".{target.name}.{os.getpid()}.part")
     old = target.with_name(f".{target.name}.{os.getpid()}.old")
@@ -103,7 +103,15 @@ def write_recording(
     return replace(recording, folder=target, model_path=target / model)
 
 
-def _check_target(target: Path, overwrite: bool) -> None:
+def check_target(folder: str | Path, *, overwrite: bool = False) -> None:
+    """Refuse a folder that a recording cannot be written to.
+
+    Raises
+    ------
+    InvalidSetting
+        If it is a file, or holds something; with ``overwrite``, if that is no recording.
+    """
+    target = Path(folder).resolve()
     if not target.exists():
         return
     if not target.is_dir():

@@ -91,6 +91,8 @@ def test_with_the_model_names_find_their_columns(home: Path) -> None:
             ["t", "a"],
         ),
         ("time,a,a\n0,1,2\n1,2,3\n", (), ["time", "#2", "#3"]),
+        ('"Logger" version 5\nt,a\n0,1\n1,2\n', ("skip = 1",), ["t", "a"]),
+        ('"not closed\nt,a\n0,1\n1,2\n', ("skip = 1",), ["t", "a"]),
     ],
 )
 def test_tables_are_recognised(
@@ -101,3 +103,12 @@ def test_tables_are_recognised(
     found = list_csv(path, "log.csv")
     assert found.options[:-1] == options
     assert [each.key.channel for each in found.streams[0].channels] == names
+
+
+def test_files_of_one_stem_are_all_listed(tmp_path: Path) -> None:
+    for name in ("daq.csv", "daq.txt"):
+        (tmp_path / name).write_text("t,a\n0,1\n1,2\n2,3\n")
+    text = describe_sources([str(tmp_path / name) for name in ("daq.csv", "daq.txt")])
+    tomllib.loads(text)
+    assert "[sources.daq]" in text
+    assert "[sources.daq-2]" in text

@@ -142,7 +142,7 @@ def test_a_table_with_commas_units_and_lines_of_words(home: Path, mapping: Mappe
         ["Zeit [ms]", "ax", "Winkel", "rpm"],
         separator=";",
         decimal=",",
-        before=["Logger 5", "Serial; 12"],
+        before=['"Logger" 5', "Serial; 12"],
         after=["ms;mg;deg;1/min"],
         encoding="latin-1",
     )

@@ -283,7 +283,7 @@ def test_a_diagnosis_of_another_model_is_refused(servoed: Path, motors: Path, fi
         (PlanSettings(joint="knee"), FEW, UnknownName, r"'knee'.*pan, lift, elbow"),
         (PlanSettings(pose_deg=(1.0, 2.0)), FEW, InvalidSetting, r"each of pan, lift, elbow"),
         (PlanSettings(pose_deg=(0.0, 170.0, 0.0)), FEW, InvalidSetting, r"lift at 170.*-120"),
-        (PlanSettings(), replace(FEW, rate_hz=300.0), InvalidSetting, r"rate of 300 Hz is too low"),
+        (PlanSettings(), replace(FEW, rate_hz=60.0), InvalidSetting, r"60 Hz allows up to 24 Hz"),
     ],
 )
 def test_what_cannot_be_planned_is_refused(
@@ -434,3 +434,21 @@ class TestFiles:
         write_plan(PlanFiles(tmp_path, first.machine.recordable.xml), first)
         with pytest.raises(InvalidData, match="another model"):
             PlanFiles(tmp_path, load(motors).recordable.xml)
+
+
+def test_a_slow_recorder_gets_a_lower_band(servoed: Path) -> None:
+    made = plan(servoed, choice=replace(FEW, rate_hz=300.0))
+    assert made.next.band_hz[1] <= 0.4 * 300.0
+    assert np.diff(made.signals[0].time) == pytest.approx(1 / 300.0)
+
+
+def test_no_joint_is_told_what_its_actuator_does_not_take(tmp_path: Path) -> None:
+    """A servo that gives way has to be told more than the pose, which its range may not hold."""
+    narrow = SERVOED.replace('kp="900"', 'kp="200"').replace("-2.2 2.2", "-0.35 2.2")
+    model = written(tmp_path, narrow)
+    with pytest.raises(InvalidData, match=r"lift_servo would have to be told .* from -0.35 to 2.2"):
+        plan(model, choice=FEW, own=PlanSettings(joint="pan", pose_deg=(0.0, -20.0, 60.0)))
+    made = plan(model, choice=FEW, own=PlanSettings(joint="pan"))
+    told = made.signals[0].commands["lift_servo"]
+    assert -0.35 <= told.min()
+    assert told.max() <= 2.2
