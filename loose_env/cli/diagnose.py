@@ -19,12 +19,12 @@ from dataclasses import fields
 from loose_env.cli.choice import add_choice, take_over
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.cli.recorded import Said, add_recording_options, folder_of
-from loose_env.errors import InvalidSetting, MissingExtra
+from loose_env.errors import InvalidData, InvalidSetting, MissingExtra
 from loose_env.instrument.diagnose import diagnose
 from loose_env.instrument.machine import Machine
 from loose_env.instrument.next_settings import NextSettings
 from loose_env.instrument.result import HEALTHY, Diagnosis
-from loose_env.instrument.session_settings import settings_beside
+from loose_env.instrument.session_settings import session_beside
 from loose_env.instrument.settings import DiagnoseSettings
 from loose_env.recording import read_recording
 
@@ -41,8 +41,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Diagnose and write it down."""
-    before = settings_beside(options.recording)
-    take_over(options, before or NextSettings(), "the plan beside the recording")
+    before = session_beside(options.recording)
+    choice = NextSettings() if before is None else before.choice
+    take_over(options, choice, "the plan beside the recording")
     settings = settings_of(options, DiagnoseSettings)
     folder = folder_of(options)
     if options.recording.resolve() == folder.path:
@@ -57,10 +58,10 @@ def run(options: argparse.Namespace) -> None:
     try:
         from loose_env.report.diagnosis_page import write_page
 
-        arm = Machine(recording.model_path).arm
+        arm = Machine(recording.model_path).shown
         name = options.recording.resolve().name
         written.append(write_page(folder.path / "report.html", found, arm, recording=name))
-    except MissingExtra as error:
+    except (MissingExtra, InvalidData) as error:  # what was found is written all the same
         (folder.path / "report.html").unlink(missing_ok=True)  # that of an earlier result
         say(f"no report.html: {error}")
     written.append(found.write(folder.path / "result.json"))  # last: it says that all is there

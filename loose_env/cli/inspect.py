@@ -31,7 +31,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     add_settings(parser, ModelSettings, title="the arm as it stands")
     add_settings(
-        parser, NextSettings, title="how poses and excitation are chosen", leave_out=("in_turn",)
+        parser, NextSettings, title="how poses and excitation are chosen", leave_out=("in-turn",)
     )
 
 

@@ -18,15 +18,15 @@ import argparse
 import sys
 from pathlib import Path
 
-from loose_env.cli.choice import add_choice, take_over
-from loose_env.cli.options import add_settings, settings_of
+from loose_env.cli.choice import add_choice, add_kept, take_over
+from loose_env.cli.options import settings_of
 from loose_env.errors import MissingExtra
 from loose_env.instrument.next_settings import NextSettings
 from loose_env.instrument.plan import plan
-from loose_env.instrument.plan_files import RECORDING, PlanFiles, write_plan
+from loose_env.instrument.plan_files import PAGE, RECORDING, PlanFiles, write_plan
 from loose_env.instrument.plan_settings import ModelSettings, PlanSettings
 from loose_env.instrument.result import read_diagnosis
-from loose_env.instrument.session_settings import settings_beside
+from loose_env.instrument.session_settings import KEPT, session_beside
 
 __all__ = ["add_options", "run"]
 
@@ -43,19 +43,21 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="RESULT",
         help="what is known so far: result.json of 'loose diagnose', or the folder with it",
     )
-    add_settings(parser, ModelSettings, title="the arm as it stands")
+    add_kept(parser, ModelSettings, title="the arm as it stands")
     add_choice(parser)
-    add_settings(parser, PlanSettings, title="the next measurement itself")
+    add_kept(parser, PlanSettings, title="the next measurement itself", only=KEPT)
 
 
 def run(options: argparse.Namespace) -> None:
     """Plan the next measurement and write it down."""
     known = None if options.known is None else read_diagnosis(options.known)
-    if known is not None:
-        take_over(options, known.choice, "the diagnosis")
-    else:
-        before = settings_beside(options.out / RECORDING)
-        take_over(options, before or NextSettings(), "the earlier plan")
+    before = session_beside(options.out / RECORDING)
+    whose, choice = "the earlier plan", NextSettings() if before is None else before.choice
+    if known is not None and not (before and before.is_newer_than(options.known)):
+        whose, choice = "the diagnosis", known.choice
+    take_over(options, choice, whose)
+    take_over(options, before.arm if before else ModelSettings(), "the earlier plan")
+    take_over(options, before.own if before else PlanSettings(), "the earlier plan", only=KEPT)
     made = plan(
         options.model,
         known,
@@ -73,11 +75,11 @@ def run(options: argparse.Namespace) -> None:
 
         written.append(
             write_plan_page(
-                files.folder / "plan.html", made, runs, folder=options.out, model=options.model
+                files.folder / PAGE, made, runs, folder=options.out, model=options.model
             )
         )
     except MissingExtra as error:
-        print(f"note: no plan.html: {error}", file=sys.stderr)
+        print(f"note: no {PAGE}: {error}", file=sys.stderr)
     for warning in made.warnings:
         print(f"note: {warning}", file=sys.stderr)
     print(summary(made))

@@ -6,6 +6,7 @@ of the tool's motion stands out of the sensors' noise and the model's errors.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Literal
 
@@ -102,7 +103,12 @@ class BestSeen:
         return float((noise + rattle) / _SHARP**2)
 
 
-def best_seen(linear: LinearArm, where: Array, rules: NextSettings) -> BestSeen:
+def best_seen(
+    linear: LinearArm,
+    where: Array,
+    rules: NextSettings,
+    joints: Collection[int] | None = None,
+) -> BestSeen:
     """Take every joint in every pose, and keep the best of each place.
 
     Parameters
@@ -113,6 +119,8 @@ def best_seen(linear: LinearArm, where: Array, rules: NextSettings) -> BestSeen:
         Poses [rad or m].
     rules : NextSettings
         Noise, rate, length and the gap of interest.
+    joints : collection of int, optional
+        Joints that can be shaken, from 0; all by default.
 
     Returns
     -------
@@ -146,7 +154,7 @@ def best_seen(linear: LinearArm, where: Array, rules: NextSettings) -> BestSeen:
     joint = np.zeros(count, dtype=np.intp)
     for q in where:
         proposal = proposed(arm, q, rules)
-        for j in range(arm.n):
+        for j in range(arm.n) if joints is None else joints:
             torque = torque_of(proposal, j, rules)
             if not torque.any():
                 continue

@@ -171,7 +171,8 @@ def inspect_model(
         here=machine.home,
         allowed=allowed,
     )
-    found = best_seen(linear, where, rules)
+    shakable = [j for j, drive in enumerate(machine.drives) if drive is not None]
+    found = best_seen(linear, where, rules, shakable)
     shown = proposed(own, where[0], rules)
     none = np.zeros(own.n, dtype=bool)
     return Inspection(

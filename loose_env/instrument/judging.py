@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from loose_env.instrument.evidence import Evidence, Seat
 from loose_env.instrument.lines import Lines, thinned
 from loose_env.instrument.result import HEALTHY
+from loose_env.instrument.settings import ELSE
 from loose_env.instrument.uncertain import UncertainMachine
 from loose_env.instrument.weighing import Fit, fit_hypothesis, seats_of
 
@@ -26,8 +27,6 @@ _BEHIND = 120.0
 _MOST = 4
 _PROBED = 2
 """Likely hypotheses by which it is judged how the sensors were sampled."""
-_ELSE = 0.004
-"""Probability that something is not as any hypothesis has it: then data say nothing."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -136,4 +135,4 @@ def probabilities_of(evidence: Mapping[str, float], *, sound: float) -> dict[str
     top = max(log.values())
     weight = {name: float(np.exp(value - top)) for name, value in log.items()}
     total = sum(weight.values())
-    return {name: (1 - _ELSE) * weight[name] / total + _ELSE * prior[name] for name in evidence}
+    return {name: (1 - ELSE) * weight[name] / total + ELSE * prior[name] for name in evidence}

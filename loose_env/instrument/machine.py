@@ -117,6 +117,16 @@ class Machine:
         return self.arm.n
 
     @cached_property
+    def shown(self) -> Arm:
+        """The arm for a page: its joints have the model's names, also those that it reserves."""
+        if self.arm.joints == self.joints:
+            return self.arm
+        spec = self.arm.spec.copy()
+        for own, name in zip(self.arm.joints, self.joints, strict=True):
+            spec.joint(own).name = name
+        return replace(self.arm, spec=spec, joints=self.joints)
+
+    @cached_property
     def hypotheses(self) -> tuple[str, ...]:
         """Keys of a posterior: healthy, every link's slide, every joint's play."""
         return (

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.instrument.setting_types import check_types
+from loose_env.errors import InvalidSetting
+from loose_env.instrument.setting_types import check_types, settings_within
 from loose_env.sensors import Accelerometer, SensorSuite
 
 __all__ = ["NextSettings"]
@@ -137,11 +137,7 @@ class NextSettings:
         >>> NextSettings.within({"poses": 8, "sure": 0.9}, "settings").poses
         8
         """
-        names = {field.name for field in fields(NextSettings)}
-        try:
-            return NextSettings(**{name: v for name, v in values.items() if name in names})
-        except InvalidSetting as error:
-            raise InvalidData(f"{place}: {error}") from None
+        return settings_within(NextSettings, values, place)
 
     @property
     def allowed_hz(self) -> float:

@@ -30,6 +30,7 @@ from loose_env.recording.parquet_file import write_parquet
 
 __all__ = [
     "FORMAT",
+    "PAGE",
     "PLAN",
     "RECORDING",
     "PlanFiles",
@@ -45,6 +46,7 @@ Array = NDArray[np.float64]
 FORMAT = "loose-plan/1"
 """Format of ``plan.json``."""
 PLAN = "plan.json"
+PAGE = "plan.html"
 RECORDING = "recording"
 _MODEL = "model.xml"
 _ENDINGS = (".csv", ".parquet")
@@ -81,7 +83,7 @@ class PlanFiles:
                 f"--out {folder} holds a {PLAN} that is none of ours; give another"
             )
         if not plan.exists() and not _same(model, model_xml):
-            mine = [RECORDING, "plan.html", "signal.csv", "signal.parquet"]
+            mine = [RECORDING, PAGE, "signal.csv", "signal.parquet"]
             there = [name for name in mine if (self.folder / name).exists()]
             if there:
                 raise InvalidSetting(
@@ -140,6 +142,7 @@ def write_plan(files: PlanFiles, plan: Plan, *, known: str = "") -> list[Path]:
     _refuse_others(files, stems)
     written: list[Path] = []
     (files.folder / PLAN).unlink(missing_ok=True)
+    (files.folder / PAGE).unlink(missing_ok=True)  # an earlier pose beside a new signal
     for old in files.signals:
         if Path(old).stem not in stems:
             (files.folder / old).unlink(missing_ok=True)

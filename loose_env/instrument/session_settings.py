@@ -1,21 +1,48 @@
-"""What a plan was told about choosing measurements, for the diagnosis of the runs it asked for."""
+"""What a plan was told, for the diagnosis of the runs it asked for and for the next plan."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from loose_env.errors import InvalidData
 from loose_env.instrument.next_settings import NextSettings
 from loose_env.instrument.plan_files import PLAN, read_plan
+from loose_env.instrument.plan_settings import ModelSettings, PlanSettings
+from loose_env.instrument.setting_types import settings_within
 
-__all__ = ["settings_beside"]
+__all__ = ["KEPT", "SessionSettings", "session_beside"]
+
+KEPT = ("ramp_s", "hold_s")
+"""Settings of a plan itself that hold for a session; its joint and pose are of one measurement."""
 
 
-def settings_beside(recording: str | Path) -> NextSettings | None:
+@dataclass(frozen=True, kw_only=True)
+class SessionSettings:
+    """What holds in a session until something else is given."""
+
+    arm: ModelSettings
+    choice: NextSettings
+    own: PlanSettings
+    known: str
+    """Result that the plan was made with, as it was given; "" for none."""
+    path: Path
+    """The plan's file."""
+
+    def is_newer_than(self, known: Path) -> bool:
+        """Whether this plan was made with a diagnosis, so that it has the last word."""
+        result = known / "result.json" if known.is_dir() else known
+        try:
+            return self.known == str(known) and self.path.stat().st_mtime >= result.stat().st_mtime
+        except OSError:
+            return False
+
+
+def session_beside(recording: str | Path) -> SessionSettings | None:
     """Settings of the plan that lies beside a recording; None where none does.
 
     A limit that was given to the first plan of a session, such as ``most_tool``, holds in this
-    way for what a diagnosis asks for next.
+    way for what a diagnosis asks for next, and for the next plan.
 
     Parameters
     ----------
@@ -32,7 +59,14 @@ def settings_beside(recording: str | Path) -> NextSettings | None:
     whole = read_plan(path)
     if whole is None or whole.get("recording") != folder.name:
         return None
-    settings = whole.get("settings")
+    settings, place = whole.get("settings"), f"{path}: settings"
     if not isinstance(settings, dict):
         raise InvalidData(f"{path}: settings are a mapping, got {settings!r:.60}")
-    return NextSettings.within(settings, f"{path}: settings")
+    kept = {name: settings[name] for name in KEPT if name in settings}
+    return SessionSettings(
+        arm=settings_within(ModelSettings, settings, place),
+        choice=NextSettings.within(settings, place),
+        own=settings_within(PlanSettings, kept, place),
+        known=str(whole.get("known", "")),
+        path=path,
+    )

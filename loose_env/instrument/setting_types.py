@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from numbers import Real
 from types import NoneType, UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from loose_env.errors import InvalidSetting
+from loose_env.errors import InvalidData, InvalidSetting
 
-__all__ = ["check_types"]
+__all__ = ["check_types", "settings_within"]
+
+T = TypeVar("T")
 
 
 def check_types(settings: Any) -> None:
@@ -45,6 +47,35 @@ def check_types(settings: Any) -> None:
         words = _wanted(hints[each.name], value)
         if words:
             raise InvalidSetting(f"{each.name} is {words}, got {value!r:.60}")
+
+
+def settings_within(kind: type[T], values: Mapping[str, Any], place: str) -> T:
+    """Settings that were written to a file; what else it has is left out.
+
+    Parameters
+    ----------
+    kind : type
+        A settings dataclass that checks itself.
+    values : mapping
+        What the file has.
+    place : str
+        Where it stands there, as errors say it.
+
+    Raises
+    ------
+    InvalidData
+        If one of them is of another type, or makes no sense.
+    """
+    hints, own = get_type_hints(kind), dict[str, Any]()
+    for each in fields(kind):  # type: ignore[arg-type]
+        if each.name in values:
+            value = values[each.name]
+            listed = get_origin(hints[each.name]) is tuple and isinstance(value, list)
+            own[each.name] = tuple(value) if listed else value
+    try:
+        return kind(**own)
+    except InvalidSetting as error:
+        raise InvalidData(f"{place}: {error}") from None
 
 
 def _wanted(hint: Any, value: Any) -> str:

@@ -10,7 +10,13 @@ from loose_env.errors import InvalidSetting
 from loose_env.instrument.next_settings import NextSettings
 from loose_env.instrument.tolerances import Tolerances
 
-__all__ = ["DiagnoseSettings"]
+__all__ = ["ELSE", "DiagnoseSettings"]
+
+ELSE = 0.004
+"""Probability that something is not as any hypothesis has it: then data say nothing. No hypothesis
+comes closer to certain than that."""
+_MOST_SURE = 0.995
+"""Surest that a diagnosis can be asked to be; certainty less `ELSE`, rounded."""
 
 _AS_ASKED = 0.98
 """Share of the rate asked for from which a recorder counts as one that does what it is asked."""
@@ -31,7 +37,8 @@ class DiagnoseSettings(NextSettings):
     sound: float = 0.5
     """Probability, before any data, that nothing is loose."""
     sure: float = 0.98
-    """Probability from which, after two runs, nothing more is to be measured."""
+    """Probability from which, after two runs, nothing more is to be measured; at most 0.995, for
+    something else than all explanations stays possible."""
     figures: float = Tolerances.figures
     """Standard deviation of masses, inertias, rotors and drive gains of the model, relative."""
     damping: float = Tolerances.damping
@@ -65,6 +72,11 @@ class DiagnoseSettings(NextSettings):
             value = getattr(self, name)
             if not (np.isfinite(value) and 0 < value < 1):
                 raise InvalidSetting(f"{name} is a probability between 0 and 1, got {value!r}")
+        if self.sure > _MOST_SURE:
+            raise InvalidSetting(
+                f"sure is at most {_MOST_SURE:g}, for a probability of {ELSE:g} is kept for what "
+                f"no explanation has, got {self.sure!r}"
+            )
         _ = self.tolerances  # they check themselves
 
     def choice(self, recorded_hz: float | None = None) -> NextSettings:

@@ -203,6 +203,9 @@ def _looked(diagnosis: Diagnosis) -> str:
     poses = {tuple(round(v, 3) for v in r.pose.values()) for r in suspect}
     healthy = len(diagnosis.records) - len(suspect)
     said = begun(f"{_count(len(suspect), 'record')} in {_count(len(poses), 'pose')}")
+    unused = sum(not r.probabilities for r in suspect)
+    if unused:
+        said += f", {unused} of which could not be used"
     if healthy:
         return f"{said}, beside {_count(healthy, 'record')} of the sound arm."
     return f"{said}. There is no record of the sound arm: the model stands in its place."

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from loose_env.instrument.drives import JointDrive
 from loose_env.instrument.next_settings import NextSettings
 from loose_env.instrument.option_words import option_words, path_word
 from loose_env.instrument.plan import Plan
@@ -68,9 +69,7 @@ def steps(
         j = machine.joints.index(signal.joint)
         drive = machine.drives[j]
         assert drive is not None
-        what = "position commands (rad)" if drive.servo else "torque commands"
-        if machine.arm.sliding[j]:
-            what = "position commands (m)" if drive.servo else "force commands"
+        what = _unit_words(drive, bool(machine.arm.sliding[j]))
         others = (
             "The other columns hold the arm."
             if drive.servo
@@ -107,6 +106,18 @@ def steps(
         f"--out {path_word(place)} --known {found}{option_words(plan.again)}"
     )
     return said
+
+
+def _unit_words(drive: JointDrive, slides: bool) -> str:
+    """What a signal's commands are, in the actuator's own unit."""
+    if drive.servo:
+        unit = "m" if slides else "rad"
+        ratio = float(drive.command(0.0, 1.0)) - float(drive.command(0.0, 0.0))
+        own = unit if np.isclose(ratio, 1.0) else f"{ratio:g} for each {unit} of the joint"
+        return f"position commands ({own})"
+    what, unit = ("force", "N") if slides else ("torque", "N·m")
+    own = "" if np.isclose(drive.gain, 1.0) else f" (1 gives {drive.gain:g} {unit})"
+    return f"{what} commands{own}"
 
 
 def _starts(signal: Signal) -> str:

@@ -89,9 +89,9 @@ def plan_beside(around: Surroundings, rng: Rng) -> Attempt:
     home = around.fresh({"plan.json": data, "recording/recording.json": b"{}"})
 
     def read() -> Any:
-        from loose_env.instrument.session_settings import settings_beside
+        from loose_env.instrument.session_settings import session_beside
 
-        return settings_beside(home / "recording")
+        return session_beside(home / "recording")
 
     return Attempt(damage=damage, read=read, names=("plan.json",))
 

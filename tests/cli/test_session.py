@@ -116,3 +116,28 @@ def test_an_option_of_the_diagnosis_takes_the_place_of_the_plans(
         assert main(given) == 1
         said = capsys.readouterr().err
         assert said.count("\n") == 1 and "plan.json: settings" in said
+
+
+def test_a_later_plan_goes_on_with_what_was_given_last(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Limits of the machine, how it is held, and the layout of the signal."""
+    model, session = str(written(tmp_path, SERVOED)), tmp_path / "session"
+    few = ["--poses", "2", "--seconds", "1"]
+    first = [*few, "--hold", "brake", "--ramp-s", "0.4", "--payload-kg", "0.5"]
+    assert main(["plan", model, "--out", str(session), *first]) == 0
+    measured(session)
+    found = ["--known", str(tmp_path / "d")]
+    given = ["diagnose", str(session / "recording"), "--out", str(tmp_path / "d"), "--quiet"]
+    assert main(given) == 0
+    assert main(["plan", model, "--out", str(session), *found, "--most-tool", "5"]) == 0
+    assert read(session / "plan.json")["settings"]["hold"] == "brake"
+    capsys.readouterr()
+    assert main(["plan", model, "--out", str(session), *found, "--joint", "elbow"]) == 0
+    said = capsys.readouterr().err
+    settings = read(session / "plan.json")["settings"]
+    assert settings["most_tool"] == 5.0
+    assert (settings["ramp_s"], settings["hold_s"], settings["payload_kg"]) == (0.4, 0.5, 0.5)
+    assert settings["joint"] == "elbow"
+    for words in ("--most-tool 5", "--hold brake", "--ramp-s 0.4", "--payload-kg 0.5"):
+        assert words in said

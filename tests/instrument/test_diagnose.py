@@ -283,3 +283,32 @@ def test_what_cannot_be_used_is_said_in_one_line(
     assert main(["diagnose", str(tmp_path), "--out", str(tmp_path / "found")]) == 1
     said = capsys.readouterr().err
     assert said.startswith("loose diagnose: ") and said.count("\n") == 1
+
+
+def test_joints_may_have_the_names_that_seats_have_here(tmp_path: Path) -> None:
+    """A name that the package's own joints begin with is the model's all the same."""
+    text = write_model(tmp_path).read_text("utf-8").replace('"joint2"', '"seat_turn"')
+    own = {"joint2": "seat_turn"}
+    renamed = [
+        dataclasses.replace(
+            run,
+            pose={own.get(joint, joint): q for joint, q in (run.pose or {}).items()},
+            excited=tuple(own.get(joint, joint) for joint in run.excited),
+        )
+        for run in runs("play", 2)
+    ]
+    write_recording(tmp_path / "r", model_xml=text, runs=renamed)
+    out = tmp_path / "found"
+    options = ["--quiet", "--poses", "2", "--seconds", "1"]
+    assert main(["diagnose", str(tmp_path / "r"), "--out", str(out), *options]) == 0
+    assert read_diagnosis(out).fault.where == "seat_turn"
+    assert "seat_turn" in (out / "report.html").read_text("utf-8")
+    assert "file_seat_turn" not in (out / "report.html").read_text("utf-8")
+
+
+def test_a_band_that_the_arm_does_not_have_costs_the_next_pose_alone(tmp_path: Path) -> None:
+    write_recording(tmp_path / "r", model_xml=write_model(tmp_path), runs=runs("slide", 1))
+    settings = DiagnoseSettings(poses=2, seconds=1.0, band_high=1.0)
+    found = diagnose(read_recording(tmp_path / "r"), settings)
+    assert found.next is None
+    assert any("nothing next: a band from" in words for words in found.warnings)

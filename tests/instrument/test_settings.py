@@ -73,7 +73,13 @@ def test_a_record_that_no_memory_holds_is_refused() -> None:
 def test_a_band_ends_where_the_rate_allows() -> None:
     assert NextSettings(rate_hz=250.0).band_of((30.0, 150.0)) == (30.0, 100.0)
     assert DiagnoseSettings(band_high=140.0).choice(300.0).band_high == pytest.approx(120.0)
-    with pytest.raises(InvalidSetting, match="band_high is at most 0.4 of the rate, 100 Hz"):
+    with pytest.raises(InvalidSetting, match=r"band_high is at most 0\.4 of the rate, 100 Hz"):
         NextSettings(rate_hz=250.0, band_high=140.0)
     with pytest.raises(InvalidSetting, match="a rate of 60 Hz allows up to 24 Hz"):
         NextSettings(rate_hz=60.0).band_of((30.0, 150.0))
+
+
+def test_nobody_is_asked_for_more_certainty_than_there_is() -> None:
+    assert DiagnoseSettings(sure=0.995).sure == 0.995
+    with pytest.raises(InvalidSetting, match=r"sure is at most 0\.995"):
+        DiagnoseSettings(sure=0.999)
