@@ -75,8 +75,8 @@ def cells(file: IO[str], name: str, layout: CsvLayout) -> Iterator[tuple[int, li
                 yield number, row
     except csv.Error as error:
         raise InvalidData(
-            f"{name}: line {layout.skip + reader.line_num}: not a table: {error}; look for a quote that is "
-            "not closed, or skip lines of words before the table"
+            f"{name}: line {layout.skip + reader.line_num}: not a table: {error}; look for a quote "
+            "that is not closed, or skip lines of words before the table"
         ) from None
 
 
