@@ -165,14 +165,14 @@ class Acceptance:
         friction that holds it back as much. From there a step by step fit does not come back.
         """
         count, fitted = len(self.before.fitted.effects), judged.fitted
-        joint = joint_of(effect.machine, effect.where)
+        joint = joint_of(effect)
         new = [
             (later, fitted.free[own])
             for later, own in zip(
                 fitted.effects[count:], slices_of(fitted.effects)[count:], strict=True
             )
         ]
-        kept = [(e, v) for e, v in new if joint is None or joint_of(e.machine, e.where) != joint]
+        kept = [(e, v) for e, v in new if joint is None or joint_of(e) != joint]
         if not kept or len(kept) == len(new):
             return None
         effects = (*fitted.effects[:count], *(e for e, _ in kept))

@@ -50,6 +50,6 @@ def _against(effect: Effect, others: tuple[Effect, ...]) -> list[Effect]:
     """Effects of a rival that stand against one; none where the rival has it, too."""
     if any((other.kind, other.where) == (effect.kind, effect.where) for other in others):
         return []
-    joint = joint_of(effect.machine, effect.where)
-    here = [other for other in others if joint_of(other.machine, other.where) == joint]
+    joint = joint_of(effect)
+    here = [other for other in others if joint_of(other) == joint]
     return here or list(others)

@@ -182,8 +182,8 @@ class Comparison:
         forms = {self.trials[t].form for t in self._ahead}
         if "forward" in forms:
             return True
-        if "free" in forms and effect.where not in self.machine.actuators:
-            return type(effect).command is Effect.command
+        if "free" in forms and not effect.drives:
+            return True
         return self.inverse is not None and self.inverse.shows(effect)
 
     def lighter(self, *, stiff: bool = False) -> Comparison:

@@ -14,7 +14,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from loose_env.gap.hypothesis import Hypothesis
+from loose_env.gap.hypothesis import Hypothesis, compiled
 from loose_env.gap.machine import Machine
 from loose_env.gap.motion import Motion
 from loose_env.gap.torque_terms import torque_terms
@@ -123,7 +123,7 @@ class Drive:
             drive.biasprm = [0.0, -rotor * _FOLLOW**2, -2 * rotor * _FOLLOW, *np.zeros(7)]
             spec.joint(name).limited = mujoco.mjtLimited.mjLIMITED_FALSE
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-        model = spec.compile()
+        model = compiled(spec)
         return model, rotors
 
 

@@ -7,6 +7,7 @@ A new effect is one small class in one file:
 
     class MotorConstant(Effect):
         kind = "motor_constant"
+        acts_on = "actuator"
 
         @classmethod
         def places(cls, machine):
@@ -68,6 +69,9 @@ class Effect:
 
     kind: ClassVar[str] = ""
     """Identifier, as in the result file."""
+    acts_on: ClassVar[str] = ""
+    """What its places name: "joint", "link", "actuator" or "sensor"; "arm" where they stand for all
+    of it. A name alone does not tell, for a joint and its motor may share it. "": see `part`."""
     in_model: ClassVar[bool] = True
     """Whether plain MJCF expresses it; otherwise `code` and `torque_code` say how it is applied."""
     nothing: ClassVar[tuple[float, ...] | None] = None
@@ -115,6 +119,33 @@ class Effect:
     def key(self) -> tuple[str, str, str]:
         """Kind, place and variant."""
         return self.kind, self.where, self.variant
+
+    @property
+    def part(self) -> str:
+        """What its place names: "joint", "link", "actuator", "sensor", or "arm" for all of it.
+
+        As `acts_on` says; without, by what it does and by the names of the model.
+        """
+        if self.acts_on:
+            return self.acts_on
+        machine = self.machine
+        known = {
+            "joint": machine.joints,
+            "link": machine.links,
+            "actuator": machine.actuators,
+            "sensor": machine.sensors,
+        }
+        likely = "actuator" if type(self).command is not Effect.command else "joint"
+        order = ("sensor" if not self.moves else likely, *known)
+        return next((part for part in order if self.where in known[part]), "arm")
+
+    @property
+    def drives(self) -> bool:
+        """Whether it acts on what actuators do.
+
+        None of them is on in a free run, and of an inverse run only the torque is known.
+        """
+        return self.part == "actuator" or type(self).command is not Effect.command
 
     @property
     def moves(self) -> bool:

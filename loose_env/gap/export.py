@@ -14,7 +14,7 @@ from loose_env.arms.file_scan import files_of
 from loose_env.errors import InvalidData
 from loose_env.gap.effect import Effect
 from loose_env.gap.files import written_beside
-from loose_env.gap.machine import Machine
+from loose_env.gap.machine import Machine, set_step
 from loose_env.gap.stepping import step_with
 from loose_env.recording.columns import ModelColumns
 
@@ -41,7 +41,7 @@ def corrected_spec(
     """
     spec = machine.spec.copy()
     if machine.step > 0:
-        spec.option.timestep = step_with(machine, effects)
+        set_step(spec, step_with(machine, effects))
     if machine.integrator is not None:
         spec.option.integrator = machine.integrator
     for effect, own in zip(effects, values, strict=True):

@@ -8,6 +8,7 @@ from loose_env.gap.screening import Screened
 
 __all__ = ["families"]
 
+_ALL = "all"
 _LEAST = 0.02
 """Promise of a member, as a share of the most promising one of its family."""
 
@@ -17,7 +18,7 @@ def families(screened: Sequence[Screened], most: int) -> list[list[Screened]]:
 
     A drive that is set otherwise than its model is seldom the only one. Taken one by one, each
     explains little as long as the others are missing, and something else that explains a little
-    of all of them comes first.
+    of all of them comes first. A candidate at "all" places is such a group already, and no member.
 
     Parameters
     ----------
@@ -33,6 +34,8 @@ def families(screened: Sequence[Screened], most: int) -> list[list[Screened]]:
     """
     groups: dict[tuple[str, str], list[Screened]] = {}
     for each in screened:
+        if each.effect.where == _ALL:
+            continue
         groups.setdefault((each.effect.kind, each.effect.variant), []).append(each)
     best: dict[str, tuple[float, list[Screened]]] = {}
     for (kind, _), group in groups.items():

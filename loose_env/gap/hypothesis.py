@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import mujoco
@@ -9,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.effect import Effect
-from loose_env.gap.machine import Machine
+from loose_env.gap.machine import Machine, set_step
 
-__all__ = ["Hypothesis"]
+__all__ = ["Hypothesis", "compiled"]
 
 Array = NDArray[np.float64]
 
@@ -39,7 +40,7 @@ class Hypothesis:
         The last sensors are the forces of the machine's own actuators.
         """
         spec = machine.fresh()
-        spec.option.timestep = step
+        set_step(spec, step)
         for effect, values in zip(self.effects, self.values, strict=True):
             effect.edit(spec, values)
         for name in machine.actuators:
@@ -50,13 +51,31 @@ class Hypothesis:
                 objtype=mujoco.mjtObj.mjOBJ_ACTUATOR,
                 objname=name,
             )
-        model = spec.compile()
+        model = compiled(spec)
         if released:  # effects that are written as actuators are none of its drives
             model.actuator_group[: len(machine.actuators)] = _OFF
             model.opt.disableactuator |= 1 << _OFF
         if _unconstrained(model):
             model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
         return model
+
+
+def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Compile a model that a fit tries, without a word on the inertias that it tries.
+
+    A fit may try masses so unlike that MuJoCo warns of them. Such a model is simulated badly, fits
+    badly, and is not kept; a user who is not told of it has missed nothing.
+
+    Raises
+    ------
+    ValueError
+        If the model does not compile.
+    """
+    with warnings.catch_warnings():
+        warnings.filterwarnings(
+            "ignore", message="Inertia matrix is too close to singular", category=UserWarning
+        )
+        return spec.compile()
 
 
 def _unconstrained(model: mujoco.MjModel) -> bool:

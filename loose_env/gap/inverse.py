@@ -122,7 +122,7 @@ class InverseDynamics:
         Of a sensor only those of joint positions and speeds do. A bias of a position is the same
         as an offset of the encoder, which stands for both.
         """
-        if effect.where in self.machine.actuators or type(effect).command is not Effect.command:
+        if effect.drives:
             start, lone = np.array(effect.starts[0]), np.ones(1)
             return any(effect.sensed_torque(j, lone, start)[0] != 1.0 for j in self.machine.joints)
         if effect.moves:
@@ -133,7 +133,7 @@ class InverseDynamics:
 
     def _motion_sensor(self, column: str) -> bool:
         prefix, _, name = column.partition(".")
-        if prefix != "sensor":
+        if prefix != "sensor" or name not in self.machine.sensors:
             return False
         kind = int(self.machine.model.sensor(name).type[0])
         return kind in (

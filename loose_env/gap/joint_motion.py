@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
+from loose_env.gap.activations import activations
 from loose_env.gap.dependence import direction_of
 from loose_env.gap.machine import Machine
 from loose_env.gap.motion import Motion, filled, smooth_motion
@@ -71,7 +72,8 @@ def joint_motion(
 
     In a forward run the torque that was applied is what the nominal actuators give at this motion;
     in an inverse run it is the torque measured; in a free run there is none. All of them pass the
-    filter that smooths the motion.
+    filter that smooths the motion. Where an actuator's activation is not known
+    (`loose_env.gap.activations`), neither is the torque that was applied.
 
     Parameters
     ----------
@@ -142,8 +144,13 @@ def _unknown(joints: tuple[str, ...], units: tuple[str, ...], trial: Trial) -> J
 
 
 def _torques(machine: Machine, trial: Trial, motion: Motion) -> tuple[Array, Array]:
-    """Torque that the nominal model needs, and what its actuators give (T, J)."""
+    """Torque that the nominal model needs, and what its actuators give (T, J).
+
+    The latter is NaN in a forward run where an activation is not known.
+    """
     model = machine.model.__copy__()
+    if machine.integrator is not None:
+        model.opt.integrator = machine.integrator
     # Contacts and stops of a motion that is only nearly exact would be noise.
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
@@ -151,31 +158,37 @@ def _torques(machine: Machine, trial: Trial, motion: Motion) -> tuple[Array, Arr
     model.dof_frictionloss[:] = 0.0  # a constraint, whose force at rest is not known
     data = mujoco.MjData(model)
     needed, applied = np.zeros_like(motion.position), np.zeros_like(motion.position)
-    commanded = _held(trial, motion.time)
-    forward = trial.form == "forward"
+    commanded = _held(trial.controls, trial.step, motion.time)
+    forward, acting = trial.form == "forward", None
+    if forward:
+        own = activations(model, trial.controls, trial.step)
+        acting = None if own is None else _held(own, trial.step, motion.time)
+        if acting is None:
+            applied[:] = np.nan
     for k in range(len(motion.time)):
         data.qpos[:], data.qvel[:] = motion.position[k], motion.speed[k]
         data.qacc[:] = motion.acceleration[k]
         mujoco.mj_inverse(model, data)
         needed[k] = data.qfrc_inverse
-        if forward:
+        if acting is not None:
+            data.act[:] = acting[k]
             data.ctrl[: trial.controls.shape[1]] = commanded[k]
             mujoco.mj_fwdActuation(model, data)
             applied[k] = data.qfrc_actuator
     return needed + friction * np.sign(motion.speed), applied
 
 
-def _held(trial: Trial, time: Array) -> Array:
-    """Mean command about each time (T, actuators); each is held from its step to the next."""
+def _held(values: Array, step: float, time: Array) -> Array:
+    """Mean about each time (T, N) of values (steps, N) held from their step to the next."""
     half = 0.5 * float(np.median(np.diff(time)))
-    edges = np.arange(trial.steps + 1) * trial.step
-    sums = np.vstack([np.zeros(trial.controls.shape[1]), np.cumsum(trial.controls, axis=0)])
-    first = np.clip(time - half, 0.0, edges[-1] - trial.step)
+    edges = np.arange(len(values) + 1) * step
+    sums = np.vstack([np.zeros(values.shape[1]), np.cumsum(values, axis=0)])
+    first = np.clip(time - half, 0.0, edges[-1] - step)
     last = np.clip(time + half, first + 1e-9, edges[-1])
-    found = np.empty((len(time), trial.controls.shape[1]))
+    found = np.empty((len(time), values.shape[1]))
     for k in range(found.shape[1]):
         passed = np.interp(last, edges, sums[:, k]) - np.interp(first, edges, sums[:, k])
-        found[:, k] = passed * trial.step / (last - first)
+        found[:, k] = passed * step / (last - first)
     return found
 
 

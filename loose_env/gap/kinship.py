@@ -5,7 +5,6 @@ from __future__ import annotations
 import mujoco
 
 from loose_env.gap.effect import Effect
-from loose_env.gap.machine import Machine
 
 __all__ = ["akin", "joint_of"]
 
@@ -22,15 +21,19 @@ _ALIKE = (
 """Kinds that a recording may fail to tell apart."""
 
 
-def joint_of(machine: Machine, where: str) -> int | None:
-    """Number of the joint that a place belongs to; None where it belongs to the whole arm."""
-    if where in machine.joints:
+def joint_of(effect: Effect) -> int | None:
+    """Number of the joint that an effect's place belongs to; None: to the whole arm.
+
+    Parts of one name, such as a joint and its motor, are told apart by what the effect acts on.
+    """
+    machine, where, part = effect.machine, effect.where, effect.part
+    if part == "joint" and where in machine.joints:
         return machine.joint_number(where)
-    if where in machine.actuated_joint:
+    if part == "actuator" and where in machine.actuated_joint:
         return machine.joint_number(machine.actuated_joint[where])
-    if where in machine.links:
+    if part == "link" and where in machine.links:
         return machine.joint_number(machine.first_joint(where))
-    if where in machine.sensors:
+    if part == "sensor" and where in machine.sensors:
         sensor = machine.model.sensor(where)
         if int(sensor.objtype[0]) == mujoco.mjtObj.mjOBJ_JOINT:
             return int(sensor.objid[0])
@@ -44,6 +47,7 @@ def akin(effect: Effect, other: Effect) -> bool:
     --------
     >>> from loose_env.arms import planar
     >>> from loose_env.gap.catalogue import CATALOGUE
+    >>> from loose_env.gap.machine import Machine
     >>> machine = Machine(planar(3).spec)
     >>> second = machine.joints[1]
     >>> spring = CATALOGUE["joint_spring"](machine, second)
@@ -54,5 +58,5 @@ def akin(effect: Effect, other: Effect) -> bool:
     """
     if not any(effect.kind in group and other.kind in group for group in _ALIKE):
         return False
-    first, second = joint_of(effect.machine, effect.where), joint_of(other.machine, other.where)
+    first, second = joint_of(effect), joint_of(other)
     return first is None or second is None or abs(first - second) <= 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import ceil
 
 import mujoco
 import numpy as np
@@ -12,11 +13,15 @@ from numpy.typing import NDArray
 from loose_env.errors import InvalidData
 from loose_env.gap.names import with_names
 
-__all__ = ["Machine"]
+__all__ = ["Machine", "set_step"]
 
 Array = NDArray[np.float64]
 
 _MOVING = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+_AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+"""Ways to drive a joint itself, the same for hinges and slides."""
+_POSES = 5
+"""Poses in which it is looked up which joints an actuator acts on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +85,7 @@ class Machine:
         """Return a copy of the spec, to be edited, with this machine's step."""
         spec = self.spec.copy()
         if self.step > 0:
-            spec.option.timestep = self.step
+            set_step(spec, self.step)
         if self.integrator is not None:
             spec.option.integrator = self.integrator
         return spec
@@ -111,17 +116,46 @@ class Machine:
         """Actuator -> joint that it drives, of those that drive a joint."""
         found = {}
         for k, name in enumerate(self.actuators):
-            if self.model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_JOINT:
+            if int(self.model.actuator_trntype[k]) in _AT_JOINT:
                 found[name] = self.model.joint(int(self.model.actuator_trnid[k, 0])).name
         return found
 
     def gears(self, joint: str) -> Array:
-        """Torque on a joint per force of each actuator (actuators,)."""
-        found = np.zeros(len(self.actuators))
-        for k, name in enumerate(self.actuators):
-            if self.actuated_joint.get(name) == joint:
-                found[k] = self.model.actuator_gear[k, 0]
-        return found
+        """Torque on a joint per force of each actuator, at the model's zero (actuators,)."""
+        return np.asarray(self._at_zero[self.joint_number(joint)])
+
+    @cached_property
+    def with_changing_gears(self) -> tuple[str, ...]:
+        """Joints on which an actuator gives another torque in another pose."""
+        model: mujoco.MjModel = self.model
+        changing = [k for k in range(len(self.actuators)) if not _has_one_gear(model, k)]
+        if not changing:
+            return ()
+        rng = np.random.default_rng(0)
+        poses = [model.qpos0 + rng.uniform(-1.0, 1.0, model.nq) for _ in range(_POSES)]
+        acting = np.any([self._moments(pose)[:, changing] != 0 for pose in poses], axis=(0, 2))
+        for k in changing:
+            if model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_BODY:  # acts where it touches
+                acting |= np.isin(
+                    model.jnt_bodyid, _up_from(model, int(model.actuator_trnid[k, 0]))
+                )
+        return tuple(n for n, acts in zip(self.joints, acting, strict=True) if acts)
+
+    def _moments(self, pose: Array) -> Array:
+        """Torque on each joint per force of each actuator in a pose (joints, actuators)."""
+        model: mujoco.MjModel = self.model
+        data = mujoco.MjData(model)
+        data.qpos[:] = pose
+        mujoco.mj_fwdPosition(model, data)
+        dense = np.zeros((len(data.moment_rownnz), model.nv))
+        mujoco.mju_sparse2dense(
+            dense, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
+        )
+        return np.asarray(dense[: len(self.actuators)].T)
+
+    @cached_property
+    def _at_zero(self) -> Array:
+        return self._moments(self.model.qpos0)
 
     @cached_property
     def tool(self) -> str:
@@ -210,6 +244,36 @@ class Machine:
         return bool(self.model.jnt_type[self.joint_number(joint)] == _MOVING[0])
 
 
+def set_step(spec: mujoco.MjSpec, step: float) -> None:
+    """Set a spec's step [s], its delays kept: their histories count samples, not seconds."""
+    spec.option.timestep = step
+    for late in (*spec.actuators, *spec.sensors):
+        if late.delay > 0:
+            late.nsample = max(int(late.nsample), ceil(late.delay / step - 1e-9) + 2)
+
+
+def _has_one_gear(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether the torque per force of an actuator is the same in all poses.
+
+    It is at a joint and at a fixed tendon, a weighted sum of joints; not at a tendon in space, a
+    site, a crank or a body.
+    """
+    if int(model.actuator_trntype[actuator]) in _AT_JOINT:
+        return True
+    if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_TENDON:
+        return False
+    first = int(model.tendon_adr[model.actuator_trnid[actuator, 0]])
+    return bool(model.wrap_type[first] == mujoco.mjtWrap.mjWRAP_JOINT)
+
+
+def _up_from(model: mujoco.MjModel, body: int) -> list[int]:
+    """A body and those that it hangs on."""
+    found = [body]
+    while found[-1] > 0:
+        found.append(int(model.body_parentid[found[-1]]))
+    return found
+
+
 def _explicit(given: mujoco.MjSpec) -> mujoco.MjSpec:
     """Copy of a spec with all names, in which no inertia is left to be worked out from shapes."""
     spec = with_names(given)
@@ -222,4 +286,8 @@ def _explicit(given: mujoco.MjSpec) -> mujoco.MjSpec:
         body.inertia = model.body_inertia[k].copy()
         body.fullinertia = np.full(6, np.nan)
         body.explicitinertial = body.mass > 0
+    # else an edited mass is worked out from shapes again, or scaled with all others to the total
+    if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
+        spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+    spec.compiler.settotalmass = -1.0
     return spec

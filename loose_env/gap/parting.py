@@ -13,10 +13,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from loose_env.errors import InvalidData
 from loose_env.gap.effect import Effect
 from loose_env.gap.features import RandomFeatures
 from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.machine import Machine
+from loose_env.gap.response import FEWEST
 from loose_env.gap.simulator import Simulator
 from loose_env.gap.trial import Channel, Trial
 
@@ -37,7 +39,7 @@ STIFFER, LESS_SPRINGY = 1.3, 1.5
 exact."""
 LOOKED_AT = 2.0
 """How much of a run is simulated to see whether trajectories part, where it is least like the
-nominal model [s]."""
+nominal model [s]; at least as much as features need."""
 _NOMINAL = Hypothesis(effects=(), values=())
 
 
@@ -54,7 +56,8 @@ def parting_runs(
 
     Those in which more is incoherent than the nominal model says, if a machine with free play draws
     any of them anew when its stops are a little different, or when it begins a hair's breadth
-    elsewhere.
+    elsewhere. A run that has no features, since it is too short or its command does not vary, is
+    not among them: it can only be compared sample by sample.
 
     Parameters
     ----------
@@ -78,10 +81,14 @@ def parting_runs(
     nominal = Simulator(machine, runs, channels, threads=threads).predict([_NOMINAL])[0]
     loud: list[tuple[Trial, RandomFeatures]] = []
     for run, seen in zip(runs, nominal, strict=True):
-        features = RandomFeatures.of_trial(run, machine, channels, floors)
-        if np.isfinite(seen[:, features.used]).all() and features.incoherence(seen) > LOUD:
+        features = _features(run, machine, channels, floors)
+        if features is None or not np.isfinite(seen[:, features.used]).all():
+            continue
+        if features.incoherence(seen) > LOUD:
             window = _least_like(run, seen, floors)
-            loud.append((window, RandomFeatures.of_trial(window, machine, channels, floors)))
+            # A window may lie where the command rests or a sensor was lost; the whole run does not.
+            own = _features(window, machine, channels, floors)
+            loud.append((run, features) if own is None else (window, own))
     if not loud:
         return frozenset()
     simulator = Simulator(machine, [run for run, _ in loud], channels, threads=threads)
@@ -95,9 +102,19 @@ def parting_runs(
     return frozenset()
 
 
+def _features(
+    trial: Trial, machine: Machine, channels: tuple[Channel, ...], floors: Array
+) -> RandomFeatures | None:
+    """Features of a run; None where it is too short for them, or its command does not vary."""
+    try:
+        return RandomFeatures.of_trial(trial, machine, channels, floors)
+    except InvalidData:
+        return None
+
+
 def _least_like(run: Trial, seen: Array, floors: Array) -> Trial:
     """The window of a run that is least like a simulation of it (T, C)."""
-    size = round(LOOKED_AT * run.rate)
+    size = max(round(LOOKED_AT * run.rate), FEWEST)
     apart = np.nansum(((run.measured - seen) / floors) ** 2, axis=1)
     summed = np.concatenate([[0.0], np.cumsum(apart)])
     if size >= len(apart):

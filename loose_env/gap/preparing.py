@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.errors import InvalidData
 from loose_env.gap.catalogue import candidates
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effects.payload import payload_words
@@ -19,6 +19,7 @@ from loose_env.gap.names import naming_words
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.noise import channel_floor
 from loose_env.gap.parting import parting_runs
+from loose_env.gap.settings import GapSettings
 from loose_env.gap.simulator import Simulator
 from loose_env.gap.split import split_runs
 from loose_env.gap.sufficiency import shortfalls
@@ -33,47 +34,6 @@ Array = NDArray[np.float64]
 _FINEST = 1e-5
 """Share of what channels of a kind show to which one is taken to be read at best. A simulation
 without noise is exacter, and no model of a machine is."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class GapSettings:
-    """How a recording is compared with its model."""
-
-    tolerance: float = 0.03
-    """Within which nominal masses, inertias, dampings and gains are known, as a share."""
-    most_effects: int = 18
-    """Most effects that are named."""
-    kinds: tuple[str, ...] = ()
-    """Kinds of effect that are considered; all of the catalogue if none is given."""
-    held_share: float = 0.25
-    """Share of the runs that is held out to judge by, in whole families of motions: runs whose
-    names begin with the same word."""
-    held_out: tuple[str, ...] = ()
-    """Files of the runs that are held out in place of those, or how their names begin."""
-    search_seconds: float = 90.0
-    """How much of the recording is fitted to while effects are sought, in all; of longer ones a
-    window of every run [s]."""
-    fit_seconds: float = 240.0
-    """How much of it the effects that were found are fitted to in the end [s]."""
-    held_seconds: float = 60.0
-    """How much of it judges while effects are sought; the result is of whole runs [s]."""
-    seed: int = 1
-    """Seed of the intervals' bootstrap."""
-    threads: int = 0
-    """Threads of the simulation; 0: all processors."""
-
-    def __post_init__(self) -> None:
-        """Check."""
-        if not 0 < self.tolerance < 0.5:
-            raise InvalidSetting(
-                f"the tolerance is a share above 0 and below 0.5, not {self.tolerance:g}"
-            )
-        if not 0 < self.held_share < 1:
-            raise InvalidSetting(
-                f"the share held out is above 0 and below 1, not {self.held_share:g}"
-            )
-        if not 1 <= self.most_effects <= 30:
-            raise InvalidSetting(f"1 to 30 effects can be named, not {self.most_effects}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -102,7 +62,8 @@ def prepare(recording: Recording, settings: GapSettings) -> Prepared:
     Raises
     ------
     InvalidData
-        If the recording has too few runs, or a run lacks what its comparison needs.
+        If the recording has too few runs, a run lacks what its comparison needs, or nothing is left
+        to compare in the runs to fit to or in those held out.
     """
     recording.check_comparison()
     runs, warnings = _suspect(recording.runs)
@@ -129,14 +90,17 @@ def prepare(recording: Recording, settings: GapSettings) -> Prepared:
         cut=1 if integration is None else integration.cut,
     )
     trials = [lay_out(run, kept, channels, step=step) for run in runs]
+    unknown, words = _of_changing_gears(kept, channels, trials)
+    trials = [t if t.form == "inverse" else _without(t, unknown) for t in trials]
+    warnings += words
     floors = _floors(kept, trials, channels)
     still = np.isnan(floors)
-    if still.any():
-        names = ", ".join(c.name for c, left_out in zip(channels, still, strict=True) if left_out)
+    if (said := still & ~unknown).any():
+        names = ", ".join(c.name for c, left_out in zip(channels, said, strict=True) if left_out)
         warnings.append(
             f"{names}: one value throughout, which does not say how exactly it was read; left out"
         )
-        trials = [_without(trial, still) for trial in trials]
+    trials = [_without(trial, still) for trial in trials]
     kept = _scaled(kept, runs, trials, channels, floors, settings.threads)
     parting = parting_runs(
         kept,
@@ -164,16 +128,30 @@ def prepare(recording: Recording, settings: GapSettings) -> Prepared:
         )
 
     ahead, whole = compared(fitted), compared(held)
+    for comparison, role in ((ahead, "to fit to"), (whole, "held out")):
+        if not len(comparison):
+            names = ", ".join(trial.name for trial in comparison.trials)
+            raise InvalidData(
+                f"nothing is left to compare in the runs {role} ({names}): what they are compared "
+                "by shows one value throughout, or was not read. Record motions that are large "
+                "beside the steps in which it is read"
+            )
     warnings += shortfalls(ahead, whole, NamingSettings())
     return Prepared(
         machine=kept,
         integration=integration,
-        search=windowed(ahead, settings.search_seconds),
-        fit=windowed(ahead, settings.fit_seconds),
-        held=windowed(whole, settings.held_seconds),
+        search=_windowed(ahead, settings.search_seconds),
+        fit=_windowed(ahead, settings.fit_seconds),
+        held=_windowed(whole, settings.held_seconds),
         whole_held=whole,
         warnings=tuple(warnings),
     )
+
+
+def _windowed(comparison: Comparison, seconds: float) -> Comparison:
+    """Windows of the runs in which something was read; all of the runs where nothing was."""
+    found = windowed(comparison, seconds)
+    return found if len(found) else comparison
 
 
 def _suspect(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
@@ -203,18 +181,20 @@ def _floors(machine: Machine, trials: list[Trial], channels: tuple[Channel, ...]
 
     At least `_FINEST` of what the liveliest channel of its kind shows.
     """
-    found, scatter = np.full((2, len(trials), len(channels)), np.nan)
+    found = np.full((len(trials), len(channels)), np.nan)
+    scatter = np.zeros_like(found)
     for t, trial in enumerate(trials):
         for k in range(len(channels)):
             found[t, k] = channel_floor(trial.measured[:, k])
-            scatter[t, k] = np.std(trial.measured[np.isfinite(trial.measured[:, k]), k])
+            if len(read := trial.measured[np.isfinite(trial.measured[:, k]), k]):
+                scatter[t, k] = np.std(read)
     floors = np.full(len(channels), np.nan)
     known = np.isfinite(found).any(axis=0)
     floors[known] = np.nanmedian(found[:, known], axis=0)
     kinds = [c.column if c.axis is not None else _kind(machine, c) for c in channels]
     for kind in set(kinds):
         own = np.array([each == kind for each in kinds])
-        floors[own] = np.maximum(floors[own], _FINEST * np.nanmax(scatter[:, own], initial=0.0))
+        floors[own] = np.maximum(floors[own], _FINEST * np.max(scatter[:, own], initial=0.0))
     return floors
 
 
@@ -222,6 +202,28 @@ def _kind(machine: Machine, channel: Channel) -> str:
     """What a scalar channel measures."""
     prefix, _, name = channel.column.partition(".")
     return prefix if prefix != "sensor" else str(int(machine.model.sensor(name).type[0]))
+
+
+def _of_changing_gears(
+    machine: Machine, channels: tuple[Channel, ...], trials: list[Trial]
+) -> tuple[NDArray[np.bool_], list[str]]:
+    """Which channels (C,) are torques that a simulation cannot tell, and a sentence on them.
+
+    A simulation knows forces of actuators, and what they are as torques on a joint where that is
+    the same in all poses. Inverse dynamics tell the torque itself.
+    """
+    columns = {f"torque.{joint}" for joint in machine.with_changing_gears}
+    found = np.array([c.column in columns for c in channels], dtype=bool)
+    read = [np.isfinite(t.measured[:, k]).any() for t in trials if t.form != "inverse"
+            for k in np.flatnonzero(found)]  # fmt: skip
+    if not any(read):
+        return found, []
+    names = ", ".join(c.name for c, left_out in zip(channels, found, strict=True) if left_out)
+    return found, [
+        f"{names}: an actuator acts there through a tendon in space, a site, a crank or a body, by "
+        "another lever in every pose; left out of the runs that are simulated. Have the model "
+        "drive the joint itself, or a fixed tendon, to have it compared"
+    ]
 
 
 def _without(trial: Trial, channels: NDArray[np.bool_]) -> Trial:

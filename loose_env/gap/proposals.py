@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
+from loose_env.gap.activations import activations
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.hypothesis import Hypothesis
@@ -77,7 +78,7 @@ def missing_torque(
     -------
     tuple of ndarray (T, joints), or None
         [rad, m], [rad/s, m/s], [rad/s², m/s²], [N·m, N]; None if no run has commands and is long
-        enough.
+        enough, or what the actuators gave is not known (`loose_env.gap.activations`).
     """
     machine = comparison.machine
     rigid = [
@@ -96,7 +97,10 @@ def missing_torque(
             motion = smooth_motion(trial, machine, comparison.channels)
         except InvalidData:
             continue
-        parts.append(_missing(model, known, trial, motion, max(1, _SAMPLES // len(runs))))
+        found = _missing(model, known, trial, motion, max(1, _SAMPLES // len(runs)))
+        if found is None:
+            return None
+        parts.append(found)
     if not parts:
         return None
     position, speed, acceleration, torque = (
@@ -107,13 +111,17 @@ def missing_torque(
 
 def _missing(
     model: mujoco.MjModel, known: Hypothesis, trial: Trial, motion: Motion, most: int
-) -> tuple[Array, Array, Array, Array]:
-    """The same of one run."""
+) -> tuple[Array, Array, Array, Array] | None:
+    """The same of one run; None where an actuator's activation is not known."""
     times = trial.step * np.arange(trial.steps, dtype=np.float64)
     controls = trial.controls
     for effect, values in zip(known.effects, known.values, strict=True):
         controls = effect.command(times, controls, values)
+    own = activations(model, controls, trial.step)
+    if own is None:
+        return None
     given = _about(controls, trial.step, motion.time)
+    acting = _about(own, trial.step, motion.time)
     # At the ends of a run the filter has only one side to go by.
     ends = min(int(motion.band.rate / motion.band.end), len(motion.time) // 4)
     chosen = np.arange(ends, len(motion.time) - ends, max(1, len(motion.time) // most))
@@ -126,6 +134,7 @@ def _missing(
         data.qpos[:joints], data.qvel[:joints] = motion.position[k], motion.speed[k]
         data.qacc[:joints] = motion.acceleration[k]
         data.ctrl[: controls.shape[1]] = given[k]
+        data.act[:] = acting[k]
         mujoco.mj_inverse(model, data)
         needed = data.qfrc_inverse[:joints].copy()
         mujoco.mj_fwdActuation(model, data)
@@ -138,7 +147,7 @@ def _missing(
 
 
 def _about(controls: Array, step: float, times: Array) -> Array:
-    """Commands (T, actuators) as the smoothed motion knows them, at times on an even grid.
+    """Commands or activations (T, N) as the smoothed motion knows them, at times on an even grid.
 
     A command is held from one sample to the next. On the mean over an interval about a sample it
     comes half an interval late, which behind a stiff servo is a torque like that of friction.

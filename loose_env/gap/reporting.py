@@ -15,6 +15,7 @@ from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.export import correction_code, write_model
 from loose_env.gap.finding import GapFound, GapSettings
+from loose_env.gap.fit import UNNAMED
 from loose_env.gap.horizons import HorizonError, horizon_errors
 from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.identifiability import identifiability
@@ -25,6 +26,7 @@ from loose_env.gap.left import left_motions, left_words
 from loose_env.gap.locate import Location, locate, where_it_lives
 from loose_env.gap.machine import Machine
 from loose_env.gap.nominal import NominalFigures
+from loose_env.gap.notes import model_notes, nameless_words
 from loose_env.gap.quantities import errors_by_quantity, rms
 from loose_env.gap.residual_tests import LeftOver, left_over
 from loose_env.gap.result import Gap, GapResult, NamedEffect, Place, Ranked, Verdict
@@ -75,6 +77,16 @@ class GapOutputs:
         """Effects of the best hypothesis with their values, nominal figures first."""
         hypothesis = machine_part(self.best)
         return tuple(zip(hypothesis.effects, hypothesis.values, strict=True))
+
+    @property
+    def nameless(self) -> tuple[tuple[Effect, Array], ...]:
+        """Those of them that the corrected model has though they are not named."""
+        named = {(effect.kind, effect.where) for effect in self.effects}
+        return tuple(
+            (effect, values)
+            for effect, values in self.added
+            if effect.kind not in UNNAMED and (effect.kind, effect.where) not in named
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -264,7 +276,7 @@ def result_of(outputs: GapOutputs, evidence: Evidence) -> GapResult:
         left_location=evidence.left_location,
         left_over=evidence.left_over,
         identifiability=evidence.identifiability,
-        warnings=(*outputs.warnings, *evidence.warnings),
+        warnings=(*outputs.warnings, *nameless_words(outputs.nameless), *evidence.warnings),
         settings=outputs.settings,
     )
 
@@ -311,19 +323,7 @@ def _figures(outputs: GapOutputs) -> dict[str, float]:
 def write_model_and_result(folder: Path, outputs: GapOutputs, result: GapResult) -> list[Path]:
     """Write ``model.xml``, the files it needs, and ``result.json``, the result last."""
     effects, values = zip(*outputs.added, strict=True)
-    notes = ["Corrected by loose gap. On top of the nominal model:"]
-    for each in outputs.effects:
-        numbers = ", ".join(
-            f"{name} {value:.4g} {each.units.get(name, '')}".rstrip()
-            for name, value in each.parameters.items()
-        )
-        place = "" if each.in_model else " (not in this file: see result.json, code)"
-        notes.append(f"{each.kind} at {each.where}: {numbers}{place}")
-    if result.nominal_figures:
-        off = max(abs(v - 1) for v in result.nominal_figures.values())
-        notes.append(
-            f"nominal figures fitted within the tolerance, off by {100 * off:.1f} % at most"
-        )
+    notes = model_notes(outputs.effects, outputs.nameless, result.nominal_figures)
     written = write_model(
         folder / "model.xml",
         outputs.machine,

@@ -11,14 +11,14 @@ from scipy import fft
 
 from loose_env.errors import InvalidData
 
-__all__ = ["CommandResponse"]
+__all__ = ["FEWEST", "CommandResponse"]
 
 Array = NDArray[np.float64]
 Spectra = NDArray[np.complex128]
 
 _BINS = 16
 """Frequencies over which a response counts as a parabola, apart from those that are used up."""
-_FEWEST = 200
+FEWEST = 200
 """Fewest samples of a run."""
 _TAPER = 0.15
 """Share of the run that fades in, and that fades out."""
@@ -69,10 +69,10 @@ class CommandResponse:
     def __post_init__(self) -> None:
         """Check."""
         values = self.commands
-        if values.ndim != 2 or len(values) < _FEWEST or not np.isfinite(values).all():
+        if values.ndim != 2 or len(values) < FEWEST or not np.isfinite(values).all():
             raise InvalidData(
                 f"commands have shape {values.shape}; they must be finite, (T, m), with at least "
-                f"{_FEWEST} samples"
+                f"{FEWEST} samples"
             )
         still = np.flatnonzero(np.ptp(values, axis=0) <= 0)
         if len(still):
@@ -188,7 +188,8 @@ class CommandResponse:
         power = np.einsum("ski,skj->kij", u.conj(), u)
         cross = np.einsum("ski,skc->kic", u.conj(), y)
         level = np.einsum("kii->k", power).real
-        ridge = _FAINT * level.max() * np.eye(commands.shape[1])
+        # Above zero where the command rests in this half of the run and explains nothing.
+        ridge = max(_FAINT * float(level.max()), 1e-300) * np.eye(commands.shape[1])
         response = np.linalg.solve(power + ridge, cross).swapaxes(1, 2)
         response[level < 100 * _FAINT * level.max()] = 0.0
         return np.arange(len(level)) / length, response

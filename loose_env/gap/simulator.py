@@ -141,10 +141,9 @@ class Simulator:
             controls[k, :, : values.shape[1]] = values
         wild = np.zeros(len(slots), dtype=bool)
         resting = np.array([slot.trial.resting for slot in slots])
-        if resting.any() and settle:
+        if resting.any() and settle:  # the clock runs on, for delayed commands are kept by time
             held = np.repeat(controls[resting, :1], settle, axis=1)
             wild |= _advance(moved, settle, held, np.flatnonzero(resting), None)
-            batch.time[resting] = 0.0
         self.simulated += len(slots) * steps
         width = slots[0].model.nsensordata
         # where a command changes within a step, sensors are worked out once more

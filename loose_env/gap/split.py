@@ -21,14 +21,15 @@ def split_runs(
     Families of motions are held out whole: ``single_joint_elbow`` says little about a model that
     ``single_joint_wrist`` did not say before. Runs whose names begin with the same word are a
     family, unless only numbers follow it, or most runs would be in it. Families are held out
-    evenly through the recording, at least one, the last among them.
+    evenly through the recording, at least one, the last among them; whatever the share, one is
+    left to fit to.
 
     Parameters
     ----------
     names : sequence of str
         Files of the runs.
     share : float
-        Share held out, about.
+        Share held out, about, above 0 and below 1.
     held_out : sequence of str
         Files that are held out in place of these, or how their names begin.
 
@@ -66,7 +67,7 @@ def split_runs(
         chosen = _chosen(names, held_out)
     else:
         families = _families(names)
-        number = max(1, round(share * len(families)))
+        number = min(max(1, round(share * len(families))), len(families) - 1)
         last = len(families) - 1
         taken = {last - round(k * len(families) / number) for k in range(number)}
         chosen = {k for f in taken for k in families[f]}

@@ -230,7 +230,10 @@ def _spread(machine: Machine, trial: Trial, channels: tuple[Channel, ...]) -> Ar
                 found[1, joint] = np.hypot(14 * floor / seen / reach, line[1] - bent[1])
         elif kind == mujoco.mjtSensor.mjSENS_JOINTVEL:
             first = max(3, int(np.searchsorted(trial.time, 0.005)))
-            short = np.ptp(values[: min(2 * first, count)][good[: min(2 * first, count)]])
-            found[1, joint] = np.hypot(floor / np.sqrt(first), short)
+            known = int(good[:first].sum())
+            if not known or not np.isfinite(floor):
+                continue  # lost where the run begins: the speed is not from this sensor
+            short = np.ptp(values[:count][good][: 2 * first])
+            found[1, joint] = np.hypot(floor / np.sqrt(known), short)
             read[joint] = True
     return found

@@ -214,13 +214,14 @@ class GapSteps:
         Raises
         ------
         InvalidSetting
-            If the place is missing, or stands beside an effect that has one.
+            If the place is missing, or stands beside an effect that has one; or if a spring or a
+            gap was added there already.
         InvalidData
             If the effect changes nothing that was measured.
         UnknownName
             If it cannot be there, or the catalogue has no such effect.
         """
-        found, search = self._effects(effect, where), self.prepared.search
+        found, search = self._not_added(self._effects(effect, where)), self.prepared.search
         with quiet():
             short = windowed(search, self._naming.sorting)
             trying = Trying(search, short, self._judge, self.best, self._naming)
@@ -344,6 +345,17 @@ class GapSteps:
         effect(self.machine, where)  # refuses other places
         forms = effect.forms(self.machine, where)
         return [effect(self.machine, where, variant) for variant in forms]
+
+    def _not_added(self, effects: list[Effect]) -> list[Effect]:
+        """Those for which there is room: nothing lies between two springs or gaps on one axis."""
+        added = {effect.key for effect in self.added if effect.adds_motion}
+        left = [effect for effect in effects if effect.key not in added]
+        if not left:
+            raise InvalidSetting(
+                f"{effects[0]!r} was added already, and there is room for one of it only; try "
+                "another effect or another place"
+            )
+        return left
 
     def _tried(self, judged: Judged) -> Tried:
         fitted, search = judged.fitted, self.prepared.search

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.machine import Machine
+from loose_env.gap.noise import noise_floor
 from loose_env.gap.rest import comes_to_rest, stays
 from loose_env.recording import Run
 
@@ -23,6 +24,8 @@ _REST = 0.01
 """How much of the beginning tells whether the arm rests there [s]; an arm may set off at once."""
 _NEAR = 0.05
 """How far about the start of a window lines are drawn [s]."""
+_BEYOND = 0.25
+"""How far beyond readings a parabola through them is followed, as a share of what they span."""
 AXES = {3: ("x", "y", "z")}
 
 
@@ -122,7 +125,8 @@ class Trial:
     def between(self, first: int, last: int) -> Trial:
         """A window of the run, from one sample to before another, as a run of its own.
 
-        Its start is taken from straight lines through the measured motion about it.
+        Its start is taken from parabolas through the measured motion about it; where a joint was
+        not read there, from a straight line between its readings before and after.
 
         Parameters
         ----------
@@ -137,10 +141,14 @@ class Trial:
         position, speed, resting = self.position.copy(), np.zeros_like(self.speed), True
         for joint, values in self.motion.items():
             number = self.joints.index(joint)
-            near = np.abs(self.time - self.time[first]) <= max(_NEAR, 4.1 / self.rate)
-            position[number], speed[number], still = _line(
-                self.time[near] - self.time[first], values[near], whole=True
-            )
+            away = self.time - self.time[first]
+            near = np.abs(away) <= max(_NEAR, 4.1 / self.rate)
+            if _tells(away[near], values[near]):
+                position[number], speed[number], still = _line(away[near], values[near], whole=True)
+            elif np.isfinite(values).any():
+                position[number], speed[number], still = _across(away, values)
+            else:
+                continue  # never read: where the run began, as far as anybody knows
             resting &= still
         controls = self.controls[begun : begun + steps]
         resting &= bool(np.ptp(self.controls[max(begun - 50, 0) : begun + 1], axis=0).max() == 0)
@@ -277,6 +285,29 @@ def _start(run: Run, machine: Machine, time: Array) -> tuple[Array, Array, bool,
     if resting:
         speed[:] = 0.0
     return position, speed, resting, motion
+
+
+def _tells(time: Array, values: Array) -> bool:
+    """Whether a parabola through readings (T,) says where they are at time 0, or hardly beyond."""
+    read = time[np.isfinite(values)]
+    return len(read) >= 4 and max(read[0], -read[-1]) <= _BEYOND * (read[-1] - read[0])
+
+
+def _across(time: Array, values: Array) -> tuple[float, float, bool]:
+    """Value and slope at time 0 of the straight line across a gap in readings, and whether level.
+
+    Before the first reading and after the last one it is level.
+    """
+    good = np.isfinite(values)
+    t, v = time[good], values[good]
+    after = int(np.searchsorted(t, 0.0))
+    if after in (0, len(t)):
+        return float(v[min(after, len(t) - 1)]), 0.0, True
+    change, apart = float(v[after] - v[after - 1]), float(t[after] - t[after - 1])
+    if abs(change) <= 4.0 * noise_floor(values):
+        return float(v[after - 1] + v[after]) / 2, 0.0, True
+    slope = change / apart
+    return float(v[after - 1] - slope * t[after - 1]), slope, False
 
 
 def _line(time: Array, values: Array, *, whole: bool = False) -> tuple[float, float, bool]:

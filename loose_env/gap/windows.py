@@ -7,7 +7,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loose_env.errors import InvalidData
 from loose_env.gap.comparison import Comparison
+from loose_env.gap.features import RandomFeatures
+from loose_env.gap.response import FEWEST
 from loose_env.gap.trial import Trial
 
 __all__ = ["SHORTEST", "windowed"]
@@ -25,7 +28,9 @@ def windowed(comparison: Comparison, seconds: float) -> Comparison:
 
     A window lies where the joints move most for their typical motion, all of them counted. Inverse
     runs stay whole, since they cost little, and so does a recording of free responses, whose
-    starts count. If windows would get shorter than `SHORTEST`, runs are left out evenly.
+    starts count. If windows would get shorter than `SHORTEST`, runs are left out evenly; the last
+    one keeps a window as long as that. Of a run that is compared by features a window has as many
+    samples as these need, and the run stays whole where the window has no features.
 
     Parameters
     ----------
@@ -42,9 +47,9 @@ def windowed(comparison: Comparison, seconds: float) -> Comparison:
     taken = {
         id(long[k]) for k in np.unique(np.linspace(0, len(long) - 1, count).round().astype(int))
     }
-    length = seconds / count
+    length = max(seconds / count, SHORTEST)
     kept = [
-        t if t.form == "inverse" else _window(t, length)
+        t if t.form == "inverse" else _shortened(comparison, t, length)
         for t in comparison.trials
         if t.form == "inverse" or id(t) in taken
     ]
@@ -58,9 +63,25 @@ def windowed(comparison: Comparison, seconds: float) -> Comparison:
     )
 
 
-def _window(trial: Trial, length: float) -> Trial:
-    """The window in which the joints move most."""
-    size = round(length * trial.rate)
+def _shortened(comparison: Comparison, trial: Trial, length: float) -> Trial:
+    """The window of a run, or all of it where it is compared by features and the window has none.
+
+    Its command may not vary there, or its channels may not have been read.
+    """
+    if not (trial.excited and trial.name in comparison.parting):
+        return _window(trial, length)
+    window = _window(trial, length, FEWEST)
+    floors = np.asarray(comparison.floors, dtype=float)
+    try:
+        RandomFeatures.of_trial(window, comparison.machine, comparison.channels, floors)
+    except InvalidData:
+        return trial
+    return window
+
+
+def _window(trial: Trial, length: float, fewest: int = 1) -> Trial:
+    """The window in which the joints move most, so long [s] and of at least so many samples."""
+    size = max(round(length * trial.rate), fewest)
     if size >= len(trial.time):
         return trial
     activity = np.zeros(len(trial.time))

@@ -26,6 +26,7 @@ _DOTS = 300
 """Dots of a panel."""
 _NAMES = 26
 """Letters of a channel's name, at most."""
+# Names come from a model and are no formulas: what stands between two dollar signs is drawn as is.
 _PANEL, _ABOVE = 1.95, 0.4
 """Height of a panel with its axis, and of what stands above the first one [inch]."""
 
@@ -54,7 +55,8 @@ def channel_bars(pairs: Mapping[str, tuple[float, float]]) -> Figure:
         axes.plot(before, y, "o", color=BEFORE, markersize=7, zorder=4)
         axes.plot(after, y, "o", color=AFTER, markersize=7, zorder=5)
         beside: dict[str, Any] = {
-            "color": INK, "fontsize": 9, "va": "center", "transform": axes.get_yaxis_transform()
+            "color": INK, "fontsize": 9, "va": "center", "transform": axes.get_yaxis_transform(),
+            "parse_math": False,
         }  # fmt: skip
         shown = name if len(name) <= letters else f"{name[: letters - 1]}…"
         axes.text(-0.03, y, shown, ha="right", **beside)
@@ -156,7 +158,7 @@ def residual_panels(
                 _against(axes, values, residual, colour, dots=dots)
         axes.set_ylim(-reach, reach)
         _plain(axes, grid="y", spines=())
-        axes.set_xlabel(name, color=MUTED, fontsize=9)
+        axes.set_xlabel(name, color=MUTED, fontsize=9, parse_math=False)
         if k == 0:
             _legend(figure, height, label, after=after is not None, band=True)
     return figure
@@ -194,7 +196,9 @@ def _legend(
     entries = [("before", BEFORE), *([("after", AFTER)] if after else []), noise]
     x = 1 - 0.62 * len(entries) / WIDTH
     if label:
-        figure.text(0.03, y, label, color=MUTED, fontsize=9, ha="left", va="center")
+        figure.text(
+            0.03, y, label, color=MUTED, fontsize=9, ha="left", va="center", parse_math=False
+        )
     for name, colour in entries:
         mark = ("■" if band else "- -") if name == "noise" else "●"
         figure.text(x, y, mark, color=colour, fontsize=9, ha="left", va="center")

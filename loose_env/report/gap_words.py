@@ -44,7 +44,12 @@ _PLAIN = {
     "torque_ripple": "torque ripple",
     "joint_spring": "a spring",
 }
-_PLACES = {"tool": "at the tool", "base": "", "all": "at all actuators"}
+_PLACES = {
+    ("payload", "tool"): "at the tool",
+    ("base_tilt", "base"): "",
+    ("command_delay", "all"): "at all actuators",
+}
+"""Places that are no names of the model; a joint or a link may be called so, too."""
 
 
 def effect_words(kind: str, where: str) -> str:
@@ -56,7 +61,7 @@ def effect_words(kind: str, where: str) -> str:
     'dry friction (joint2)'
     """
     words = _PLAIN.get(kind, kind.replace("_", " "))
-    place = _PLACES.get(where)
+    place = _PLACES.get((kind, where))
     return f"{words} ({where})" if place is None else f"{words} {place}".rstrip()
 
 
@@ -64,11 +69,9 @@ def headline(result: GapResult) -> str:
     """The outcome in one sentence."""
     if result.verdict == "no_gap":
         return "Nothing is missing: the model explains what was measured."
-    names = _grouped(result.effects)
-    listed = _in_a_row(names)
-    if result.verdict == "unexplained":
-        beside = f" beside {listed}" if names else ""
-        return f"Something is missing{beside} that is not in the catalogue."
+    if result.verdict == "unexplained":  # nothing is named then
+        return "Something is missing that is not in the catalogue."
+    listed = _in_a_row(_grouped(result.effects))
     return f"The model lacks {listed}{', and something else' if _open(result) else ''}."
 
 

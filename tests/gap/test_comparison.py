@@ -8,7 +8,9 @@ import pytest
 
 from loose_env.gap.catalogue import CATALOGUE, candidates
 from loose_env.gap.comparison import Rows
+from loose_env.gap.effect import Effect
 from loose_env.gap.hypothesis import Hypothesis
+from loose_env.gap.kinship import joint_of
 from loose_env.gap.machine import Machine
 from loose_env.gap.structure import Structure, largest
 from loose_env.recording import Run
@@ -16,6 +18,7 @@ from tests.gap.effect_arms import PLANAR, commands, simulate
 from tests.gap.recorded_runs import compared, measurable, torque_run
 
 NOTHING = Hypothesis(effects=(), values=())
+_OF_DRIVES = ("actuator_gain", "actuator_lag", "command_delay")
 
 
 def mixed() -> tuple[Machine, list[Run]]:
@@ -92,6 +95,67 @@ def test_what_rings_is_structure_and_noise_is_not(frequency: float, *, shaken: b
     assert largest(structure.products(noise).sum(axis=1)) < 4 * np.sqrt(count)
     found = largest(structure.products(noise + ring).sum(axis=1)) / np.sum(ring**2)
     assert 0.65 < found < 1.1
+
+
+def let_go(run: Run) -> Run:
+    """The motion of a run as a free one."""
+    return Run(name="free", time=run.time, sensors=run.sensors)
+
+
+def test_a_free_run_shows_what_is_at_joints_named_like_their_motors() -> None:
+    xml = PLANAR.replace('name="servo', 'name="joint')
+    machine = Machine(measurable(mujoco.MjSpec.from_string(xml)))
+    assert machine.actuators == machine.joints
+    comparison = compared(machine, [let_go(mixed()[1][1])], step=0.001)
+    shown = {repr(e) for e in candidates(machine) if comparison.shows(e)}
+    assert shown >= {"viscous_friction@joint1", "backlash@joint2", "payload@tool"}
+    assert not any(name.split("@")[0] in _OF_DRIVES for name in shown)
+
+
+class MotorStiffness(Effect):
+    """As of one's own, which does not say what it acts on."""
+
+    kind = "motor_stiffness"
+
+    @classmethod
+    def places(cls, machine: Machine) -> tuple[str, ...]:
+        return machine.actuators
+
+    def edit(self, spec: mujoco.MjSpec, values: np.ndarray) -> None:
+        spec.actuator(self.where).gainprm[0] *= values[0]
+
+
+class MotorHold(MotorStiffness):
+    kind = "motor_hold"
+    acts_on = "actuator"
+
+
+class Late(MotorStiffness):
+    kind = "late"
+
+    def command(self, time: np.ndarray, controls: np.ndarray, values: np.ndarray) -> np.ndarray:
+        return np.roll(controls, 1, axis=0)
+
+
+class Creep(Effect):
+    kind = "creep"
+
+    @classmethod
+    def places(cls, machine: Machine) -> tuple[str, ...]:
+        return machine.sensors
+
+
+def test_what_an_effect_acts_on_is_told_by_its_class_and_else_by_names() -> None:
+    machine = Machine(measurable(mujoco.MjSpec.from_string(PLANAR)))
+    assert MotorStiffness(machine, "servo1").part == "actuator"
+    assert CATALOGUE["payload"](machine, "tool").part == "arm"
+    shared = PLANAR.replace('name="servo', 'name="joint').replace('name="encoder', 'name="joint')
+    machine = Machine(mujoco.MjSpec.from_string(shared))
+    kinds = (MotorStiffness, MotorHold, Late, Creep, CATALOGUE["viscous_friction"])
+    found = [kind(machine, "joint2") for kind in kinds]
+    assert [e.part for e in found] == ["joint", "actuator", "actuator", "sensor", "joint"]
+    assert [joint_of(e) for e in found] == [1] * 5
+    assert [e.drives for e in found] == [False, True, True, False, False]
 
 
 def test_a_forward_run_shows_every_effect() -> None:

@@ -170,6 +170,48 @@ def test_every_candidate_is_told_from_the_others(arm: str) -> None:
     assert len({repr(effect) for effect in every}) == len(every)
 
 
+# nothing lies between two springs on one axis
+@pytest.mark.filterwarnings("ignore:Inertia matrix is too close to singular")
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_effect_is_there_twice_and_in_a_corrected_model_again(kind: str) -> None:
+    for arm in ("planar", "spatial"):
+        machine = machine_of(arm)
+        effect = candidates(machine, [kind])[-1]
+        values = np.array(effect.starts[0])
+        for change in (effect.edit, effect.export):
+            spec = machine.fresh()
+            change(spec, values)
+            once = spec.compile()
+            change(spec, values)
+            twice = spec.compile()
+            assert twice.njnt - once.njnt == once.njnt - machine.model.njnt
+            assert twice.nbody - once.nbody == once.nbody - machine.model.nbody
+        spec = machine.fresh()
+        effect.export(spec, values)
+        again = Machine(mujoco.MjSpec.from_string(spec.to_xml()))
+        for other in candidates(again, [kind]):
+            if other.where in (effect.where, f"{effect.where}_{kind}"):
+                assert other.parameters and other.starts
+                for change in (other.edit, other.export):
+                    spec = again.fresh()
+                    change(spec, np.array(other.starts[0]))
+                    spec.compile()
+
+
+def test_a_sensor_that_is_turned_twice_is_turned_by_both() -> None:
+    machine = machine_of("spatial")
+    effect = CATALOGUE["sensor_misalignment"](machine, "shake")
+    turns = np.array([[0.1, -0.2, 0.3], [0.3, 0.1, -0.1]])
+    time, spec = clock(machine), machine.fresh()
+    shown = simulate(machine.model, commands(machine, time))
+    for turn in turns:
+        shown = effect.read(time, shown, turn)
+        effect.export(spec, turn)
+    found = simulate(spec.compile(), commands(machine, time))
+    assert np.allclose(found["sensor.shake"], shown["sensor.shake"], atol=1e-6)
+    assert spec.sensor("shake").objname == "shake_sensor_misalignment_2"
+
+
 def test_code_applies_what_the_model_cannot_express() -> None:
     machine = machine_of("planar")
     for kind, where in (("sensor_gain", "encoder2"), ("sensor_bias", "shake")):
@@ -185,6 +227,17 @@ def test_code_applies_what_the_model_cannot_express() -> None:
         assert np.allclose(data.sensor(where).data, wanted)
         assert not np.allclose(before, wanted)
     assert CATALOGUE["base_tilt"](machine, "base").code(np.zeros(1)) == ""
+
+
+def test_code_runs_whatever_sensors_are_called() -> None:
+    spec = machine_of("planar").fresh()
+    spec.sensor("encoder2").name = name = "angle \"2\" of 'b'"
+    machine = Machine(spec)
+    data = mujoco.MjData(machine.model)
+    for kind, values, shown in (("sensor_bias", [0.5], 2.5), ("sensor_gain", [1.2], 2.4)):
+        data.sensor(name).data[:] = 2.0
+        exec(CATALOGUE[kind](machine, name).code(np.array(values)), {"data": data})
+        assert data.sensor(name).data[0] == pytest.approx(shown)
 
 
 def test_readings_are_never_changed_in_place() -> None:

@@ -172,6 +172,33 @@ def test_ripple_is_a_sine_of_the_angle() -> None:
         assert unseen[0] == pytest.approx(-data.qacc[0] * INERTIA, abs=1e-9)
 
 
+def test_periods_of_a_ripple_count_by_turn_or_by_metre() -> None:
+    machine = machine_of("spatial")
+    turning = CATALOGUE["torque_ripple"](machine, "turn")
+    sliding = CATALOGUE["torque_ripple"](machine, "reach")
+    assert [e.parameters[1].unit for e in (turning, sliding)] == ["1/turn", "1/m"]
+    values = np.array([2.0, 40.0, 0.3])
+    place = np.array([0.01, 0.02, 0.035])  # a period of the slide is 25 mm
+    wanted = 2.0 * np.sin(2 * pi * 40 * place + 0.3)
+    assert np.allclose(sliding.unseen_torque(place, 0 * place, values), -wanted)
+    assert np.allclose(turning.unseen_torque(2 * pi * place, 0 * place, values), -wanted)
+    spec = machine.fresh()
+    sliding.edit(spec, values)
+    models = spec.compile(), machine.model
+    for q, force in zip(place, wanted, strict=True):
+        shown = []
+        for model in models:
+            data = mujoco.MjData(model)
+            data.joint("reach").qpos[0] = q
+            mujoco.mj_forward(model, data)
+            shown.append(data.joint("reach").qfrc_actuator[0])
+        assert shown[0] - shown[1] == pytest.approx(force)
+    lengths = 0.1 * np.sin(np.linspace(0, 9, 4000))
+    torque = -1.5 * np.sin(2 * pi * 80 * lengths + 0.2)
+    (best, *_) = sliding.propose(lengths, 0 * lengths, 0 * lengths, torque)
+    assert best == pytest.approx((1.5, 80.0, 0.2), rel=0.05, abs=0.05)
+
+
 def test_a_compliant_drive_rings_between_motor_and_link() -> None:
     effect = at(wheel(step=1e-4), "joint_compliance")
     stiffness = 40.0

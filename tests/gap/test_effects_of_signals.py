@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from loose_env.gap.catalogue import CATALOGUE, candidates
+from loose_env.gap.machine import Machine
 from tests.gap.effect_arms import clock, commands, machine_of, simulate
 
 
@@ -161,3 +162,68 @@ def test_gain_and_bias_leave_the_motion_alone() -> None:
     assert np.allclose(shifted["sensor.shake"] - readings["sensor.shake"], [0.1, -0.2, 0.3])
     for shown in (scaled, shifted):
         assert np.array_equal(shown["sensor.encoder1"], readings["sensor.encoder1"])
+
+
+LATE = """
+<mujoco>
+  <option timestep="0.002" integrator="{integrator}" gravity="0 0 0"/>
+  <worldbody>
+    <body><joint name="pan" axis="0 0 1" armature="0.1"/><geom size=".1" mass="1"/>
+      <body pos="0.4 0 0"><joint name="nod" axis="0 0 1" armature="0.1"/>
+        <geom size=".1" mass="1"/></body></body>
+  </worldbody>
+  <actuator>
+    <position name="m1" joint="pan" kp="60" kv="4"/>
+    <position name="m2" joint="nod" kp="40" kv="3" {motor}/>
+  </actuator>
+  <sensor>
+    <jointpos name="q1" joint="pan"/><jointpos name="q2" joint="nod" {sensor}/>
+  </sensor>
+</mujoco>
+"""
+OWN = {
+    "": 0.0,
+    'delay="0.01" nsample="8"': 0.01,
+    'delay="0.0101" nsample="8"': 0.012,  # held commands are late by whole steps
+    'delay="0.0101" nsample="8" interp="linear"': 0.0101,
+}
+
+
+@pytest.mark.parametrize("integrator", ["implicitfast", "RK4"])
+@pytest.mark.parametrize("own", OWN)
+def test_delays_add_up_in_the_written_model(own: str, integrator: str) -> None:
+    xml = LATE.format(motor=own, sensor="", integrator=integrator)
+    machine = Machine(mujoco.MjSpec.from_string(xml))
+    several = [CATALOGUE["command_delay"](machine, where) for where in ("all", "m2")]
+    time = np.arange(600) * 0.002
+    controls = np.sin(np.outer(time, [7.0, 9.0])) * np.minimum(2 * time, 1.0)[:, None]
+    late, spec = controls, machine.fresh()
+    for effect, delay in zip(several, (0.02, 0.005), strict=True):
+        late = effect.command(time, late, np.array([delay]))
+        effect.export(spec, np.array([delay]))
+    written = mujoco.MjModel.from_xml_string(spec.to_xml())
+    half = 0.001 if integrator == "RK4" else 0.0
+    if not own or integrator != "RK4":
+        assert np.allclose(written.actuator_delay, [0.02 + half, OWN[own] + 0.025 + half])
+    simulated, found = simulate(machine.model, late), simulate(written, controls)
+    without = simulate(machine.model, controls)
+    for name, column in simulated.items():
+        visible = np.abs(column - without[name]).max()
+        assert np.abs(column - found[name]).max() < 0.005 * visible, name
+
+
+@pytest.mark.parametrize("own", OWN)
+def test_delays_of_a_sensor_add_up_in_the_written_model(own: str) -> None:
+    xml = LATE.format(motor="", sensor=own, integrator="implicitfast")
+    machine = Machine(mujoco.MjSpec.from_string(xml))
+    late = CATALOGUE["sensor_delay"](machine, "q2")
+    time = np.arange(600) * 0.002
+    controls = np.sin(np.outer(time, [7.0, 9.0]))
+    simulated, spec = simulate(machine.model, controls), machine.fresh()
+    for delay in (0.02, 0.0053):
+        simulated = late.read(time, simulated, np.array([delay]))
+        late.export(spec, np.array([delay]))
+    assert spec.sensor("q2").delay == pytest.approx(OWN[own] + 0.0253)
+    found = simulate(mujoco.MjModel.from_xml_string(spec.to_xml()), controls)
+    off = np.abs(found["sensor.q2"] - simulated["sensor.q2"])[30:]
+    assert off.max() < 1e-3 * np.abs(np.diff(simulated["sensor.q2"])).max() / 0.002 * 0.02

@@ -48,3 +48,11 @@ def test_of_every_kind_the_best_variant_counts() -> None:
         most=1,
     )
     assert [s.effect.variant for s in found[0]] == ["", ""]
+
+
+def test_what_is_at_all_places_is_no_member_of_a_group() -> None:
+    machine = machine_of("planar")
+    late = [screened(machine, "command_delay", where, 0.3) for where in ("all", "servo1")]
+    assert families(late, most=5) == []
+    (group,) = families([*late, screened(machine, "command_delay", "servo3", 0.2)], most=5)
+    assert [each.effect.where for each in group] == ["servo1", "servo3"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.gap.effects.coulomb_friction import make_it_stick
 from loose_env.gap.finding import GapSettings, find_gap, prepare
 from loose_env.gap.stages import Stages, key_of
+from loose_env.gap.windows import SHORTEST
 from loose_env.recording import Recording, Run, write_recording
 from tests.gap.effect_arms import PLANAR
 
@@ -125,11 +127,60 @@ def test_one_run_cannot_be_split(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"tolerance": 0.0}, {"tolerance": 0.7}, {"held_share": 1.0}, {"most_effects": 0}]
+    ("name", "wrong", "words"),
+    [
+        ("tolerance", 0.0, "a share above 0 and below 0.5"),
+        ("tolerance", 0.7, "a share above 0 and below 0.5"),
+        ("tolerance", "0.1", "a share above 0 and below 0.5"),
+        ("held_share", 1.0, "a share above 0 and below 1"),
+        ("held_share", float("nan"), "a share above 0 and below 1"),
+        ("most_effects", 0, "a whole number, 1 to 30"),
+        ("most_effects", 2.5, "a whole number, 1 to 30"),
+        ("search_seconds", -1.0, "a time above 0 s"),
+        ("search_seconds", 0, "a time above 0 s"),
+        ("fit_seconds", float("nan"), "a time above 0 s"),
+        ("held_seconds", True, "a time above 0 s"),
+        ("seed", -1, "a whole number, 0 or more"),
+        ("seed", 2**63, "a whole number, 0 or more"),
+        ("seed", 1.0, "a whole number, 0 or more"),
+        ("threads", -1, "a whole number, 0 to 10000"),
+        ("kinds", "backlash", "a tuple of words"),
+        ("held_out", (3,), "a tuple of words"),
+    ],
 )
-def test_settings_out_of_range_are_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(InvalidSetting):
-        GapSettings(**wrong)  # type: ignore[arg-type]
+def test_settings_out_of_range_are_refused(name: str, wrong: object, words: str) -> None:
+    with pytest.raises(
+        InvalidSetting, match=rf"^{name} is {words}.*, got {re.escape(repr(wrong))}$"
+    ):
+        GapSettings(**{name: wrong})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("seconds", [1e-3, 0.7])
+def test_a_search_in_less_than_a_window_takes_a_window(tmp_path: Path, seconds: float) -> None:
+    recording = record(tmp_path / "r", lambda spec: None, seed=1, runs=2)
+    settings = GapSettings(threads=1, kinds=("viscous_friction",), search_seconds=seconds)
+    search = prepare(recording, settings).search
+    assert len(search) and search.trials[0].time[-1] >= SHORTEST
+
+
+@pytest.mark.parametrize("form", ["forward", "inverse"])
+def test_an_arm_that_stands_still_leaves_nothing_to_compare(tmp_path: Path, form: str) -> None:
+    time, still = np.arange(1000) * 0.002, np.full(1000, 0.1)
+    swing = 0.1 * np.sin(3 * time) * (form == "inverse")
+    runs = [
+        Run(
+            name=f"run-{k}.csv",
+            time=time,
+            controls={f"servo{j}": still for j in (1, 2, 3)} if form == "forward" else {},
+            torques={f"joint{j}": still for j in (1, 2, 3)} if form == "inverse" else {},
+            sensors={f"encoder{j}": still + swing for j in (1, 2, 3)},
+        )
+        for k in range(2)
+    ]
+    recording = write_recording(tmp_path / "r", model_xml=PLANAR, runs=runs)
+    settings = GapSettings(threads=1, kinds=("viscous_friction",))
+    with pytest.raises(InvalidData, match=r"^nothing is left to compare .*\(run-0\.\w+\).*Record"):
+        prepare(recording, settings)
 
 
 def test_an_interrupted_search_goes_on_where_it_was(tmp_path: Path) -> None:

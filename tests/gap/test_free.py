@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
+import pytest
 
 from loose_env.gap.catalogue import CATALOGUE
 from loose_env.gap.fit import hypothesis_of, parameters_of, sensitivities
@@ -13,7 +16,7 @@ from loose_env.gap.machine import Machine
 from loose_env.gap.parameter import free_of
 from loose_env.gap.start import StartState
 from loose_env.recording import Run
-from tests.gap.recorded_runs import PENDULUM, compared, fitted, pendulum_run
+from tests.gap.recorded_runs import PENDULUM, compared, fitted, measurable, pendulum_run
 
 STARTS = [(1.2, 0.4), (-0.9, 1.5), (0.6, -2.0)]
 
@@ -115,3 +118,19 @@ def test_a_run_at_rest_has_no_start_to_fit() -> None:
     assert position.tolist() == [[0.0], [0.1]] and speed.tolist() == [[0.0], [0.2]]
     free = free_of(parameters_of([starts]), np.array(starts.starts[0]))
     assert np.isfinite(comparison.residuals([hypothesis_of([starts], free)])).all()
+
+
+@pytest.mark.parametrize("lost", [3, 12, 20])
+def test_a_speed_that_is_lost_where_a_run_begins_is_known_as_well_as_it_says(lost: int) -> None:
+    machine = Machine(measurable(mujoco.MjSpec.from_string(PENDULUM)))
+    rng = np.random.default_rng(2)
+    run = pendulum_run(
+        rng, viscous=0.003, coulomb=0.0, start=STARTS[0], noise=1e-5, rate=1000.0, duration=1.0
+    )
+    speed = np.gradient(run.sensors["encoder"], run.time) + rng.normal(0, 1e-2, run.samples)
+    speed[:lost] = np.nan
+    comparison = compared(machine, [replace(run, sensors={**run.sensors, "pivot_vel": speed})])
+    starts = StartState(machine, comparison.trials, comparison.channels)
+    off = abs(comparison.trials[0].speed[0] - STARTS[0][1])
+    assert np.isfinite(starts.spreads).all()
+    assert off < 4 * starts.spreads[0, 1, 0] < 4.0

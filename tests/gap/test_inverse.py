@@ -211,6 +211,18 @@ def test_a_drive_that_gives_more_shows_less() -> None:
     assert abs(found[0][0] - 1.3) < 0.03
 
 
+def test_one_of_two_motors_at_a_joint_is_not_told_by_their_torque() -> None:
+    second = '<motor name="second" joint="joint1" gear="40"/></actuator>'
+    machine = arm(PLANAR.replace("</actuator>", second))
+    comparison = compared(machine, runs_of(machine, machine.model, 1))
+    effects = {e.where: e for e in candidates(machine, ["actuator_gain"]) if not e.variant}
+    assert {name for name, e in effects.items() if comparison.shows(e)} == {"servo2", "servo3"}
+    torque = np.ones(3)
+    for name, factor in (("servo1", 1.0), ("second", 1.0), ("servo2", 0.5)):
+        joint = machine.actuated_joint[name]
+        assert np.allclose(effects[name].sensed_torque(joint, torque, np.array([2.0])), factor)
+
+
 def test_a_late_encoder_is_found() -> None:
     machine = arm(PLANAR)
     runs = []
@@ -244,6 +256,18 @@ def test_which_effects_an_inverse_comparison_shows() -> None:
         "command_delay@all", "actuator_lag@servo1", "sensor_gain@shake",
         "sensor_misalignment@shake", "sensor_bias@joint1_pos",
     }  # fmt: skip
+
+
+def test_a_joint_named_like_its_motor_keeps_its_effects() -> None:
+    machine = arm(SPATIAL)
+    assert set(machine.actuators) <= set(machine.joints)
+    comparison = compared(machine, runs_of(machine, machine.model, 1))
+    shown = {repr(e) for e in candidates(machine) if comparison.shows(e)}
+    assert shown >= {
+        "viscous_friction@lift", "joint_spring@turn", "rotor_inertia@reach", "encoder_offset@roll",
+        "actuator_gain@roll",
+    }  # fmt: skip
+    assert not shown & {"actuator_lag@lift", "command_delay@lift", "actuator_gain@lift (command)"}
 
 
 def test_a_model_led_along_a_motion_needs_what_inverse_dynamics_say() -> None:

@@ -168,3 +168,20 @@ def test_explicit_figures_are_those_of_each_body() -> None:
     spec = nameless.fresh()
     make_explicit(nameless, spec)
     assert np.allclose(spec.compile().body_mass, nameless.model.body_mass)
+
+
+@pytest.mark.filterwarnings("ignore:compiler attribute 'settotalmass' is deprecated")
+@pytest.mark.parametrize("option", ['inertiafromgeom="true"', 'settotalmass="9"'])
+def test_a_factor_on_a_mass_is_that_whatever_the_compiler_makes_of_masses(option: str) -> None:
+    text = NAMED.replace("<mujoco>", f"<mujoco><compiler {option}/>")
+    nominal, model = machine(text), mujoco.MjModel.from_xml_string(text)
+    assert np.allclose(nominal.model.body_mass, model.body_mass)
+    assert np.allclose(nominal.model.body_inertia, model.body_inertia)
+    figures = NominalFigures(nominal, tolerance=0.03)
+    values = np.ones(len(figures.parameters))
+    values[[p.name for p in figures.parameters].index("mass.second")] = 2.0
+    spec = corrected_spec(nominal, [figures], [values])
+    factors = np.ones(model.nbody)
+    factors[model.body("second").id] = 2.0
+    for found in (spec.compile(), mujoco.MjModel.from_xml_string(spec.to_xml())):
+        assert np.allclose(found.body_mass, factors * model.body_mass, rtol=1e-5)

@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from loose_env.gap import parting
+from loose_env.gap.catalogue import CATALOGUE
+from loose_env.gap.comparison import Comparison
 from loose_env.gap.effects.structural_looseness import StructuralLooseness
 from loose_env.gap.finding import GapSettings, find_gap, prepare
 from loose_env.gap.hypothesis import Hypothesis
@@ -17,8 +20,11 @@ from loose_env.gap.joint_motion import joint_motion
 from loose_env.gap.judgement import Judge
 from loose_env.gap.machine import Machine
 from loose_env.gap.nominal import NominalFigures
+from loose_env.gap.parting import parting_runs
 from loose_env.gap.reporting import GapOutputs, gather, outputs_of, result_of
 from loose_env.gap.struck import struck_channels
+from loose_env.gap.trial import channels_of, lay_out
+from loose_env.gap.windows import windowed
 from loose_env.recording import Recording, Run, write_recording
 from loose_env.report.gap_page import render_gap_page
 from tests.gap.effect_arms import PLANAR
@@ -82,6 +88,44 @@ def test_a_sound_arm_is_compared_sample_by_sample(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def struck(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     return record(tmp_path_factory.mktemp("struck") / "recording", loose=True)
+
+
+def shaken(name: str, count: int, rate: float, *, still: int = 0) -> Run:
+    """A run of random commands to the first joint, the last ones all alike; no model made it."""
+    rng = np.random.default_rng(len(name))
+    command = 0.02 * rng.normal(size=count)
+    command[count - still :] = 0.0
+    read = {f"encoder{j}": rng.normal(0, 1e-2, count) for j in (1, 2, 3)}
+    return Run(
+        name=name, time=np.arange(count) / rate, controls={"servo1": command}, sensors=read,
+        excited=("joint1",),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("rate", [50.0, 90.0])
+def test_a_run_too_short_for_features_is_compared_sample_by_sample(
+    rate: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine = Machine(mujoco.MjSpec.from_string(LEVEL), step=1e-3)
+    runs = [
+        shaken("long.csv", 300, rate),
+        shaken("resting.csv", 450, rate, still=240),
+        shaken("short.csv", 150, rate),
+        shaken("unmoved.csv", 300, rate, still=300),
+    ]
+    channels = channels_of(runs)
+    trials = [lay_out(run, machine, channels, step=1e-3) for run in runs]
+    trials[1].measured[230:] *= 5.0  # least like the model where its command rests
+    floors = np.full(len(channels), 1e-5)
+    monkeypatch.setattr(parting, "PARTED", -1.0)  # whatever is drawn anew is enough
+    striking = [CATALOGUE["backlash"](machine, "joint1")]
+    found = parting_runs(machine, trials, channels, floors, striking, threads=1)
+    assert found == {"long.csv", "resting.csv"}
+    comparison = Comparison(machine, trials, channels, floors, threads=1, parting=found)
+    short = windowed(comparison, 6.0)
+    by_features = {short.trials[t].name for t in short.features}
+    assert by_features == found & {trial.name for trial in short.trials}
+    assert all(len(short.trials[t].time) >= 200 for t in short.features)
 
 
 def test_struck_stops_are_compared_by_features(struck: Recording) -> None:

@@ -10,18 +10,25 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from loose_env.gap.activations import activations
 from loose_env.gap.catalogue import CATALOGUE
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.hypothesis import Hypothesis
+from loose_env.gap.joint_motion import joint_motion
+from loose_env.gap.locate import locate
 from loose_env.gap.machine import Machine
 from loose_env.gap.proposals import missing_torque, proposals
 from loose_env.gap.simulator import Simulator
 from loose_env.gap.trial import Channel, Trial, channels_of, lay_out
-from loose_env.recording import Recording
+from loose_env.recording import Recording, Run, write_recording
 from tests.gap.effect_arms import PLANAR
 from tests.gap.gap_case import DAMPING, MODEL, STEP, record
 
 Array = NDArray[np.float64]
+SERVO = (
+    '<general name="servo2" joint="joint2" gainprm="1000" biastype="affine" '
+    'biasprm="0 -1000 -40" dyntype="{}"/>'
+)
 NOTHING = Hypothesis(effects=(), values=())
 
 
@@ -74,6 +81,92 @@ def test_a_ripple_finds_its_own_period(tmp_path: Path, periods: float) -> None:
     nearest = min(starts, key=lambda start: abs(start[1] - periods))
     assert nearest[1] == pytest.approx(periods, abs=1.0)
     assert nearest[0] == pytest.approx(4.0, rel=0.35)
+
+
+SLOW = 'kp="1000" kv="40" ctrlrange="-2 2"'
+
+
+def slowed(folder: Path, dynamics: str) -> Recording:
+    """A recording of an arm that is its model: the second servo has dynamics of its own."""
+    xml = MODEL.replace(f'<position name="servo2" joint="joint2" {SLOW}/>', SERVO.format(dynamics))
+    assert xml != MODEL
+    model, rng = mujoco.MjModel.from_xml_string(xml), np.random.default_rng(4)
+    time, runs = np.arange(1000) * STEP, []
+    for number in range(2):
+        data = mujoco.MjData(model)
+        controls = 0.4 * np.sin(np.outer(time, [2.0 + number, 4.0, 6.0 - number]))
+        controls *= np.minimum(2 * time, 1.0)[:, None]
+        shown = np.zeros((len(time), 3))
+        for row, command in zip(shown, controls, strict=True):
+            row[:] = data.qpos
+            data.ctrl[:] = command
+            mujoco.mj_step(model, data)
+        shown += rng.normal(0, 1e-5, shown.shape)
+        commands = {f"servo{j + 1}": controls[:, j] for j in range(3)}
+        sensors = {f"encoder{j + 1}": shown[:, j] for j in range(3)}
+        name = f"run-{number}.csv"
+        runs.append(Run(name=name, time=time, controls=commands, sensors=sensors))
+    return write_recording(folder, model_xml=xml, runs=runs, file_format="csv")
+
+
+@pytest.mark.parametrize("dynamics", ['filter" dynprm="0.05', 'filterexact" dynprm="0.05'])
+def test_no_torque_is_missing_behind_a_filter_that_the_model_has(
+    dynamics: str, tmp_path: Path
+) -> None:
+    comparison = compared(slowed(tmp_path / "r", dynamics))
+    found = missing_torque(comparison, NOTHING)
+    assert found is not None
+    trial = comparison.trials[0]
+    motion = joint_motion(comparison.machine, trial, comparison.channels, comparison.floors)
+    for missing in (found[3][:, 1], motion.missing[:, 1]):
+        assert np.nanstd(missing) < 0.05 * np.nanstd(motion.load[:, 1])
+    assert np.nanstd(motion.load[:, 1]) > 5.0
+
+
+@pytest.mark.parametrize("dynamics", ["integrator", 'muscle" dynprm="0.01 0.04'])
+def test_what_an_actuator_of_unknown_state_gave_is_not_known(dynamics: str, tmp_path: Path) -> None:
+    comparison = compared(slowed(tmp_path / "r", dynamics))
+    ripple = CATALOGUE["torque_ripple"](comparison.machine, "joint1")
+    assert missing_torque(comparison, NOTHING) is None
+    assert proposals(comparison, NOTHING, [ripple]) == {}
+    assert ripple.starts
+    trial = comparison.trials[0]
+    motion = joint_motion(comparison.machine, trial, comparison.channels, comparison.floors)
+    assert np.isnan(motion.missing).all() and np.isfinite(motion.load).all()
+    rows = comparison.rows
+    residual = np.random.default_rng(1).normal(size=len(comparison))
+    one = np.flatnonzero(rows.trial == 0)
+    assert len(one) and not locate(
+        residual, rows, comparison.trials, comparison.channels,
+        [joint_motion(comparison.machine, t, comparison.channels, comparison.floors)
+         for t in comparison.trials],
+    ).joints  # fmt: skip
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "RK4"])
+@pytest.mark.parametrize("limits", ["", 'actlimited="true" actrange="-0.2 0.3"'])
+@pytest.mark.parametrize("filter", ["filter", "filterexact"])
+def test_activations_are_those_of_the_simulation(integrator: str, limits: str, filter: str) -> None:
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><option timestep="0.002" integrator="{integrator}"/>
+        <worldbody><body><joint name="j"/><geom size="0.1"/></body></worldbody>
+        <actuator>
+          <motor joint="j"/>
+          <general joint="j" dyntype="{filter}" dynprm="0.03" ctrlrange="-0.5 0.5" {limits}/>
+        </actuator></mujoco>"""
+    )
+    controls = np.random.default_rng(2).uniform(-1, 1, (200, 2)).repeat(5, axis=0)
+    controls[0] = 0.0
+    data, shown = mujoco.MjData(model), []
+    for command in controls:
+        shown.append(data.act[0])
+        data.ctrl[:] = command
+        mujoco.mj_step(model, data)
+    found = activations(model, controls, 0.002)
+    held = np.array(shown[:-1])
+    if integrator == "RK4":  # it moves within a step
+        held = (held + np.array(shown[1:])) / 2
+    assert found is not None and found[:-1, 0] == pytest.approx(held, abs=1e-6)
 
 
 def test_effects_that_do_not_search_are_left_to_their_own_starts(tmp_path: Path) -> None:

@@ -93,7 +93,7 @@ def test_what_is_written_reads_back_and_carries_the_effects(
     assert model.dof_damping[dof] == pytest.approx(nominal.dof_damping[dof] + DAMPING)
     assert "viscous_friction at joint2: damping 3 N·m·s/rad" in written[0].read_text("utf-8")
     assert read_result(tmp_path) == type(result).from_json(result.to_json())
-    assert f'data.sensor("rate3").data *= {GAIN}' in json.loads(written[1].read_text())["code"]
+    assert f"data.sensor('rate3').data *= {GAIN}" in json.loads(written[1].read_text())["code"]
 
 
 def test_a_recording_reads_with_the_written_model_in_place_of_its_own(
@@ -108,6 +108,39 @@ def test_unexplained_says_where_what_is_left_lives(outputs: GapOutputs, evidence
     halfway = replace(outputs, verdict="unexplained", effects=())
     said = result_of(halfway, evidence).where_it_lives
     assert not any("joint2 got" in words for words in said)
+
+
+def test_what_the_corrected_model_has_without_its_being_named_is_told(
+    outputs: GapOutputs, evidence: Evidence, tmp_path: Path
+) -> None:
+    nameless = replace(outputs, verdict="unexplained", effects=())
+    result = result_of(nameless, evidence)
+    assert result.effects == ()
+    (told,) = [words for words in result.warnings if "without its being named" in words]
+    assert "viscous_friction at joint2: damping 3 N·m·s/rad" in told
+    assert "sensor_gain at rate3: gain 1.25 (not in model.xml: see result.json, code)" in told
+    file, _ = write_model_and_result(tmp_path, nameless, result)
+    head = file.read_text("utf-8").split("-->")[0]
+    assert "On top of the nominal model, without being named" in head
+    assert "On top of the nominal model:" not in head
+    assert "viscous_friction at joint2: damping 3 N·m·s/rad" in head
+    dof = outputs.machine.model.joint("joint2").dofadr[0]
+    model = mujoco.MjModel.from_xml_path(str(file))
+    assert model.dof_damping[dof] > 1.0 + outputs.machine.model.dof_damping[dof]
+
+
+def test_what_is_named_is_not_told_of_as_nameless(
+    outputs: GapOutputs, evidence: Evidence, tmp_path: Path
+) -> None:
+    assert outputs.nameless == ()
+    result = result_of(outputs, evidence)
+    assert not any("without its being named" in words for words in result.warnings)
+    bare = replace(outputs, verdict="unexplained", effects=(), best=outputs.base)
+    assert bare.nameless == ()
+    bare_result = result_of(bare, evidence)
+    assert not any("without its being named" in words for words in bare_result.warnings)
+    head = write_model_and_result(tmp_path, bare, bare_result)[0].read_text("utf-8")
+    assert "No effect was added to the nominal model." in head and "On top of" not in head
 
 
 def test_what_is_left_after_the_named_effects_is_told_with_its_place(

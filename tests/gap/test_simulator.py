@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.hypothesis import Hypothesis
+from loose_env.gap.export import corrected_spec
+from loose_env.gap.hypothesis import Hypothesis, compiled
 from loose_env.gap.machine import Machine
+from loose_env.gap.preparing import GapSettings, prepare
+from loose_env.gap.rest import SETTLE
 from loose_env.gap.simulator import Simulator
 from loose_env.gap.trial import Channel, Trial
+from loose_env.recording import Run, write_recording
 from tests.gap.effect_arms import PLANAR
 
 Array = NDArray[np.float64]
@@ -99,3 +105,138 @@ def test_accelerations_are_read_at_the_sample_though_commands_change_within_the_
     off = np.sqrt(np.mean((shown - expected) ** 2, axis=0))
     assert np.all(off[:3] < 0.001 * visible[:3]), (off / visible).round(3)
     assert np.all(off[3:] < 0.05 * visible[3:]), (off / visible).round(3)
+
+
+GEARED = """
+<mujoco>
+  <option timestep="0.001" gravity="0 0 0"/>
+  <worldbody>
+    <site name="wall" pos="0 0.3 0.1"/>
+    <body name="upper">
+      <joint name="shoulder" axis="0 1 0" damping="3"/><geom size=".1"/>
+      <body name="fore" pos="0 0 0.3">
+        <joint name="elbow" axis="0 1 0" damping="3"/><geom size=".1"/>
+        <site name="wrist" pos="0 0 0.2"/>
+        <body name="hand" pos="0 0 0.3">
+          <joint name="rail" type="slide" axis="0 1 0" damping="3"/><geom size=".1"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <tendon>
+    <fixed name="both"><joint joint="shoulder" coef="2"/><joint joint="elbow" coef="-1"/></fixed>
+    <spatial name="rope"><site site="wall"/><site site="wrist"/></spatial>
+  </tendon>
+  <actuator>
+    <motor name="coupled" tendon="both" gear="3"/>
+    <motor name="outer" jointinparent="shoulder" gear="5"/>
+    <motor name="pusher" joint="rail" gear="7"/>
+    {more}
+  </actuator>
+  <sensor><jointpos name="encoder" joint="shoulder"/></sensor>
+</mujoco>
+"""
+CHANGING = {
+    '<motor tendon="rope"/>': ("shoulder", "elbow"),
+    '<motor site="wrist" gear="1 0 0 0 0 0"/>': ("shoulder", "elbow"),
+    '<adhesion body="upper" ctrlrange="0 1"/>': ("shoulder",),
+}
+
+
+def geared(more: str = "") -> Machine:
+    return Machine(mujoco.MjSpec.from_string(GEARED.format(more=more)))
+
+
+def test_forces_of_tendons_count_as_torque_on_the_joints_they_pull() -> None:
+    machine = geared()
+    names = ("shoulder", "elbow", "rail")
+    assert machine.with_changing_gears == ()
+    assert machine.actuated_joint == {"outer": "shoulder", "pusher": "rail"}
+    time = np.arange(200) * STEP
+    controls = np.sin(np.outer(time, [9.0, 13.0, 17.0]))
+    trial = Trial(
+        name="run", form="forward", time=time, measured=np.zeros((200, 3)), step=STEP, steps=200,
+        controls=controls, position=np.zeros(3), speed=np.zeros(3), resting=False,
+    )  # fmt: skip
+    channels = tuple(Channel(f"torque.{name}") for name in names)
+    found = Simulator(machine, [trial], channels, threads=1).predict(
+        [Hypothesis(effects=(), values=())]
+    )[0][0]
+    data = mujoco.MjData(machine.model)
+    for k in range(200):
+        data.ctrl[:] = controls[k]
+        mujoco.mj_forward(machine.model, data)
+        assert np.allclose(found[k], data.qfrc_actuator)
+        mujoco.mj_step(machine.model, data)
+
+
+@pytest.mark.parametrize("more", CHANGING)
+def test_joints_are_known_whose_lever_changes_with_the_pose(more: str) -> None:
+    assert geared(more).with_changing_gears == CHANGING[more]
+
+
+def test_a_torque_that_no_simulation_tells_is_left_out_and_said(tmp_path: Path) -> None:
+    more = '<motor name="winch" tendon="rope"/>'
+    rng, time = np.random.default_rng(2), np.arange(400) * STEP
+    runs = []
+    for k in range(3):
+        sensors = {"encoder": 1e-3 * rng.normal(size=400) + np.sin(5 * time)}
+        runs.append(
+            Run(
+                name=f"run-{k}.csv", time=time,
+                controls={"coupled": np.sin(7 * time), "winch": 0 * time},
+                sensors=sensors,
+                torques={joint: rng.normal(size=400) for joint in ("shoulder", "rail")},
+            )
+        )  # fmt: skip
+    xml = GEARED.format(more=more)
+    recording = write_recording(tmp_path / "r", model_xml=xml, runs=runs, file_format="csv")
+    prepared = prepare(recording, GapSettings(threads=1, kinds=("viscous_friction",)))
+    rows = prepared.search.rows
+    compared = {prepared.search.channels[k].column for k in np.unique(rows.channel)}
+    assert compared == {"sensor.encoder", "torque.rail"}
+    (said,) = [line for line in prepared.warnings if line.startswith("torque.shoulder: ")]
+    assert "left out of the runs that are simulated" in said
+
+
+def test_a_delay_of_the_model_stays_at_a_finer_step() -> None:
+    late = '<position name="servo2" delay="0.01" nsample="12"'
+    spec = mujoco.MjSpec.from_string(PLANAR.replace('<position name="servo2"', late))
+    machine = Machine(spec, step=0.00025)
+    model = Hypothesis(effects=(), values=()).model(machine, 0.000125)
+    data, shown = mujoco.MjData(model), []
+    for _ in range(100):
+        data.ctrl[1] = 1.0
+        mujoco.mj_step(model, data)
+        shown.append(abs(data.actuator_force[1]) > 100.0)
+    assert shown.index(True) == pytest.approx(80, abs=1)
+    assert corrected_spec(machine, [], []).actuators[1].nsample >= 40
+
+
+def test_a_delay_of_the_model_holds_after_it_came_to_rest() -> None:
+    late = '<position name="servo2" delay="0.01" nsample="12"'
+    spec = mujoco.MjSpec.from_string(PLANAR.replace('<position name="servo2"', late))
+    machine, trial = Machine(spec, step=STEP), recorded()
+    simulator = Simulator(machine, [trial], CHANNELS[:3], threads=1)
+    shown = simulator.predict([Hypothesis(effects=(), values=())])[0][0]
+    data = mujoco.MjData(machine.model)
+    for _ in range(round(SETTLE / STEP)):
+        data.ctrl[:] = trial.controls[0]
+        mujoco.mj_step(machine.model, data)
+    for command, row in zip(trial.controls, shown, strict=True):
+        data.ctrl[:] = command
+        mujoco.mj_step(machine.model, data)
+        assert np.allclose(row, data.sensordata[:3], atol=1e-6)
+
+
+def test_no_word_on_inertias_that_are_tried(recwarn: pytest.WarningsRecorder) -> None:
+    spec = mujoco.MjSpec()
+    link = spec.worldbody.add_body(name="link")
+    link.add_geom(size=[0.1, 0, 0])
+    for name in ("first", "second"):  # on one axis, with nothing in between
+        link.add_joint(name=name, axis=[0, 1, 0])
+    assert compiled(spec).nv == 2
+    assert not recwarn.list
+    spec.worldbody.add_joint(name="wrong")
+    with pytest.raises(ValueError):
+        compiled(spec)

@@ -30,6 +30,14 @@ def test_runs_that_only_a_number_tells_apart_are_no_family(names: list[str]) -> 
     assert split_runs(names) == ([0, 1, 2, 4, 5, 6], [3, 7])
 
 
+@pytest.mark.parametrize("share", [0.6, 0.8, 0.9, 0.99])
+@pytest.mark.parametrize("count", [2, 3, 5])
+def test_a_large_share_leaves_a_run_to_fit_to(share: float, count: int) -> None:
+    fitted, held = split_runs([f"run-{k}.csv" for k in range(count)], share=share)
+    assert fitted and held
+    assert sorted(fitted + held) == list(range(count))
+
+
 def test_runs_to_hold_out_can_be_named() -> None:
     names = ["swing_slow.csv", "hold.csv", "swing_fast.csv"]
     assert split_runs(names, held_out=["swing"]) == ([1], [0, 2])

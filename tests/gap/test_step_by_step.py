@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.gap.catalogue import CATALOGUE
 from loose_env.gap.explaining import explain_gap
 from loose_env.gap.preparing import GapSettings
 from loose_env.gap.result import GapResult, read_result
@@ -101,6 +102,25 @@ def test_what_cannot_be_tried_is_refused(steps: GapSteps) -> None:
 
     with pytest.raises(InvalidData, match="idle@elbow changes nothing"):
         steps.try_effect(Idle, "elbow")
+
+
+def test_a_second_one_is_tried_beside_the_first(recording: Recording) -> None:
+    steps = GapSteps(recording, SETTINGS)
+    for _ in range(2):
+        tried = steps.try_effect("torque_ripple", "elbow", start=[0.5, 2.0, 0.0])
+        steps.add(tried)
+    assert [repr(effect) for effect in steps.added] == ["torque_ripple@elbow"] * 2
+
+
+def test_there_is_no_room_for_a_second_spring_at_a_joint(
+    steps: GapSteps, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spring = CATALOGUE["joint_compliance"](steps.machine, "elbow")
+    monkeypatch.setattr(GapSteps, "added", (spring,))
+    with pytest.raises(InvalidSetting, match=r"^joint_compliance@elbow was added already, .*other"):
+        steps.try_effect("joint_compliance", "elbow")
+    with pytest.raises(InvalidSetting, match="added already"):
+        steps.try_effect(spring)
 
 
 @pytest.fixture(scope="module")

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import html
+import io
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("jinja2")
@@ -18,6 +21,7 @@ from loose_env.gap.result import Gap, GapResult, NamedEffect, Place, Ranked
 from loose_env.gap.separating import how_to_separate
 from loose_env.gap.unseen import Alike, Identifiability, Unseen, identifiability_words
 from loose_env.report import gap_report
+from loose_env.report.gap_figures import channel_bars, residual_panels
 from loose_env.report.gap_page import render_gap_page, write_gap_page
 from loose_env.report.gap_report import write_outputs
 from loose_env.report.gap_words import (
@@ -108,7 +112,7 @@ def test_words_stand_before_figures_in_the_order_of_the_questions(page: str) -> 
 
 def test_the_code_and_the_motion_that_separates_stand_at_the_end(page: str) -> None:
     end = page[page.index("What to do next") :]
-    assert "data.sensor(&#34;rate3&#34;).data *= 1.25" in end
+    assert "data.sensor(&#39;rate3&#39;).data *= 1.25" in end
     advice = how_to_separate("viscous_friction", "joint2", "actuator_gain", "servo2")
     assert advice[1:40] in end
     assert end.count("<li>") == 3
@@ -151,6 +155,60 @@ def test_without_the_extra_model_and_result_are_written_and_it_is_said(
     assert any("no report.html" in line for line in said) and result.verdict == "named"
 
 
+@pytest.mark.parametrize("name", ["q$1$", r"$\no{such$", "two $ and $"])
+def test_a_name_with_dollar_signs_is_drawn_as_it_is(name: str) -> None:
+    values = np.linspace(-1, 1, 50)
+    import matplotlib
+
+    panels = [(f"position of {name} [rad]", values)]
+    for figure in (
+        channel_bars({f"sensor.{name}": (3.0, 1.0)}),
+        residual_panels(panels, values, values, floor=0.1, label=f"[{name}]"),
+    ):
+        drawn = io.StringIO()
+        with matplotlib.rc_context({"svg.fonttype": "none"}):
+            figure.savefig(drawn, format="svg")
+        texts = re.sub("<!--.*?-->", "", drawn.getvalue(), flags=re.DOTALL)
+        assert name in html.unescape(texts)
+
+
+def test_a_page_that_fails_takes_neither_model_nor_result_along(
+    outputs: GapOutputs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise ValueError("no such glyph")
+
+    monkeypatch.setattr(gap_report, "write_gap_page", fail)
+    (tmp_path / "report.html").write_text("of an earlier run")
+    said: list[str] = []
+    _, written = write_outputs(tmp_path, outputs, say=said.append)
+    assert [path.name for path in written] == ["model.xml", "result.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["model.xml", "result.json"]
+    assert "no report.html: ValueError: no such glyph" in said
+
+
+def test_an_earlier_result_stays_until_another_one_is_there(
+    outputs: GapOutputs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise ValueError("no memory")
+
+    monkeypatch.setattr(gap_report, "gather", fail)
+    (tmp_path / "result.json").write_text("{}")
+    with pytest.raises(ValueError, match="no memory"):
+        write_outputs(tmp_path, outputs)
+    assert (tmp_path / "result.json").read_text() == "{}"
+
+
+def test_what_the_model_has_without_its_being_named_stands_on_the_page(
+    outputs: GapOutputs, evidence: Evidence
+) -> None:
+    other = replace(outputs, verdict="unexplained", effects=(), ranking=())
+    page = render_gap_page(other, evidence, result_of(other, evidence))
+    told = page.index("without its being named: viscous_friction at joint2: damping 3")
+    assert 0 < told < page.index("<svg")
+
+
 def result(verdict: str, **given: object) -> GapResult:
     gap = given.pop("gap", Gap(before=4.0, after=1.1))
     return GapResult(verdict=verdict, gap=gap, **given)  # type: ignore[arg-type]
@@ -164,6 +222,12 @@ def test_words_follow_the_verdict_and_the_size() -> None:
     assert "still there" in size_words(wide)[0]
     assert "not closed" in size_words(result("named", gap=Gap(before=9.0, after=3.0)))[0]
     assert effect_words("payload", "tool") == "a payload at the tool"
+    assert effect_words("base_tilt", "base") == "a tilted base"
+    assert effect_words("command_delay", "all") == "late commands at all actuators"
+    # Joints may have such names, too.
+    assert effect_words("coulomb_friction", "base") == "dry friction (base)"
+    assert effect_words("backlash", "tool") == "backlash (tool)"
+    assert effect_words("sensor_gain", "all") == "a sensor whose scale is off (all)"
     assert effect_words("own_effect", "joint1") == "own effect (joint1)"
     steps = next_steps(result("unexplained", where_it_lives=("joint1 got 3 N·m.",)))
     assert steps[0] == "Look here: joint1 got 3 N·m."

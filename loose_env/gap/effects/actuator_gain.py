@@ -30,6 +30,7 @@ class ActuatorGain(Effect):
     """
 
     kind = "actuator_gain"
+    acts_on: ClassVar[str] = "actuator"
     variants: ClassVar[tuple[str, ...]] = ("", "command", "servo")
     nothing: ClassVar[tuple[float, ...] | None] = (1.0,)
 
@@ -73,7 +74,13 @@ class ActuatorGain(Effect):
             actuator.forcerange = gain * np.array(actuator.forcerange)
 
     def sensed_torque(self, joint: str, torque: Array, values: Array) -> Array:
-        """A stronger drive shows less torque for the same."""
-        if self.variant == "command" or self.machine.actuated_joint.get(self.where) != joint:
+        """A stronger drive shows less torque for the same.
+
+        Not where it is one of several at the joint: a torque alone does not say what each gave.
+        """
+        machine = self.machine
+        if self.variant == "command" or machine.actuated_joint.get(self.where) != joint:
+            return torque
+        if np.count_nonzero(machine.gears(joint)) != 1 or joint in machine.with_changing_gears:
             return torque
         return torque / float(values[0])

@@ -30,6 +30,7 @@ class ActuatorLag(Effect):
     """
 
     kind = "actuator_lag"
+    acts_on: ClassVar[str] = "actuator"
     nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
     shifts: ClassVar[bool] = True
 

@@ -27,6 +27,7 @@ class BaseTilt(Effect):
     """
 
     kind = "base_tilt"
+    acts_on: ClassVar[str] = "arm"
     adds_up: ClassVar[bool] = True
 
     @classmethod

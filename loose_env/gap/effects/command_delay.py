@@ -13,7 +13,7 @@ from loose_env.gap.effect import Effect
 from loose_env.gap.machine import Machine
 from loose_env.gap.parameter import Parameter
 
-__all__ = ["CommandDelay", "history_for"]
+__all__ = ["CommandDelay", "held_delay", "history_for"]
 
 Array = NDArray[np.float64]
 
@@ -31,6 +31,7 @@ class CommandDelay(Effect):
     """
 
     kind = "command_delay"
+    acts_on: ClassVar[str] = "actuator"
     nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
     shifts: ClassVar[bool] = True
 
@@ -71,17 +72,15 @@ class CommandDelay(Effect):
         return late
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Give the actuators a history and a delay."""
-        delay = float(values[0])
-        if delay <= 0:
+        """Give the actuators a history and a delay, on top of the delay that they have."""
+        if values[0] <= 0:
             return
-        if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
-            # It reads the history within the step too, on average half a step later.
-            delay += 0.5 * spec.option.timestep
         for number in self._numbers:
             actuator = spec.actuators[number]
+            delay = _as_line(actuator, spec.option) + float(values[0])
             actuator.delay, actuator.interp = delay, _LINEAR
-            actuator.nsample = history_for(delay, spec.option.timestep)
+            needed = history_for(delay, spec.option.timestep)
+            actuator.nsample = max(needed, int(actuator.nsample))
 
     @property
     def _numbers(self) -> list[int]:
@@ -89,6 +88,30 @@ class CommandDelay(Effect):
         if self.where == "all":
             return list(range(len(actuators)))
         return [actuators.index(self.where)]
+
+
+def _as_line(actuator: mujoco.MjsActuator, option: mujoco.MjOption) -> float:
+    """Delay [s] with straight lines between commands that does what an actuator's own does."""
+    own, step = float(actuator.delay), float(option.timestep)
+    if own > 0 and actuator.interp:
+        return own
+    if option.integrator != mujoco.mjtIntegrator.mjINT_RK4:
+        return held_delay(own, step)
+    # It reads the history within the step too: lines on average half a step later, held commands
+    # as they are at its beginning, middle and end, which weigh 1, 4 and 1 sixths.
+    stages = ((0.0, 1 / 6), (0.5, 4 / 6), (1.0, 1 / 6))
+    return sum(share * held_delay(own - at * step, step) for at, share in stages) + 0.5 * step
+
+
+def held_delay(delay: float, step: float) -> float:
+    """How late a history shows what it holds from sample to sample [s]: whole steps, rounded up.
+
+    Examples
+    --------
+    >>> held_delay(0.0101, 0.002)
+    0.012
+    """
+    return max(ceil(delay / step - 1e-9), 0) * step
 
 
 def history_for(delay: float, step: float) -> int:

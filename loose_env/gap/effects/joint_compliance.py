@@ -64,7 +64,7 @@ class SplitJoint(JointEffect):
         keep_motor_side(self.machine, spec, self.where, self.carried)
         return add_extra_joint(
             spec.body(self.machine.body_of(self.where)),
-            added_name(self.where, self.kind),
+            added_name(spec, self.where, self.kind),
             turns=self.machine.turns(self.where),
             axis=self.machine.model.jnt_axis[number],
             pos=self.machine.model.jnt_pos[number],

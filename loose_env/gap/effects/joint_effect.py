@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import pi
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -18,6 +19,8 @@ Array = NDArray[np.float64]
 
 class JointEffect(Effect):
     """An effect that can be at every joint."""
+
+    acts_on: ClassVar[str] = "joint"
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
@@ -60,15 +63,27 @@ def angle_unit(joint: mujoco.MjsJoint) -> float:
     return pi / 180 if joint.type == mujoco.mjtJoint.mjJNT_HINGE and joint.compiler.degree else 1.0
 
 
-def added_name(where: str, kind: str) -> str:
-    """Name of what an effect adds to the model.
+def added_name(spec: mujoco.MjSpec, where: str, kind: str) -> str:
+    """Name of what an effect adds to a model, one that nothing in it has.
+
+    A corrected model that is compared again has what was added before, and an effect may be there
+    twice.
 
     Examples
     --------
-    >>> added_name("joint2", "backlash")
+    >>> spec = mujoco.MjSpec()
+    >>> added_name(spec, "joint2", "backlash")
     'joint2_backlash'
+    >>> _ = spec.worldbody.add_joint(name="joint2_backlash")
+    >>> added_name(spec, "joint2", "backlash")
+    'joint2_backlash_2'
     """
-    return f"{where}_{kind}"
+    several = (spec.bodies, spec.joints, spec.sites, spec.actuators)
+    taken = {element.name for elements in several for element in elements}
+    name, again = f"{where}_{kind}", 2
+    while name in taken:
+        name, again = f"{where}_{kind}_{again}", again + 1
+    return name
 
 
 def fitted_rate(regressor: Array, torque: Array) -> float:

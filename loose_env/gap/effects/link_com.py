@@ -29,6 +29,7 @@ class LinkCom(Effect):
     """
 
     kind = "link_com"
+    acts_on: ClassVar[str] = "link"
     adds_up: ClassVar[bool] = True
 
     @classmethod

@@ -49,6 +49,7 @@ class LinkFlexibility(Effect):
     """
 
     kind = "link_flexibility"
+    acts_on: ClassVar[str] = "link"
     limit: ClassVar[tuple[tuple[str, str], ...]] = (("stiffness", "high"),)
     adds_motion: ClassVar[bool] = True
     sharp: ClassVar[bool] = True
@@ -110,42 +111,42 @@ class LinkFlexibility(Effect):
         damping = 2 * ratio * sqrt(stiffness * self._figures[0])
         self._cut(spec, stiffness, damping, place)
 
-    @property
-    def _name(self) -> str:
-        return added_name(self.where, f"{self.kind}_{self.variant}" if self.variant else self.kind)
-
-    def _cut(self, spec: mujoco.MjSpec, stiffness: float, damping: float, share: float) -> None:
+    def _cut(self, spec: mujoco.MjSpec, stiffness: float, damping: float, share: float) -> str:
+        """Cut the link; return the name of the far part and of its hinge."""
+        kind = f"{self.kind}_{self.variant}" if self.variant else self.kind
+        name = added_name(spec, self.where, kind)
         whole = inertial_of(self.machine, spec, self.where)
         near, far = parts(whole, self._along, self._length, share)
         old, here = spec.body(self.where), self._start + share * self._length * self._along
-        new = old.add_body(name=self._name, pos=here)
+        new = old.add_body(name=name, pos=here)
         move_children(self.machine, spec, old, new, self._along)
         move_sites(self.machine, spec, old, new, self._along)
         move_geoms(spec, old, new, self._along)
         set_inertial(self.machine, spec, self.where, near)
         place = far.centre - here
-        set_inertial(self.machine, spec, self._name, Inertial(far.mass, place, far.tensor))
+        set_inertial(self.machine, spec, name, Inertial(far.mass, place, far.tensor))
         add_extra_joint(
             new,
-            self._name,
+            name,
             turns=True,
             axis=self._axis,
             pos=np.zeros(3),
             stiffness=stiffness,
             damping=damping,
         )
+        return name
 
     @cached_property
     def _figures(self) -> tuple[float, float]:
         """What the hinge carries [kg·m²], and its inverse weight with all joints free."""
         spec = self.machine.fresh()
-        self._cut(spec, 0.0, 0.0, _MIDDLE)
+        name = self._cut(spec, 0.0, 0.0, _MIDDLE)
         model = spec.compile()
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         mass = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, mass)
-        dof = int(model.joint(self._name).dofadr[0])
+        dof = int(model.joint(name).dofadr[0])
         return float(mass[dof, dof]), float(model.dof_invweight0[dof])
 
 

@@ -28,6 +28,7 @@ class LinkMass(Effect):
     """Mass added to a link where its own lies; its inertia grows in proportion."""
 
     kind = "link_mass"
+    acts_on: ClassVar[str] = "link"
     nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
 
     @classmethod

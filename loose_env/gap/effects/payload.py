@@ -26,6 +26,7 @@ class Payload(Effect):
     """A small body at the tool's site; without a site, at the end of the last link."""
 
     kind = "payload"
+    acts_on: ClassVar[str] = "arm"
     nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
 
     @classmethod
@@ -64,7 +65,7 @@ class Payload(Effect):
         else:
             name, place = _outermost(self.machine)
             carrier = spec.body(name)
-        body = carrier.add_body(name=added_name("tool", self.kind), pos=place)
+        body = carrier.add_body(name=added_name(spec, "tool", self.kind), pos=place)
         body.mass, body.ipos = mass, [0, 0, 0]
         body.inertia = [mass * (_RADIUS * reach_of(self.machine)) ** 2] * 3
         body.explicitinertial = True

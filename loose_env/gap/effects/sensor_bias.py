@@ -23,6 +23,7 @@ class SensorBias(Effect):
     """A constant on what a sensor shows, one for each axis; servos see the joint itself."""
 
     kind = "sensor_bias"
+    acts_on: ClassVar[str] = "sensor"
     in_model: ClassVar[bool] = False
     adds_up: ClassVar[bool] = True
 
@@ -62,4 +63,4 @@ class SensorBias(Effect):
 
     def code(self, values: Array) -> str:
         """One line: the reading plus the bias."""
-        return f'data.sensor("{self.where}").data += {[float(v) for v in values]}'
+        return f"data.sensor({self.where!r}).data += {[float(v) for v in values]}"

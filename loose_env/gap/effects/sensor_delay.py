@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.effect import Effect, Readings
-from loose_env.gap.effects.command_delay import history_for
+from loose_env.gap.effects.command_delay import held_delay, history_for
 from loose_env.gap.effects.sensor_kinds import column_of
 from loose_env.gap.machine import Machine
 from loose_env.gap.parameter import Parameter
@@ -29,6 +29,7 @@ class SensorDelay(Effect):
     """
 
     kind = "sensor_delay"
+    acts_on: ClassVar[str] = "sensor"
     nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
     shifts: ClassVar[bool] = True
 
@@ -57,13 +58,13 @@ class SensorDelay(Effect):
         return {**readings, column: late}
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Give the sensor a history and a delay."""
-        delay = float(values[0])
-        if delay <= 0:
+        """Give the sensor a history and a delay, on top of the delay that it has."""
+        if values[0] <= 0:
             return
-        sensor = spec.sensor(self.where)
-        sensor.delay, sensor.interp = delay, 1
-        sensor.nsample = history_for(delay, spec.option.timestep)
+        sensor, step = spec.sensor(self.where), float(spec.option.timestep)
+        own = float(sensor.delay) if sensor.interp else held_delay(float(sensor.delay), step)
+        sensor.delay, sensor.interp = own + float(values[0]), 1
+        sensor.nsample = max(history_for(sensor.delay, step), int(sensor.nsample))
 
 
 def delayed(time: Array, values: Array, delay: float, *, axis: int = -1) -> Array:

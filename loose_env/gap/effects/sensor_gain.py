@@ -24,6 +24,7 @@ class SensorGain(Effect):
     """A factor on what a sensor shows; servos see the joint itself."""
 
     kind = "sensor_gain"
+    acts_on: ClassVar[str] = "sensor"
     in_model: ClassVar[bool] = False
     nothing: ClassVar[tuple[float, ...] | None] = (1.0,)
 
@@ -55,4 +56,4 @@ class SensorGain(Effect):
 
     def code(self, values: Array) -> str:
         """One line: the reading times the gain."""
-        return f'data.sensor("{self.where}").data *= {float(values[0])!r}'
+        return f"data.sensor({self.where!r}).data *= {float(values[0])!r}"

@@ -24,6 +24,7 @@ class SensorMisalignment(Effect):
     """The sensor's site is turned by a rotation vector, given in the site's own frame."""
 
     kind = "sensor_misalignment"
+    acts_on: ClassVar[str] = "sensor"
     nothing: ClassVar[tuple[float, ...] | None] = (0.0, 0.0, 0.0)
     adds_up: ClassVar[bool] = True
 
@@ -55,16 +56,19 @@ class SensorMisalignment(Effect):
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Move the sensor to a site of its own, turned."""
-        sensor = spec.sensor(self.where)
+        sensor, model = spec.sensor(self.where), self.machine.model
         site = spec.site(sensor.objname)
-        number = self.machine.model.site(site.name).id
-        askew = added_name(self.where, self.kind)
+        place, turned = np.array(site.pos), np.array(site.quat)
+        if any(model.site(k).name == site.name for k in range(model.nsite)):
+            # with angles worked out; one that was turned before is written as a quaternion
+            number = model.site(site.name).id
+            turned = model.site_quat[number]
+            if site.frame is not None or not np.isfinite(place).all():
+                place = model.site_pos[number]
+        askew = added_name(spec, self.where, self.kind)
         x, y, z, w = (
-            Rotation.from_quat(self.machine.model.site_quat[number], scalar_first=True)
+            Rotation.from_quat(turned, scalar_first=True)
             * Rotation.from_rotvec(np.asarray(values, dtype=float))
         ).as_quat()
-        place = np.array(site.pos)
-        if site.frame is not None or not np.isfinite(place).all():
-            place = self.machine.model.site_pos[number]
         site.parent.add_site(name=askew, pos=place, quat=[w, x, y, z])
         sensor.objname = askew

@@ -83,7 +83,7 @@ class StribeckFriction(JointEffect):
             add_limited_damper(
                 spec,
                 self.where,
-                f"{added_name(self.where, self.kind)}_{number}",
+                added_name(spec, self.where, f"{self.kind}_{number}"),
                 damping=-max(ratio - 1, 1e-6) * torque * slope / speed,
                 limit=max(ratio - 1, 1e-6) * torque * abs(slope) * limit,
             )

@@ -45,6 +45,7 @@ class StructuralLooseness(Effect):
     """
 
     kind = "structural_looseness"
+    acts_on: ClassVar[str] = "link"
     limit: ClassVar[tuple[tuple[str, str], ...]] = (("friction", "high"),)
     adds_motion: ClassVar[bool] = True
     sharp: ClassVar[bool] = True
@@ -134,7 +135,7 @@ class StructuralLooseness(Effect):
         gap, friction, stiffness, ratio = (float(v) for v in values[-4:])
         joint = add_extra_joint(
             spec.body(self.where),
-            added_name(self.where, self.kind),
+            added_name(spec, self.where, self.kind),
             turns=False,
             axis=direction,
             pos=np.zeros(3),
@@ -169,7 +170,7 @@ class StructuralLooseness(Effect):
         """The arm with slides along the body's three axes."""
         spec = self.machine.fresh()
         self._keep_rotors(spec)
-        names = tuple(added_name(self.where, axis) for axis in "xyz")
+        names = tuple(added_name(spec, self.where, axis) for axis in "xyz")
         body = spec.body(self.where)
         for name, axis in zip(names, np.eye(3), strict=True):
             add_extra_joint(body, name, turns=False, axis=axis, pos=np.zeros(3))

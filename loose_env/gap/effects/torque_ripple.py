@@ -29,7 +29,11 @@ _SAMPLES = 4000
 
 
 class TorqueRipple(JointEffect):
-    """Torque A sin(N q + phase) on the joint; N counts periods per turn, for a slide per 2π m."""
+    """Torque that is a sine of the joint's position, with some periods per turn or per metre.
+
+    A sin(N q + phase) on a hinge of N periods per turn, A sin(2π N q + phase) on a slide of N
+    periods per metre.
+    """
 
     kind = "torque_ripple"
     proportional: ClassVar[int | None] = 0
@@ -38,7 +42,8 @@ class TorqueRipple(JointEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Amplitude, periods, phase."""
+        """Amplitude, periods per turn or per metre, phase."""
+        one = 1.0 / self._rate
         return (
             Parameter(
                 name="amplitude",
@@ -48,7 +53,11 @@ class TorqueRipple(JointEffect):
                 scale=0.1 * self.load,
             ),
             Parameter(
-                name="periods", unit=f"1/{self.angle_unit}", low=0.5, high=2 * self._most, scale=1.0
+                name="periods",
+                unit="1/turn" if self.machine.turns(self.where) else "1/m",
+                low=0.5 * one,
+                high=2 * self._most,
+                scale=one,
             ),
             Parameter(name="phase", unit="rad", low=-2 * pi, high=2 * pi, scale=0.5),
         )
@@ -56,18 +65,25 @@ class TorqueRipple(JointEffect):
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """A few numbers of periods; only `propose` can cover all of them."""
-        lone = 1.0 if self.machine.turns(self.where) else 2 * pi / 0.1
+        lone = 1.0 if self.machine.turns(self.where) else 1 / 0.1
         return tuple(
             (0.1 * self.load, n * lone, phase) for n in (2.0, 6.0) for phase in (0.0, pi / 2)
         )
 
     @property
     def _most(self) -> float:
-        return _MOST_PERIODS if self.machine.turns(self.where) else 2 * pi / 1e-3
+        return _MOST_PERIODS if self.machine.turns(self.where) else 1 / 1e-3
+
+    @property
+    def _rate(self) -> float:
+        """Phase per unit of position of one period per turn or per metre [1, rad/m]."""
+        return 1.0 if self.machine.turns(self.where) else 2 * pi
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add a drive without input whose cogging it is."""
-        add_cogging(spec, self.where, added_name(self.where, self.kind), [float(v) for v in values])
+        name = added_name(spec, self.where, self.kind)
+        amplitude, periods, phase = (float(v) for v in values)
+        add_cogging(spec, self.where, name, [amplitude, self._rate * periods, phase])
 
     def vanishes(self, low: Array, high: Array) -> bool:
         """By its amplitude alone."""
@@ -76,14 +92,15 @@ class TorqueRipple(JointEffect):
     def unseen_torque(self, angle: Array, speed: Array, values: Array) -> Array:
         """The opposite of what the ripple gives."""
         amplitude, periods, phase = values
-        return np.asarray(-amplitude * np.sin(periods * angle + phase))
+        return np.asarray(-amplitude * np.sin(self._rate * periods * angle + phase))
 
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
     ) -> tuple[tuple[float, ...], ...]:
         """Least squares of sine and cosine over a fine grid of periods (Lomb and Scargle).
 
-        The grid is as fine as the range of the motion tells apart. The strongest peaks that are
+        The grid, of phase per unit of position, is as fine as the range of the motion tells apart.
+        The strongest peaks that are
         not neighbours become starts.
         """
         good = np.isfinite(angle) & np.isfinite(torque)
@@ -93,7 +110,7 @@ class TorqueRipple(JointEffect):
         if len(q) < 10 or width <= 0:
             return ()
         lowest = max(0.5, pi / width)
-        highest = min(self._most, lowest + _TRIED * 0.25 * 2 * pi / width)
+        highest = min(self._rate * self._most, lowest + _TRIED * 0.25 * 2 * pi / width)
         if highest <= lowest:
             return ()
         spacing = 0.25 * 2 * pi / width
@@ -109,7 +126,7 @@ class TorqueRipple(JointEffect):
             found.append(
                 (
                     amplitude.clipped(hypot(sine, cosine)),
-                    periods.clipped(best),
+                    periods.clipped(best / self._rate),
                     atan2(cosine, sine),
                 )
             )

@@ -1,0 +1,80 @@
+"""What actuators with dynamics of their own make of their commands in a run."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["activations"]
+
+Array = NDArray[np.float64]
+
+_FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
+_RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
+_SHORTEST = 1e-15  # as MuJoCo bounds a time constant [s]
+
+
+def activations(model: mujoco.MjModel, controls: Array, step: float) -> Array | None:
+    """Activation of every actuator that has one, as it acts in every step of a run.
+
+    The first command is taken to have been held before, and a filter to have followed it. An
+    integrator goes on from where it was, which nobody measured; muscles and others depend on more
+    than their commands.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        With the integrator that simulates it.
+    controls : ndarray (steps, actuators)
+        Commands, held from step to step; those of actuators beyond them are zero.
+    step : float
+        Simulation step [s].
+
+    Returns
+    -------
+    ndarray (steps, model.na), or None
+        Means over each step; None where it is not known: an actuator with dynamics is no
+        first-order filter.
+
+    Examples
+    --------
+    >>> model = mujoco.MjModel.from_xml_string(
+    ...     "<mujoco><worldbody><body><joint name='j'/><geom size='.1'/></body></worldbody>"
+    ...     "<actuator><general joint='j' dyntype='filterexact' dynprm='.02'/></actuator></mujoco>"
+    ... )
+    >>> activations(model, np.array([[0.0], [1.0], [1.0]]), 0.02).ravel().round(3).tolist()
+    [0.0, 0.0, 0.632]
+    """
+    found = np.zeros((len(controls), model.na))
+    for k in np.flatnonzero(model.actuator_actnum):
+        if int(model.actuator_dyntype[k]) not in _FILTERS or model.actuator_actnum[k] != 1:
+            return None
+        command = controls[:, k] if k < controls.shape[1] else np.zeros(len(controls))
+        found[:, model.actuator_actadr[k]] = _filtered(model, int(k), command, step)
+    return found
+
+
+def _filtered(model: mujoco.MjModel, number: int, command: Array, step: float) -> list[float]:
+    """Mean activation of a first-order filter in each step, as MuJoCo clamps and integrates it.
+
+    Its steps of Runge and Kutta let the activation move within a step; others hold it.
+    """
+    if model.actuator_ctrllimited[number]:
+        command = np.clip(command, *model.actuator_ctrlrange[number])
+    low, high = -np.inf, np.inf
+    if model.actuator_actlimited[number]:
+        low, high = model.actuator_actrange[number]
+    lag = max(float(model.actuator_dynprm[number, 0]), _SHORTEST)
+    exact, moving = -float(np.expm1(-step / lag)), int(model.opt.integrator) == _RUNGE_KUTTA
+    plain = int(model.actuator_dyntype[number]) == _FILTERS[0]
+    # What a step of the method makes of a rate, and what the exact filter makes of that.
+    share = exact if moving else step / lag
+    if not plain:
+        share *= exact * lag / step
+    now, found = min(max(float(command[0]), low), high), []
+    for wanted in command.tolist():
+        after = min(max(now + share * (wanted - now), low), high)
+        found.append((now + after) / 2 if moving else now)
+        now = after
+    return found
