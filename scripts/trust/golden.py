@@ -135,8 +135,9 @@ def gap(threads: int = 1) -> dict[str, Any]:
 def instrument() -> dict[str, Any]:
     """What `loose diagnose` says of a small recording, and what `loose plan` asks for."""
     from loose_env.instrument.diagnose import diagnose
+    from loose_env.instrument.model_arm import load_model_arm
     from loose_env.instrument.next_settings import NextSettings
-    from loose_env.instrument.plan import plan
+    from loose_env.instrument.plan import next_for, plan
     from loose_env.instrument.settings import DiagnoseSettings
     from loose_env.recording import read_recording
     from scripts.trust.commands import make_shaken_recording
@@ -144,15 +145,16 @@ def instrument() -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as place:
         make_shaken_recording(Path(place) / "recording")
         recording = read_recording(Path(place) / "recording")
-        # Two runs settle it by the usual threshold, and then nothing is asked for.
-        found = diagnose(recording, DiagnoseSettings(poses=4, seconds=1.0, sure=0.9999))
-        first = plan(recording.model_path, choice=NextSettings(poses=4, seconds=1.0))
-    assert found.next is not None
+        choice = NextSettings(poses=4, seconds=1.0)
+        found = diagnose(recording, DiagnoseSettings(poses=4, seconds=1.0))
+        # Two runs settle it, and then a diagnosis asks for nothing more: a plan does.
+        following = next_for(load_model_arm(recording.model_path), found, choice)
+        first = plan(recording.model_path, choice=choice)
     signal = first.signals[0]
     return {
         "fault": found.fault.hypothesis,
         "posterior": {name: _plain(p) for name, p in found.posterior.items()},
-        "next": _measurement(found.next),
+        "next": _measurement(following),
         "first": _measurement(first.next),
         "signal": {name: _plain(float(u @ u)) for name, u in signal.commands.items()},
         "tool": _plain(signal.tool_rms),
