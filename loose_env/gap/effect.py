@@ -206,6 +206,14 @@ class Effect:
         """
         return self.command(time, controls, values)
 
+    def lateness(self, values: Array) -> tuple[str, float] | None:
+        """Sensor that shows what was, and by how much [s]; None for what `read` can shift.
+
+        A reading that jumps with commands, such as an acceleration, cannot be drawn out of its
+        samples: it is worked out from the motion of then.
+        """
+        return None
+
     def torque(self, position: Array, speed: Array, values: Array) -> Array:
         """What acts on the joints besides what the model has, in their direction.
 

@@ -6,7 +6,7 @@ run, channel by channel, as the sensors would show it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -18,7 +18,15 @@ from loose_env.errors import InvalidData
 from loose_env.gap.effect import Readings
 from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.machine import Machine
-from loose_env.gap.readings_at import PARTS, STATES, changes_within, commands_at, readings_at
+from loose_env.gap.readings_at import (
+    PARTS,
+    STATES,
+    changes_within,
+    commands_at,
+    late_sensors,
+    readings_at,
+    states_before,
+)
 from loose_env.gap.rest import SETTLE
 from loose_env.gap.stepping import stepped
 from loose_env.gap.torque_terms import BatchWithTerms, has_terms, with_terms
@@ -120,7 +128,11 @@ class Simulator:
         effects = zip(hypothesis.effects, hypothesis.values, strict=True)
         starts = (hypothesis.position, hypothesis.speed)
         return (
-            *((id(effect), values.tobytes()) for effect, values in effects if effect.moves),
+            *(
+                (id(effect), values.tobytes())
+                for effect, values in effects
+                if effect.moves or effect.lateness(values) is not None
+            ),
             *(None if start is None else start.tobytes() for start in starts),
         )
 
@@ -146,8 +158,9 @@ class Simulator:
             wild |= _advance(moved, settle, held, np.flatnonzero(resting), None)
         self.simulated += len(slots) * steps
         width = slots[0].model.nsensordata
-        # where a command changes within a step, sensors are worked out once more
-        names = STATES if parts > 1 else ()
+        # where a command changes within a step, or a sensor is late, sensors are worked out again
+        late = [late_sensors(slot.hypothesis, self.channels) for slot in slots]
+        names = STATES if parts > 1 or any(late) else ()
         states: dict[str, list[Array]] = {name: [] for name in names}
         size = max(1, min(steps, _CHUNK // max(1, len(slots) * width)))
         kept = np.empty((len(slots), steps, width))
@@ -163,17 +176,33 @@ class Simulator:
                 found += [before[name][:, None], records[name][:, :-1]]
             kept[:, chunk] = records["sensordata"]
         kept = kept[:, ::parts]
-        if parts > 1:
-            begun = {name: np.concatenate(found, axis=1) for name, found in states.items()}
-            for k in np.flatnonzero(~wild).tolist():
-                own_states = {name: found[k, ::parts] for name, found in begun.items()}
-                hypothesis = slots[k].hypothesis
-                commands = commands_at(hypothesis, clock[::parts], slots[k].trial.controls)
-                kept[k] = readings_at(
-                    self.machine, hypothesis, slots[k].model, own_states, commands, self.threads
-                )
+        begun = {name: np.concatenate(found, axis=1) for name, found in states.items()}
+        for k in np.flatnonzero(~wild).tolist():
+            passed = {name: found[k] for name, found in begun.items()}
+            if parts > 1:
+                at_steps = {name: found[::parts] for name, found in passed.items()}
+                commands = commands_at(slots[k].hypothesis, clock[::parts], slots[k].trial.controls)
+                kept[k] = self._readings(slots[k], at_steps, commands)
+            for name, delay in late[k].items():
+                sensor = slots[k].model.sensor(name)
+                columns = slice(int(sensor.adr[0]), int(sensor.adr[0]) + int(sensor.dim[0]))
+                kept[k][:, columns] = self._late(slots[k], passed, delay)[:, columns]
         kept[wild] = np.nan
         return [slot.trial.at_samples(k) for slot, k in zip(slots, kept, strict=True)]
+
+    def _readings(self, slot: _Slot, states: Mapping[str, Array], commands: Array) -> Array:
+        return readings_at(
+            self.machine, slot.hypothesis, slot.model, states, commands, self.threads
+        )
+
+    def _late(self, slot: _Slot, states: Mapping[str, Array], delay: float) -> Array:
+        """Sensors as they were so long before every step of a trial (T, sensors)."""
+        trial = slot.trial
+        clock: Array = np.arange(trial.steps, dtype=float) * trial.step
+        then = states_before(states, clock - delay, trial.step / slot.parts)
+        commands = commands_at(slot.hypothesis, clock, trial.controls)
+        held = np.floor((clock - delay) / trial.step + 1e-9).astype(int)
+        return self._readings(slot, then, commands[np.maximum(held, 0)])
 
     def _batch(self, slots: list[_Slot]) -> Batch:
         """Batch of as many slots, with these models."""

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from loose_env.gap.effect import Effect, Readings
+from loose_env.gap.effects.sensor_delay import delayed
 from loose_env.gap.machine import Machine
 
 Array = NDArray[np.float64]
@@ -151,7 +152,14 @@ def with_effect(machine: Machine, effect: Effect, values: Array) -> Readings:
     effect.edit(spec, values)
     time = clock(machine)
     controls = effect.command(time, commands(machine, time), values)
-    return effect.read(time, simulate(spec.compile(), controls), values)
+    readings = effect.read(time, simulate(spec.compile(), controls), values)
+    late = effect.lateness(values)
+    if late is None:
+        return readings
+    # these commands are smooth, so that a reading may be drawn out of its samples
+    column = f"sensor.{late[0]}"
+    axis = 0 if readings[column].ndim > 1 else -1
+    return {**readings, column: delayed(time, readings[column], late[1], axis=axis)}
 
 
 def difference(first: Readings, second: Readings, start: int = 0) -> float:

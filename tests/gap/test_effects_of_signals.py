@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from loose_env.gap.catalogue import CATALOGUE, candidates
+from loose_env.gap.effects.sensor_delay import delayed
 from loose_env.gap.machine import Machine
 from tests.gap.effect_arms import clock, commands, machine_of, simulate
 
@@ -138,16 +139,23 @@ def test_a_sensor_askew_shows_the_vector_in_its_own_axes() -> None:
 def test_a_late_sensor_shows_what_was() -> None:
     machine = machine_of("planar")
     time = clock(machine)
-    effect = CATALOGUE["sensor_delay"](machine, "shake")
-    wave = np.stack([np.sin(40 * time + phase) for phase in (0, 1, 2)], axis=-1)
-    late = effect.read(time, {"sensor.shake": wave}, np.array([0.0123]))["sensor.shake"]
-    wanted = np.stack([np.sin(40 * (time - 0.0123) + phase) for phase in (0, 1, 2)], axis=-1)
-    assert np.allclose(late[13:], wanted[13:], atol=3e-4)
-    assert np.allclose(late[:12], wave[0])
-    # Samples need not be evenly spaced.
+    effect = CATALOGUE["sensor_delay"](machine, "rate3")
+    late = effect.read(time, {"sensor.rate3": np.sin(40 * time)}, np.array([0.0123]))
+    assert np.allclose(late["sensor.rate3"][13:], np.sin(40 * (time - 0.0123))[13:], atol=3e-4)
+    assert not late["sensor.rate3"][:12].any()
+    # Samples need not be evenly spaced, and there may be three axes.
     uneven = np.sort(np.random.default_rng(1).uniform(0, 0.5, 2000))
-    late = effect.read(uneven, {"sensor.shake": np.stack([uneven] * 3, axis=-1)}, np.array([0.05]))
-    assert np.allclose(late["sensor.shake"][500:, 0], uneven[500:] - 0.05)
+    shown = delayed(uneven, np.stack([uneven, 2 * uneven, -uneven], axis=-1), 0.05, axis=-2)
+    assert np.allclose(shown[500:], np.outer(uneven[500:] - 0.05, [1, 2, -1]))
+
+
+def test_what_jumps_with_commands_is_not_drawn_out_of_its_samples() -> None:
+    machine = machine_of("planar")
+    effect, value = CATALOGUE["sensor_delay"](machine, "shake"), np.array([0.0123])
+    assert effect.lateness(value) == ("shake", 0.0123)
+    readings = {"sensor.shake": np.ones((5, 3))}
+    assert effect.read(np.arange(5.0), readings, value) is readings
+    assert CATALOGUE["sensor_delay"](machine, "rate3").lateness(value) is None
 
 
 def test_gain_and_bias_leave_the_motion_alone() -> None:

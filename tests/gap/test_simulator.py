@@ -44,26 +44,30 @@ def fine(kind: str, where: str, value: float) -> Array:
         force, of = mujoco.mjtSensor.mjSENS_ACTUATORFRC, mujoco.mjtObj.mjOBJ_ACTUATOR
         spec.add_sensor(type=force, objtype=of, objname=drive)
     model = spec.compile()
-    own = slice(None) if where == "all" else model.actuator(where).id
+    own = model.actuator(where).id if where in ("servo1", "servo2") else slice(None)
     data, controls = mujoco.MjData(model), commands()
     for _ in range(400 * INSIDE):
         mujoco.mj_step(model, data)
     state, share = controls[0, own], 1 - np.exp(-STEP / INSIDE / max(value, 1e-9))
-    shown = np.zeros((COUNT, len(CHANNELS)))
+    shown, shaken = np.zeros((COUNT, len(CHANNELS))), np.zeros((COUNT * INSIDE, 2))
     for k in range(COUNT * INSIDE):
         now = controls[k // INSIDE]
         data.ctrl[:] = now
         if kind == "command_delay":
             late = int(np.floor(k / INSIDE - value / STEP + 1e-9))
             data.ctrl[own] = controls[max(late, 0), own]
-        else:
+        elif kind == "actuator_lag":
             after = state + share * (now[own] - state)
             data.ctrl[own] = 0.5 * (state + after)
             state = after
         mujoco.mj_step(model, data)
+        read = data.sensordata
+        shaken[k] = read[4:6]
         if k % INSIDE == 0:
-            read = data.sensordata
             shown[k // INSIDE] = [*read[:3], *read[4:6], *read[-3:]]
+    if kind == "sensor_delay":
+        then = np.arange(COUNT) * INSIDE - round(value / STEP * INSIDE)
+        shown[:, 3:5] = shaken[np.maximum(then, 0)]
     return shown
 
 
@@ -105,6 +109,26 @@ def test_accelerations_are_read_at_the_sample_though_commands_change_within_the_
     off = np.sqrt(np.mean((shown - expected) ** 2, axis=0))
     assert np.all(off[:3] < 0.001 * visible[:3]), (off / visible).round(3)
     assert np.all(off[3:] < 0.05 * visible[3:]), (off / visible).round(3)
+
+
+@pytest.mark.parametrize("value", [0.0003, 0.00665])
+def test_a_late_accelerometer_shows_what_was_between_two_samples(value: float) -> None:
+    """Straight lines between samples do not: the acceleration jumps with every command."""
+    machine = Machine(mujoco.MjSpec.from_string(PLANAR), step=STEP, integrator=RK4)
+    expected = fine("sensor_delay", "shake", value)
+    effect = CATALOGUE["sensor_delay"](machine, "shake")
+    simulator = Simulator(machine, [recorded()], CHANNELS, threads=1)
+    hypotheses = [
+        Hypothesis(effects=(effect,), values=(np.array([late]),)) for late in (value, 2 * value)
+    ]
+    none = Hypothesis(effects=(), values=())
+    (shown,), (later,), (rigid,) = simulator.predict([*hypotheses, none])
+    visible = np.sqrt(np.mean((rigid - expected) ** 2, axis=0))[3:5]
+    off = np.sqrt(np.mean((shown - expected) ** 2, axis=0))[3:5]
+    assert np.all(off < 0.03 * visible), (off / visible).round(4)
+    assert np.all(np.abs(later - expected)[:, 3:5].max(axis=0) > 10 * off)
+    others = [0, 1, 2, 5, 6, 7]
+    assert np.array_equal(shown[:, others], rigid[:, others])
 
 
 GEARED = """

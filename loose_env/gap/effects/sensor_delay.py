@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from loose_env.gap.effect import Effect, Readings
 from loose_env.gap.effects.command_delay import held_delay, history_for
-from loose_env.gap.effects.sensor_kinds import column_of
+from loose_env.gap.effects.sensor_kinds import column_of, of_place_or_speed
 from loose_env.gap.machine import Machine
 from loose_env.gap.parameter import Parameter
 
@@ -48,10 +48,21 @@ class SensorDelay(Effect):
         """From a fast bus to that of hobby servos."""
         return ((0.001,), (0.003,), (0.008,), (0.02,), (0.05,), (0.12,))
 
+    @property
+    def _jumps(self) -> bool:
+        """Whether the reading is no place or speed, nor one that the model delays already."""
+        spec_sensor = self.machine.spec.sensor(self.where)
+        smooth = of_place_or_speed(self.machine, column_of(self.where))
+        return not smooth and float(spec_sensor.delay) == 0.0
+
+    def lateness(self, values: Array) -> tuple[str, float] | None:
+        """The delay of an acceleration or a force."""
+        return (self.where, float(values[0])) if self._jumps else None
+
     def read(self, time: Array, readings: Readings, values: Array) -> Readings:
-        """Shift the sensor's column."""
+        """Shift the column of a place or a speed."""
         column = column_of(self.where)
-        if column not in readings or values[0] <= 0:
+        if column not in readings or values[0] <= 0 or self._jumps:
             return readings
         vector = int(self.machine.model.sensor(self.where).dim[0]) > 1
         late = delayed(time, readings[column], float(values[0]), axis=-2 if vector else -1)
