@@ -10,6 +10,7 @@ import numpy as np
 from loose_env.gap.acceptance import Acceptance
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
+from loose_env.gap.exchange import exchanged
 from loose_env.gap.fit import UNNAMED, fit
 from loose_env.gap.judgement import Judge, Judged, Lead, lead_of
 from loose_env.gap.naming_settings import NamingSettings
@@ -128,7 +129,23 @@ def name_effects(
             say(f"  {effect!r} is idle now and is left out")
         found.steps.append(step.accepted)
         found.dropped += step.dropped
+    count = sum(e.kind not in UNNAMED for e in found.best.fitted.effects)
+    if 2 <= count <= settings.exchanges:
+        say("whether others do as well in the place of what was found")
+        comparisons = comparison, short
+        better = keep.judged(
+            "exchanged",
+            lambda: exchanged(
+                comparisons, judge, candidates, found.base, found.best, settings, say
+            ),
+        )
+        if _keys(better) != _keys(found.best):
+            found.steps.append(better)
     return found
+
+
+def _keys(judged: Judged) -> set[tuple[str, str, str]]:
+    return {effect.key for effect in judged.fitted.effects}
 
 
 def _step(

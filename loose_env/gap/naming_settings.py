@@ -29,6 +29,10 @@ class NamingSettings:
     """Candidates that are fitted to whole runs."""
     kin: int = 2
     """Further candidates fitted to whole runs because the best one may be mistaken for them."""
+    exchanged: int = 4
+    """Candidates that are fitted in the place of each named effect, once all are there."""
+    exchanges: int = 3
+    """Most effects that are exchanged in this way; many of one kind are not looked at singly."""
     hopeless: float = 2.0
     """Sum of squares on what sorts candidates, over that of the best of them, from which on one is
     not fitted to whole runs, if the best one is surely ahead of it (`sureness`)."""

@@ -210,6 +210,22 @@ class Trying:
         start = np.concatenate([base.free, quick.free[nominal:]])
         return self.judge.judge(fit(self.comparison, effects, start, known=base.jacobian))
 
+    def in_place(self, screened: Sequence[Screened], rival: Fit) -> list[Judged]:
+        """Fit candidates that may do as well as what was there in their place, the best first.
+
+        Parameters
+        ----------
+        screened : sequence of Screened
+            Candidates.
+        rival : Fit
+            What was there, with the effect in whose place they come.
+        """
+        together = self.short.residuals([rival.hypothesis])[0]
+        fits = sorted((self._to_windows([each], both=True) for each in screened), key=_cost)
+        near = [f for f in fits if f.residual @ f.residual < _NEAR * float(together @ together)]
+        found = [self._to_all(each) for each in near[: self.settings.kin]]
+        return sorted(found, key=lambda judged: judged.total)
+
     def _to_windows(self, members: Sequence[Screened], *, both: bool = False) -> Fit:
         """Fit candidates together to the windows; one candidate from both its starts."""
         effects = (*self.before.effects, *(each.effect for each in members))
@@ -276,3 +292,7 @@ class Trying:
         start = np.concatenate([self.before.free, each.free[len(self.before.free) :]])
         known = self.before.jacobian
         return self.judge.judge(fit(self.comparison, each.effects, start, known=known))
+
+
+def _cost(fitted: Fit) -> float:
+    return fitted.cost

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from loose_env.gap.acceptance import Acceptance
-from loose_env.gap.catalogue import CATALOGUE
+from loose_env.gap.catalogue import CATALOGUE, candidates
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
+from loose_env.gap.exchange import exchanged
 from loose_env.gap.fit import FitSettings, fit, slices_of
 from loose_env.gap.judgement import Judge, Judged, lead_of
 from loose_env.gap.machine import Machine
@@ -120,3 +121,35 @@ def test_a_last_trace_is_not_named_however_sure_it_is(case: Case) -> None:
     assert all(acceptance.believed(lead_of(each, before)) for each in (part, whole))
     assert acceptance.worth_naming(whole)
     assert not acceptance.worth_naming(part)
+
+
+def exchange(case: Case, base: Judged, best: Judged) -> Judged:
+    kinds = ("viscous_friction", "quadratic_drag", "actuator_gain", "actuator_lag")
+    comparisons = case.comparison, case.comparison
+    given = candidates(case.machine, kinds)
+    return exchanged(comparisons, case.judge, given, base, best, NamingSettings())
+
+
+def test_what_was_named_for_a_mixture_is_exchanged_when_the_other_is_there(case: Case) -> None:
+    gain = case.effect("sensor_gain", "rate3", [GAIN])
+    drag = case.effect("quadratic_drag", "joint2", [1.0])
+    base, mistaken = case.fitted([]), case.fitted([drag, gain])
+    found = exchange(case, base, mistaken)
+    assert [e.kind for e in found.fitted.effects] == ["nominal", "sensor_gain", "viscous_friction"]
+    assert found.fitted.effects[-1].where == "joint2"
+    assert found.total < mistaken.total
+
+
+def test_two_that_stood_in_for_one_go_together(case: Case) -> None:
+    gain = case.effect("sensor_gain", "rate3", [GAIN])
+    drag = case.effect("quadratic_drag", "joint2", [1.0])
+    soft = case.effect("actuator_gain", "servo2", [0.9])
+    found = exchange(case, case.fitted([]), case.fitted([drag, soft, gain]))
+    assert [e.kind for e in found.fitted.effects] == ["nominal", "sensor_gain", "viscous_friction"]
+
+
+def test_what_is_right_stays(case: Case) -> None:
+    gain = case.effect("sensor_gain", "rate3", [GAIN])
+    wet = case.effect("viscous_friction", "joint2", [DAMPING])
+    best = case.fitted([wet, gain])
+    assert exchange(case, case.fitted([]), best) is best
