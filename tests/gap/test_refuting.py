@@ -1,0 +1,89 @@
+"""An interval does not reach a limit that the runs have refuted, and spectra know of blows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from loose_env.gap.catalogue import CATALOGUE
+from loose_env.gap.fit import slices_of
+from loose_env.gap.hypothesis import Hypothesis
+from loose_env.gap.intervals import Intervals
+from loose_env.gap.judgement import Judged
+from loose_env.gap.parameter import values_of
+from loose_env.gap.refuting import short_of_limit
+from loose_env.gap.spectra import log_distance, spectral_share
+from tests.gap.gap_case import DAMPING, GAIN
+from tests.gap.test_trying import Case
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    return Case(tmp_path_factory.mktemp("refuting") / "recording")
+
+
+def to_the_limit(judged: Judged) -> Intervals:
+    """Intervals that say nothing of the last effect: each goes from bound to bound."""
+    fitted = judged.fitted
+    parameters = [p for effect in fitted.effects for p in effect.parameters]
+    values = values_of(tuple(parameters), fitted.free)
+    low, high = values.copy(), values.copy()
+    own = slices_of(fitted.effects)[-1]
+    low[own], high[own] = np.transpose([(p.low, p.high) for p in parameters[own]])
+    return Intervals(low=low, high=high, free=fitted.free, covariance=np.eye(len(low)))
+
+
+@pytest.mark.parametrize(("joint", "refuted"), [("joint2", True), ("joint1", False)])
+def test_an_interval_ends_short_of_a_limit_that_is_refuted(
+    case: Case, joint: str, refuted: bool
+) -> None:
+    """Dry friction stands in for wet at joint2; at joint1 there is none of either."""
+    gain = case.effect("sensor_gain", "rate3", [GAIN])
+    given = [*CATALOGUE["stribeck_friction"](case.machine, joint).starts[0]]
+    if not refuted:
+        wet = case.effect("viscous_friction", "joint2", [DAMPING])
+        given[0] = 0.02
+    named = [gain] if refuted else [gain, wet]
+    judged = case.fitted([*named, case.effect("stribeck_friction", joint, given)])
+    fitted, effect = judged.fitted, judged.fitted.effects[-1]
+    own, wide = slices_of(fitted.effects)[-1], to_the_limit(judged)
+    assert wide.may_be_nothing(effect, own)
+    found = short_of_limit(case.comparison, fitted, wide, effect)
+    assert found.may_be_nothing(effect, own) is not refuted
+    values = values_of(effect.parameters, fitted.free[own])
+    assert np.all(found.low[own] <= values)
+    assert np.all(found.high[own] >= values)
+    number = [p.name for p in effect.parameters].index("torque")
+    if refuted:
+        assert 0.1 * values[number] < found.low[own][number] < values[number]
+    else:
+        assert np.array_equal(found.low, wide.low)
+
+
+def test_spectra_tell_blows_though_none_falls_where_it_was_measured() -> None:
+    rng = np.random.default_rng(5)
+    time = np.arange(6000) * 1e-3
+    smooth = 3 * np.sin(9 * time) + np.sin(23 * time)
+
+    def blows(rate: float) -> np.ndarray:
+        struck = (rng.random(len(time)) < rate) * rng.normal(0, 4, len(time))
+        rings = np.exp(-time[:60] / 0.01) * np.sin(900 * time[:60])
+        return smooth + np.convolve(struck, rings)[: len(time)]
+
+    measured = blows(0.02) + rng.normal(0, 0.02, len(time))
+    rigid, right, many = (
+        log_distance(measured, p, 0.02) for p in (smooth, blows(0.02), blows(0.2))
+    )
+    assert right < 0.1 * rigid
+    assert right < 0.2 * many
+
+
+def test_the_share_of_spectra_is_one_for_what_is_missing(case: Case) -> None:
+    damped = CATALOGUE["viscous_friction"](case.machine, "joint2")
+    gained = CATALOGUE["sensor_gain"](case.machine, "rate3")
+    none = Hypothesis(effects=(), values=())
+    both = Hypothesis(effects=(damped, gained), values=(np.array([DAMPING]), np.array([GAIN])))
+    comparisons = (case.comparison, case.judge.held_out)
+    assert spectral_share(comparisons, none, both) > 0.8
+    assert spectral_share(comparisons, none, none) == pytest.approx(0.0)
+    assert spectral_share(comparisons, both, none) < 0.0
