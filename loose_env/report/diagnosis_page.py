@@ -16,11 +16,11 @@ from loose_env.report.diagnosis_words import (
     percent,
     place_value,
     questions,
-    sentence,
     short_name,
 )
 from loose_env.report.gap_parts import group
 from loose_env.report.plate import Plate
+from loose_env.report.sentences import sentence
 from loose_env.report.template import template, write_whole
 
 __all__ = ["page_of", "write_page"]

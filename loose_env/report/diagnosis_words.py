@@ -9,16 +9,15 @@ import numpy as np
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidData
 from loose_env.instrument.result import HEALTHY, Diagnosis, NextMeasurement
+from loose_env.report.sentences import begun, sentence
 
 __all__ = [
-    "begun",
     "headline",
     "joint_words",
     "link_words",
     "percent",
     "place_value",
     "questions",
-    "sentence",
     "short_name",
     "steps",
     "sure_words",
@@ -209,23 +208,6 @@ def _looked(diagnosis: Diagnosis) -> str:
     if healthy:
         return f"{said}, beside {_count(healthy, 'record')} of the sound arm."
     return f"{said}. There is no record of the sound arm: the model stands in its place."
-
-
-def begun(words: str) -> str:
-    """Words as a sentence begins."""
-    return words[:1].upper() + words[1:]
-
-
-def sentence(words: str) -> str:
-    """Words as a sentence.
-
-    Examples
-    --------
-    >>> sentence("the step is coarse"), sentence("Is it?")
-    ('The step is coarse.', 'Is it?')
-    """
-    ended = words.rstrip()
-    return begun(ended) + ("" if ended[-1:] in (".", "!", "?", "") else ".")
 
 
 def with_plain_names(words: str, names: Mapping[str, str]) -> str:

@@ -33,6 +33,7 @@ from loose_env.report.gap_words import (
     sure_words,
 )
 from loose_env.report.plate import Plate
+from loose_env.report.sentences import sentence
 from loose_env.report.template import template, write_whole
 
 __all__ = ["render_gap_page", "write_gap_page"]
@@ -82,7 +83,7 @@ def render_gap_page(outputs: GapOutputs, evidence: Evidence, result: GapResult) 
         ),
         text=[],
         questions=_questions(result),
-        warnings=list(result.warnings),
+        warnings=[sentence(warning) for warning in result.warnings],
         groups=[group for group in groups if group],
         notes=_notes(result),
     )

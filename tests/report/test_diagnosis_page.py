@@ -24,7 +24,8 @@ from loose_env.report.diagnosis_figures import (
     shown_hypotheses,
 )
 from loose_env.report.diagnosis_page import page_of, write_page
-from loose_env.report.diagnosis_words import headline, percent, questions, sentence, steps
+from loose_env.report.diagnosis_words import headline, percent, questions, steps
+from loose_env.report.sentences import sentence
 from loose_env.report.svg import THEMED, to_svg
 from tests.report.diagnosis_case import CASES, desk, diagnosis, flat
 from tests.report.test_gap_page import Balanced

@@ -89,7 +89,7 @@ def test_the_page_is_whole_and_loads_nothing_from_elsewhere(page: str) -> None:
 def test_words_stand_before_figures_in_the_order_of_the_questions(page: str) -> None:
     words = [
         "The model lacks viscous friction (joint2) and a sensor whose scale is off (rate3).",
-        "the step is coarse",
+        "The step is coarse.",
         "damping 3 N·m·s/rad, 95 % between 2.9 and 3.1",
         "cannot tell viscous friction (joint2) from another gain (servo2)",
     ]
