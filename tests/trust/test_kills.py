@@ -135,16 +135,21 @@ def test_a_run_killed_while_it_tidies_up_plays_again(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(("where", "stays"), [("gather", True), ("write_gap_page", False)])
 def test_no_old_result_stands_beside_a_new_model(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str, stays: bool
 ) -> None:
+    """It goes with the first file that changes; until then it is that of the model beside it."""
     import loose_env.report.gap_report as report
 
     def killed(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     tmp_path.joinpath("result.json").write_text("of an earlier run")
-    monkeypatch.setattr(report, "gather", killed)
+    for name in ("gather", "result_of"):
+        monkeypatch.setattr(report, name, lambda *_, **__: None)
+    monkeypatch.setattr(report, where, killed)
     with pytest.raises(KeyboardInterrupt):
         report.write_outputs(tmp_path, None)  # type: ignore[arg-type]
-    assert not tmp_path.joinpath("result.json").exists()
+    assert tmp_path.joinpath("result.json").exists() is stays
+    assert not list(tmp_path.glob("*.part"))
