@@ -6,9 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from loose_env.gap.finding import find_gap
-from loose_env.gap.preparing import GapSettings
 from loose_env.gap.reporting import gather, outputs_of, result_of, write_model_and_result
 from loose_env.gap.result import GapResult
+from loose_env.gap.settings import GapSettings
 from loose_env.gap.stages import Stage, fresh
 from loose_env.recording import Recording
 

@@ -21,17 +21,18 @@ from loose_env.gap.naming import Keep, Named, name_effects
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.nominal import NominalFigures
 from loose_env.gap.parameter import values_of
-from loose_env.gap.preparing import GapSettings, Prepared, prepare
+from loose_env.gap.preparing import Prepared, prepare
 from loose_env.gap.ranking import ranking_of
 from loose_env.gap.refuting import short_of_limit
 from loose_env.gap.result import NamedEffect, Place, Ranked, Verdict
+from loose_env.gap.settings import GapSettings
 from loose_env.gap.spectra import spectral_share
 from loose_env.gap.stages import Stage, fresh
 from loose_env.gap.start import StartState
 from loose_env.recording import Recording
 from loose_env.rig.quiet import quiet
 
-__all__ = ["GapFound", "GapSettings", "find_gap", "prepare"]
+__all__ = ["GapFound", "find_gap", "prepare"]
 
 Array = NDArray[np.float64]
 Say = Callable[[str], None]

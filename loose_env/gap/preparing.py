@@ -27,7 +27,7 @@ from loose_env.gap.trial import Channel, Trial, channels_of, lay_out
 from loose_env.gap.windows import windowed
 from loose_env.recording import Recording, Run
 
-__all__ = ["GapSettings", "Prepared", "prepare"]
+__all__ = ["Prepared", "prepare"]
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from loose_env.gap.catalogue import candidates
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.export import correction_code, write_model
-from loose_env.gap.finding import GapFound, GapSettings
+from loose_env.gap.finding import GapFound
 from loose_env.gap.fit import UNNAMED
 from loose_env.gap.horizons import HorizonError, horizon_errors
 from loose_env.gap.hypothesis import Hypothesis
@@ -30,6 +30,7 @@ from loose_env.gap.notes import model_notes, nameless_words
 from loose_env.gap.quantities import errors_by_quantity, rms
 from loose_env.gap.residual_tests import LeftOver, left_over
 from loose_env.gap.result import Gap, GapResult, NamedEffect, Place, Ranked, Verdict
+from loose_env.gap.settings import GapSettings
 from loose_env.gap.start import StartState
 from loose_env.gap.struck import StruckChannel, struck_channels, struck_left
 from loose_env.gap.unseen import Identifiability, identifiability_words

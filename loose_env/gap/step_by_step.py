@@ -25,13 +25,14 @@ from loose_env.gap.machine import Machine
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.nominal import NominalFigures
 from loose_env.gap.parameter import free_of, values_of
-from loose_env.gap.preparing import GapSettings, Prepared, prepare
+from loose_env.gap.preparing import Prepared, prepare
 from loose_env.gap.proposals import missing_torque, proposals
 from loose_env.gap.reporting import machine_part
 from loose_env.gap.residual_series import Series, series_of
 from loose_env.gap.result import NamedEffect
 from loose_env.gap.result_table import html_table
 from loose_env.gap.screening import Screened, screen
+from loose_env.gap.settings import GapSettings
 from loose_env.gap.start import StartState
 from loose_env.gap.trying import Trying
 from loose_env.gap.windows import windowed

@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.finding import GapFound, GapSettings, find_gap
+from loose_env.gap.finding import GapFound, find_gap
 from loose_env.gap.result import Gap, GapResult, read_result
+from loose_env.gap.settings import GapSettings
 from loose_env.recording import read_recording
 
 from .exported import exported_gap

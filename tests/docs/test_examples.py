@@ -14,8 +14,8 @@ import pytest
 
 from loose_env.arms import DESK_ARM
 from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.finding import GapSettings
 from loose_env.gap.machine import Machine
+from loose_env.gap.settings import GapSettings
 from tests.docs.pages import PAGES, ROOT, blocks, python
 from tests.gap.effect_arms import PLANAR
 

@@ -20,7 +20,7 @@ def test_step_by_step_finds_the_friction_and_keeps_it(
     monkeypatch.chdir(tmp_path)
     (code,) = (b.text for b in blocks(ROOT / "docs" / "gap.md") if "GapSteps(" in b.text)
     names: dict[str, Any] = {"recording": read_recording("recordings/arm")}
-    exec("from loose_env.gap.preparing import GapSettings", names)
+    exec("from loose_env.gap.settings import GapSettings", names)
     exec(compile(code, "gap.md", "exec"), names)
     tried, steps = names["tried"], names["steps"]
     assert tried.believed and tried.held_out < 0.5 * tried.before

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.gap.effects.coulomb_friction import make_it_stick
-from loose_env.gap.finding import GapSettings, find_gap, prepare
+from loose_env.gap.finding import find_gap, prepare
+from loose_env.gap.settings import GapSettings
 from loose_env.gap.stages import Stages, key_of
 from loose_env.gap.windows import SHORTEST
 from loose_env.recording import Recording, Run, write_recording

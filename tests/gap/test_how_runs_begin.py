@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from loose_env.gap.finding import find_gap
 from loose_env.gap.machine import Machine
-from loose_env.gap.preparing import GapSettings, prepare
+from loose_env.gap.preparing import prepare
 from loose_env.gap.rest import comes_to_rest
+from loose_env.gap.settings import GapSettings
 from loose_env.gap.trial import channels_of, lay_out
 from loose_env.recording import Run, read_recording, write_recording
 

@@ -14,7 +14,8 @@ from loose_env.gap.effects.actuator_gain import ActuatorGain
 from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.integration import Integration, choose_integration, corrected_step_words
 from loose_env.gap.machine import Machine
-from loose_env.gap.preparing import GapSettings, prepare
+from loose_env.gap.preparing import prepare
+from loose_env.gap.settings import GapSettings
 from loose_env.gap.trial import channels_of
 from loose_env.recording import Run, write_recording
 

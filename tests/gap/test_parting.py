@@ -14,7 +14,7 @@ from loose_env.gap import parting
 from loose_env.gap.catalogue import CATALOGUE
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effects.structural_looseness import StructuralLooseness
-from loose_env.gap.finding import GapSettings, find_gap, prepare
+from loose_env.gap.finding import find_gap, prepare
 from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.joint_motion import joint_motion
 from loose_env.gap.judgement import Judge
@@ -22,6 +22,7 @@ from loose_env.gap.machine import Machine
 from loose_env.gap.nominal import NominalFigures
 from loose_env.gap.parting import parting_runs
 from loose_env.gap.reporting import GapOutputs, gather, outputs_of, result_of
+from loose_env.gap.settings import GapSettings
 from loose_env.gap.struck import struck_channels
 from loose_env.gap.trial import channels_of, lay_out
 from loose_env.gap.windows import windowed

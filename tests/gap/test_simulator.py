@@ -13,8 +13,9 @@ from loose_env.gap.catalogue import CATALOGUE
 from loose_env.gap.export import corrected_spec
 from loose_env.gap.hypothesis import Hypothesis, compiled
 from loose_env.gap.machine import Machine
-from loose_env.gap.preparing import GapSettings, prepare
+from loose_env.gap.preparing import prepare
 from loose_env.gap.rest import SETTLE
+from loose_env.gap.settings import GapSettings
 from loose_env.gap.simulator import Simulator
 from loose_env.gap.trial import Channel, Trial
 from loose_env.recording import Run, write_recording

@@ -11,8 +11,8 @@ import pytest
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.gap.catalogue import CATALOGUE
 from loose_env.gap.explaining import explain_gap
-from loose_env.gap.preparing import GapSettings
 from loose_env.gap.result import GapResult, read_result
+from loose_env.gap.settings import GapSettings
 from loose_env.gap.step_by_step import GapSteps, Tried
 from loose_env.recording import Recording
 from tests.gap.own_effects import CubicSpring

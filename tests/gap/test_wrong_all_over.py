@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from loose_env.gap.effects.coulomb_friction import make_it_stick
-from loose_env.gap.finding import GapFound, GapSettings, find_gap
+from loose_env.gap.finding import GapFound, find_gap
+from loose_env.gap.settings import GapSettings
 from tests.gap.test_finding import STEP, record
 
 SERVOS = ("servo1", "servo2", "servo3")

@@ -17,7 +17,8 @@ from loose_env.gap.effects.sensor_gain import SensorGain
 from loose_env.gap.effects.viscous_friction import ViscousFriction
 from loose_env.gap.judgement import Judge
 from loose_env.gap.nominal import NominalFigures
-from loose_env.gap.preparing import GapSettings, prepare
+from loose_env.gap.preparing import prepare
+from loose_env.gap.settings import GapSettings
 from loose_env.recording import Run, write_recording
 from scripts.gap_suite.exported import exported_gap
 from tests.gap.effect_arms import PLANAR
