@@ -42,8 +42,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Diagnose and write it down."""
     before = session_beside(options.recording)
-    choice = NextSettings() if before is None else before.choice
-    take_over(options, choice, "the plan beside the recording")
+    take_over(options, before.choice, "the plan beside the recording")
     settings = settings_of(options, DiagnoseSettings)
     folder = folder_of(options)
     if options.recording.resolve() == folder.path:

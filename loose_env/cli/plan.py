@@ -52,12 +52,12 @@ def run(options: argparse.Namespace) -> None:
     """Plan the next measurement and write it down."""
     known = None if options.known is None else read_diagnosis(options.known)
     before = session_beside(options.out / RECORDING)
-    whose, choice = "the earlier plan", NextSettings() if before is None else before.choice
-    if known is not None and not (before and before.is_newer_than(options.known)):
-        whose, choice = "the diagnosis", known.choice
-    take_over(options, choice, whose)
-    take_over(options, before.arm if before else ModelSettings(), "the earlier plan")
-    take_over(options, before.own if before else PlanSettings(), "the earlier plan", only=KEPT)
+    if known is None or before.is_newer_than(options.known):
+        take_over(options, before.choice, "the earlier plan")
+    else:
+        take_over(options, known.choice, "the diagnosis")
+    take_over(options, before.arm, "the earlier plan")
+    take_over(options, before.own, "the earlier plan", only=KEPT)
     made = plan(
         options.model,
         known,

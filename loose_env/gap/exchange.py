@@ -12,107 +12,98 @@ from collections.abc import Callable, Sequence
 from loose_env.gap.acceptance import Acceptance
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
-from loose_env.gap.fit import UNNAMED, fit_without, polished
+from loose_env.gap.fit import fit_without, polished
 from loose_env.gap.judgement import Judge, Judged, lead_of
 from loose_env.gap.kinship import akin
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.screening import screen
 from loose_env.gap.trying import Trying
 
-__all__ = ["exchanged"]
+__all__ = ["Exchange"]
 
 
-def exchanged(
-    comparisons: tuple[Comparison, Comparison],
-    judge: Judge,
-    candidates: Sequence[Effect],
-    base: Judged,
-    best: Judged,
-    settings: NamingSettings,
-    say: Callable[[str], None] = lambda _: None,
-) -> Judged:
-    """Exchange named effects for such as they may be mistaken for, where that is better.
-
-    A hypothesis takes the place of another if it would have been ranked above it: it leaves less,
-    or it does as well with fewer parameters.
+class Exchange:
+    """Exchanges named effects for such as they may be mistaken for, where that is better.
 
     Parameters
     ----------
-    comparisons : tuple of Comparison
+    comparison, short : Comparison
         The runs to fit to, and the windows of them that sort candidates.
     judge : Judge
         Judges what was fitted to all data.
     candidates : sequence of Effect
         The catalogue at every place.
-    base, best : Judged
-        The nominal model, and what was found.
+    base : Judged
+        The nominal model.
     settings : NamingSettings
         How many are tried: `NamingSettings.exchanged` at most are looked at for each effect.
-    say : callable
-        Told what goes on, line by line.
-
-    Returns
-    -------
-    Judged
-        ``best`` itself where nothing is better.
     """
-    for effect in _named(best):
-        if not any(effect is each for each in best.fitted.effects):
-            continue  # one that an exchange made idle
-        better = _in_place_of(effect, comparisons, judge, candidates, base, best, settings)
-        if better is not None:
-            say(
-                f"  {', '.join(map(repr, _named(best)))}: as well or better, and simpler, as "
-                f"{', '.join(map(repr, _named(better)))}"
-            )
-            best = better
-    return best
 
+    def __init__(
+        self,
+        comparison: Comparison,
+        short: Comparison,
+        judge: Judge,
+        candidates: Sequence[Effect],
+        base: Judged,
+        settings: NamingSettings,
+    ) -> None:
+        self.comparison, self.short, self.judge = comparison, short, judge
+        self.candidates, self.base, self.settings = candidates, base, settings
 
-def _in_place_of(
-    effect: Effect,
-    comparisons: tuple[Comparison, Comparison],
-    judge: Judge,
-    candidates: Sequence[Effect],
-    base: Judged,
-    best: Judged,
-    settings: NamingSettings,
-) -> Judged | None:
-    """The best hypothesis with another effect in the place of one; None if none is better."""
-    comparison, short = comparisons
-    taken = {(e.kind, e.where) for e in best.fitted.effects}
-    kin = [c for c in candidates if akin(effect, c) and (c.kind, c.where) not in taken]
-    if not kin:
+    def better_than(self, best: Judged, say: Callable[[str], None] = lambda _: None) -> Judged:
+        """The best hypothesis that exchanges lead to; ``best`` itself where nothing is better.
+
+        A hypothesis takes the place of another if it would have been ranked above it: it leaves
+        less, or it does as well with fewer parameters.
+
+        Parameters
+        ----------
+        best : Judged
+            What was found.
+        say : callable
+            Told what goes on, line by line.
+        """
+        for effect in best.fitted.named:
+            if not any(effect is each for each in best.fitted.effects):
+                continue  # one that an exchange made idle
+            better = self._in_place_of(effect, best)
+            if better is not None:
+                before, after = (
+                    ", ".join(map(repr, judged.fitted.named)) for judged in (best, better)
+                )
+                say(f"  {after} in the place of {before}")
+                best = better
+        return best
+
+    def _in_place_of(self, effect: Effect, best: Judged) -> Judged | None:
+        """The best hypothesis with another effect in the place of one; None if none is better."""
+        taken = {(e.kind, e.where) for e in best.fitted.effects}
+        kin = [c for c in self.candidates if akin(effect, c) and (c.kind, c.where) not in taken]
+        if not kin:
+            return None
+        before = self._without(best, effect)
+        trying = Trying(self.comparison, self.short, self.judge, before, self.settings)
+        acceptance = Acceptance(self.comparison, self.judge, self.base, before, self.settings)
+        screened = screen(self.short, trying.short_before, kin)[: self.settings.exchanged]
+        for judged in trying.in_place(screened, best.fitted):
+            simpler = self._without_idle(judged, before, best, acceptance)
+            if acceptance.ranked([best, simpler])[0] is not simpler:
+                continue
+            if acceptance.ahead_of_its_limit(judged) and acceptance.above_the_noise(judged):
+                return self.judge.judge(polished(self.comparison, simpler.fitted))
         return None
-    before = judge.judge(fit_without(comparison, best.fitted, effect))
-    trying = Trying(comparison, short, judge, before, settings)
-    acceptance = Acceptance(comparison, judge, base, before, settings)
-    screened = screen(short, trying.short_before, kin)[: settings.exchanged]
-    for judged in trying.in_place(screened, best.fitted):
-        simpler = _without_idle(judged, before, best, comparison, judge, acceptance)
-        if acceptance.ranked([best, simpler])[0] is not simpler:
-            continue
-        if acceptance.ahead_of_its_limit(judged) and acceptance.above_the_noise(judged):
-            return judge.judge(polished(comparison, simpler.fitted))
-    return None
 
+    def _without_idle(
+        self, judged: Judged, before: Judged, best: Judged, acceptance: Acceptance
+    ) -> Judged:
+        """A hypothesis without the effects that its new one makes idle."""
+        for other in before.fitted.named:
+            without = self._without(judged, other)
+            needed = acceptance.believed(lead_of(judged, without))
+            if not needed and not acceptance.believed(lead_of(best, without)):
+                judged = without
+        return judged
 
-def _without_idle(
-    judged: Judged,
-    before: Judged,
-    best: Judged,
-    comparison: Comparison,
-    judge: Judge,
-    acceptance: Acceptance,
-) -> Judged:
-    """A hypothesis without the effects that its new one makes idle."""
-    for other in _named(before):
-        without = judge.judge(fit_without(comparison, judged.fitted, other))
-        needed = acceptance.believed(lead_of(judged, without))
-        if not needed and not acceptance.believed(lead_of(best, without)):
-            judged = without
-    return judged
-
-
-def _named(judged: Judged) -> list[Effect]:
-    return [e for e in judged.fitted.effects if e.kind not in UNNAMED]
+    def _without(self, judged: Judged, effect: Effect) -> Judged:
+        return self.judge.judge(fit_without(self.comparison, judged.fitted, effect))

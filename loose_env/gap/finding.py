@@ -13,7 +13,7 @@ from loose_env.gap.ambiguity import indistinct
 from loose_env.gap.catalogue import candidates
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
-from loose_env.gap.fit import UNNAMED, Fit, fit, fit_without, refined, slices_of
+from loose_env.gap.fit import UNNAMED, Fit, fit, fit_without, refined, slice_of, slices_of
 from loose_env.gap.intervals import Intervals, bootstrap, widened
 from loose_env.gap.judgement import Judge, Judged
 from loose_env.gap.keeping import KeepInFiles
@@ -162,11 +162,7 @@ def _sure_ones(
         rng = np.random.default_rng(settings.seed)
         fitted = best.fitted
         found = bootstrap(prepared.fit, fitted, rng)
-        named = [
-            (effect, own)
-            for effect, own in zip(fitted.effects, slices_of(fitted.effects), strict=True)
-            if effect.kind not in UNNAMED
-        ]
+        named = [(effect, slice_of(fitted.effects, effect)) for effect in fitted.named]
         for effect, own in named:
             if found.may_be_nothing(effect, own):
                 found = short_of_limit(prepared.fit, fitted, found, effect)
@@ -198,10 +194,10 @@ _SURE = 4.0
 
 def _verdict(base: Judged, best: Judged, comparisons: Sequence[Comparison]) -> Verdict:
     """Whether something is missing, and whether the catalogue has it."""
-    if all(effect.kind in UNNAMED for effect in best.fitted.effects):
+    if not best.fitted.named:
         return "unexplained" if best.structure_sureness > _SURE else "no_gap"
     explained = 1 - best.structure / max(base.structure, 1e-12)
-    kinds = Counter(effect.kind for effect in best.fitted.effects if effect.kind not in UNNAMED)
+    kinds = Counter(effect.kind for effect in best.fitted.named)
     least = _EXPLAINED
     if max(kinds.values()) >= _MANY:
         least = _EXPLAINED_AT_MANY

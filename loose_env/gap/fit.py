@@ -86,6 +86,11 @@ class Fit:
         return hypothesis_of(self.effects, self.free)
 
     @property
+    def named(self) -> tuple[Effect, ...]:
+        """Effects that may be named: neither nominal figures nor starts of runs."""
+        return tuple(effect for effect in self.effects if effect.kind not in UNNAMED)
+
+    @property
     def rms(self) -> float:
         """Root mean square residual, in noise standard deviations."""
         return float(np.sqrt(np.mean(self.residual**2)))
@@ -118,9 +123,14 @@ def slices_of(effects: Sequence[Effect]) -> tuple[slice, ...]:
     return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
 
 
+def slice_of(effects: Sequence[Effect], effect: Effect) -> slice:
+    """Where the parameters of one of them stand among those of all."""
+    return dict(zip(map(id, effects), slices_of(effects), strict=True))[id(effect)]
+
+
 def fit_without(comparison: Comparison, fitted: Fit, effect: Effect) -> Fit:
     """Leave out one effect of a fit and fit the others again."""
-    own = dict(zip(map(id, fitted.effects), slices_of(fitted.effects), strict=True))[id(effect)]
+    own = slice_of(fitted.effects, effect)
     kept = [k for k in range(len(fitted.free)) if not own.start <= k < own.stop]
     others = [e for e in fitted.effects if e is not effect]
     return fit(comparison, others, fitted.free[kept], known=fitted.jacobian[:, kept])

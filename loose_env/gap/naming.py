@@ -10,8 +10,8 @@ import numpy as np
 from loose_env.gap.acceptance import Acceptance
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
-from loose_env.gap.exchange import exchanged
-from loose_env.gap.fit import UNNAMED, fit
+from loose_env.gap.exchange import Exchange
+from loose_env.gap.fit import fit
 from loose_env.gap.judgement import Judge, Judged, Lead, lead_of
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.parameter import free_of
@@ -107,7 +107,7 @@ def name_effects(
     windows = SHORTEST * min(len(comparison.trials), settings.sorted_runs)
     short = windowed(comparison, max(settings.sorting, windows))
     for number in range(1, settings.most + 1):
-        if sum(e.kind not in UNNAMED for e in found.best.fitted.effects) >= settings.most:
+        if len(found.best.fitted.named) >= settings.most:
             break
         if found.best.structure_sureness < settings.structure:
             say("what is left does not hang together in time: nothing more to explain")
@@ -129,16 +129,10 @@ def name_effects(
             say(f"  {effect!r} is idle now and is left out")
         found.steps.append(step.accepted)
         found.dropped += step.dropped
-    count = sum(e.kind not in UNNAMED for e in found.best.fitted.effects)
-    if 2 <= count <= settings.exchanges:
+    if 2 <= len(found.best.fitted.named) <= settings.exchanges:
         say("whether others do as well in the place of what was found")
-        comparisons = comparison, short
-        better = keep.judged(
-            "exchanged",
-            lambda: exchanged(
-                comparisons, judge, candidates, found.base, found.best, settings, say
-            ),
-        )
+        exchange = Exchange(comparison, short, judge, candidates, found.base, settings)
+        better = keep.judged("exchanged", lambda: exchange.better_than(found.best, say))
         if _keys(better) != _keys(found.best):
             found.steps.append(better)
     return found
@@ -193,7 +187,7 @@ def _step(
                 say(f"  {judged.fitted.effects[-1]!r}: shuts out noise of the motion, no more")
                 continue
             accepted, dropped = acceptance.accept(judged)
-            earlier = [e for e in best.fitted.effects if e.kind not in UNNAMED]
+            earlier = list(best.fitted.named)
             alone = trying.alone(judged, found.base.fitted) if earlier else None
             if alone is not None and not acceptance.believed(lead_of(accepted, alone)):
                 acceptance = Acceptance(comparison, judge, found.base, found.base, settings)

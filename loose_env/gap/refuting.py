@@ -14,16 +14,17 @@ from numpy.typing import NDArray
 
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
-from loose_env.gap.fit import Fit, hypothesis_of, slices_of
+from loose_env.gap.fit import Fit, hypothesis_of, slice_of
 from loose_env.gap.intervals import Intervals
 from loose_env.gap.judgement import sureness_of
+from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.parameter import free_of, values_of
 
 __all__ = ["short_of_limit"]
 
 Array = NDArray[np.float64]
 
-_SURE = 3.5
+_SURE = NamingSettings.sureness
 """Lead over the limit itself from which on it is refuted [standard deviations over blocks]."""
 _REFUTED = 2.0
 """Lead over a value from which on it lies outside a 95 % interval."""
@@ -47,9 +48,9 @@ def short_of_limit(
     effect : Effect
         One of its effects; nothing is changed if it has no limit, or if that is not refuted.
     """
-    own = dict(zip(map(id, fitted.effects), slices_of(fitted.effects), strict=True))[id(effect)]
     if not effect.limit:
         return intervals
+    own = slice_of(fitted.effects, effect)
     here = fitted.free[own]
     limit = free_of(effect.parameters, effect.at_limit(values_of(effect.parameters, here)))
     tried = []

@@ -191,7 +191,7 @@ class GapSteps:
     @property
     def added(self) -> tuple[Effect, ...]:
         """What was added so far."""
-        return tuple(e for e in self.best.fitted.effects if e.kind not in UNNAMED)
+        return self.best.fitted.named
 
     def try_effect(
         self,

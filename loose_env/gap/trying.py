@@ -221,7 +221,8 @@ class Trying:
             What was there, with the effect in whose place they come.
         """
         together = self.short.residuals([rival.hypothesis])[0]
-        fits = sorted((self._to_windows([each], both=True) for each in screened), key=_cost)
+        fits = [self._to_windows([each], both=True) for each in screened]
+        fits.sort(key=lambda f: f.cost)
         near = [f for f in fits if f.residual @ f.residual < _NEAR * float(together @ together)]
         found = [self._to_all(each) for each in near[: self.settings.kin]]
         return sorted(found, key=lambda judged: judged.total)
@@ -292,7 +293,3 @@ class Trying:
         start = np.concatenate([self.before.free, each.free[len(self.before.free) :]])
         known = self.before.jacobian
         return self.judge.judge(fit(self.comparison, each.effects, start, known=known))
-
-
-def _cost(fitted: Fit) -> float:
-    return fitted.cost

@@ -75,13 +75,7 @@ def starting_commands(machine: ModelArm, pose: Array) -> dict[str, float]:
     dict
         Actuator -> command in its own unit.
     """
-    model, data = machine.recordable.model, _standing(machine, pose)
-    commands = holding_commands(machine, pose)[0]
-    for drive in drives_of(model, _joints(model))[0]:
-        if drive is not None and drive.servo:
-            q = float(data.joint(drive.joint).qpos[0])
-            commands[drive.actuator] = float(drive.command(0.0, q))
-    return commands
+    return _at_the_start(machine, pose, holding_commands(machine, pose)[0])
 
 
 def why_not_held(machine: ModelArm, pose: Array) -> str:
@@ -94,7 +88,8 @@ def why_not_held(machine: ModelArm, pose: Array) -> str:
     pose : ndarray (n,)
         Joint positions [rad or m].
     """
-    told = (holding_commands(machine, pose)[0], starting_commands(machine, pose))
+    holding = holding_commands(machine, pose)[0]
+    told = (holding, _at_the_start(machine, pose, holding))
     for drive in machine.drives:
         if drive is None:
             continue
@@ -108,6 +103,16 @@ def why_not_held(machine: ModelArm, pose: Array) -> str:
                     f"and takes commands from {low:g} to {high:g}"
                 )
     return ""
+
+
+def _at_the_start(machine: ModelArm, pose: Array, holding: dict[str, float]) -> dict[str, float]:
+    """Commands that hold an arm (actuator -> command) with the pose itself for servos."""
+    model, data, commands = machine.recordable.model, _standing(machine, pose), dict(holding)
+    for drive in drives_of(model, _joints(model))[0]:
+        if drive is not None and drive.servo:
+            q = float(data.joint(drive.joint).qpos[0])
+            commands[drive.actuator] = float(drive.command(0.0, q))
+    return commands
 
 
 def _standing(machine: ModelArm, pose: Array) -> mujoco.MjData:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from loose_env.errors import InvalidSetting
-from loose_env.instrument.setting_types import check_types, settings_within
+from loose_env.instrument.setting_types import check_types
 from loose_env.sensors import Accelerometer, SensorSuite
 
 __all__ = ["NextSettings"]
@@ -115,29 +113,6 @@ class NextSettings:
             raise InvalidSetting(f"margin is a share from 0 to below 0.5, got {self.margin!r}")
         if not 0 <= self.seed < _SEEDS:
             raise InvalidSetting(f"seed is zero or more, and below 2**63, got {self.seed!r:.60}")
-
-    @classmethod
-    def within(cls, values: Mapping[str, Any], place: str) -> NextSettings:
-        """Those settings that were written to a file; others of it are left out.
-
-        Parameters
-        ----------
-        values : mapping
-            What the file has.
-        place : str
-            Where it stands there, as errors say it.
-
-        Raises
-        ------
-        InvalidData
-            If one of them is of another type, or makes no sense.
-
-        Examples
-        --------
-        >>> NextSettings.within({"poses": 8, "sure": 0.9}, "settings").poses
-        8
-        """
-        return settings_within(NextSettings, values, place)
 
     @property
     def allowed_hz(self) -> float:

@@ -13,6 +13,7 @@ from loose_env.gap.files import write_text
 from loose_env.gap.plain import restored
 from loose_env.gap.result_file import json_text, read_result_file, whole_of
 from loose_env.instrument.next_settings import NextSettings
+from loose_env.instrument.setting_types import settings_within
 
 __all__ = [
     "FORMAT",
@@ -176,14 +177,14 @@ class NextMeasurement:
             raise InvalidData(
                 f"levels and torques are finite and not negative, got {_short(played)}"
             )
-        NextSettings.within({"seconds": self.seconds, "rate_hz": self.rate_hz}, "next")
+        settings_within(NextSettings, {"seconds": self.seconds, "rate_hz": self.rate_hz}, "next")
         _ = self.choice
 
     @property
     def choice(self) -> NextSettings:
         """Settings with which it was chosen; those that the file does not say are the usual."""
         said = {"seconds": self.seconds, "rate_hz": self.rate_hz, **self.settings}
-        return NextSettings.within(said, "next.settings")
+        return settings_within(NextSettings, said, "next.settings")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -306,7 +307,7 @@ class Diagnosis:
         """Settings with which the next measurement is chosen, also where none was."""
         if self.next is not None:
             return self.next.choice
-        return NextSettings.within(self.settings, "settings")
+        return settings_within(NextSettings, self.settings, "settings")
 
     def to_json(self) -> str:
         """Text of ``result.json``; numbers that are not finite become null."""

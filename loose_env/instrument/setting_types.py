@@ -65,6 +65,12 @@ def settings_within(kind: type[T], values: Mapping[str, Any], place: str) -> T:
     ------
     InvalidData
         If one of them is of another type, or makes no sense.
+
+    Examples
+    --------
+    >>> from loose_env.instrument.next_settings import NextSettings
+    >>> settings_within(NextSettings, {"poses": 8, "sure": 0.9}, "settings").poses
+    8
     """
     hints, own = get_type_hints(kind), dict[str, Any]()
     for each in fields(kind):  # type: ignore[arg-type]

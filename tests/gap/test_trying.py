@@ -12,7 +12,7 @@ from loose_env.gap.acceptance import Acceptance
 from loose_env.gap.catalogue import CATALOGUE, candidates
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
-from loose_env.gap.exchange import exchanged
+from loose_env.gap.exchange import Exchange
 from loose_env.gap.fit import FitSettings, fit, slices_of
 from loose_env.gap.judgement import Judge, Judged, lead_of
 from loose_env.gap.machine import Machine
@@ -125,9 +125,9 @@ def test_a_last_trace_is_not_named_however_sure_it_is(case: Case) -> None:
 
 def exchange(case: Case, base: Judged, best: Judged) -> Judged:
     kinds = ("viscous_friction", "quadratic_drag", "actuator_gain", "actuator_lag")
-    comparisons = case.comparison, case.comparison
     given = candidates(case.machine, kinds)
-    return exchanged(comparisons, case.judge, given, base, best, NamingSettings())
+    tried = Exchange(case.comparison, case.comparison, case.judge, given, base, NamingSettings())
+    return tried.better_than(best)
 
 
 def test_what_was_named_for_a_mixture_is_exchanged_when_the_other_is_there(case: Case) -> None:

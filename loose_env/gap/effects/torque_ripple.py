@@ -100,8 +100,7 @@ class TorqueRipple(JointEffect):
         """Least squares of sine and cosine over a fine grid of periods (Lomb and Scargle).
 
         The grid, of phase per unit of position, is as fine as the range of the motion tells apart.
-        The strongest peaks that are
-        not neighbours become starts.
+        The strongest peaks that are not neighbours become starts.
         """
         good = np.isfinite(angle) & np.isfinite(torque)
         every = max(1, int(good.sum()) // _SAMPLES)
