@@ -17,7 +17,7 @@ from loose_env.report.diagnosis_arm import arm_figure
 from loose_env.report.diagnosis_words import percent, with_plain_names
 from loose_env.report.figures import new_figure
 from loose_env.report.gap_parts import group
-from loose_env.report.plan_words import plain_names, pose_rows, starts, steps
+from loose_env.report.plan_words import commands_after, plain_names, pose_rows, starts, steps
 from loose_env.report.plate import Plate
 from loose_env.report.sentences import sentence
 from loose_env.report.template import template, write_whole
@@ -77,7 +77,12 @@ def plan_page(
     arm, chosen, plain = plan.machine.arm, plan.next, plain_names(plan)
     joints = " and ".join(chosen.joints)
     groups = [
-        group("What to do", "", points=steps(plan, tuple(runs), folder, model)),
+        group(
+            "What to do",
+            "",
+            points=steps(plan, tuple(runs)),
+            code="\n".join(commands_after(plan, folder, model)),
+        ),
         _pose_group(plan),
         _signal_group(plan),
         _expected_group(plan),

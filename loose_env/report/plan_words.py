@@ -15,7 +15,7 @@ from loose_env.instrument.plan_files import RECORDING, run_columns, signal_stems
 from loose_env.instrument.signals import Signal
 from loose_env.report.diagnosis_words import percent, place_value, short_name
 
-__all__ = ["plain_names", "pose_rows", "starts", "steps", "summary"]
+__all__ = ["commands_after", "plain_names", "pose_rows", "starts", "steps", "summary"]
 
 _LISTED = 0.02
 """Probability from which a hypothesis is mentioned [1]."""
@@ -38,13 +38,32 @@ def starts(plan: Plan) -> list[str]:
     ]
 
 
-def steps(
-    plan: Plan,
-    runs: tuple[str, ...],
-    folder: str | Path = "DIR",
-    model: str | Path | None = None,
+def commands_after(
+    plan: Plan, folder: str | Path = "DIR", model: str | Path | None = None
 ) -> list[str]:
-    """What to do, a sentence or two a step.
+    """Commands that make use of the measured run: diagnose, and plan again.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    folder : str or Path
+        Where the plan lies, as commands are to name it.
+    model : str or Path, optional
+        The model, as commands are to name it; by default as the plan has it.
+    """
+    place = Path(folder)
+    found = path_word(place / "diagnosis")
+    chosen_with = {n: v for n, v in plan.again.items() if n in asdict(NextSettings())}
+    return [
+        f"loose diagnose {path_word(place / RECORDING)} --out {found}{option_words(chosen_with)}",
+        f"loose plan {path_word(model or plan.machine.path)} --out {path_word(place)} "
+        f"--known {found}{option_words(plan.again)}",
+    ]
+
+
+def steps(plan: Plan, runs: tuple[str, ...]) -> list[str]:
+    """What to do, a sentence or two a step; `commands_after` are what the last one speaks of.
 
     Parameters
     ----------
@@ -52,10 +71,6 @@ def steps(
         The plan.
     runs : tuple of str
         File of each signal's run.
-    folder : str or Path
-        Where the plan lies, as commands are to name it.
-    model : str or Path, optional
-        The model, as commands are to name it; by default as the plan has it.
     """
     machine, chosen = plan.machine, plan.next
     made = machine.recordable
@@ -94,16 +109,8 @@ def steps(
             "accelerations are in m/s² as the sensor gives them, gravity included, along the axes "
             f"of the site {made.site!r}."
         )
-    place = Path(folder)
-    found = path_word(place / "diagnosis")
-    chosen_with = {n: v for n, v in plan.again.items() if n in asdict(NextSettings())}
     said.append(
-        f"Then: loose diagnose {path_word(place / RECORDING)} --out {found}"
-        f"{option_words(chosen_with)}"
-    )
-    said.append(
-        f"And for the next pose: loose plan {path_word(model or machine.path)} "
-        f"--out {path_word(place)} --known {found}{option_words(plan.again)}"
+        "Run the two commands below: the first says what is loose, the second plans the next pose."
     )
     return said
 
