@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 def corrected_spec(
-    machine: Machine, effects: Sequence[Effect], values: Sequence[Array]
+    machine: Machine, effects: Sequence[Effect], values: Sequence[Array], *, parts: int = 1
 ) -> mujoco.MjSpec:
     """Nominal model with all effects that MJCF can express, with the step that they ask for.
 
@@ -38,10 +38,12 @@ def corrected_spec(
         What it lacks, fitted nominal figures included, in the order in which they act.
     values : sequence of ndarray (P,)
         Of the parameters of each.
+    parts : int
+        Into how many this step is cut (`loose_env.gap.exported.exported` tells).
     """
     spec = machine.spec.copy()
-    if machine.step > 0:
-        set_step(spec, step_with(machine, effects))
+    if machine.step > 0 or parts > 1:
+        set_step(spec, step_with(machine, effects) / parts)
     if machine.integrator is not None:
         spec.option.integrator = machine.integrator
     for effect, own in zip(effects, values, strict=True):
@@ -109,6 +111,7 @@ def write_model(
     effects: Sequence[Effect],
     values: Sequence[Array],
     *,
+    parts: int = 1,
     source: Path | None = None,
     notes: Sequence[str] = (),
 ) -> list[Path]:
@@ -118,7 +121,7 @@ def write_model(
     ----------
     path : Path
         Where the model goes.
-    machine, effects, values
+    machine, effects, values, parts
         As in `corrected_spec`.
     source : Path, optional
         File of the nominal model; what it refers to is copied.
@@ -136,7 +139,7 @@ def write_model(
         If the model does not compile from the file, or a column of the recording would no longer
         name anything in it.
     """
-    text = corrected_spec(machine, effects, values)
+    text = corrected_spec(machine, effects, values, parts=parts)
     try:
         text.compile()
         xml = text.to_xml()

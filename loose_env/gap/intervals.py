@@ -11,7 +11,7 @@ from scipy import stats
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.fit import Fit, parameters_of, prior_of, slices_of
-from loose_env.gap.parameter import free_of
+from loose_env.gap.parameter import free_of, values_of
 
 __all__ = ["Intervals", "bootstrap", "widened"]
 
@@ -20,6 +20,9 @@ Array = NDArray[np.float64]
 _ANSWER = 1.0
 """Rise of the sum of squares [noise variances] with a step of one free number, about the least size
 that matters, below which the data do not answer to it."""
+_EXACT = 0.005
+"""Share of a value that no interval is surer of, to either side: however little noise there is, no
+law of the catalogue is that of a machine more closely, nor is a clock."""
 _ANYWHERE = 1e6
 """Factor on the squared range of such a number, for its variance."""
 
@@ -133,6 +136,7 @@ def widened(comparison: Comparison, fitted: Fit, intervals: Intervals) -> Interv
     Zeger, Biometrika 73, 1986), with Student's law for as few runs as a recording has (Bell and
     McCaffrey, Survey Methodology 28, 2002). That is a rough figure: by it alone no interval comes
     to include nothing, which other runs have refuted; the end on that side stays where it is.
+    Nor is any interval surer of a value than the law itself is.
 
     Parameters
     ----------
@@ -141,6 +145,7 @@ def widened(comparison: Comparison, fitted: Fit, intervals: Intervals) -> Interv
     intervals : Intervals
         To be widened.
     """
+    intervals = _no_surer(fitted, intervals)
     runs = np.unique(comparison.rows.trial)
     if len(runs) < 2:
         return intervals
@@ -165,6 +170,18 @@ def widened(comparison: Comparison, fitted: Fit, intervals: Intervals) -> Interv
         if effect.vanishes(low[own], high[own]):
             low[own], high[own] = _short_of_nothing(effect, intervals, own, low[own], high[own])
     return replace(intervals, low=low, high=high)
+
+
+def _no_surer(fitted: Fit, intervals: Intervals) -> Intervals:
+    """Intervals that are no surer of a value than `_EXACT`."""
+    parameters = parameters_of(fitted.effects)
+    values = values_of(parameters, fitted.free)
+    room = _EXACT * np.abs(values)
+    low = np.maximum(values - room, [p.low for p in parameters])
+    high = np.minimum(values + room, [p.high for p in parameters])
+    return replace(
+        intervals, low=np.minimum(intervals.low, low), high=np.maximum(intervals.high, high)
+    )
 
 
 def _short_of_nothing(

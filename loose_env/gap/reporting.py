@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from loose_env.gap.catalogue import candidates
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.export import correction_code, write_model
+from loose_env.gap.exported import Exported, exported
 from loose_env.gap.finding import GapFound
 from loose_env.gap.fit import UNNAMED
 from loose_env.gap.horizons import HorizonError, horizon_errors
@@ -72,6 +74,11 @@ class GapOutputs:
     """Name of the recording, for the page."""
     threads: int = 0
     """Threads of the simulation; 0: all processors."""
+
+    @cached_property
+    def exported(self) -> Exported:
+        """How the corrected model is written."""
+        return exported(self.held, machine_part(self.best), self.best.held_residual)
 
     @property
     def added(self) -> tuple[tuple[Effect, Array], ...]:
@@ -217,6 +224,7 @@ def gather(outputs: GapOutputs, *, say: Say = lambda _: None) -> Evidence:
         identifiability=shown,
         warnings=(
             *corrected_step_words(outputs.held, corrected),
+            *outputs.exported.words(),
             *identifiability_words(shown),
         ),
     )
@@ -330,6 +338,7 @@ def write_model_and_result(folder: Path, outputs: GapOutputs, result: GapResult)
         outputs.machine,
         effects,
         values,
+        parts=outputs.exported.parts,
         source=outputs.model_path,
         notes=notes,
     )

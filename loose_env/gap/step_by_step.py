@@ -18,6 +18,7 @@ from loose_env.gap.acceptance import Acceptance
 from loose_env.gap.catalogue import CATALOGUE
 from loose_env.gap.effect import Effect
 from loose_env.gap.export import correction_code, write_model
+from loose_env.gap.exported import exported
 from loose_env.gap.fit import UNNAMED, fit, polished, refined, slices_of
 from loose_env.gap.intervals import bootstrap, widened
 from loose_env.gap.judgement import Judge, Judged, Lead, lead_of
@@ -327,8 +328,15 @@ class GapSteps:
             If it does not compile.
         """
         machine = machine_part(self.best)
-        source = self._recording.model_path
-        return write_model(Path(path), self.machine, machine.effects, machine.values, source=source)
+        own = exported(self.prepared.whole_held, machine, self.best.held_residual)
+        return write_model(
+            Path(path),
+            self.machine,
+            machine.effects,
+            machine.values,
+            parts=own.parts,
+            source=self._recording.model_path,
+        )
 
     def _effects(self, effect: Effect | type[Effect] | str, where: str | None) -> list[Effect]:
         """The effect at its place, in every form."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.export import write_model
+from loose_env.gap.exported import exported
 from loose_env.gap.finding import GapFound
 from loose_env.gap.reporting import machine_part
 from loose_env.gap.trial import Trial
@@ -55,18 +56,21 @@ def exported_gap(found: GapFound, folder: Path) -> tuple[float, float] | None:
     if not chosen:
         return None
     machine = found.prepared.machine
-    file, *_ = write_model(folder / MODEL, machine, corrected.effects, corrected.values)
+    parts = exported(held, corrected, found.best.held_residual).parts
+    file, *_ = write_model(
+        folder / MODEL, machine, corrected.effects, corrected.values, parts=parts
+    )
     model = mujoco.MjModel.from_xml_path(str(file))
-    rows, exported, fitted = held.rows, [], []
+    rows, left, fitted = held.rows, [], []
     for t in chosen:
         own = rows.trial == t
         shown = simulated(model, held.trials[t], machine.actuators, machine.joints)
         columns = np.stack([_column(model, shown, c.column, c.axis) for c in held.channels], axis=1)
         sample, channel = rows.sample[own], rows.channel[own]
         measured = held.trials[t].measured[sample, channel]
-        exported.append((measured - columns[sample, channel]) / held.scales[t, channel])
+        left.append((measured - columns[sample, channel]) / held.scales[t, channel])
         fitted.append(found.best.held_residual[own])
-    return _rms(np.concatenate(exported)), _rms(np.concatenate(fitted))
+    return _rms(np.concatenate(left)), _rms(np.concatenate(fitted))
 
 
 def simulated(

@@ -74,7 +74,7 @@ def test_the_file_compiles_keeps_its_names_and_does_what_was_fitted(
         scale = max(float(np.abs(column).max()), 1e-2)
         # A Runge-Kutta method reads what is late within the step too. The motion is that of half a
         # step later, so that an accelerometer, which reads at the step, is half a step in doubt.
-        doubtful = kind == "actuator_lag" or (kind == "command_delay" and column.ndim > 1)
+        doubtful = kind in ("actuator_lag", "command_delay") and column.ndim > 1
         half = 0.5 * float(np.abs(np.diff(column, axis=0)).max()) if doubtful else 0
         allowed = (2e-3 if effect.adds_motion else 3e-5) * scale + 0.02 * visible + half
         assert off <= allowed, name

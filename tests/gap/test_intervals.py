@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -94,6 +95,11 @@ def test_runs_that_disagree_widen_an_interval_and_never_to_nothing() -> None:
     wide = widened(comparison, fitted, narrow)  # type: ignore[arg-type]
     assert wide.low[0] == narrow.low[0]
     assert wide.high[0] > 1.5 * narrow.high[0]
+    # data without a contradiction are still no surer than the law itself
+    sharp = replace(narrow, low=np.array([scale]), high=np.array([scale]))
+    fitted.residual = np.zeros(rows)
+    least = widened(comparison, fitted, sharp)  # type: ignore[arg-type]
+    assert (least.low[0], least.high[0]) == pytest.approx((0.995 * scale, 1.005 * scale))
 
 
 @pytest.mark.parametrize(("first", "nothing"), [(0.0, True), (3.0, False)])

@@ -18,15 +18,18 @@ __all__ = ["ActuatorLag", "clamped"]
 Array = NDArray[np.float64]
 
 _SHORTEST = 1e-9  # a lag below this is none [s]
+_STABLE = 0.5
+"""Lag over the step from which on a Runge-Kutta method of fourth order is surely stable: its limit
+is 1 / 2.785."""
 
 
 class ActuatorLag(Effect):
     """What reaches the actuator follows the command with a time constant.
 
     Commands are held from step to step, and the filter's answer is exact: its mean moves the arm,
-    its value at a step is what sensors show there. MuJoCo's ``filterexact``, as which it is
-    written out, takes the value at its beginning for the whole step, and starts at zero, not at
-    the first command.
+    its value at a step is what sensors show there. MuJoCo's filters, as which it is written out,
+    start at zero, not at the first command. A Runge-Kutta method takes ``filter`` along within its
+    step; other methods take the value of ``filterexact`` at the beginning of a step for all of it.
     """
 
     kind = "actuator_lag"
@@ -83,13 +86,18 @@ class ActuatorLag(Effect):
         return self.machine.actuators.index(self.where)
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Give the actuator MuJoCo's exact filter."""
-        if values[0] < _SHORTEST:
+        """Give the actuator MuJoCo's filter that suits the integrator."""
+        lag, step = float(values[0]), float(spec.option.timestep)
+        if lag < _SHORTEST:
             return
         actuator = spec.actuator(self.where)
-        actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
-        # MuJoCo holds the value at a step's beginning, half a step behind its mean
-        lag = max(float(values[0]) - 0.5 * spec.option.timestep, 0.1 * float(values[0]))
+        if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+            actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTER
+            lag = max(lag, _STABLE * step)
+        else:
+            actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
+            # the value at a step's beginning is half a step behind its mean
+            lag = max(lag - 0.5 * step, 0.1 * lag)
         actuator.dynprm = [lag, *np.array(actuator.dynprm)[1:]]
 
 

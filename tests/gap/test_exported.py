@@ -1,0 +1,88 @@
+"""The corrected model's file does in plain MuJoCo what was fitted, or it says that it does not."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from loose_env.gap.effects.actuator_lag import ActuatorLag
+from loose_env.gap.effects.command_delay import CommandDelay
+from loose_env.gap.effects.sensor_gain import SensorGain
+from loose_env.gap.effects.viscous_friction import ViscousFriction
+from loose_env.gap.export import corrected_spec
+from loose_env.gap.exported import Exported, exported, played
+from loose_env.gap.preparing import Prepared
+from loose_env.gap.reporting import machine_part
+from tests.gap.exported_case import judged_with, prepared_arm
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
+    return prepared_arm(tmp_path_factory.mktemp("exported") / "r")
+
+
+def export_of(prepared: Prepared, effect: object, values: list[float]) -> Exported:
+    best = judged_with(prepared, effect, values)  # type: ignore[arg-type]
+    return exported(prepared.whole_held, machine_part(best), best.held_residual)
+
+
+def test_what_acts_slowly_needs_no_finer_step(prepared: Prepared) -> None:
+    found = export_of(prepared, ViscousFriction(prepared.machine, "joint2"), [3.0])
+    assert found.parts == 1 and not found.matters and found.words() == []
+    assert found.left == pytest.approx(found.fitted, rel=1e-3) and found.fitted < 1.1
+
+
+@pytest.mark.parametrize(
+    ("kind", "where", "late"),
+    [
+        (ActuatorLag, "servo2", 0.0002),
+        (ActuatorLag, "servo2", 0.0011),
+        (CommandDelay, "all", 0.0004),
+    ],
+)
+def test_what_is_shorter_than_a_step_is_written_with_a_finer_one(
+    kind: type, where: str, late: float, prepared: Prepared
+) -> None:
+    # held against a fit that is right, as the noise is what it leaves
+    effect = kind(prepared.machine, where)
+    best = judged_with(prepared, effect, [late])
+    hypothesis, held = machine_part(best), prepared.whole_held
+    (shown,) = held.predict([hypothesis])
+    quiet = np.zeros(len(held))  # what that fit would leave of readings that are its own
+    for t, values in enumerate(shown):
+        held.trials[t].measured[:], measured = values, held.trials[t].measured.copy()
+        try:
+            found = exported(held, hypothesis, quiet)
+        finally:
+            held.trials[t].measured[:] = measured
+    assert not found.matters and found.apart < 0.3
+    assert found.parts > 1 or late > prepared.machine.step
+    if found.parts > 1:
+        assert found.step == pytest.approx(prepared.machine.step / found.parts)
+        assert "has a step of" in found.words()[0]
+
+
+def test_a_filter_much_shorter_than_a_step_is_stable_in_plain_mujoco(prepared: Prepared) -> None:
+    machine, held = prepared.machine, prepared.whole_held
+    assert machine.integrator == int(mujoco.mjtIntegrator.mjINT_RK4)
+    lag = ActuatorLag(machine, "servo2")
+    model = corrected_spec(machine, [lag], [np.array([1e-5])]).compile()
+    nominal = corrected_spec(machine, [], []).compile()
+    with_lag, without = (played(held, m, held.trials[0]) for m in (model, nominal))
+    assert np.abs(with_lag - without).max() < 0.01
+
+
+def test_a_file_that_lacks_what_was_fitted_is_found_out(
+    prepared: Prepared, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ViscousFriction, "export", lambda *_: None)
+    found = export_of(prepared, ViscousFriction(prepared.machine, "joint2"), [3.0])
+    assert found.matters and found.parts == 1 and found.left > 3 * found.fitted
+    (words,) = found.words()
+    assert found.channel in words and "does not quite do what was fitted" in words
+
+
+def test_what_a_file_cannot_carry_is_not_tried(prepared: Prepared) -> None:
+    found = export_of(prepared, SensorGain(prepared.machine, "encoder1"), [1.1])
+    assert found == Exported() and np.isnan(found.left) and found.words() == []
