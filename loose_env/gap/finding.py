@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,22 +13,33 @@ from loose_env.gap.ambiguity import indistinct
 from loose_env.gap.catalogue import candidates
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
-from loose_env.gap.fit import UNNAMED, Fit, fit, fit_without, refined, slice_of, slices_of
-from loose_env.gap.intervals import Intervals, bootstrap, widened
-from loose_env.gap.judgement import Judge, Judged
+from loose_env.gap.fit import (
+    UNNAMED,
+    Fit,
+    cost_of,
+    fit,
+    fit_without,
+    parameters_of,
+    refined,
+    slice_of,
+    slices_of,
+)
+from loose_env.gap.intervals import Intervals, bootstrap, joined, widened
+from loose_env.gap.judgement import Judge, Judged, machine_part
 from loose_env.gap.keeping import KeepInFiles
 from loose_env.gap.naming import Keep, Named, name_effects
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.nominal import NominalFigures
 from loose_env.gap.parameter import values_of
+from loose_env.gap.parting import STRIKING
 from loose_env.gap.preparing import Prepared, prepare
 from loose_env.gap.ranking import ranking_of
 from loose_env.gap.refuting import short_of_limit
 from loose_env.gap.result import NamedEffect, Place, Ranked, Verdict
 from loose_env.gap.settings import GapSettings
-from loose_env.gap.spectra import spectral_share
 from loose_env.gap.stages import Stage, fresh
 from loose_env.gap.start import StartState
+from loose_env.gap.striking import Struck, find_striking
 from loose_env.recording import Recording
 from loose_env.rig.quiet import quiet
 
@@ -56,6 +67,8 @@ class GapFound:
     """What the model lacks."""
     ranking: tuple[Ranked, ...]
     """What was tried."""
+    struck: Struck | None = None
+    """A part that was found by how hard it strikes its stops."""
 
 
 def find_gap(
@@ -96,12 +109,14 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Sta
     nominal = NominalFigures(machine, tolerance=settings.tolerance)
     given = [*_starts(prepared.search), nominal]
     keep = Keep() if stages is fresh else KeepInFiles(stages, machine, given)
+    sought = [c for c in candidates(machine, settings.kinds or None) if prepared.search.shows(c)]
+    naming = NamingSettings(most=settings.most_effects)
     named = name_effects(
         prepared.search,
         prepared.held,
         given,
-        [c for c in candidates(machine, settings.kinds or None) if prepared.search.shows(c)],
-        settings=NamingSettings(most=settings.most_effects),
+        sought,
+        settings=naming,
         say=say,
         keep=keep,
     )
@@ -121,15 +136,55 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Sta
     for effect in dropped:
         say(f"  {effect!r} may be nothing at all, by its interval, and is left out")
     named.dropped += dropped
-    verdict = _verdict(base, best, (prepared.fit, prepared.whole_held))
+    verdict, struck = _verdict(base, best), None
+    if verdict == "unexplained":
+        rigid = _without_play(best, prepared, judge)
+        rng = np.random.default_rng(settings.seed)
+        struck = find_striking(prepared, machine_part(rigid), sought, rng, settings=naming, say=say)
+        if struck is not None:
+            if rigid is not best:
+                fresh_fit = refined(rigid.fitted, prepared.fit)
+                intervals = widened(
+                    prepared.fit, fresh_fit, bootstrap(prepared.fit, fresh_fit, rng)
+                )
+            intervals = joined(intervals, struck.intervals)
+            best, verdict = judge.judge(_with_struck(prepared.fit, rigid.fitted, struck)), "named"
     return GapFound(
         prepared=prepared,
         named=named,
         base=base,
         best=best,
         verdict=verdict,
-        effects=_named(named, best.fitted, intervals) if verdict == "named" else (),
+        effects=_named(named, best.fitted, intervals, struck) if verdict == "named" else (),
         ranking=ranking_of(named, prepared.search, prepared.held),
+        struck=struck,
+    )
+
+
+def _without_play(best: Judged, prepared: Prepared, judge: Judge) -> Judged:
+    """What was found, but for parts with stops that were compared blow by blow."""
+    for effect in best.fitted.named:
+        if effect.kind in STRIKING:
+            best = judge.judge(fit_without(prepared.fit, best.fitted, effect))
+    return best
+
+
+def _with_struck(comparison: Comparison, rigid: Fit, struck: Struck) -> Fit:
+    """A fit with a part that was fitted by its powers; nothing is fitted again."""
+    whole = Fit(
+        effects=(*rigid.effects, struck.effect),
+        free=np.concatenate([rigid.free, struck.fitted.free]),
+        residual=np.zeros(0),
+        jacobian=np.zeros((len(comparison), 0)),
+        cost=0.0,
+    )
+    residual = comparison.residuals([whole.hypothesis])[0]
+    none = np.zeros((len(comparison), len(struck.fitted.free)))
+    return replace(
+        whole,
+        residual=residual,
+        jacobian=np.concatenate([rigid.jacobian, none], axis=1),
+        cost=cost_of(residual, whole.free, parameters_of(whole.effects)),
     )
 
 
@@ -180,9 +235,6 @@ law is a little other than the catalogue's leaves a few percent, one that stands
 _EXPLAINED_BY_IMPACTS = 0.45
 """The same if a link slides. When its stops are struck depends on the last digit of friction and
 gap: a simulation misses some blows, and each one missed counts twice."""
-_EXPLAINED_IN_SPECTRA = 0.7
-"""Or else share of what the spectra had beyond the nominal model's, if a link slides: how often and
-how hard stops are struck does not depend on a last digit."""
 _EXPLAINED_AT_MANY = 0.5
 """The same if one kind of effect was found at several places (`_MANY`), each believed by itself: a
 machine that is wrong all over lacks more than one thing, and what it still lacks does not speak
@@ -192,7 +244,7 @@ _SURE = 4.0
 """Sureness from which on what is left counts as a gap [standard deviations over blocks]."""
 
 
-def _verdict(base: Judged, best: Judged, comparisons: Sequence[Comparison]) -> Verdict:
+def _verdict(base: Judged, best: Judged) -> Verdict:
     """Whether something is missing, and whether the catalogue has it."""
     if not best.fitted.named:
         return "unexplained" if best.structure_sureness > _SURE else "no_gap"
@@ -205,14 +257,12 @@ def _verdict(base: Judged, best: Judged, comparisons: Sequence[Comparison]) -> V
         least = min(least, _EXPLAINED_BY_IMPACTS)
     if explained >= least or best.structure_sureness <= _SURE:
         return "named"
-    if "structural_looseness" in kinds:
-        share = spectral_share(comparisons, base.fitted.hypothesis, best.fitted.hypothesis)
-        if share >= _EXPLAINED_IN_SPECTRA:
-            return "named"
     return "unexplained"
 
 
-def _named(named: Named, fitted: Fit, intervals: Intervals) -> tuple[NamedEffect, ...]:
+def _named(
+    named: Named, fitted: Fit, intervals: Intervals, struck: Struck | None
+) -> tuple[NamedEffect, ...]:
     """Effects of the best hypothesis, the nominal figures left out."""
     found = []
     for effect, own in zip(fitted.effects, slices_of(fitted.effects), strict=True):
@@ -220,6 +270,8 @@ def _named(named: Named, fitted: Fit, intervals: Intervals) -> tuple[NamedEffect
             continue
         values = values_of(effect.parameters, fitted.free[own])
         names = [p.name for p in effect.parameters]
+        by_blows = struck is not None and effect is struck.effect
+        rivals = struck.rivals if struck and by_blows else indistinct(named, effect)
         ends = zip(intervals.low[own], intervals.high[own], strict=True)
         found.append(
             NamedEffect(
@@ -229,9 +281,7 @@ def _named(named: Named, fitted: Fit, intervals: Intervals) -> tuple[NamedEffect
                 interval_95={
                     n: (float(a), float(b)) for n, (a, b) in zip(names, ends, strict=True)
                 },
-                ambiguous_with=tuple(
-                    Place(kind=e.kind, where=e.where) for e in indistinct(named, effect)
-                ),
+                ambiguous_with=tuple(Place(kind=e.kind, where=e.where) for e in rivals),
                 units={p.name: p.unit for p in effect.parameters},
                 variant=effect.variant,
                 in_model=effect.in_model,

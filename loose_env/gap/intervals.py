@@ -13,7 +13,7 @@ from loose_env.gap.effect import Effect
 from loose_env.gap.fit import Fit, parameters_of, prior_of, slices_of
 from loose_env.gap.parameter import free_of, values_of
 
-__all__ = ["Intervals", "bootstrap", "widened"]
+__all__ = ["Intervals", "bootstrap", "joined", "widened"]
 
 Array = NDArray[np.float64]
 
@@ -170,6 +170,21 @@ def widened(comparison: Comparison, fitted: Fit, intervals: Intervals) -> Interv
         if effect.vanishes(low[own], high[own]):
             low[own], high[own] = _short_of_nothing(effect, intervals, own, low[own], high[own])
     return replace(intervals, low=low, high=high)
+
+
+def joined(first: Intervals, second: Intervals) -> Intervals:
+    """Intervals of two sets of parameters that were fitted one after the other."""
+    count = len(first.free)
+    covariance = np.zeros((count + len(second.free),) * 2)
+    covariance[:count, :count] = first.covariance
+    covariance[count:, count:] = second.covariance
+    return Intervals(
+        low=np.concatenate([first.low, second.low]),
+        high=np.concatenate([first.high, second.high]),
+        free=np.concatenate([first.free, second.free]),
+        covariance=covariance,
+        misfit=max(first.misfit, second.misfit),
+    )
 
 
 def _no_surer(fitted: Fit, intervals: Intervals) -> Intervals:

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.fit import Fit, parameters_of
+from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.start import StartState
 from loose_env.gap.structure import Structure, largest
 
-__all__ = ["Judge", "Judged", "Lead", "lead_of", "sureness_of"]
+__all__ = ["Judge", "Judged", "Lead", "lead_of", "machine_part", "sureness_of"]
 
 Array = NDArray[np.float64]
 
@@ -123,6 +124,17 @@ def lead_of(ahead: Judged, behind: Judged) -> Lead:
         fitted=sureness_of(behind.fitted_blocks, ahead.fitted_blocks),
         share=1.0 - ahead.structure / behind.structure if behind.structure > 0 else 0.0,
     )
+
+
+def machine_part(judged: Judged) -> Hypothesis:
+    """What a fit says of the machine, not of the state in which runs began."""
+    whole = judged.fitted.hypothesis
+    kept = [
+        (effect, values)
+        for effect, values in zip(whole.effects, whole.values, strict=True)
+        if not isinstance(effect, StartState)
+    ]
+    return Hypothesis(effects=tuple(e for e, _ in kept), values=tuple(v for _, v in kept))
 
 
 def sureness_of(behind: Array, ahead: Array) -> float:

@@ -22,7 +22,7 @@ from loose_env.gap.response import FEWEST
 from loose_env.gap.simulator import Simulator
 from loose_env.gap.trial import Channel, Trial
 
-__all__ = ["parting_runs"]
+__all__ = ["STRIKING", "parting_runs"]
 
 Array = NDArray[np.float64]
 

@@ -19,11 +19,10 @@ from loose_env.gap.exported import Exported, exported
 from loose_env.gap.finding import GapFound
 from loose_env.gap.fit import UNNAMED
 from loose_env.gap.horizons import HorizonError, horizon_errors
-from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.identifiability import identifiability
 from loose_env.gap.integration import corrected_step_words
 from loose_env.gap.joint_motion import JointMotion, joint_motion
-from loose_env.gap.judgement import Judged
+from loose_env.gap.judgement import Judged, machine_part
 from loose_env.gap.left import left_motions, left_words
 from loose_env.gap.locate import Location, locate, where_it_lives
 from loose_env.gap.machine import Machine
@@ -33,7 +32,6 @@ from loose_env.gap.quantities import errors_by_quantity, rms
 from loose_env.gap.residual_tests import LeftOver, left_over
 from loose_env.gap.result import Gap, GapResult, NamedEffect, Place, Ranked, Verdict
 from loose_env.gap.settings import GapSettings
-from loose_env.gap.start import StartState
 from loose_env.gap.struck import StruckChannel, struck_channels, struck_left
 from loose_env.gap.unseen import Identifiability, identifiability_words
 from loose_env.recording import Recording
@@ -135,23 +133,12 @@ def outputs_of(found: GapFound, recording: Recording, settings: GapSettings) -> 
         verdict=found.verdict,
         effects=found.effects,
         ranking=found.ranking,
-        warnings=prepared.warnings,
+        warnings=(*prepared.warnings, *([found.struck.words] if found.struck else [])),
         settings=asdict(settings),
         model_path=recording.model_path,
         recording=recording.folder.name,
         threads=settings.threads,
     )
-
-
-def machine_part(judged: Judged) -> Hypothesis:
-    """What a fit says of the machine, not of the state in which runs began."""
-    whole = judged.fitted.hypothesis
-    kept = [
-        (effect, values)
-        for effect, values in zip(whole.effects, whole.values, strict=True)
-        if not isinstance(effect, StartState)
-    ]
-    return Hypothesis(effects=tuple(e for e, _ in kept), values=tuple(v for _, v in kept))
 
 
 def gather(outputs: GapOutputs, *, say: Say = lambda _: None) -> Evidence:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from loose_env.gap.export import write_model
 from loose_env.gap.exported import exported
 from loose_env.gap.finding import GapFound
-from loose_env.gap.reporting import machine_part
+from loose_env.gap.judgement import machine_part
 from loose_env.gap.trial import Trial
 
 __all__ = ["MODEL", "exported_gap", "simulated"]

@@ -12,8 +12,8 @@ from loose_env.gap.effects.sensor_gain import SensorGain
 from loose_env.gap.effects.viscous_friction import ViscousFriction
 from loose_env.gap.export import corrected_spec
 from loose_env.gap.exported import Exported, exported, played
+from loose_env.gap.judgement import machine_part
 from loose_env.gap.preparing import Prepared
-from loose_env.gap.reporting import machine_part
 from tests.gap.exported_case import judged_with, prepared_arm
 
 

@@ -1,4 +1,4 @@
-"""An interval does not reach a limit that the runs have refuted, and spectra know of blows."""
+"""An interval does not reach a limit that the runs have refuted."""
 
 from __future__ import annotations
 
@@ -7,12 +7,10 @@ import pytest
 
 from loose_env.gap.catalogue import CATALOGUE
 from loose_env.gap.fit import slices_of
-from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.intervals import Intervals
 from loose_env.gap.judgement import Judged
 from loose_env.gap.parameter import values_of
 from loose_env.gap.refuting import short_of_limit
-from loose_env.gap.spectra import log_distance, spectral_share
 from tests.gap.gap_case import DAMPING, GAIN
 from tests.gap.test_trying import Case
 
@@ -58,32 +56,3 @@ def test_an_interval_ends_short_of_a_limit_that_is_refuted(
         assert 0.1 * values[number] < found.low[own][number] < values[number]
     else:
         assert np.array_equal(found.low, wide.low)
-
-
-def test_spectra_tell_blows_though_none_falls_where_it_was_measured() -> None:
-    rng = np.random.default_rng(5)
-    time = np.arange(6000) * 1e-3
-    smooth = 3 * np.sin(9 * time) + np.sin(23 * time)
-
-    def blows(rate: float) -> np.ndarray:
-        struck = (rng.random(len(time)) < rate) * rng.normal(0, 4, len(time))
-        rings = np.exp(-time[:60] / 0.01) * np.sin(900 * time[:60])
-        return smooth + np.convolve(struck, rings)[: len(time)]
-
-    measured = blows(0.02) + rng.normal(0, 0.02, len(time))
-    rigid, right, many = (
-        log_distance(measured, p, 0.02) for p in (smooth, blows(0.02), blows(0.2))
-    )
-    assert right < 0.1 * rigid
-    assert right < 0.2 * many
-
-
-def test_the_share_of_spectra_is_one_for_what_is_missing(case: Case) -> None:
-    damped = CATALOGUE["viscous_friction"](case.machine, "joint2")
-    gained = CATALOGUE["sensor_gain"](case.machine, "rate3")
-    none = Hypothesis(effects=(), values=())
-    both = Hypothesis(effects=(damped, gained), values=(np.array([DAMPING]), np.array([GAIN])))
-    comparisons = (case.comparison, case.judge.held_out)
-    assert spectral_share(comparisons, none, both) > 0.8
-    assert spectral_share(comparisons, none, none) == pytest.approx(0.0)
-    assert spectral_share(comparisons, both, none) < 0.0
