@@ -143,10 +143,8 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Sta
         struck = find_striking(prepared, machine_part(rigid), sought, rng, settings=naming, say=say)
         if struck is not None:
             if rigid is not best:
-                fresh_fit = refined(rigid.fitted, prepared.fit)
-                intervals = widened(
-                    prepared.fit, fresh_fit, bootstrap(prepared.fit, fresh_fit, rng)
-                )
+                rigid, dropped, intervals = _sure_ones(rigid, prepared, judge, settings)
+                named.dropped += dropped
             intervals = joined(intervals, struck.intervals)
             best, verdict = judge.judge(_with_struck(prepared.fit, rigid.fitted, struck)), "named"
     return GapFound(
