@@ -133,12 +133,17 @@ def markdown(grades: Sequence[Grade]) -> str:
     parts += [f"| {what} | {target} | {got} |" for what, target, got in summary(grades)]
     rows, columns, counts = confusion(grades)
     used = [c for c in range(len(columns)) if counts[:, c].any()]
-    parts += ["", "| true \\ said | " + " | ".join(columns[c] for c in used) + " |"]
-    parts += ["| --- |" + " --- |" * len(used)]
+    parts += [
+        "",
+        "What was true (rows) and what was said (columns; kinds by the numbers of their rows):",
+    ]
+    parts += ["", "| | " + " | ".join(_short(columns, c) for c in used) + " |"]
+    parts += ["| --- |" + " ---: |" * len(used)]
     for r, row in enumerate(rows):
         if counts[r].any():
-            cells = [str(counts[r, c]) if counts[r, c] else "" for c in used]
-            parts.append(f"| {row} | " + " | ".join(cells) + " |")
+            cells = [_marked(counts[r, c], right=columns[c] == _expected(row)) for c in used]
+            number = f"{r + 1} " if row in CATALOGUE else ""
+            parts.append(f"| {number}{row} | " + " | ".join(cells) + " |")
     parts += ["", "| size over just visible | single effects right |", "| --- | --- |"]
     singles = [g for g in grades if g.role == "single"]
     for low, high in ((0.0, 2.0), (2.0, 5.0), (5.0, 12.0), (12.0, np.inf)):
@@ -146,6 +151,23 @@ def markdown(grades: Sequence[Grade]) -> str:
         label = f"{low:.0f} to {high:.0f}" if np.isfinite(high) else f"over {low:.0f}"
         parts.append(f"| {label} | {_right(within)} |")
     return "\n".join(parts) + "\n"
+
+
+def _short(columns: list[str], column: int) -> str:
+    """Heading of a narrow column."""
+    return str(column + 1) if columns[column] in CATALOGUE else columns[column].replace("_", " ")
+
+
+def _expected(row: str) -> str:
+    """What is to be said of what is true."""
+    return UNEXPLAINED if row in OUTSIDE else row
+
+
+def _marked(count: int, *, right: bool) -> str:
+    """A count of the confusion matrix; nothing in the place of zero."""
+    if not count:
+        return ""
+    return f"**{count}**" if right else str(count)
 
 
 def text(grades: Sequence[Grade]) -> str:

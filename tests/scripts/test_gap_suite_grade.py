@@ -135,6 +135,9 @@ def test_the_tables_count_every_case():
     assert measured["false alarms with nothing missing"].startswith("0/1")
     assert measured["held-out gap after, representable effects, median [noise sd]"] == "1.10"
     assert "| shaking_force |" in markdown(grades)
+    number = CATALOGUE.index("coulomb_friction") + 1
+    (line,) = [row for row in markdown(grades).splitlines() if "coulomb_friction" in row]
+    assert line.startswith(f"| {number} coulomb_friction |") and "**1**" in line
     assert "coulomb_friction" in text(grades)
     assert "no cases" in markdown([])
 
