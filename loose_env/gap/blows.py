@@ -27,6 +27,8 @@ _WINDOW = 0.05
 """Length of the stretches of time [s]."""
 _FEWEST = 8
 """Samples of a stretch, at least."""
+_READ = 0.5
+"""Share of its samples that have to have been read."""
 _SMOOTHED = 8
 """Samples of the moving mean that parts the lower band from the upper."""
 _CHANCE = 0.7
@@ -57,7 +59,7 @@ class Blows(Comparison):
 
     def __init__(self, comparison: Comparison, known: Hypothesis) -> None:
         self.known = known
-        self._own = _read(comparison)
+        self._own = _sensors(comparison)
         super().__init__(
             comparison.machine,
             [trial for trial in comparison.trials if _followed(comparison, trial)],
@@ -69,11 +71,16 @@ class Blows(Comparison):
     @staticmethod
     def worth_while(comparison: Comparison) -> bool:
         """Whether any run is one that can be compared so."""
-        read = _read(comparison)
+        read = _sensors(comparison)
         return any(
             _followed(comparison, trial) and np.isfinite(trial.measured[:, read]).any()
             for trial in comparison.trials
         )
+
+    @property
+    def stretch(self) -> float:
+        """Length of the longest stretches [s]."""
+        return max(self._stretch(t) / trial.rate for t, trial in enumerate(self.trials))
 
     def predict(self, hypotheses: Sequence[Hypothesis]) -> list[list[Array]]:
         """What every run would show with what is added to the model without play."""
@@ -89,14 +96,13 @@ class Blows(Comparison):
     def _rows(self) -> tuple[Rows, Array]:
         """One number a stretch, band, channel and run."""
         self._without = super().predict([self.known])[0]
-        measured = [self._powers(t, trial.measured) for t, trial in enumerate(self.trials)]
+        self._compared_with = [self._compared(t) for t in range(len(self.trials))]
+        measured = [self._powers(t, values) for t, values in enumerate(self._compared_with)]
         shape = [power.shape for power in measured]
         count = [int(np.prod(s)) for s in shape]
         run = np.repeat(np.arange(len(shape)), count)
         parts = [np.indices(s).reshape(3, -1) for s in shape]
         channel, _, stretch = np.concatenate(parts, axis=1)
-        together = max(1, round(_BLOCK / _WINDOW))
-        longest = max((s[2] for s in shape), default=0) // together + 1
         flat = np.concatenate([power.ravel() for power in measured])
         read = np.isfinite(flat)
         self._read = read
@@ -105,12 +111,15 @@ class Blows(Comparison):
             2.0 / self._freedom(run, band) + (_CHANCE * (1.0 - 1.0 / np.maximum(flat, 1.0))) ** 2
         )[read]
         size = np.array([self._stretch(t) for t in range(len(shape))], dtype=np.intp)
+        rates = np.array([trial.rate for trial in self.trials])
+        together = np.maximum(1, np.round(_BLOCK * rates / size)).astype(np.intp)
+        longest = max((s[2] for s in shape), default=0) + 1
         rows = Rows(
             trial=run[read],
             channel=np.array(self._own, dtype=np.intp)[channel[read]],
             sample=(stretch * size[run])[read],
             place=stretch[read],
-            block=(run * longest + stretch // together)[read],
+            block=(run * longest + stretch // together[run])[read],
             white=np.ones(int(read.sum()), dtype=bool),
             shaken=np.zeros(int(read.sum()), dtype=bool),
             inverse=np.zeros(int(read.sum()), dtype=bool),
@@ -120,8 +129,8 @@ class Blows(Comparison):
     def flatten(self, predicted: Sequence[Array]) -> Array:
         """Readings by run -> logarithms of their powers, noise added, in units of chance (N,)."""
         found = [
-            self._powers(t, np.where(np.isfinite(trial.measured), values, np.nan))
-            for t, (trial, values) in enumerate(zip(self.trials, predicted, strict=True))
+            self._powers(t, np.where(np.isfinite(measured), values, np.nan))
+            for t, (measured, values) in enumerate(zip(self._compared_with, predicted, strict=True))
         ]
         power = np.concatenate([each.ravel() for each in found])[self._read]
         return np.asarray(np.log(power + 1.0) / self._scale)
@@ -143,19 +152,25 @@ class Blows(Comparison):
         size = self._stretch(number)
         beyond = (values - self._without[number])[:, self._own].T
         beyond = beyond / np.asarray(self.floors, dtype=float)[self._own, None]
-        count = beyond.shape[1] // size
+        read = np.isfinite(beyond)
+        beyond = np.where(read, beyond, 0.0)
         mean = np.ones(_SMOOTHED) / _SMOOTHED
+        known = np.array([np.convolve(row, mean, mode="same") for row in read.astype(float)])
         low = np.array([np.convolve(row, mean, mode="same") for row in beyond])
+        low = np.where(read, low / np.maximum(known, 1 / _SMOOTHED), 0.0)
         bands = np.stack([low * np.sqrt(_SMOOTHED), (beyond - low) / np.sqrt(1 - 1 / _SMOOTHED)], 1)
-        cut = bands[:, :, : count * size].reshape(len(beyond), 2, count, size)
-        return np.asarray(np.mean(cut**2, axis=-1))
+        count = beyond.shape[1] // size
+        cut = (bands[:, :, : count * size] ** 2).reshape(len(beyond), 2, count, size).sum(axis=-1)
+        samples = read[:, : count * size].reshape(len(beyond), 1, count, size).sum(axis=-1)
+        return np.where(samples >= _READ * size, cut / np.maximum(samples, 1), np.nan)
 
 
-def _read(comparison: Comparison) -> list[int]:
+def _sensors(comparison: Comparison) -> list[int]:
     """Numbers of the channels that are sensors."""
     return [c for c, one in enumerate(comparison.channels) if one.column.startswith("sensor.")]
 
 
 def _followed(comparison: Comparison, trial: Trial) -> bool:
-    """Whether a run is simulated with its commands and compared sample by sample."""
-    return trial.form == "forward" and trial.name not in comparison.parting
+    """Whether a run is simulated with its commands, compared by samples, and no mere moment."""
+    followed = trial.form == "forward" and trial.name not in comparison.parting
+    return followed and len(trial.time) >= 2 * max(_FEWEST, _WINDOW * trial.rate)

@@ -24,7 +24,11 @@ Array = NDArray[np.float64]
 
 
 def corrected_spec(
-    machine: Machine, effects: Sequence[Effect], values: Sequence[Array], *, parts: int = 1
+    machine: Machine,
+    effects: Sequence[Effect],
+    values: Sequence[Array],
+    *,
+    step: float | None = None,
 ) -> mujoco.MjSpec:
     """Nominal model with all effects that MJCF can express, with the step that they ask for.
 
@@ -38,12 +42,14 @@ def corrected_spec(
         What it lacks, fitted nominal figures included, in the order in which they act.
     values : sequence of ndarray (P,)
         Of the parameters of each.
-    parts : int
-        Into how many this step is cut (`loose_env.gap.exported.exported` tells).
+    step : float, optional
+        Another step [s] (`loose_env.gap.exported.exported` tells).
     """
     spec = machine.spec.copy()
-    if machine.step > 0 or parts > 1:
-        set_step(spec, step_with(machine, effects) / parts)
+    if step is not None:
+        set_step(spec, step)
+    elif machine.step > 0:
+        set_step(spec, step_with(machine, effects))
     if machine.integrator is not None:
         spec.option.integrator = machine.integrator
     for effect, own in zip(effects, values, strict=True):
@@ -67,9 +73,20 @@ def _keep_keyframes(spec: mujoco.MjSpec, machine: Machine) -> None:
         position[places], speed[dofs] = nominal.key_qpos[k], nominal.key_qvel[k]
         key.qpos, key.qvel = position, speed
         if model.na:
-            state = np.zeros(model.na)
-            state[: nominal.na] = nominal.key_act[k]
-            key.act = state
+            key.act = _states_of_actuators(model, nominal, k)
+
+
+def _states_of_actuators(model: mujoco.MjModel, nominal: mujoco.MjModel, key: int) -> Array:
+    """Activations (na,) of a keyframe; of a filter that was added, the keyframe's command."""
+    state = np.zeros(model.na)
+    for number in range(nominal.nu):  # actuators keep their order
+        at, before = model.actuator_actadr[number], nominal.actuator_actadr[number]
+        count = model.actuator_actnum[number]
+        if before >= 0:
+            state[at : at + count] = nominal.key_act[key, before : before + count]
+        elif at >= 0:
+            state[at : at + count] = nominal.key_ctrl[key, number]
+    return state
 
 
 def correction_code(effects: Sequence[Effect], values: Sequence[Array]) -> str:
@@ -111,7 +128,7 @@ def write_model(
     effects: Sequence[Effect],
     values: Sequence[Array],
     *,
-    parts: int = 1,
+    step: float | None = None,
     source: Path | None = None,
     notes: Sequence[str] = (),
 ) -> list[Path]:
@@ -121,7 +138,7 @@ def write_model(
     ----------
     path : Path
         Where the model goes.
-    machine, effects, values, parts
+    machine, effects, values, step
         As in `corrected_spec`.
     source : Path, optional
         File of the nominal model; what it refers to is copied.
@@ -139,7 +156,7 @@ def write_model(
         If the model does not compile from the file, or a column of the recording would no longer
         name anything in it.
     """
-    text = corrected_spec(machine, effects, values, parts=parts)
+    text = corrected_spec(machine, effects, values, step=step)
     try:
         text.compile()
         xml = text.to_xml()

@@ -8,13 +8,11 @@ mend that.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from math import nan
+from math import ceil, nan
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from loose_env.gap.comparison import Comparison
@@ -24,7 +22,9 @@ from loose_env.gap.machine import Machine
 from loose_env.gap.parting import STRIKING
 from loose_env.gap.quantities import rms
 from loose_env.gap.rest import SETTLE
+from loose_env.gap.stepping import step_with
 from loose_env.gap.trial import Trial
+from loose_env.rig.quiet import quiet
 
 __all__ = ["Exported", "exported", "played"]
 
@@ -37,9 +37,21 @@ _APART = 0.3
 _OF_LEFT = 0.1
 """The same as a share of what the fit leaves there, where that is more."""
 _BETTER = 0.5
-"""Distance over that of the step as it was, from which on a finer one that does not do is taken."""
+"""Distance over that of the step as it was, below which a finer one that will not do is taken."""
 _PLAYED = 15.0
 """How much of the held-out runs is simulated [s]."""
+_AS_LONG = 1.02
+"""Step over that on which a run was laid out, up to which it is the same."""
+_SHORTEST = 1.0
+"""What is simulated of a run, at least [s]; of many runs some are taken."""
+_GONE_WILD = tuple(
+    int(kind)
+    for kind in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+    )
+)
 _WILD = 1e4
 """Distance where a simulation went wild, and the largest that counts [standard deviations]."""
 
@@ -50,8 +62,8 @@ class Exported:
 
     parts: int = 1
     """Into how many the step is cut."""
-    step: float = nan
-    """Step of the file [s]."""
+    step: float | None = None
+    """Step of the file [s]; None: as the comparison chose it."""
     left: float = nan
     """What the file leaves of the held-out runs in plain MuJoCo [RMS, noise standard deviations];
     NaN where it cannot be tried: no run begins at rest and is simulated with its commands, or an
@@ -100,109 +112,140 @@ def exported(held: Comparison, hypothesis: Hypothesis, residual: Array) -> Expor
     Exported
         With the fewest parts that will do, or those that come nearest.
     """
-    trials = dict(_shown(held))
-    read = any(channel.column.startswith("sensor.") for channel in held.channels)
-    if not read or not trials or not all(effect.in_model for effect in hypothesis.effects):
+    trials = _shown(held)
+    if not trials or not all(effect.in_model for effect in hypothesis.effects):
         return Exported()
-    found: list[Exported] = []
-    for parts in PARTS:
-        spec = corrected_spec(held.machine, hypothesis.effects, hypothesis.values, parts=parts)
-        model = compiled(spec)
-        tried = _compared(held, residual, model, trials, parts)
-        found.append(tried)
-        if not tried.matters:
-            return tried
+    own = step_with(held.machine, hypothesis.effects)
+    shortest = min(trial.step for trial in trials.values())
+    longest = own if own < _AS_LONG * shortest else shortest
+    found: list[tuple[float, Exported]] = []
+    with quiet():  # a step that is too long may go wild
+        for parts in PARTS:
+            step = longest / parts
+            spec = corrected_spec(held.machine, hypothesis.effects, hypothesis.values, step=step)
+            tried = _compared(held, residual, compiled(spec), trials)
+            if tried is None:
+                return Exported()
+            off, shown = tried
+            found.append((off, replace(shown, parts=parts, step=step, matters=off > 1.0)))
+            if off <= 1.0:
+                break
+    nearest = min(found, key=lambda each: each[0])
+    chosen = nearest if nearest[0] < max(1.0, _BETTER * found[0][0]) else found[0]
     if any(effect.kind in STRIKING for effect in hypothesis.effects):
         # after a blow no two simulations agree, however fine their steps
-        return replace(found[0], matters=False)
-    nearest = min(found, key=lambda each: each.apart)
-    return nearest if nearest.apart < _BETTER * found[0].apart else found[0]
+        return replace(chosen[1], matters=False)
+    return chosen[1]
 
 
-def _shown(held: Comparison) -> Iterator[tuple[int, Trial]]:
-    """Number and beginning of each run that a file can be held against."""
+def _shown(held: Comparison) -> dict[int, Trial]:
+    """Number and beginning of each run that a file can be held against; of some if there are many.
+
+    They begin at rest, and are simulated with their commands and compared sample by sample.
+    """
     chosen = [
         t
         for t, trial in enumerate(held.trials)
         if trial.form == "forward" and trial.resting and trial.name not in held.parting
     ]
-    for t in chosen:
-        yield t, held.trials[t].until(_PLAYED / len(chosen))
+    count = min(len(chosen), int(_PLAYED / _SHORTEST))
+    taken = np.unique(np.linspace(0, len(chosen) - 1, count).round().astype(int))
+    return {chosen[k]: held.trials[chosen[k]].until(_PLAYED / count) for k in taken.tolist()}
 
 
 def _compared(
-    held: Comparison, residual: Array, model: mujoco.MjModel, trials: dict[int, Trial], parts: int
-) -> Exported:
-    """How far a model is from the fit on some runs."""
+    held: Comparison, residual: Array, model: mujoco.MjModel, trials: dict[int, Trial]
+) -> tuple[float, Exported] | None:
+    """How far a model is from the fit over how far it may be; None where nothing was read."""
     rows, read = held.rows, np.array([c.column.startswith("sensor.") for c in held.channels])
-    apart, left, fitted, channels = [], [], [], []
+    left, fitted = [np.zeros(0)], [np.zeros(0)]
+    channels = [np.zeros(0, dtype=np.intp)]
     for t, trial in trials.items():
         chosen = (rows.trial == t) & (rows.sample < len(trial.time)) & read[rows.channel]
         own = np.flatnonzero(chosen)
         sample, channel = rows.sample[own], rows.channel[own]
         shown = played(held, model, trial)[sample, channel]
         off = (trial.measured[sample, channel] - shown) / held.scales[t, channel]
-        off = np.clip(np.nan_to_num(off, nan=_WILD), -_WILD, _WILD)
-        left.append(off)
+        left.append(np.clip(np.nan_to_num(off, nan=_WILD), -_WILD, _WILD))
         fitted.append(residual[own])
-        apart.append(off - residual[own])
         channels.append(channel)
+    by_file, by_fit = np.concatenate(left), np.concatenate(fitted)
     channel = np.concatenate(channels)
+    if not len(channel):
+        return None
     count = np.maximum(np.bincount(channel), 1)
-    by_channel, left_by = (
-        np.sqrt(np.bincount(channel, np.concatenate(part) ** 2) / count) for part in (apart, fitted)
+    apart, left_by = (
+        np.sqrt(np.bincount(channel, part**2) / count) for part in (by_file - by_fit, by_fit)
     )
-    allowed = np.maximum(1.0, _OF_LEFT / _APART * left_by)
-    worst = int(np.argmax(by_channel / allowed))
-    return Exported(
-        parts=parts,
-        step=float(model.opt.timestep),
-        left=rms(np.concatenate(left)),
-        fitted=rms(np.concatenate(fitted)),
-        apart=float(by_channel[worst]),
+    allowed = np.maximum(_APART, _OF_LEFT * left_by)
+    worst = int(np.argmax(apart / allowed))
+    return float(apart[worst] / allowed[worst]), Exported(
+        left=rms(by_file),
+        fitted=rms(by_fit),
+        apart=float(apart[worst]),
         channel=held.channels[worst].name,
-        matters=bool(by_channel[worst] > _APART * allowed[worst]),
     )
 
 
 def played(comparison: Comparison, model: mujoco.MjModel, trial: Trial) -> Array:
-    """What the channels of a comparison show when plain MuJoCo plays a run's commands (T, C).
+    """What the channels of a comparison show when MuJoCo alone plays a run's commands (T, C).
 
     Parameters
     ----------
     comparison : Comparison
         Its machine says which joints and actuators there are.
     model : MjModel
-        A model that has them, and perhaps more joints.
+        A model that has them, and perhaps more joints; its step is shortened for a while, so that
+        samples fall on steps.
     trial : Trial
         A run that begins at rest; its first command is held beforehand, as fits do.
 
     Returns
     -------
     ndarray (T, C)
-        NaN of channels that are no sensors, and of a run that goes wild.
+        NaN of channels that are no sensors, and from where a run goes wild.
     """
-    machine: Machine = comparison.machine
-    inside = max(1, round(trial.step / model.opt.timestep))
-    batch = Batch(model, 1, 1)
-    batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
-    batch.qpos[0] = model.qpos0
-    places = [int(model.joint(name).qposadr[0]) for name in machine.joints]
-    batch.qpos[0, places] = trial.position
-    control = np.zeros((trial.steps, model.nu))
-    control[:, [model.actuator(name).id for name in machine.actuators]] = trial.controls
-    settle = round(SETTLE / model.opt.timestep)
-    told = np.concatenate([np.repeat(control[:1], settle, 0), np.repeat(control, inside, 0)])
-    out = batch.rollout(
-        len(told),
-        told[None],
-        control_spec=int(mujoco.mjtState.mjSTATE_CTRL),
-        record=("sensordata",),
-    )
-    shown = trial.at_samples(out["sensordata"][0, settle::inside])
+    machine, own = comparison.machine, float(model.opt.timestep)
+    inside = max(1, ceil(trial.step / own - 1e-6))
+    model.opt.timestep = trial.step / inside
+    data = mujoco.MjData(model)
+    driven = np.arange(len(machine.actuators))  # effects add none
+    for name, angle in zip(machine.joints, trial.position, strict=True):
+        data.joint(name).qpos[0] = angle
+    data.ctrl[driven] = trial.controls[0]
+    _begin_with(model, data, machine)
+    mujoco.mj_step(model, data, round(SETTLE / model.opt.timestep))
+    readings = np.full((trial.steps, model.nsensordata), np.nan)
+    for row, command in zip(readings, trial.controls, strict=True):
+        data.ctrl[driven] = command
+        # sensors show the beginning of a step; late ones keep a history that only steps may add to
+        mujoco.mj_step(model, data)
+        if any(data.warning[kind].number for kind in _GONE_WILD):
+            break
+        row[:] = data.sensordata
+        mujoco.mj_step(model, data, inside - 1)
+    model.opt.timestep = own
+    shown = trial.at_samples(readings)
     found = np.full((len(trial.time), len(comparison.channels)), np.nan)
     for c, channel in enumerate(comparison.channels):
         prefix, _, name = channel.column.partition(".")
         if prefix == "sensor":
             found[:, c] = shown[:, int(model.sensor(name).adr[0]) + (channel.axis or 0)]
     return found
+
+
+def _begin_with(model: mujoco.MjModel, data: mujoco.MjData, machine: Machine) -> None:
+    """Let what was added to the actuators begin with the first command, as fits do.
+
+    MuJoCo begins with zeros: an arm would swing there before it is told anything.
+    """
+    nominal = machine.model
+    for k in range(len(machine.actuators)):
+        first = float(data.ctrl[k])
+        if model.actuator_ctrllimited[k]:
+            first = float(np.clip(first, *model.actuator_ctrlrange[k]))
+        if model.actuator_dyntype[k] != nominal.actuator_dyntype[k]:
+            data.act[model.actuator_actadr[k]] = first
+        if model.actuator_delay[k] > 0 and nominal.actuator_delay[k] == 0:
+            samples = int(model.actuator_history[k, 0])
+            mujoco.mj_initCtrlHistory(model, data, k, None, np.full((samples, 1), first))

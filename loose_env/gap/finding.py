@@ -31,7 +31,6 @@ from loose_env.gap.naming import Keep, Named, name_effects
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.nominal import NominalFigures
 from loose_env.gap.parameter import values_of
-from loose_env.gap.parting import STRIKING
 from loose_env.gap.preparing import Prepared, prepare
 from loose_env.gap.ranking import ranking_of
 from loose_env.gap.refuting import short_of_limit
@@ -137,14 +136,20 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Sta
         say(f"  {effect!r} may be nothing at all, by its interval, and is left out")
     named.dropped += dropped
     verdict, struck = _verdict(base, best), None
-    if verdict == "unexplained":
-        rigid = _without_play(best, prepared, judge)
+    rigid = _without_slides(best, prepared, judge) if verdict == "unexplained" else best
+    if verdict == "unexplained" and len(rigid.fitted.named) < settings.most_effects:
         rng = np.random.default_rng(settings.seed)
         struck = find_striking(prepared, machine_part(rigid), sought, rng, settings=naming, say=say)
         if struck is not None:
+            for effect in struck.idle:
+                say(f"  {effect!r} only stood in for it and is left out")
+                rigid = _judged_without(effect, rigid, prepared, judge)
             if rigid is not best:
-                rigid, dropped, intervals = _sure_ones(rigid, prepared, judge, settings)
-                named.dropped += dropped
+                kept, dropped, intervals = _sure_ones(rigid, prepared, judge, settings)
+                for effect in dropped:
+                    say(f"  {effect!r} may be nothing at all, by its interval, and is left out")
+                rigid = kept
+                named.dropped += [*struck.idle, *dropped]
             intervals = joined(intervals, struck.intervals)
             best, verdict = judge.judge(_with_struck(prepared.fit, rigid.fitted, struck)), "named"
     return GapFound(
@@ -159,12 +164,16 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Sta
     )
 
 
-def _without_play(best: Judged, prepared: Prepared, judge: Judge) -> Judged:
-    """What was found, but for parts with stops that were compared blow by blow."""
+def _without_slides(best: Judged, prepared: Prepared, judge: Judge) -> Judged:
+    """What was found, but for slides, which are sought once more blow by blow."""
     for effect in best.fitted.named:
-        if effect.kind in STRIKING:
-            best = judge.judge(fit_without(prepared.fit, best.fitted, effect))
+        if effect.kind == "structural_looseness":
+            best = _judged_without(effect, best, prepared, judge)
     return best
+
+
+def _judged_without(effect: Effect, judged: Judged, prepared: Prepared, judge: Judge) -> Judged:
+    return judge.judge(refined(fit_without(prepared.fit, judged.fitted, effect), prepared.fit))
 
 
 def _with_struck(comparison: Comparison, rigid: Fit, struck: Struck) -> Fit:
@@ -223,8 +232,7 @@ def _sure_ones(
         if not doubtful:
             return best, dropped, widened(prepared.fit, fitted, found)
         dropped.append(doubtful[-1])
-        left = fit_without(prepared.fit, fitted, doubtful[-1])
-        best = judge.judge(refined(left, prepared.fit))
+        best = _judged_without(doubtful[-1], best, prepared, judge)
 
 
 _EXPLAINED = 0.88
@@ -283,6 +291,7 @@ def _named(
                 units={p.name: p.unit for p in effect.parameters},
                 variant=effect.variant,
                 in_model=effect.in_model,
+                powers_explained=struck.share if struck and by_blows else None,
             )
         )
     return tuple(found)

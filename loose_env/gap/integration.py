@@ -18,6 +18,7 @@ from loose_env.gap.comparison import Comparison
 from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.machine import Machine
 from loose_env.gap.noise import channel_floor
+from loose_env.gap.parting import STRIKING
 from loose_env.gap.stepping import step_with
 from loose_env.gap.trial import Channel, lay_out
 from loose_env.gap.windows import windowed
@@ -183,6 +184,8 @@ def corrected_step_words(held_out: Comparison, hypothesis: Hypothesis) -> list[s
     hypothesis : Hypothesis
         What was added.
     """
+    if any(effect.kind in STRIKING for effect in hypothesis.effects):
+        return []  # after a blow no two simulations agree, however fine their steps
     machine, chosen = held_out.machine, windowed(held_out, _CHECKED)
     step = step_with(machine, hypothesis.effects)
     trials = [t for t in chosen.trials if t.form != "inverse" and t.name not in chosen.parting]

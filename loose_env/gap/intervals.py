@@ -188,10 +188,16 @@ def joined(first: Intervals, second: Intervals) -> Intervals:
 
 
 def _no_surer(fitted: Fit, intervals: Intervals) -> Intervals:
-    """Intervals that are no surer of a value than `_EXACT`."""
+    """Intervals that are no surer of a value, or of how far it is from nothing, than `_EXACT`."""
     parameters = parameters_of(fitted.effects)
     values = values_of(parameters, fitted.free)
-    room = _EXACT * np.abs(values)
+    nothing = np.concatenate(
+        [
+            np.zeros(len(effect.parameters)) if effect.nothing is None else effect.nothing
+            for effect in fitted.effects
+        ]
+    )
+    room = _EXACT * np.abs(values - nothing)
     low = np.maximum(values - room, [p.low for p in parameters])
     high = np.minimum(values + room, [p.high for p in parameters])
     return replace(

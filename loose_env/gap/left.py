@@ -27,7 +27,9 @@ _SURE = 4.0
 """Sureness from which on what hangs together in time is no noise [standard deviations]."""
 
 
-def left_words(base: Judged, best: Judged, location: Location, *, most: int = 3) -> list[str]:
+def left_words(
+    base: Judged, best: Judged, location: Location, *, most: int = 3, struck: bool = False
+) -> list[str]:
     """Sentences on how much is left after the named effects, and where; none if nothing is.
 
     Parameters
@@ -38,13 +40,20 @@ def left_words(base: Judged, best: Judged, location: Location, *, most: int = 3)
         Where the corrected one disagrees.
     most : int
         Most channels, and joints, that are told of.
+    struck : bool
+        Whether a part was named that strikes its stops at moments that no simulation repeats.
     """
     before, after = base.held_rms, best.held_rms
     together = float(largest(best.held_structure.sum(axis=1)))
     by_chance = after**2 * float(np.sqrt(len(best.held_residual)))
     if after <= CLOSED and together <= _SURE * by_chance:
         return []
-    if after > CLOSED:
+    if struck:
+        first = (
+            f"{after:.3g} noise standard deviations are left of {before:.3g} on the held-out runs, "
+            "sample by sample: blows fall at moments that no simulation repeats."
+        )
+    elif after > CLOSED:
         share = 100 * after / max(before, 1e-12)
         first = (
             f"{after:.3g} noise standard deviations are left of {before:.3g} on the held-out runs "

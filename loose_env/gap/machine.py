@@ -249,7 +249,18 @@ def set_step(spec: mujoco.MjSpec, step: float) -> None:
     spec.option.timestep = step
     for late in (*spec.actuators, *spec.sensors):
         if late.delay > 0:
-            late.nsample = max(int(late.nsample), ceil(late.delay / step - 1e-9) + 2)
+            late.nsample = max(int(late.nsample), history_for(late.delay, step))
+
+
+def history_for(delay: float, step: float) -> int:
+    """Samples that MuJoCo has to keep for a delay [s] at a step [s], or at one half as long.
+
+    Examples
+    --------
+    >>> history_for(0.0105, 0.001)
+    24
+    """
+    return 2 * ceil(delay / step - 1e-9) + 2
 
 
 def _has_one_gear(model: mujoco.MjModel, actuator: int) -> bool:

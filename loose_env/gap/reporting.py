@@ -268,7 +268,14 @@ def result_of(outputs: GapOutputs, evidence: Evidence) -> GapResult:
         ),
         left=()
         if outputs.verdict == "no_gap"
-        else tuple(left_words(outputs.base, outputs.best, evidence.left_location)),
+        else tuple(
+            left_words(
+                outputs.base,
+                outputs.best,
+                evidence.left_location,
+                struck=any(e.powers_explained is not None for e in outputs.effects),
+            )
+        ),
         left_location=evidence.left_location,
         left_over=evidence.left_over,
         identifiability=evidence.identifiability,
@@ -325,7 +332,7 @@ def write_model_and_result(folder: Path, outputs: GapOutputs, result: GapResult)
         outputs.machine,
         effects,
         values,
-        parts=outputs.exported.parts,
+        step=outputs.exported.step,
         source=outputs.model_path,
         notes=notes,
     )

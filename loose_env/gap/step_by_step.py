@@ -328,12 +328,14 @@ class GapSteps:
         """
         machine = machine_part(self.best)
         own = exported(self.prepared.whole_held, machine, self.best.held_residual)
+        for words in own.words():
+            self.say(f"warning: {words}")
         return write_model(
             Path(path),
             self.machine,
             machine.effects,
             machine.values,
-            parts=own.parts,
+            step=own.step,
             source=self._recording.model_path,
         )
 

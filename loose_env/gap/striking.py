@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from loose_env.gap.blows import Blows
 from loose_env.gap.effect import Effect
-from loose_env.gap.fit import Fit, FitSettings, fit, sensitivities
+from loose_env.gap.fit import UNNAMED, Fit, FitSettings, fit, sensitivities
 from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.intervals import Intervals, bootstrap, widened
 from loose_env.gap.judgement import sureness_of
@@ -54,8 +54,12 @@ class Struck:
     """Of its parameters."""
     share: float
     """Share of the powers of held-out runs that it explains."""
+    stretch: float
+    """Length of the stretches of time that these powers are of [s]."""
     rivals: tuple[Effect, ...] = ()
     """What those runs do not tell from it."""
+    idle: tuple[Effect, ...] = ()
+    """What had been found before and only stood in for it."""
 
     @property
     def effect(self) -> Effect:
@@ -67,9 +71,9 @@ class Struck:
         """What a reader should know."""
         return (
             f"{self.effect.where} strikes its stops at moments that no simulation repeats: it is "
-            "named by how much there is of that from one twentieth of a second to the next, of "
+            f"named by how hard and how often it does in stretches of {self.stretch:.2g} s, of "
             f"which it explains {100 * self.share:.0f} % on held-out runs; sample by sample the "
-            "gap shrinks less"
+            "gap shrinks less, or grows"
         )
 
 
@@ -122,7 +126,7 @@ def find_striking(
     searched, held = Blows(prepared.search, known), Blows(prepared.held, known)
 
     def left(hypothesis: Hypothesis) -> _Left:
-        return _Left(*((blows, blows.residuals([hypothesis])[0]) for blows in (searched, held)))
+        return _Left.of(hypothesis, searched, held)
 
     fits = [_fitted(searched, effect, starts[effect.key]) for _, effect in promising[:_FITTED]]
     tried = sorted(((left(each.hypothesis), each) for each in fits), key=lambda t: t[0].total)
@@ -143,6 +147,8 @@ def find_striking(
         fitted=fitted,
         intervals=widened(searched, fitted, bootstrap(searched, fitted, rng)),
         share=share,
+        stretch=held.stretch,
+        idle=_idle(prepared, known, fitted.hypothesis, settings),
         rivals=tuple(
             other.effects[0] for rest, other in tried[1:] if best.lead_of(rest)[1] < settings.tie
         ),
@@ -155,6 +161,10 @@ class _Left:
 
     fitted: tuple[Blows, Array]
     held: tuple[Blows, Array]
+
+    @classmethod
+    def of(cls, hypothesis: Hypothesis, searched: Blows, held: Blows) -> _Left:
+        return cls(*((blows, blows.residuals([hypothesis])[0]) for blows in (searched, held)))
 
     @property
     def total(self) -> float:
@@ -205,6 +215,31 @@ def _shut(fitted: Fit) -> Hypothesis:
     shut = values.copy()
     shut[number] = effect.parameters[number].low
     return Hypothesis(effects=(effect,), values=(shut,))
+
+
+def _idle(
+    prepared: Prepared, known: Hypothesis, part: Hypothesis, settings: NamingSettings
+) -> tuple[Effect, ...]:
+    """Effects without which the powers come out as well, once the part is there; the last first."""
+    pairs = list(zip(known.effects, known.values, strict=True))
+    nominal = [pair for pair in pairs if pair[0].kind in UNNAMED]
+    kept = [pair for pair in pairs if pair[0].kind not in UNNAMED]
+    if not kept:
+        return ()
+    own = list(zip(part.effects, part.values, strict=True))
+    searched, held = (Blows(runs, _of(nominal)) for runs in (prepared.search, prepared.held))
+    best, idle = _Left.of(_of([*kept, *own]), searched, held), list[Effect]()
+    for pair in reversed(kept.copy()):
+        without = [each for each in kept if each is not pair]
+        left = _Left.of(_of([*without, *own]), searched, held)
+        if not best.ahead_of(left, settings):
+            idle.append(pair[0])
+            kept, best = without, left
+    return tuple(idle)
+
+
+def _of(pairs: Sequence[tuple[Effect, Array]]) -> Hypothesis:
+    return Hypothesis(effects=tuple(e for e, _ in pairs), values=tuple(v for _, v in pairs))
 
 
 def _explained(before: Array, after: Array) -> float:

@@ -77,7 +77,12 @@ def headline(result: GapResult) -> str:
 
 def _open(result: GapResult) -> bool:
     """Whether much is left of the gap after what was named."""
-    return bool(result.left) and result.gap.after > CLOSED
+    return bool(result.left) and result.gap.after > CLOSED and _by_blows(result) is None
+
+
+def _by_blows(result: GapResult) -> NamedEffect | None:
+    """A part that was found by how hard it strikes its stops."""
+    return next((e for e in result.effects if e.powers_explained is not None), None)
 
 
 def _grouped(effects: Sequence[NamedEffect]) -> list[str]:
@@ -107,6 +112,11 @@ def size_words(result: GapResult) -> list[str]:
     left = f"; the corrected model {gap.after:.2f} times."
     if gap.after <= CLOSED:
         left += " The gap is closed down to the noise."
+    elif (struck := _by_blows(result)) is not None:
+        left += (
+            " Blows fall at moments that no simulation repeats; of how hard and how often they "
+            f"do, the corrected model explains {100 * (struck.powers_explained or 0.0):.0f} %."
+        )
     elif gap.after < 0.7 * gap.before:
         left += " The gap is smaller, not closed: see what is left."
     else:
@@ -129,7 +139,7 @@ def sure_words(effect: NamedEffect) -> str:
 def mistaken_words(result: GapResult) -> list[str]:
     """What each effect could be mistaken for."""
     said = []
-    alone = [effect for effect in result.effects if not effect.ambiguous_with]
+    alone = [e for e in result.effects if not e.ambiguous_with and e is not _by_blows(result)]
     groups: dict[tuple[int, tuple[Place, ...]], list[NamedEffect]] = {}
     for effect in alone:
         groups.setdefault(_found_in(effect, result.ranking), []).append(effect)
@@ -150,6 +160,10 @@ def mistaken_words(result: GapResult) -> list[str]:
                 "These were fitted together; something else at one of the places, with the others "
                 "as they are, was not tried."
             )
+    struck = _by_blows(result)
+    if struck is not None and not struck.ambiguous_with:
+        words = effect_words(struck.kind, struck.where)
+        said.append(f"No play anywhere else strikes as this does: {words}.")
     for effect in result.effects:
         if not effect.ambiguous_with:
             continue

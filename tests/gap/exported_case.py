@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import ceil
 from pathlib import Path
 
 import mujoco
@@ -18,21 +19,35 @@ from tests.gap.effect_arms import PLANAR
 from tests.gap.gap_case import stated
 
 
-def prepared_arm(folder: Path) -> Prepared:
-    """Runs that begin at rest under the first command, of an arm with friction of 3 N·m·s/rad."""
-    spec = mujoco.MjSpec.from_string(PLANAR)
+def prepared_arm(folder: Path, *, rate: float = 1000.0, first: float = 0.0) -> Prepared:
+    """Runs that begin at rest under the first command, of an arm with friction of 3 N·m·s/rad.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the recording.
+    rate : float
+        Samples per second [Hz].
+    first : float
+        The first command of every servo [rad].
+    """
+    spec, inside = mujoco.MjSpec.from_string(PLANAR), ceil(1000.0 / rate)
+    spec.option.timestep = 1 / (rate * inside)
     spec.joint("joint2").damping = np.array([3.5, 0, 0])
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     model = spec.compile()
-    time, rng, runs = 0.001 * np.arange(2000), np.random.default_rng(3), []
+    time, rng, runs = np.arange(round(2 * rate)) / rate, np.random.default_rng(3), []
     for k in range(2):
-        commands = 0.3 * np.sin(np.outer(np.maximum(time - 0.4, 0), [5.0 + k, 7.0, 9.0 - k]))
-        data, shown = mujoco.MjData(model), np.zeros((2000, 3))
+        moved = np.sin(np.outer(np.maximum(time - 0.4, 0), [5.0 + k, 7.0, 9.0 - k]))
+        commands = first + 0.3 * moved
+        data, shown = mujoco.MjData(model), np.zeros((len(time), 3))
+        data.qpos[:] = data.ctrl[:] = first
         mujoco.mj_step(model, data, 1500)
         for row, command in zip(shown, commands, strict=True):
             data.ctrl[:] = command
             mujoco.mj_step(model, data)
             row[:] = data.sensordata[:3]
+            mujoco.mj_step(model, data, inside - 1)
         shown += rng.normal(0, 2e-5, shown.shape)
         runs.append(
             Run(

@@ -176,3 +176,16 @@ def test_an_effect_that_changes_a_name_is_refused_and_leaves_no_file(tmp_path: P
             tmp_path / "model.xml", machine, [Renaming(machine, "joint1")], [np.array([1.0])]
         )
     assert not list(tmp_path.iterdir())
+
+
+def test_keyframes_keep_the_state_of_each_actuator(tmp_path: Path) -> None:
+    two = PLANAR.replace('<position name="servo2"', '<position name="servo2" timeconst="0.05"')
+    xml = two.replace(
+        "</mujoco>", '<keyframe><key ctrl="0.1 0.2 0.3" act="0.7"/></keyframe></mujoco>'
+    )
+    machine = Machine(mujoco.MjSpec.from_string(xml))
+    lag = CATALOGUE["actuator_lag"](machine, "servo1")
+    file = write_model(tmp_path / "model.xml", machine, [lag], [np.array([0.02])])[0]
+    model = mujoco.MjModel.from_xml_path(str(file))
+    # servo1's filter, which is new, begins at its command; servo2's keeps its state
+    assert model.key_act[0] == pytest.approx([0.1, 0.7])

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
 
+from loose_env.gap.comparison import Comparison
+from loose_env.gap.effect import Effect
 from loose_env.gap.effects.actuator_lag import ActuatorLag
 from loose_env.gap.effects.command_delay import CommandDelay
 from loose_env.gap.effects.sensor_gain import SensorGain
@@ -22,8 +27,8 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
     return prepared_arm(tmp_path_factory.mktemp("exported") / "r")
 
 
-def export_of(prepared: Prepared, effect: object, values: list[float]) -> Exported:
-    best = judged_with(prepared, effect, values)  # type: ignore[arg-type]
+def export_of(prepared: Prepared, effect: Effect, values: list[float]) -> Exported:
+    best = judged_with(prepared, effect, values)
     return exported(prepared.whole_held, machine_part(best), best.held_residual)
 
 
@@ -31,6 +36,20 @@ def test_what_acts_slowly_needs_no_finer_step(prepared: Prepared) -> None:
     found = export_of(prepared, ViscousFriction(prepared.machine, "joint2"), [3.0])
     assert found.parts == 1 and not found.matters and found.words() == []
     assert found.left == pytest.approx(found.fitted, rel=1e-3) and found.fitted < 1.1
+
+
+def export_as_fitted(prepared: Prepared, effect: Effect, value: float) -> Exported:
+    """Held against a fit that is right: the readings are its own, and it leaves nothing."""
+    hypothesis, held = machine_part(judged_with(prepared, effect, [value])), prepared.whole_held
+    (shown,) = held.predict([hypothesis])
+    measured = [trial.measured.copy() for trial in held.trials]
+    try:
+        for trial, values in zip(held.trials, shown, strict=True):
+            trial.measured[:] = values
+        return exported(held, hypothesis, np.zeros(len(held)))
+    finally:
+        for trial, values in zip(held.trials, measured, strict=True):
+            trial.measured[:] = values
 
 
 @pytest.mark.parametrize(
@@ -42,25 +61,44 @@ def test_what_acts_slowly_needs_no_finer_step(prepared: Prepared) -> None:
     ],
 )
 def test_what_is_shorter_than_a_step_is_written_with_a_finer_one(
-    kind: type, where: str, late: float, prepared: Prepared
+    kind: type[Effect], where: str, late: float, prepared: Prepared
 ) -> None:
-    # held against a fit that is right, as the noise is what it leaves
-    effect = kind(prepared.machine, where)
-    best = judged_with(prepared, effect, [late])
-    hypothesis, held = machine_part(best), prepared.whole_held
-    (shown,) = held.predict([hypothesis])
-    quiet = np.zeros(len(held))  # what that fit would leave of readings that are its own
-    for t, values in enumerate(shown):
-        held.trials[t].measured[:], measured = values, held.trials[t].measured.copy()
-        try:
-            found = exported(held, hypothesis, quiet)
-        finally:
-            held.trials[t].measured[:] = measured
+    found = export_as_fitted(prepared, kind(prepared.machine, where), late)
     assert not found.matters and found.apart < 0.3
     assert found.parts > 1 or late > prepared.machine.step
     if found.parts > 1:
         assert found.step == pytest.approx(prepared.machine.step / found.parts)
         assert "has a step of" in found.words()[0]
+
+
+@pytest.mark.parametrize("rate", [60.0, 100.0, 300.0, 1000.0])
+def test_samples_need_not_fall_on_steps_of_the_model(rate: float, tmp_path: Path) -> None:
+    prepared = prepared_arm(tmp_path / "r", rate=rate)
+    found = export_of(prepared, ViscousFriction(prepared.machine, "joint2"), [3.0])
+    assert found.parts == 1 and not found.words()
+    assert found.apart < 1e-3 and found.left == pytest.approx(found.fitted, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "where", "late"),
+    [(CommandDelay, "all", 0.1), (ActuatorLag, "servo2", 0.15)],
+)
+def test_what_comes_late_begins_with_the_first_command(
+    kind: type[Effect], where: str, late: float, tmp_path: Path
+) -> None:
+    prepared = prepared_arm(tmp_path / "r", first=0.5)
+    found = export_as_fitted(prepared, kind(prepared.machine, where), late)
+    assert found.parts == 1 and found.apart < 0.1 and not found.words()
+
+
+def test_runs_that_show_nothing_by_then_are_not_tried(prepared: Prepared) -> None:
+    best = judged_with(prepared, ViscousFriction(prepared.machine, "joint2"), [3.0])
+    held = prepared.whole_held
+    unread = np.full_like(held.trials[0].measured, np.nan)
+    late = [replace(held.trials[0], measured=unread), *held.trials]
+    runs = Comparison(held.machine, late, held.channels, held.floors, threads=1)
+    runs.trials[1] = replace(runs.trials[1], resting=False)
+    assert exported(runs, machine_part(best), np.zeros(len(runs))) == Exported()
 
 
 def test_a_filter_much_shorter_than_a_step_is_stable_in_plain_mujoco(prepared: Prepared) -> None:

@@ -102,6 +102,21 @@ def test_runs_that_disagree_widen_an_interval_and_never_to_nothing() -> None:
     assert (least.low[0], least.high[0]) == pytest.approx((0.995 * scale, 1.005 * scale))
 
 
+def test_no_interval_comes_to_hold_nothing_because_no_law_is_exact() -> None:
+    effect = CATALOGUE["sensor_gain"](machine_of("planar"), "encoder1")
+    free = free_of(effect.parameters, np.array([1.003]))
+    fitted = SimpleNamespace(
+        effects=(effect,), free=free, jacobian=np.ones((9, 1)), residual=np.zeros(9)
+    )
+    narrow = Intervals(
+        low=np.array([1.00299]), high=np.array([1.00301]), free=free, covariance=np.eye(1)
+    )
+    comparison = SimpleNamespace(rows=SimpleNamespace(trial=np.zeros(9, dtype=int)))
+    found = widened(comparison, fitted, narrow)  # type: ignore[arg-type]
+    assert 1.0 < found.low[0] <= 1.00299 and found.high[0] >= 1.00301
+    assert not found.may_be_nothing(effect, slice(0, 1))
+
+
 @pytest.mark.parametrize(("first", "nothing"), [(0.0, True), (3.0, False)])
 def test_what_the_data_do_not_answer_to_may_be_anything(first: float, nothing: bool) -> None:
     rng = np.random.default_rng(6)

@@ -14,8 +14,10 @@ import pytest
 from loose_env.gap import striking
 from loose_env.gap.blows import Blows
 from loose_env.gap.catalogue import CATALOGUE, candidates
+from loose_env.gap.comparison import Comparison
 from loose_env.gap.effects.structural_looseness import StructuralLooseness
 from loose_env.gap.hypothesis import Hypothesis
+from loose_env.gap.integration import corrected_step_words
 from loose_env.gap.machine import Machine
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.nominal import NominalFigures
@@ -79,6 +81,12 @@ def known(prepared: Prepared) -> Hypothesis:
     return Hypothesis(effects=(figures,), values=(np.ones(len(figures.parameters)),))
 
 
+def with_trace(prepared: Prepared) -> Hypothesis:
+    """The nominal model and an effect that is of no use."""
+    trace, nominal = CATALOGUE["viscous_friction"](prepared.machine, "joint3"), known(prepared)
+    return Hypothesis(effects=(*nominal.effects, trace), values=(*nominal.values, np.array([1e-3])))
+
+
 def slide(prepared: Prepared, link: str, values: np.ndarray) -> Hypothesis:
     effect = CATALOGUE["structural_looseness"](prepared.machine, link)
     return Hypothesis(effects=(effect,), values=(values,))
@@ -89,7 +97,7 @@ def search(
 ) -> Struck | None:
     return find_striking(
         prepared,
-        known(prepared),
+        with_trace(prepared),
         candidates(prepared.machine, (kind,)),
         np.random.default_rng(0),
         settings=NamingSettings(),
@@ -117,6 +125,7 @@ def test_the_loose_link_is_found_with_its_direction(loose: Prepared) -> None:
     found = search(loose, "structural_looseness")
     assert found is not None and found.effect.where == "link2"
     assert found.share > 0.85 and "link2 strikes its stops" in found.words
+    assert [effect.kind for effect in found.idle] == ["viscous_friction"]
     angle, gap = found.fitted.free[0] * 0.5, found.intervals
     assert np.cos(angle - TRUE[0]) ** 2 > 0.98
     assert gap.low[1] < gap.high[1] and 0.5 < found.intervals.high[1] / TRUE[1] < 4
@@ -137,3 +146,22 @@ def test_only_runs_with_commands_are_compared_by_powers(loose: Prepared) -> None
     assert not Blows.worth_while(SimpleNamespace(**vars(loose.held) | {"trials": [freed]}))  # type: ignore[arg-type]
     struck = SimpleNamespace(**vars(loose.held) | {"parting": frozenset([trial.name])})
     assert not Blows.worth_while(struck)  # type: ignore[arg-type]
+
+
+def test_readings_that_were_lost_cost_stretches_only_where_they_are_many(loose: Prepared) -> None:
+    held, rng = loose.held, np.random.default_rng(3)
+    whole = len(Blows(held, known(loose)))
+    lost = [
+        replace(t, measured=np.where(rng.random(t.measured.shape) < 0.05, np.nan, t.measured))
+        for t in held.trials
+    ]
+    brief = replace(held.trials[0].until(0.02), name="brief")
+    few = Comparison(held.machine, [*lost, brief], held.channels, held.floors, threads=1)
+    blows = Blows(few, known(loose))
+    assert len(blows) == whole and len(blows.trials) == len(lost)
+    nothing = Hypothesis(effects=(), values=())
+    assert np.isfinite(blows.residuals([nothing])).all()
+
+
+def test_no_step_is_blamed_for_blows(loose: Prepared) -> None:
+    assert corrected_step_words(loose.whole_held, slide(loose, "link2", TRUE)) == []

@@ -326,3 +326,27 @@ def test_a_family_is_one_line_of_what_was_tried(outputs: GapOutputs, evidence: E
     other = replace(outputs, ranking=(row("joint_spring", "joint1", "joint2", "joint3"),))
     page = render_gap_page(other, evidence, result_of(other, evidence))
     assert "joint_spring at joint1, joint2, joint3" in page
+
+
+def test_a_part_that_was_found_by_its_blows_is_told_as_such(
+    outputs: GapOutputs, evidence: Evidence
+) -> None:
+    loose = NamedEffect(
+        kind="structural_looseness", where="link2", parameters={"gap": 4e-4}, powers_explained=0.97
+    )
+    part = result(
+        "named",
+        effects=(loose,),
+        gap=Gap(before=8.7, after=9.1),
+        left=("much is left, sample by sample", "in shake"),
+        ranking=(row("structural_looseness", "link2"), row("actuator_gain", "m1")),
+    )
+    assert "something else" not in headline(part)
+    (size,) = size_words(part)
+    assert "97 %" in size and "Most of the gap" not in size
+    (alone,) = mistaken_words(part)
+    assert "No play anywhere else strikes as this does" in alone
+    assert not any("what else is missing" in step for step in next_steps(part))
+    struck = replace(outputs, effects=(loose,))
+    left = result_of(struck, evidence).left
+    assert not left or "blows fall at moments" in left[0]

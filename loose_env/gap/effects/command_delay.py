@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.effect import Effect
-from loose_env.gap.machine import Machine
+from loose_env.gap.machine import Machine, history_for
 from loose_env.gap.parameter import Parameter
 
-__all__ = ["CommandDelay", "held_delay", "history_for"]
+__all__ = ["CommandDelay", "held_delay"]
 
 Array = NDArray[np.float64]
 
@@ -112,14 +112,3 @@ def held_delay(delay: float, step: float) -> float:
     0.012
     """
     return max(ceil(delay / step - 1e-9), 0) * step
-
-
-def history_for(delay: float, step: float) -> int:
-    """Samples that MuJoCo has to keep for a delay [s] at a step [s].
-
-    Examples
-    --------
-    >>> history_for(0.0105, 0.001)
-    13
-    """
-    return ceil(delay / step - 1e-9) + 2

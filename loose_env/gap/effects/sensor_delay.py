@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.effect import Effect, Readings
-from loose_env.gap.effects.command_delay import held_delay, history_for
+from loose_env.gap.effects.command_delay import held_delay
 from loose_env.gap.effects.sensor_kinds import column_of, of_place_or_speed
-from loose_env.gap.machine import Machine
+from loose_env.gap.machine import Machine, history_for
 from loose_env.gap.parameter import Parameter
 
 __all__ = ["SensorDelay", "delayed"]
