@@ -124,7 +124,8 @@ class Blows(Comparison):
             shaken=np.zeros(int(read.sum()), dtype=bool),
             inverse=np.zeros(int(read.sum()), dtype=bool),
         )
-        return rows, np.log(np.maximum(flat[read], 1e-3)) / self._scale
+        # an encoder at rest shows one value, far less than its noise
+        return rows, np.log(np.maximum(flat[read], 1.0)) / self._scale
 
     def flatten(self, predicted: Sequence[Array]) -> Array:
         """Readings by run -> logarithms of their powers, noise added, in units of chance (N,)."""

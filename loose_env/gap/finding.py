@@ -136,20 +136,21 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Sta
         say(f"  {effect!r} may be nothing at all, by its interval, and is left out")
     named.dropped += dropped
     verdict, struck = _verdict(base, best), None
-    rigid = _without_slides(best, prepared, judge) if verdict == "unexplained" else best
-    if verdict == "unexplained" and len(rigid.fitted.named) < settings.most_effects:
-        rng = np.random.default_rng(settings.seed)
-        struck = find_striking(prepared, machine_part(rigid), sought, rng, settings=naming, say=say)
+    if verdict == "unexplained":
+        weighed = _weighed(prepared, best)
+        own = Judge(weighed.fit, weighed.whole_held)
+        rigid = _without_slides(best, weighed, own)
+        if len(rigid.fitted.named) < settings.most_effects:
+            known, rng = machine_part(rigid), np.random.default_rng(settings.seed)
+            struck = find_striking(prepared, known, sought, rng, settings=naming, say=say)
         if struck is not None:
             for effect in struck.idle:
                 say(f"  {effect!r} only stood in for it and is left out")
-                rigid = _judged_without(effect, rigid, prepared, judge)
-            if rigid is not best:
-                kept, dropped, intervals = _sure_ones(rigid, prepared, judge, settings)
-                for effect in dropped:
-                    say(f"  {effect!r} may be nothing at all, by its interval, and is left out")
-                rigid = kept
-                named.dropped += [*struck.idle, *dropped]
+                rigid = _judged_without(effect, rigid, weighed, own)
+            rigid, dropped, intervals = _sure_ones(rigid, weighed, own, settings)
+            for effect in dropped:
+                say(f"  {effect!r} may be nothing at all, by its interval, and is left out")
+            named.dropped += [*struck.idle, *dropped]
             intervals = joined(intervals, struck.intervals)
             best, verdict = judge.judge(_with_struck(prepared.fit, rigid.fitted, struck)), "named"
     return GapFound(
@@ -164,12 +165,36 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Sta
     )
 
 
+def _weighed(prepared: Prepared, best: Judged) -> Prepared:
+    """The runs with the noise of each channel as large as what is left in it.
+
+    Blows fill accelerations, in which right figures leave no less than wrong ones; places and
+    speeds hardly know of them.
+    """
+    runs, most = prepared.fit, len(prepared.fit.channels)
+    count = np.maximum(np.bincount(runs.rows.channel, minlength=most), 1)
+    squares = np.bincount(runs.rows.channel, best.fitted.residual**2, minlength=most)
+    floors = np.asarray(runs.floors, dtype=float) * np.sqrt(np.maximum(squares / count, 1.0))
+    return replace(
+        prepared,
+        fit=Comparison(
+            runs.machine,
+            runs.trials,
+            runs.channels,
+            floors,
+            threads=runs.threads,
+            parting=runs.parting,
+        ),
+    )
+
+
 def _without_slides(best: Judged, prepared: Prepared, judge: Judge) -> Judged:
-    """What was found, but for slides, which are sought once more blow by blow."""
-    for effect in best.fitted.named:
-        if effect.kind == "structural_looseness":
-            best = _judged_without(effect, best, prepared, judge)
-    return best
+    """What was found, fitted again, but for slides, which are sought once more blow by blow."""
+    kept = [k for k, e in enumerate(best.fitted.effects) if e.kind != "structural_looseness"]
+    own = slices_of(best.fitted.effects)
+    effects = [best.fitted.effects[k] for k in kept]
+    start = np.concatenate([best.fitted.free[own[k]] for k in kept])
+    return judge.judge(refined(fit(prepared.fit, effects, start), prepared.fit))
 
 
 def _judged_without(effect: Effect, judged: Judged, prepared: Prepared, judge: Judge) -> Judged:

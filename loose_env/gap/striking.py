@@ -36,6 +36,8 @@ _FITTED = 2
 """Candidates that are fitted."""
 _EXPLAINED = 0.85
 """Share of the powers of held-out runs that the one that is named explains."""
+_BY_CHANCE = 0.5
+"""Mean square of what noise alone leaves: half of it, for less than noise counts as noise."""
 _FROM = 3
 """Starts from which each of them is fitted."""
 _STEP = 0.05
@@ -243,6 +245,6 @@ def _of(pairs: Sequence[tuple[Effect, Array]]) -> Hypothesis:
 
 
 def _explained(before: Array, after: Array) -> float:
-    """Share of what is more than chance that is explained."""
-    more = float(np.sum(before**2 - 1))
-    return 1.0 - float(np.sum(after**2 - 1)) / more if more > 0 else 0.0
+    """Share of what is more than chance that is explained, 1 at most."""
+    more, left = (float(np.sum(each**2 - _BY_CHANCE)) for each in (before, after))
+    return 1.0 - max(left, 0.0) / more if more > 0 else 0.0
