@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,19 +13,9 @@ from loose_env.gap.ambiguity import indistinct
 from loose_env.gap.catalogue import candidates
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
-from loose_env.gap.fit import (
-    UNNAMED,
-    Fit,
-    cost_of,
-    fit,
-    fit_without,
-    parameters_of,
-    refined,
-    slice_of,
-    slices_of,
-)
-from loose_env.gap.intervals import Intervals, bootstrap, joined, widened
-from loose_env.gap.judgement import Judge, Judged, machine_part
+from loose_env.gap.fit import UNNAMED, Fit, fit, slices_of
+from loose_env.gap.intervals import Intervals
+from loose_env.gap.judgement import Judge, Judged
 from loose_env.gap.keeping import KeepInFiles
 from loose_env.gap.naming import Keep, Named, name_effects
 from loose_env.gap.naming_settings import NamingSettings
@@ -33,12 +23,13 @@ from loose_env.gap.nominal import NominalFigures
 from loose_env.gap.parameter import values_of
 from loose_env.gap.preparing import Prepared, prepare
 from loose_env.gap.ranking import ranking_of
-from loose_env.gap.refuting import short_of_limit
 from loose_env.gap.result import NamedEffect, Place, Ranked, Verdict
+from loose_env.gap.second_look import second_look
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.stages import Stage, fresh
 from loose_env.gap.start import StartState
-from loose_env.gap.striking import Struck, find_striking
+from loose_env.gap.striking import Struck
+from loose_env.gap.sure import sure_ones
 from loose_env.recording import Recording
 from loose_env.rig.quiet import quiet
 
@@ -131,28 +122,14 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Sta
             best = keep.judged("effects-whole", lambda: judge.judge(_again(prepared, best, begun)))
         else:
             best = base
-    best, dropped, intervals = _sure_ones(best, prepared, judge, settings)
-    for effect in dropped:
-        say(f"  {effect!r} may be nothing at all, by its interval, and is left out")
+    best, dropped, intervals = sure_ones(best, prepared, judge, settings.seed, say=say)
     named.dropped += dropped
     verdict, struck = _verdict(base, best), None
     if verdict == "unexplained":
-        weighed = _weighed(prepared, best)
-        own = Judge(weighed.fit, weighed.whole_held)
-        rigid = _without_slides(best, weighed, own)
-        if len(rigid.fitted.named) < settings.most_effects:
-            known, rng = machine_part(rigid), np.random.default_rng(settings.seed)
-            struck = find_striking(prepared, known, sought, rng, settings=naming, say=say)
-        if struck is not None:
-            for effect in struck.idle:
-                say(f"  {effect!r} only stood in for it and is left out")
-                rigid = _judged_without(effect, rigid, weighed, own)
-            rigid, dropped, intervals = _sure_ones(rigid, weighed, own, settings)
-            for effect in dropped:
-                say(f"  {effect!r} may be nothing at all, by its interval, and is left out")
-            named.dropped += [*struck.idle, *dropped]
-            intervals = joined(intervals, struck.intervals)
-            best, verdict = judge.judge(_with_struck(prepared.fit, rigid.fitted, struck)), "named"
+        again = second_look(prepared, judge, best, sought, settings, naming, say=say)
+        if again is not None:
+            best, intervals, struck, verdict = again.best, again.intervals, again.struck, "named"
+            named.dropped += again.dropped
     return GapFound(
         prepared=prepared,
         named=named,
@@ -162,61 +139,6 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Sta
         effects=_named(named, best.fitted, intervals, struck) if verdict == "named" else (),
         ranking=ranking_of(named, prepared.search, prepared.held),
         struck=struck,
-    )
-
-
-def _weighed(prepared: Prepared, best: Judged) -> Prepared:
-    """The runs with the noise of each channel as large as what is left in it.
-
-    Blows fill accelerations, in which right figures leave no less than wrong ones; places and
-    speeds hardly know of them.
-    """
-    runs, most = prepared.fit, len(prepared.fit.channels)
-    count = np.maximum(np.bincount(runs.rows.channel, minlength=most), 1)
-    squares = np.bincount(runs.rows.channel, best.fitted.residual**2, minlength=most)
-    floors = np.asarray(runs.floors, dtype=float) * np.sqrt(np.maximum(squares / count, 1.0))
-    return replace(
-        prepared,
-        fit=Comparison(
-            runs.machine,
-            runs.trials,
-            runs.channels,
-            floors,
-            threads=runs.threads,
-            parting=runs.parting,
-        ),
-    )
-
-
-def _without_slides(best: Judged, prepared: Prepared, judge: Judge) -> Judged:
-    """What was found, fitted again, but for slides, which are sought once more blow by blow."""
-    kept = [k for k, e in enumerate(best.fitted.effects) if e.kind != "structural_looseness"]
-    own = slices_of(best.fitted.effects)
-    effects = [best.fitted.effects[k] for k in kept]
-    start = np.concatenate([best.fitted.free[own[k]] for k in kept])
-    return judge.judge(refined(fit(prepared.fit, effects, start), prepared.fit))
-
-
-def _judged_without(effect: Effect, judged: Judged, prepared: Prepared, judge: Judge) -> Judged:
-    return judge.judge(refined(fit_without(prepared.fit, judged.fitted, effect), prepared.fit))
-
-
-def _with_struck(comparison: Comparison, rigid: Fit, struck: Struck) -> Fit:
-    """A fit with a part that was fitted by its powers; nothing is fitted again."""
-    whole = Fit(
-        effects=(*rigid.effects, struck.effect),
-        free=np.concatenate([rigid.free, struck.fitted.free]),
-        residual=np.zeros(0),
-        jacobian=np.zeros((len(comparison), 0)),
-        cost=0.0,
-    )
-    residual = comparison.residuals([whole.hypothesis])[0]
-    none = np.zeros((len(comparison), len(struck.fitted.free)))
-    return replace(
-        whole,
-        residual=residual,
-        jacobian=np.concatenate([rigid.jacobian, none], axis=1),
-        cost=cost_of(residual, whole.free, parameters_of(whole.effects)),
     )
 
 
@@ -238,26 +160,6 @@ def _again(prepared: Prepared, judged: Judged, begun: list[Effect]) -> Fit:
         [*begun, *(effects[k] for k in kept)],
         np.concatenate([np.zeros(len(b.parameters)) for b in begun] + [free[own[k]] for k in kept]),
     )
-
-
-def _sure_ones(
-    best: Judged, prepared: Prepared, judge: Judge, settings: GapSettings
-) -> tuple[Judged, list[Effect], Intervals]:
-    """Leave out effects whose intervals include nothing, and fit the others again."""
-    dropped: list[Effect] = []
-    while True:
-        rng = np.random.default_rng(settings.seed)
-        fitted = best.fitted
-        found = bootstrap(prepared.fit, fitted, rng)
-        named = [(effect, slice_of(fitted.effects, effect)) for effect in fitted.named]
-        for effect, own in named:
-            if found.may_be_nothing(effect, own):
-                found = short_of_limit(prepared.fit, fitted, found, effect)
-        doubtful = [effect for effect, own in named if found.may_be_nothing(effect, own)]
-        if not doubtful:
-            return best, dropped, widened(prepared.fit, fitted, found)
-        dropped.append(doubtful[-1])
-        best = _judged_without(doubtful[-1], best, prepared, judge)
 
 
 _EXPLAINED = 0.88

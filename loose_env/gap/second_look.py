@@ -1,0 +1,146 @@
+"""What was unexplained is looked at once more, blow by blow.
+
+Sample by sample a part that strikes its stops hard cannot be found. What was found beside it is
+fitted again by channels as well as these know it, the part is sought by its powers
+(`loose_env.gap.striking`), and what only stood in for it is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from loose_env.gap.comparison import Comparison
+from loose_env.gap.effect import Effect
+from loose_env.gap.fit import Fit, cost_of, fit, parameters_of, refined, slices_of
+from loose_env.gap.intervals import Intervals, joined
+from loose_env.gap.judgement import Judge, Judged, machine_part
+from loose_env.gap.naming_settings import NamingSettings
+from loose_env.gap.preparing import Prepared
+from loose_env.gap.settings import GapSettings
+from loose_env.gap.striking import Struck, find_striking
+from loose_env.gap.sure import judged_without, sure_ones
+
+__all__ = ["SecondLook", "second_look"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SecondLook:
+    """What it brought."""
+
+    best: Judged
+    """What was found before as far as it stays, with the part."""
+    intervals: Intervals
+    """Of all parameters."""
+    struck: Struck
+    """The part."""
+    dropped: list[Effect]
+    """What does not stay."""
+
+
+def second_look(
+    prepared: Prepared,
+    judge: Judge,
+    best: Judged,
+    sought: Sequence[Effect],
+    settings: GapSettings,
+    naming: NamingSettings,
+    *,
+    say: Callable[[str], None] = lambda _: None,
+) -> SecondLook | None:
+    """Look for a part that strikes its stops where something is left unexplained.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        The runs.
+    judge : Judge
+        Judges fits to ``prepared.fit``.
+    best : Judged
+        What was found, and does not explain enough.
+    sought : sequence of Effect
+        The catalogue at every place.
+    settings : GapSettings
+        How many effects may be named, and the seed.
+    naming : NamingSettings
+        When an effect is believed.
+    say : callable
+        Told what goes on, line by line.
+
+    Returns
+    -------
+    SecondLook or None
+        None where there is no such part.
+    """
+    weighed = _weighed(prepared, best)
+    own = Judge(weighed.fit, weighed.whole_held)
+    rigid = _without_slides(best, weighed, own)
+    if len(rigid.fitted.named) >= settings.most_effects:
+        return None
+    known, rng = machine_part(rigid), np.random.default_rng(settings.seed)
+    struck = find_striking(prepared, known, sought, rng, settings=naming, say=say)
+    if struck is None:
+        return None
+    for effect in struck.idle:
+        say(f"  {effect!r} only stood in for it and is left out")
+        rigid = judged_without(effect, rigid, weighed, own)
+    rigid, dropped, intervals = sure_ones(rigid, weighed, own, settings.seed, say=say)
+    return SecondLook(
+        best=judge.judge(_with_struck(prepared.fit, rigid.fitted, struck)),
+        intervals=joined(intervals, struck.intervals),
+        struck=struck,
+        dropped=[*struck.idle, *dropped],
+    )
+
+
+def _weighed(prepared: Prepared, best: Judged) -> Prepared:
+    """The runs with the noise of each channel as large as what is left in it.
+
+    Blows fill accelerations, in which right figures leave no less than wrong ones; places and
+    speeds hardly know of them.
+    """
+    runs, most = prepared.fit, len(prepared.fit.channels)
+    count = np.maximum(np.bincount(runs.rows.channel, minlength=most), 1)
+    squares = np.bincount(runs.rows.channel, best.fitted.residual**2, minlength=most)
+    floors = np.asarray(runs.floors, dtype=float) * np.sqrt(np.maximum(squares / count, 1.0))
+    return replace(
+        prepared,
+        fit=Comparison(
+            runs.machine,
+            runs.trials,
+            runs.channels,
+            floors,
+            threads=runs.threads,
+            parting=runs.parting,
+        ),
+    )
+
+
+def _without_slides(best: Judged, prepared: Prepared, judge: Judge) -> Judged:
+    """What was found, fitted again, but for slides, which are sought once more blow by blow."""
+    kept = [k for k, e in enumerate(best.fitted.effects) if e.kind != "structural_looseness"]
+    own = slices_of(best.fitted.effects)
+    effects = [best.fitted.effects[k] for k in kept]
+    start = np.concatenate([best.fitted.free[own[k]] for k in kept])
+    return judge.judge(refined(fit(prepared.fit, effects, start), prepared.fit))
+
+
+def _with_struck(comparison: Comparison, rigid: Fit, struck: Struck) -> Fit:
+    """A fit with a part that was fitted by its powers; nothing is fitted again."""
+    whole = Fit(
+        effects=(*rigid.effects, struck.effect),
+        free=np.concatenate([rigid.free, struck.fitted.free]),
+        residual=np.zeros(0),
+        jacobian=np.zeros((len(comparison), 0)),
+        cost=0.0,
+    )
+    residual = comparison.residuals([whole.hypothesis])[0]
+    none = np.zeros((len(comparison), len(struck.fitted.free)))
+    return replace(
+        whole,
+        residual=residual,
+        jacobian=np.concatenate([rigid.jacobian, none], axis=1),
+        cost=cost_of(residual, whole.free, parameters_of(whole.effects)),
+    )
