@@ -19,7 +19,7 @@ from loose_env.instrument.result import Diagnosis, Fault, RecordSeen
 from loose_env.recording import read_recording
 from loose_env.recording.csv_file import write_csv
 from loose_env.recording.parquet_file import read_parquet
-from loose_env.report.plan_words import steps
+from loose_env.report.plan_words import commands_after, steps
 from tests.instrument.plan_arms import MOTORS, SERVOED, URDF, written
 from tests.instrument.playing import play
 
@@ -231,7 +231,7 @@ def test_the_next_command_has_the_options_that_the_session_began_with(servoed: P
         choice=replace(FEW, most_tool=5.0),
         own=PlanSettings(joint="lift", hold_s=0.7),
     )
-    command = steps(made, ("run-01.csv",), "DIR")[-1]
+    command = commands_after(made, "DIR")[-1]
     for words in (
         "--tool tool",
         "--payload-kg 0.5",
