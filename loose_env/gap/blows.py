@@ -41,7 +41,8 @@ class Blows(Comparison):
     """Compares forward runs by the power of what is beyond a model without play.
 
     A hypothesis here is what is added to that model. Its numbers are logarithms of powers, measured
-    less simulated, in standard deviations of chance: about one where the model is right.
+    less simulated, in standard deviations of chance: about one where the model is right. With
+    nothing added `measured` is left.
 
     Parameters
     ----------

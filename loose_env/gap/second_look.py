@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from loose_env.gap.blows import Blows
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.fit import Fit, cost_of, fit, parameters_of, refined, slices_of
@@ -74,6 +75,8 @@ def second_look(
     SecondLook or None
         None where there is no such part.
     """
+    if not all(map(Blows.worth_while, (prepared.search, prepared.held))):
+        return None
     weighed = _weighed(prepared, best)
     own = Judge(weighed.fit, weighed.whole_held)
     rigid = _without_slides(best, weighed, own)
@@ -113,6 +116,7 @@ def _weighed(prepared: Prepared, best: Judged) -> Prepared:
             runs.channels,
             floors,
             threads=runs.threads,
+            inverse=runs.inverse,
             parting=runs.parting,
         ),
     )

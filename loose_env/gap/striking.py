@@ -43,7 +43,6 @@ _FROM = 3
 _STEP = 0.05
 _ROUGH, _FINE = (FitSettings(difference=step, iterations=n) for step, n in ((0.2, 8), (_STEP, 4)))
 """Powers scatter with the moments of blows: sensitivities are taken over long steps first."""
-_NOTHING = Hypothesis(effects=(), values=())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -114,7 +113,7 @@ def find_striking(
     there = {(e.kind, e.where) for e in known.effects}
     striking = [c for c in candidates if c.kind in STRIKING and (c.kind, c.where) not in there]
     short = windowed(prepared.search, settings.sorting)
-    if not striking or not all(map(Blows.worth_while, (short, prepared.search, prepared.held))):
+    if not striking or not all(map(Blows.worth_while, (short, prepared.held))):
         return None
     say("whether something strikes its stops, by the power of what is left")
     proposed, sorting = proposals(prepared.search, known, striking), Blows(short, known)
@@ -132,8 +131,9 @@ def find_striking(
 
     fits = [_fitted(searched, effect, starts[effect.key]) for _, effect in promising[:_FITTED]]
     tried = sorted(((left(each.hypothesis), each) for each in fits), key=lambda t: t[0].total)
-    (best, fitted), before = tried[0], left(_NOTHING)
-    share = _explained(before.held[1], best.held[1])
+    best, fitted = tried[0]
+    before = _Left((searched, searched.measured), (held, held.measured))
+    share = _explained(held.measured, best.held[1])
     say(f"  {fitted.effects[0]!r}: explains {share:.2f} of the powers of held-out runs")
     if share < _EXPLAINED or not best.ahead_of(before, settings):
         return None
@@ -193,11 +193,10 @@ def _sorted(
     blows: Blows, effect: Effect, starts: Sequence[tuple[float, ...]]
 ) -> list[tuple[float, tuple[float, ...]]]:
     """Share of the powers that each start explains by itself, with the start; the best first."""
-    before = blows.residuals([_NOTHING])[0]
     left = blows.residuals(
         [Hypothesis(effects=(effect,), values=(np.array(start),)) for start in starts]
     )
-    found = [(_explained(before, r), tuple(s)) for r, s in zip(left, starts, strict=True)]
+    found = [(_explained(blows.measured, r), tuple(s)) for r, s in zip(left, starts, strict=True)]
     return sorted(found, key=lambda each: -each[0])
 
 

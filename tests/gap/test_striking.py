@@ -113,6 +113,7 @@ def test_powers_tell_a_slide_that_no_trajectory_follows(loose: Prepared) -> None
         effects=(*nominal.effects, *near.effects), values=(*nominal.values, *near.values)
     )
     blows = Blows(loose.held, nominal)
+    assert np.allclose(blows.residuals([nothing])[0], blows.measured, atol=1e-9)
     before, after, other = (
         float(np.mean(r**2)) for r in blows.residuals([nothing, near, slide(loose, "link3", TRUE)])
     )
