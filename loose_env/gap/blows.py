@@ -63,7 +63,7 @@ class Blows(Comparison):
         self._own = _sensors(comparison)
         super().__init__(
             comparison.machine,
-            [trial for trial in comparison.trials if _followed(comparison, trial)],
+            [trial for trial in comparison.trials if _long_enough(comparison, trial)],
             comparison.channels,
             comparison.floors,
             threads=comparison.threads,
@@ -74,7 +74,7 @@ class Blows(Comparison):
         """Whether any run is one that can be compared so."""
         read = _sensors(comparison)
         return any(
-            _followed(comparison, trial) and np.isfinite(trial.measured[:, read]).any()
+            _long_enough(comparison, trial) and np.isfinite(trial.measured[:, read]).any()
             for trial in comparison.trials
         )
 
@@ -172,7 +172,7 @@ def _sensors(comparison: Comparison) -> list[int]:
     return [c for c, one in enumerate(comparison.channels) if one.column.startswith("sensor.")]
 
 
-def _followed(comparison: Comparison, trial: Trial) -> bool:
-    """Whether a run is simulated with its commands, compared by samples, and no mere moment."""
-    followed = trial.form == "forward" and trial.name not in comparison.parting
-    return followed and len(trial.time) >= 2 * max(_FEWEST, _WINDOW * trial.rate)
+def _long_enough(comparison: Comparison, trial: Trial) -> bool:
+    """Whether a run is followed with its commands, for two stretches at least."""
+    fewest = 2 * max(_FEWEST, _WINDOW * trial.rate)
+    return comparison.follows(trial) and len(trial.time) >= fewest

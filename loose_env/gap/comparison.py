@@ -174,6 +174,10 @@ class Comparison:
         )  # fmt: skip
         return rows, measured
 
+    def follows(self, trial: Trial) -> bool:
+        """Whether a run is simulated with its commands and compared sample by sample."""
+        return trial.form == "forward" and trial.name not in self.parting
+
     def shows(self, effect: Effect) -> bool:
         """Whether any run is of a form in which an effect makes a difference.
 

@@ -26,7 +26,7 @@ from loose_env.gap.stepping import step_with
 from loose_env.gap.trial import Trial
 from loose_env.rig.quiet import quiet
 
-__all__ = ["Exported", "exported", "played"]
+__all__ = ["Exported", "compared", "exported", "played", "resting_runs"]
 
 Array = NDArray[np.float64]
 
@@ -119,17 +119,16 @@ def exported(held: Comparison, hypothesis: Hypothesis, residual: Array) -> Expor
     shortest = min(trial.step for trial in trials.values())
     longest = own if own < _AS_LONG * shortest else shortest
     found: list[tuple[float, Exported]] = []
-    with quiet():  # a step that is too long may go wild
-        for parts in PARTS:
-            step = longest / parts
-            spec = corrected_spec(held.machine, hypothesis.effects, hypothesis.values, step=step)
-            tried = _compared(held, residual, compiled(spec), trials)
-            if tried is None:
-                return Exported()
-            off, shown = tried
-            found.append((off, replace(shown, parts=parts, step=step, matters=off > 1.0)))
-            if off <= 1.0:
-                break
+    for parts in PARTS:
+        step = longest / parts
+        spec = corrected_spec(held.machine, hypothesis.effects, hypothesis.values, step=step)
+        tried = compared(held, residual, compiled(spec), trials)
+        if tried is None:
+            return Exported()
+        off, shown = tried
+        found.append((off, replace(shown, parts=parts, step=step, matters=off > 1.0)))
+        if off <= 1.0:
+            break
     nearest = min(found, key=lambda each: each[0])
     chosen = nearest if nearest[0] < max(1.0, _BETTER * found[0][0]) else found[0]
     if any(effect.kind in STRIKING for effect in hypothesis.effects):
@@ -138,25 +137,45 @@ def exported(held: Comparison, hypothesis: Hypothesis, residual: Array) -> Expor
     return chosen[1]
 
 
-def _shown(held: Comparison) -> dict[int, Trial]:
-    """Number and beginning of each run that a file can be held against; of some if there are many.
+def resting_runs(held: Comparison) -> dict[int, Trial]:
+    """Number and run of all that a file can be held against.
 
     They begin at rest, and are simulated with their commands and compared sample by sample.
     """
-    chosen = [
-        t
-        for t, trial in enumerate(held.trials)
-        if trial.form == "forward" and trial.resting and trial.name not in held.parting
-    ]
-    count = min(len(chosen), int(_PLAYED / _SHORTEST))
-    taken = np.unique(np.linspace(0, len(chosen) - 1, count).round().astype(int))
-    return {chosen[k]: held.trials[chosen[k]].until(_PLAYED / count) for k in taken.tolist()}
+    return {t: run for t, run in enumerate(held.trials) if held.follows(run) and run.resting}
 
 
-def _compared(
+def _shown(held: Comparison) -> dict[int, Trial]:
+    """The beginnings of these runs; of some if there are many."""
+    runs = resting_runs(held)
+    count = min(len(runs), int(_PLAYED / _SHORTEST))
+    taken = np.unique(np.linspace(0, len(runs) - 1, count).round().astype(int))
+    numbers = list(runs)
+    return {numbers[k]: runs[numbers[k]].until(_PLAYED / count) for k in taken.tolist()}
+
+
+def compared(
     held: Comparison, residual: Array, model: mujoco.MjModel, trials: dict[int, Trial]
 ) -> tuple[float, Exported] | None:
-    """How far a model is from the fit over how far it may be; None where nothing was read."""
+    """Hold a model, simulated by MuJoCo alone, against a fit.
+
+    Parameters
+    ----------
+    held : Comparison
+        The held-out runs.
+    residual : ndarray (N,)
+        What the fit leaves of them, in noise standard deviations.
+    model : MjModel
+        The corrected model.
+    trials : dict
+        Number -> run, or the beginning of it, for those that are played.
+
+    Returns
+    -------
+    (float, Exported) or None
+        How far the model is from the fit over how far it may be, and what both leave; None where
+        nothing was read.
+    """
     rows, read = held.rows, np.array([c.column.startswith("sensor.") for c in held.channels])
     left, fitted = [np.zeros(0)], [np.zeros(0)]
     channels = [np.zeros(0, dtype=np.intp)]
@@ -164,7 +183,8 @@ def _compared(
         chosen = (rows.trial == t) & (rows.sample < len(trial.time)) & read[rows.channel]
         own = np.flatnonzero(chosen)
         sample, channel = rows.sample[own], rows.channel[own]
-        shown = played(held, model, trial)[sample, channel]
+        with quiet():  # a step that is too long may go wild
+            shown = played(held, model, trial)[sample, channel]
         off = (trial.measured[sample, channel] - shown) / held.scales[t, channel]
         left.append(np.clip(np.nan_to_num(off, nan=_WILD), -_WILD, _WILD))
         fitted.append(residual[own])

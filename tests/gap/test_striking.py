@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -143,10 +143,11 @@ def test_what_needs_no_gap_is_no_play(tmp_path: Path, monkeypatch: pytest.Monkey
 def test_only_runs_with_commands_are_compared_by_powers(loose: Prepared) -> None:
     assert Blows.worth_while(loose.held)
     (trial,) = loose.held.trials
-    freed = replace(loose.held.trials[0], form="free")
-    assert not Blows.worth_while(SimpleNamespace(**vars(loose.held) | {"trials": [freed]}))  # type: ignore[arg-type]
-    struck = SimpleNamespace(**vars(loose.held) | {"parting": frozenset([trial.name])})
-    assert not Blows.worth_while(struck)  # type: ignore[arg-type]
+    freed, struck = copy(loose.held), copy(loose.held)
+    freed.trials = [replace(trial, form="free")]
+    struck.parting = frozenset([trial.name])
+    assert not Blows.worth_while(freed)
+    assert not Blows.worth_while(struck)
 
 
 def test_readings_that_were_lost_cost_stretches_only_where_they_are_many(loose: Prepared) -> None:
