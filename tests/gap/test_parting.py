@@ -28,13 +28,10 @@ from loose_env.gap.trial import channels_of, lay_out
 from loose_env.gap.windows import windowed
 from loose_env.recording import Recording, Run, write_recording
 from loose_env.report.gap_page import render_gap_page
-from tests.gap.effect_arms import PLANAR
 from tests.gap.gap_case import stated
+from tests.gap.level_arm import FINE, LEVEL, recorded
 
-# The plane is level, so that nothing but the excitation holds the slide at its stops.
-LEVEL = PLANAR.replace('gravity="0 -9.81 0"', 'gravity="0 0 -9.81"')
-FINE, EVERY, COUNT = 2e-4, 5, 3000
-NOISE = np.array([2e-5, 2e-5, 2e-5, 2e-3, 0.03, 0.03, 0.03])
+COUNT = 3000
 POSES = ([0.3, 0.8, -0.5], [-0.4, 1.2, 0.6], [0.9, -0.9, 0.3])
 
 
@@ -59,22 +56,8 @@ def record(folder: Path, *, loose: bool, gap: float = 2e-4) -> Recording:
             data.joint(f"joint{j + 1}").qpos[0] = angle
         data.ctrl[:] = pose
         mujoco.mj_step(model, data, 2000)
-        shown = np.zeros((COUNT, model.nsensordata))
-        for row, command in zip(shown, controls, strict=True):
-            data.ctrl[:] = command
-            mujoco.mj_forward(model, data)
-            row[:] = data.sensordata
-            mujoco.mj_step(model, data, EVERY)
-        shown += rng.normal(0, NOISE, shown.shape)
-        names = ("encoder1", "encoder2", "encoder3", "rate3")
         runs.append(
-            Run(
-                name=f"run-{k + 1:02d}.parquet",
-                time=np.arange(COUNT) * FINE * EVERY,
-                controls={f"servo{j + 1}": controls[:, j] for j in range(3)},
-                sensors={n: shown[:, c] for c, n in enumerate(names)} | {"shake": shown[:, 4:]},
-                excited=("joint1",),
-            )
+            recorded(data, controls, rng, name=f"run-{k + 1:02d}.parquet", excited=("joint1",))
         )
     return write_recording(folder, model_xml=LEVEL, runs=runs)
 

@@ -24,13 +24,10 @@ from loose_env.gap.nominal import NominalFigures
 from loose_env.gap.preparing import Prepared, prepare
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.striking import Struck, find_striking
-from loose_env.recording import Run, write_recording
-from tests.gap.effect_arms import PLANAR
+from loose_env.recording import write_recording
+from tests.gap.level_arm import EVERY, FINE, LEVEL, recorded
 
-# The plane is level, so that nothing but the motion throws the slide to and fro.
-LEVEL = PLANAR.replace('gravity="0 -9.81 0"', 'gravity="0 0 -9.81"')
-FINE, EVERY, COUNT = 2e-4, 5, 1500
-NOISE = np.array([2e-5, 2e-5, 2e-5, 2e-3, 0.03, 0.03, 0.03])
+COUNT = 1500
 TRUE = np.array([1.0, 4e-4, 3.0, 3e5, 0.1])
 """Angle, gap, friction, stiffness and damping ratio."""
 
@@ -50,22 +47,7 @@ def prepared_arm(folder: Path, *, loose: bool = False, friction: float = 0.0) ->
         controls *= np.minimum(2 * time, 1.0)[:, None]
         data = mujoco.MjData(model)
         mujoco.mj_step(model, data, 2000)
-        shown = np.zeros((COUNT, model.nsensordata))
-        for row, command in zip(shown, controls, strict=True):
-            data.ctrl[:] = command
-            mujoco.mj_forward(model, data)
-            row[:] = data.sensordata
-            mujoco.mj_step(model, data, EVERY)
-        shown += rng.normal(0, NOISE, shown.shape)
-        names = ("encoder1", "encoder2", "encoder3", "rate3")
-        runs.append(
-            Run(
-                name=f"run-{k + 1:02d}.parquet",
-                time=time,
-                controls={f"servo{j + 1}": controls[:, j] for j in range(3)},
-                sensors={n: shown[:, c] for c, n in enumerate(names)} | {"shake": shown[:, 4:]},
-            )
-        )
+        runs.append(recorded(data, controls, rng, name=f"run-{k + 1:02d}.parquet"))
     recording = write_recording(folder, model_xml=LEVEL, runs=runs)
     return prepare(recording, GapSettings(threads=1))
 
