@@ -137,6 +137,7 @@ def train(options: argparse.Namespace) -> Path:
         raise InvalidSetting("the hyperparameters have no n_timesteps: give -n")
 
     import torch
+    from stable_baselines3.common.logger import Logger
 
     from agents.training import TrackedVecEnv, evaluation_seed, training_seed
     from agents.training_run import RunCallback, RunFolder, RunState, Schedule, write_json
@@ -186,6 +187,8 @@ def train(options: argparse.Namespace) -> Path:
             evaluator(options, problem, estimator, arguments, evaluation_seed(options.seed)),
             show,
         )
+        if log is None:
+            model.set_logger(Logger(None, []))  # its own would leave an empty folder in /tmp
         try:
             model.learn(
                 steps - model.num_timesteps,
