@@ -43,7 +43,7 @@ from scripts.gap_suite.one_case import (
     shard_for,
 )
 from scripts.gap_suite.rows import take_rows, write_rows
-from scripts.gap_suite.tables import markdown, text
+from scripts.gap_suite.tables import markdown, text, wrong_cases
 from scripts.gap_suite.tool import Tool, run_tool
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -263,10 +263,15 @@ def report(rows: Sequence[Row], asked: int) -> str:
 
 def tables(rows: Sequence[Row], asked: int) -> str:
     """The same as markdown, with a line for every case that is not right."""
-    wrong = [row for row in rows if not grade_of(row).right]
-    parts = [head_of(rows, asked) + ".", "", markdown([grade_of(row) for row in rows])]
+    marks = [grade_of(row) for row in rows]
+    wrong = [(r["number"], g, r["error"]) for r, g in zip(rows, marks, strict=True) if not g.right]
+    parts = [head_of(rows, asked) + ".", "", markdown(marks)]
     if wrong:
-        parts += ["Cases that are not right:", "", "```", *(line_of(row) for row in wrong), "```"]
+        parts += [
+            "Cases that are not right, with the gap on held-out runs before and after [noise sd]:",
+            "",
+            wrong_cases(wrong),
+        ]
     return "\n".join(parts).rstrip() + "\n"
 
 

@@ -130,7 +130,9 @@ def _said(g: Grade) -> str:
 def markdown(grades: Sequence[Grade]) -> str:
     """The table of targets, the confusion matrix and the marks by size, as markdown."""
     parts = ["| | to reach | measured |", "| --- | --- | --- |"]
-    parts += [f"| {what} | {target} | {got} |" for what, target, got in summary(grades)]
+    parts += [
+        f"| {what} | {_whole(target)} | {_whole(got)} |" for what, target, got in summary(grades)
+    ]
     rows, columns, counts = confusion(grades)
     used = [c for c in range(len(columns)) if counts[:, c].any()]
     parts += [
@@ -142,7 +144,7 @@ def markdown(grades: Sequence[Grade]) -> str:
     for r, row in enumerate(rows):
         if counts[r].any():
             cells = [_marked(counts[r, c], right=columns[c] == _expected(row)) for c in used]
-            number = f"{r + 1} " if row in CATALOGUE else ""
+            number = f"{r + 1}\N{NO-BREAK SPACE}" if row in CATALOGUE else ""
             parts.append(f"| {number}{row} | " + " | ".join(cells) + " |")
     parts += ["", "| size over just visible | single effects right |", "| --- | --- |"]
     singles = [g for g in grades if g.role == "single"]
@@ -153,6 +155,30 @@ def markdown(grades: Sequence[Grade]) -> str:
     return "\n".join(parts) + "\n"
 
 
+def wrong_cases(cases: Sequence[tuple[int, Grade, str]]) -> str:
+    """What was true and what was said in cases that are not right, as markdown.
+
+    Parameters
+    ----------
+    cases : sequence of (int, Grade, str)
+        Number, marks, and what went wrong where a case failed.
+    """
+    lines = ["| case | runs | true | over just visible | said | gap |"]
+    lines += ["| ---: | --- | --- | ---: | --- | --- |"]
+    for number, g, error in cases:
+        size = f"{g.ratio:.1f}" if np.isfinite(g.ratio) else ""
+        said = f"failed: {error}" if error else _effects(g.said, g.verdict)
+        gap = "" if error else f"{g.gap_before:.2f} to {g.gap_after:.2f}"
+        lines.append(
+            f"| {number} | {g.form} | {_effects(g.truth, 'nothing')} | {size} | {said} | {gap} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _effects(effects: Sequence[tuple[str, str]], otherwise: str) -> str:
+    return ", ".join(f"{kind} at {where}" for kind, where in effects) or otherwise
+
+
 def _short(columns: list[str], column: int) -> str:
     """Heading of a narrow column."""
     return str(column + 1) if columns[column] in CATALOGUE else columns[column].replace("_", " ")
@@ -161,6 +187,11 @@ def _short(columns: list[str], column: int) -> str:
 def _expected(row: str) -> str:
     """What is to be said of what is true."""
     return UNEXPLAINED if row in OUTSIDE else row
+
+
+def _whole(figure: str) -> str:
+    """A figure that breaks into a second line only before its bracket."""
+    return " (".join(part.replace(" ", "\N{NO-BREAK SPACE}") for part in figure.split(" ("))
 
 
 def _marked(count: int, *, right: bool) -> str:
