@@ -14,6 +14,14 @@ SEVERAL = "several"
 """Column of the confusion matrix for results that name more than one effect."""
 PLACE = "elsewhere"
 """Column for the right kind at a wrong place."""
+SIGNS = {
+    NO_GAP: ("0", "nothing missing"),
+    UNEXPLAINED: ("?", "unexplained"),
+    SEVERAL: ("+", "more than one effect"),
+    PLACE: ("@", "the right kind elsewhere"),
+    FAILED: ("!", "failed"),
+}
+"""Headings of narrow columns, and what they stand for."""
 ON_READING = frozenset({"sensor_gain", "sensor_bias", "torque_ripple"})
 """Kinds that a model file cannot carry; the result has code for them."""
 CLOSE = 0.1
@@ -135,17 +143,16 @@ def markdown(grades: Sequence[Grade]) -> str:
     ]
     rows, columns, counts = confusion(grades)
     used = [c for c in range(len(columns)) if counts[:, c].any()]
-    parts += [
-        "",
-        "What was true (rows) and what was said (columns; kinds by the numbers of their rows):",
-    ]
+    legend = ["kinds by the numbers of their rows"]
+    legend += [" ".join(SIGNS[columns[c]]) for c in used if columns[c] in SIGNS]
+    parts += ["", f"What was true (rows) and what was said (columns: {'; '.join(legend)}):"]
     parts += ["", "| | " + " | ".join(_short(columns, c) for c in used) + " |"]
     parts += ["| --- |" + " ---: |" * len(used)]
     for r, row in enumerate(rows):
         if counts[r].any():
             cells = [_marked(counts[r, c], right=columns[c] == _expected(row)) for c in used]
-            number = f"{r + 1}\N{NO-BREAK SPACE}" if row in CATALOGUE else ""
-            parts.append(f"| {number}{row} | " + " | ".join(cells) + " |")
+            number = _short(columns, columns.index(_expected(row)))
+            parts.append(f"| {number}\N{NO-BREAK SPACE}{row} | " + " | ".join(cells) + " |")
     parts += ["", "| size over just visible | single effects right |", "| --- | --- |"]
     singles = [g for g in grades if g.role == "single"]
     for low, high in ((0.0, 2.0), (2.0, 5.0), (5.0, 12.0), (12.0, np.inf)):
@@ -181,7 +188,8 @@ def _effects(effects: Sequence[tuple[str, str]], otherwise: str) -> str:
 
 def _short(columns: list[str], column: int) -> str:
     """Heading of a narrow column."""
-    return str(column + 1) if columns[column] in CATALOGUE else columns[column].replace("_", " ")
+    name = columns[column]
+    return SIGNS[name][0] if name in SIGNS else str(column + 1)
 
 
 def _expected(row: str) -> str:
