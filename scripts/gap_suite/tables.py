@@ -174,7 +174,8 @@ def wrong_cases(cases: Sequence[tuple[int, Grade, str]]) -> str:
     lines += ["| ---: | --- | --- | ---: | --- | --- |"]
     for number, g, error in cases:
         size = f"{g.ratio:.1f}" if np.isfinite(g.ratio) else ""
-        said = f"failed: {error}" if error else _effects(g.said, g.verdict)
+        # a bar in a message would end its cell
+        said = f"failed: {error}".replace("|", "\\|") if error else _effects(g.said, g.verdict)
         gap = "" if error else f"{g.gap_before:.2f} to {g.gap_after:.2f}"
         lines.append(
             f"| {number} | {g.form} | {_effects(g.truth, 'nothing')} | {size} | {said} | {gap} |"

@@ -369,7 +369,8 @@ def test_a_whole_run_goes_to_the_docs_and_a_part_does_not(
     assert not page.exists()
     suite(folders)
     script.main(show)
-    assert "5 cases" in page.read_text() and "payload |" in page.read_text()
+    assert "5 cases" in page.read_text()
+    assert "| 11\N{NO-BREAK SPACE}payload |" in page.read_text()
 
 
 def test_the_short_form_of_a_result_is_of_the_format(tmp_path: Path) -> None:
@@ -424,3 +425,4 @@ def test_the_gap_of_the_written_model_goes_into_the_row(tmp_path: Path) -> None:
     (row,) = run_case(shard_for(1000), folders=folders, tool=with_model)
     assert grade_of(row).exported == pytest.approx(1.25)
     assert "1.250, 1.250 (1 cases)" in script.report([row], 1)
+    assert "1.250, 1.250 (1 cases)" in script.tables([row], 1).replace("\N{NO-BREAK SPACE}", " ")
