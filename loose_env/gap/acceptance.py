@@ -15,6 +15,7 @@ from loose_env.gap.judgement import Judge, Judged, Lead, lead_of
 from loose_env.gap.kinship import joint_of
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.parameter import free_of, values_of
+from loose_env.gap.stops import BESIDE_STOPS, strikes
 
 __all__ = ["Acceptance", "share_above_noise"]
 
@@ -146,7 +147,8 @@ class Acceptance:
         list of Effect
             Earlier effects that are left out, one at most.
         """
-        best = self.judge.judge(polished(self.comparison, judged.fitted))
+        how = BESIDE_STOPS if strikes(judged.fitted.effects) else None
+        best = self.judge.judge(polished(self.comparison, judged.fitted, settings=how))
         best = self._pruned(best, self._new(judged))
         for effect in best.fitted.effects[: len(self.before.fitted.effects)]:
             if effect.kind not in UNNAMED:
@@ -220,6 +222,8 @@ class Acceptance:
         settings, base = self.settings, self.base
         gained = self.before.structure - judged.structure
         if lead.share >= settings.share or gained >= settings.base_share * base.structure:
+            return True
+        if min(lead.held, lead.fitted) >= settings.everywhere:
             return True
         # A machine may lack something at every joint: what is little of all is much of a channel.
         gains = self.before.channel_structure[0] - judged.channel_structure[0]

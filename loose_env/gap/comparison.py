@@ -190,6 +190,29 @@ class Comparison:
             return True
         return self.inverse is not None and self.inverse.shows(effect)
 
+    def with_floors(self, floors: Array) -> Comparison:
+        """The same runs, with other noise standard deviations of the channels (C,)."""
+        return Comparison(
+            self.machine,
+            self.trials,
+            self.channels,
+            floors,
+            threads=self.threads,
+            inverse=self.inverse,
+            parting=self.parting,
+        )
+
+    def left_in_channels(self, residual: Array) -> Array:
+        """Root mean square of a residual (N,) by channel (C,), noise standard deviations.
+
+        Of what is simulated and compared sample by sample; 0 where a channel has no such readings.
+        """
+        own = ~(self.rows.white | self.rows.inverse)
+        channel, most = self.rows.channel[own], len(self.channels)
+        count = np.bincount(channel, minlength=most)
+        squares = np.bincount(channel, residual[own] ** 2, minlength=most)
+        return np.asarray(np.sqrt(squares / np.maximum(count, 1)))
+
     def lighter(self, *, stiff: bool = False) -> Comparison:
         """The same runs, simulated with one evaluation a step in place of four, if it is four.
 

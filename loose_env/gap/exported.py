@@ -19,10 +19,10 @@ from loose_env.gap.comparison import Comparison
 from loose_env.gap.export import corrected_spec
 from loose_env.gap.hypothesis import Hypothesis, compiled
 from loose_env.gap.machine import Machine
-from loose_env.gap.parting import STRIKING
 from loose_env.gap.quantities import rms
 from loose_env.gap.rest import SETTLE
 from loose_env.gap.stepping import step_with
+from loose_env.gap.stops import strikes
 from loose_env.gap.trial import Trial
 from loose_env.rig.quiet import quiet
 
@@ -131,7 +131,7 @@ def exported(held: Comparison, hypothesis: Hypothesis, residual: Array) -> Expor
             break
     nearest = min(found, key=lambda each: each[0])
     chosen = nearest if nearest[0] < max(1.0, _BETTER * found[0][0]) else found[0]
-    if any(effect.kind in STRIKING for effect in hypothesis.effects):
+    if strikes(hypothesis.effects):
         # after a blow no two simulations agree, however fine their steps
         return replace(chosen[1], matters=False)
     return chosen[1]

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.ambiguity import indistinct
 from loose_env.gap.catalogue import candidates
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
@@ -17,13 +16,13 @@ from loose_env.gap.fit import UNNAMED, Fit, fit, slices_of
 from loose_env.gap.intervals import Intervals
 from loose_env.gap.judgement import Judge, Judged
 from loose_env.gap.keeping import KeepInFiles
-from loose_env.gap.naming import Keep, Named, name_effects
+from loose_env.gap.naming import Keep, Named
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.nominal import NominalFigures
 from loose_env.gap.parameter import values_of
 from loose_env.gap.preparing import Prepared, prepare
-from loose_env.gap.ranking import ranking_of
 from loose_env.gap.result import NamedEffect, Place, Ranked, Verdict
+from loose_env.gap.search import Searched, search
 from loose_env.gap.second_look import second_look
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.stages import Stage, fresh
@@ -101,28 +100,23 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Sta
     keep = Keep() if stages is fresh else KeepInFiles(stages, machine, given)
     sought = [c for c in candidates(machine, settings.kinds or None) if prepared.search.shows(c)]
     naming = NamingSettings(most=settings.most_effects)
-    named = name_effects(
-        prepared.search,
-        prepared.held,
-        given,
-        sought,
-        settings=naming,
-        say=say,
-        keep=keep,
-    )
-    base, best = named.base, named.best
-    judge = Judge(prepared.fit, prepared.whole_held)
+    beside = Keep() if stages is fresh else KeepInFiles(stages, machine, given, "beside-stops-")
+    found = search(prepared, given, sought, settings=naming, say=say, keep=keep, keep_beside=beside)
+    named, heard, base, best = found.named, found.heard, found.base, found.best
+    judge = Judge(heard.fit, heard.whole_held)
     if prepared.fit is not prepared.search or prepared.held is not prepared.whole_held:
         say("fits what was found to more of the runs")
         begun = _starts(prepared.fit)  # other windows begin elsewhere
         if stages is not fresh:
             keep = KeepInFiles(stages, machine, [*begun, nominal])
-        base = keep.judged("nominal-whole", lambda: judge.judge(_again(prepared, base, begun)))
-        if named.steps:
-            best = keep.judged("effects-whole", lambda: judge.judge(_again(prepared, best, begun)))
+        whole = Judge(prepared.fit, prepared.whole_held)
+        base = keep.judged("nominal-whole", lambda: whole.judge(_again(prepared, base, begun)))
+        if best.fitted.named:
+            best = keep.judged("effects-whole", lambda: judge.judge(_again(heard, best, begun)))
         else:
             best = base
-    best, dropped, intervals = sure_ones(best, prepared, judge, settings.seed, say=say)
+    best, dropped, intervals = sure_ones(best, heard, judge, settings.seed, say=say)
+    best, judge = found.in_noise(best), Judge(prepared.fit, prepared.whole_held)
     named.dropped += dropped
     verdict, struck = _verdict(base, best), None
     if verdict == "unexplained":
@@ -136,8 +130,8 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Sta
         base=base,
         best=best,
         verdict=verdict,
-        effects=_named(named, best.fitted, intervals, struck) if verdict == "named" else (),
-        ranking=ranking_of(named, prepared.search, prepared.held),
+        effects=_named(found, best.fitted, intervals, struck) if verdict == "named" else (),
+        ranking=found.ranking,
         struck=struck,
     )
 
@@ -194,7 +188,7 @@ def _verdict(base: Judged, best: Judged) -> Verdict:
 
 
 def _named(
-    named: Named, fitted: Fit, intervals: Intervals, struck: Struck | None
+    searched: Searched, fitted: Fit, intervals: Intervals, struck: Struck | None
 ) -> tuple[NamedEffect, ...]:
     """Effects of the best hypothesis, the nominal figures left out."""
     found = []
@@ -204,7 +198,7 @@ def _named(
         values = values_of(effect.parameters, fitted.free[own])
         names = [p.name for p in effect.parameters]
         by_blows = struck is not None and effect is struck.effect
-        rivals = struck.rivals if struck and by_blows else indistinct(named, effect)
+        rivals = struck.rivals if struck and by_blows else searched.indistinct(effect)
         ends = zip(intervals.low[own], intervals.high[own], strict=True)
         found.append(
             NamedEffect(

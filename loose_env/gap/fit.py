@@ -336,10 +336,17 @@ def started(fitted: Fit, effect: Effect, values: Sequence[float]) -> Array:
     return np.concatenate([fitted.free, free_of(effect.parameters, np.array(values))])
 
 
-def polished(comparison: Comparison, fitted: Fit) -> Fit:
+def polished(comparison: Comparison, fitted: Fit, *, settings: FitSettings | None = None) -> Fit:
     """Fit on, with sensitivities worked out anew once."""
     fresh = refined(fitted, comparison)
-    return fit(comparison, fresh.effects, fresh.free, known=fresh.jacobian, residual=fresh.residual)
+    return fit(
+        comparison,
+        fresh.effects,
+        fresh.free,
+        known=fresh.jacobian,
+        residual=fresh.residual,
+        settings=settings,
+    )
 
 
 def refined(fitted: Fit, comparison: Comparison) -> Fit:

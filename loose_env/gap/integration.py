@@ -18,8 +18,8 @@ from loose_env.gap.comparison import Comparison
 from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.machine import Machine
 from loose_env.gap.noise import channel_floor
-from loose_env.gap.parting import STRIKING
 from loose_env.gap.stepping import step_with
+from loose_env.gap.stops import strikes
 from loose_env.gap.trial import Channel, lay_out
 from loose_env.gap.windows import windowed
 from loose_env.recording import Run
@@ -184,7 +184,7 @@ def corrected_step_words(held_out: Comparison, hypothesis: Hypothesis) -> list[s
     hypothesis : Hypothesis
         What was added.
     """
-    if any(effect.kind in STRIKING for effect in hypothesis.effects):
+    if strikes(hypothesis.effects):
         return []  # after a blow no two simulations agree, however fine their steps
     machine, chosen = held_out.machine, windowed(held_out, _CHECKED)
     step = step_with(machine, hypothesis.effects)

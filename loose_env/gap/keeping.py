@@ -61,19 +61,24 @@ class KeepInFiles(Keep):
         The nominal model.
     given : sequence of Effect
         As of `judged_of`.
+    prefix : str
+        Put before the names of stages, so that two searches do not take each other's.
     """
 
-    def __init__(self, stages: Stage, machine: Machine, given: Sequence[Effect]) -> None:
+    def __init__(
+        self, stages: Stage, machine: Machine, given: Sequence[Effect], prefix: str = ""
+    ) -> None:
         self.stages, self.machine, self.given = stages, machine, tuple(given)
+        self.prefix = prefix
 
     def judged(self, name: str, make: Callable[[], Judged]) -> Judged:
         """Return a judged fit, of this run or an earlier one."""
-        kept = self.stages(name, lambda: plain_judged(make()))
+        kept = self.stages(self.prefix + name, lambda: plain_judged(make()))
         return judged_of(kept, self.machine, self.given)
 
     def step(self, name: str, make: Callable[[], Step]) -> Step:
         """Return a step, of this run or an earlier one."""
-        kept = self.stages(name, lambda: _plain_step(make()))
+        kept = self.stages(self.prefix + name, lambda: _plain_step(make()))
         accepted = kept["accepted"]
         return Step(
             rivals=[judged_of(each, self.machine, self.given) for each in kept["rivals"]],

@@ -11,12 +11,13 @@ from loose_env.gap.acceptance import Acceptance
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.exchange import Exchange
-from loose_env.gap.fit import fit
+from loose_env.gap.fit import Fit, fit
 from loose_env.gap.judgement import Judge, Judged, Lead, lead_of
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.parameter import free_of
 from loose_env.gap.proposals import proposals
 from loose_env.gap.screening import screen
+from loose_env.gap.stops import BESIDE_STOPS, strikes
 from loose_env.gap.trying import Trying
 from loose_env.gap.windows import SHORTEST, windowed
 
@@ -39,6 +40,9 @@ class Named:
 
     dropped: list[Effect] = field(default_factory=list)
     """Effects that a later one made idle."""
+    unfinished: bool = False
+    """Whether it stopped at a part that strikes stops and leaves more than noise
+    (`NamingSettings.left`): what else is missing drowns in that, unless it counts as noise."""
 
     @property
     def best(self) -> Judged:
@@ -79,6 +83,7 @@ def name_effects(
     settings: NamingSettings | None = None,
     say: Say = lambda _: None,
     keep: Keep | None = None,
+    begun: tuple[Judged, Judged] | None = None,
 ) -> Named:
     """Add effects to a nominal model as long as held-out runs ask for it.
 
@@ -97,13 +102,22 @@ def name_effects(
         Told what goes on, line by line.
     keep : Keep, optional
         Keeps what was found for a run that is interrupted.
+    begun : (Judged, Judged), optional
+        The nominal model and what is there already; the search goes on from there and is not left
+        unfinished.
     """
     settings, keep = settings or NamingSettings(), keep or Keep()
-    start = np.concatenate([free_of(e.parameters, np.array(e.starts[0])) for e in given])
     judge = Judge(comparison, held_out)
-    base = keep.judged("nominal", lambda: judge.judge(fit(comparison, given, start)))
-    found = Named(base=base)
-    say(f"nominal model: {base.held_rms:.2f} noise standard deviations on held-out runs")
+    if begun is None:
+        start = np.concatenate([free_of(e.parameters, np.array(e.starts[0])) for e in given])
+        base = keep.judged("nominal", lambda: judge.judge(fit(comparison, given, start)))
+        found = Named(base=base)
+        say(f"nominal model: {base.held_rms:.2f} noise standard deviations on held-out runs")
+    else:
+        there = begun[1].fitted
+        found = Named(base=begun[0])
+        found.steps.append(keep.judged("begun", lambda: judge.judge(_again(there, comparison))))
+        found.rivals.append([])
     windows = SHORTEST * min(len(comparison.trials), settings.sorted_runs)
     short = windowed(comparison, max(settings.sorting, windows))
     for number in range(1, settings.most + 1):
@@ -129,6 +143,9 @@ def name_effects(
             say(f"  {effect!r} is idle now and is left out")
         found.steps.append(step.accepted)
         found.dropped += step.dropped
+        if begun is None and _stops_leave(comparison, found.best.fitted, settings.left):
+            found.unfinished = True
+            return found
     if 2 <= len(found.best.fitted.named) <= settings.exchanges:
         say("whether others do as well in the place of what was found")
         exchange = Exchange(comparison, short, judge, candidates, found.base, settings)
@@ -136,6 +153,25 @@ def name_effects(
         if _keys(better) != _keys(found.best):
             found.steps.append(better)
     return found
+
+
+def _again(fitted: Fit, comparison: Comparison) -> Fit:
+    """What is there already, fitted to these runs."""
+    return fit(
+        comparison,
+        fitted.effects,
+        fitted.free,
+        settings=BESIDE_STOPS,
+        known=fitted.jacobian,
+        residual=fitted.residual,
+    )
+
+
+def _stops_leave(comparison: Comparison, fitted: Fit, most: float) -> bool:
+    """Whether a part with stops leaves more than so much in any channel [noise sd]."""
+    return (
+        strikes(fitted.named) and float(comparison.left_in_channels(fitted.residual).max()) > most
+    )
 
 
 def _keys(judged: Judged) -> set[tuple[str, str, str]]:
@@ -161,6 +197,7 @@ def _step(
     for s in screened[:8]:
         say(f"  {s.effect!r}: promises {s.promise:.3f}, sureness {s.sureness:.1f}")
     much = best.structure > settings.much * found.base.structure
+    much = much and not strikes(best.fitted.effects)  # each more takes minutes there
 
     def waves() -> Iterator[list[Judged]]:
         """What is tried, one after the other until something will do."""

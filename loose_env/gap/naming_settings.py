@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 
 __all__ = ["NamingSettings"]
 
@@ -56,6 +57,12 @@ class NamingSettings:
     visible: float = 2.0
     """By how much it has to lower the sum of squares, on the runs held out or on all [standard
     deviations of the sum of as many squares of noise]."""
+    everywhere: float = inf
+    """Lead on the runs fitted to and on those held out that will do in the place of any share
+    [standard deviations]."""
+    left: float = 1.5
+    """Root mean square of a channel that a part with stops may leave [noise standard deviations];
+    where it leaves more, what it leaves counts as noise while others are sought."""
     share: float = 0.4
     """Share of what is still to be explained that it has to explain; or else:"""
     base_share: float = 0.04

@@ -22,12 +22,10 @@ from loose_env.gap.response import FEWEST
 from loose_env.gap.simulator import Simulator
 from loose_env.gap.trial import Channel, Trial
 
-__all__ = ["STRIKING", "parting_runs"]
+__all__ = ["parting_runs"]
 
 Array = NDArray[np.float64]
 
-STRIKING = ("backlash", "structural_looseness")
-"""Kinds of effect with stops that are struck."""
 PARTED = 0.3
 """Share of the incoherent part that is drawn anew from which on trajectories mean nothing."""
 LOUD = 2.0
@@ -74,7 +72,7 @@ def parting_runs(
     threads : int
         Threads of the simulation; 0: all processors.
     """
-    striking = [effect for effect in candidates if effect.kind in STRIKING]
+    striking = [effect for effect in candidates if effect.has_stops]
     runs = [trial for trial in trials if _driven(trial, machine)]
     if not striking or not runs:
         return frozenset()
@@ -124,11 +122,14 @@ def _least_like(run: Trial, seen: Array, floors: Array) -> Trial:
 
 
 def _pairs(effect: Effect, runs: int, joints: int) -> list[Hypothesis]:
-    """An effect at each of its starts, and nearly the same."""
+    """An effect at each of its starts with the hardest stops, and nearly the same."""
     nudge = np.full((runs, joints), NUDGE)
     names = [parameter.name for parameter in effect.parameters]
+    hardest = max(start[names.index("stiffness")] for start in effect.starts)
     found = []
     for start in effect.starts:
+        if start[names.index("stiffness")] < hardest:
+            continue
         values = np.array(start)
         other = values.copy()
         other[names.index("stiffness")] *= STIFFER

@@ -55,6 +55,24 @@ class Prepared:
     warnings: tuple[str, ...] = ()
     """What a reader should know."""
 
+    def louder(self, factors: Array) -> Prepared:
+        """The same with the noise of every channel that many times as large (C,)."""
+        known: dict[int, Comparison] = {}
+
+        def again(comparison: Comparison) -> Comparison:
+            if id(comparison) not in known:
+                floors = np.asarray(comparison.floors, dtype=float)
+                known[id(comparison)] = comparison.with_floors(floors * factors)
+            return known[id(comparison)]
+
+        return replace(
+            self,
+            search=again(self.search),
+            fit=again(self.fit),
+            held=again(self.held),
+            whole_held=again(self.whole_held),
+        )
+
 
 def prepare(recording: Recording, settings: GapSettings) -> Prepared:
     """Lay a recording out, choose the step, and estimate the noise.

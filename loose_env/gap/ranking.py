@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import log
 
+import numpy as np
+from numpy.typing import NDArray
+
 from loose_env.gap.comparison import Comparison, Rows
 from loose_env.gap.effect import Effect
 from loose_env.gap.independent import independent_rows
@@ -14,6 +17,8 @@ from loose_env.gap.result import Place, Ranked
 
 __all__ = ["added_to", "bic", "ranking_of"]
 
+Array = NDArray[np.float64]
+
 
 def added_to(before: Judged, judged: Judged) -> tuple[Effect, ...]:
     """Effects that a hypothesis has and the one before it has not."""
@@ -21,7 +26,14 @@ def added_to(before: Judged, judged: Judged) -> tuple[Effect, ...]:
     return tuple(effect for effect in judged.fitted.effects if effect.key not in there)
 
 
-def ranking_of(named: Named, comparison: Comparison, held_out: Comparison) -> tuple[Ranked, ...]:
+def ranking_of(
+    named: Named,
+    comparison: Comparison,
+    held_out: Comparison,
+    *,
+    louder: Array | float = 1.0,
+    first: int = 1,
+) -> tuple[Ranked, ...]:
     """Every hypothesis that was fitted to whole runs, step by step, the best first.
 
     Parameters
@@ -30,16 +42,24 @@ def ranking_of(named: Named, comparison: Comparison, held_out: Comparison) -> tu
         The search.
     comparison, held_out : Comparison
         The runs it was fitted to, and those that judged.
+    louder : ndarray (M,) or float
+        How many times as large as it is noise was taken to be there, by what is held out.
+    first : int
+        Number of its first step.
     """
     found = []
-    for step, rivals in enumerate(named.rivals, start=1):
-        before = named.base if step == 1 else named.steps[step - 2]
-        found += _of_step(rivals, before, step, (comparison.rows, held_out.rows))
+    for k, rivals in enumerate(named.rivals):
+        before = named.base if k == 0 else named.steps[k - 1]
+        found += _of_step(rivals, before, first + k, (comparison.rows, held_out.rows), louder)
     return tuple(found)
 
 
 def _of_step(
-    rivals: Sequence[tuple[Judged, Lead]], before: Judged, step: int, rows: tuple[Rows, Rows]
+    rivals: Sequence[tuple[Judged, Lead]],
+    before: Judged,
+    step: int,
+    rows: tuple[Rows, Rows],
+    louder: Array | float,
 ) -> list[Ranked]:
     if not rivals:
         return []
@@ -61,7 +81,7 @@ def _of_step(
                 kind=first.kind,
                 where=first.where,
                 together_with=tuple(Place(kind=e.kind, where=e.where) for e in others),
-                held_out=judged.held_rms,
+                held_out=float(np.sqrt(np.mean((judged.held_residual * louder) ** 2))),
                 bic=bic(
                     (before.total - judged.total) * count / (level * every),
                     parameters=judged.free_count - before.free_count,

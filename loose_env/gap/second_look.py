@@ -77,7 +77,10 @@ def second_look(
     """
     if not all(map(Blows.worth_while, (prepared.search, prepared.held))):
         return None
-    weighed = _weighed(prepared, best)
+    # Blows fill accelerations, in which right figures leave no less than wrong ones; places and
+    # speeds hardly know of them.
+    left = prepared.fit.left_in_channels(best.fitted.residual)
+    weighed = prepared.louder(np.maximum(left, 1.0))
     own = Judge(weighed.fit, weighed.whole_held)
     rigid = _without_slides(best, weighed, own)
     if len(rigid.fitted.named) >= settings.most_effects:
@@ -95,30 +98,6 @@ def second_look(
         intervals=joined(intervals, struck.intervals),
         struck=struck,
         dropped=[*struck.idle, *dropped],
-    )
-
-
-def _weighed(prepared: Prepared, best: Judged) -> Prepared:
-    """The runs with the noise of each channel as large as what is left in it.
-
-    Blows fill accelerations, in which right figures leave no less than wrong ones; places and
-    speeds hardly know of them.
-    """
-    runs, most = prepared.fit, len(prepared.fit.channels)
-    count = np.maximum(np.bincount(runs.rows.channel, minlength=most), 1)
-    squares = np.bincount(runs.rows.channel, best.fitted.residual**2, minlength=most)
-    floors = np.asarray(runs.floors, dtype=float) * np.sqrt(np.maximum(squares / count, 1.0))
-    return replace(
-        prepared,
-        fit=Comparison(
-            runs.machine,
-            runs.trials,
-            runs.channels,
-            floors,
-            threads=runs.threads,
-            inverse=runs.inverse,
-            parting=runs.parting,
-        ),
     )
 
 

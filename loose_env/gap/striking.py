@@ -21,7 +21,6 @@ from loose_env.gap.intervals import Intervals, bootstrap, widened
 from loose_env.gap.judgement import sureness_of
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.parameter import free_of
-from loose_env.gap.parting import STRIKING
 from loose_env.gap.preparing import Prepared
 from loose_env.gap.proposals import proposals
 from loose_env.gap.windows import windowed
@@ -111,7 +110,7 @@ def find_striking(
         know nothing of moments, and a spring without play has those of much else.
     """
     there = {(e.kind, e.where) for e in known.effects}
-    striking = [c for c in candidates if c.kind in STRIKING and (c.kind, c.where) not in there]
+    striking = [c for c in candidates if c.has_stops and (c.kind, c.where) not in there]
     short = windowed(prepared.search, settings.sorting)
     if not striking or not all(map(Blows.worth_while, (short, prepared.held))):
         return None

@@ -19,6 +19,7 @@ from loose_env.gap.kinship import akin
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.parameter import free_of, values_of
 from loose_env.gap.screening import Screened
+from loose_env.gap.stops import BESIDE_STOPS, strikes
 
 __all__ = ["Trying"]
 
@@ -57,14 +58,8 @@ class Slow:
         if comparison.parting or counted.all() or not counted.any():
             return None
         return cls(
-            comparison=Comparison(
-                machine,
-                comparison.trials,
-                channels,
-                np.where(kept, comparison.floors, comparison.floors * _DEAF),
-                threads=comparison.threads,
-                inverse=comparison.inverse,
-                parting=comparison.parting,
+            comparison=comparison.with_floors(
+                np.where(kept, comparison.floors, comparison.floors * _DEAF)
             ),
             weights=np.where(counted, 1.0, 1.0 / _DEAF),
         )
@@ -95,6 +90,8 @@ class Trying:
     ) -> None:
         self.comparison, self.short, self.judge = comparison, short, judge
         self.before, self.settings = before.fitted, settings
+        self.beside_stops = strikes(before.fitted.effects)
+        """Whether a part with stops is there already, which makes everything take longer."""
         self._best: Fit | None = None
         """The best fit to the windows so far."""
 
@@ -131,7 +128,8 @@ class Trying:
         taken = rest[: settings.further] if further else first
         if not taken:
             return []
-        fits = [self._to_windows([each], both=k < settings.twice) for k, each in enumerate(taken)]
+        twice = 0 if self.beside_stops else settings.twice
+        fits = [self._to_windows([each], both=k < twice) for k, each in enumerate(taken)]
         fits = self._with_hope(fits)
         if not fits:
             return []
@@ -232,7 +230,8 @@ class Trying:
         effects = (*self.before.effects, *(each.effect for each in members))
         start, residual = self._start(effects, members)
         known = self.short_before.jacobian
-        found = fit(self.short, effects, start, known=known, residual=residual)
+        how = BESIDE_STOPS if self.beside_stops else None
+        found = fit(self.short, effects, start, known=known, residual=residual, settings=how)
         if both and members[0].second is not None:
             other = free_of(members[0].effect.parameters, np.array(members[0].second))
             other = np.concatenate([self.short_before.free, other])
@@ -291,5 +290,8 @@ class Trying:
     def _to_all(self, each: Fit) -> Judged:
         """Fit to all data what was fitted to the windows."""
         start = np.concatenate([self.before.free, each.free[len(self.before.free) :]])
+        how = BESIDE_STOPS if strikes(each.effects) else None
         known = self.before.jacobian
-        return self.judge.judge(fit(self.comparison, each.effects, start, known=known))
+        return self.judge.judge(
+            fit(self.comparison, each.effects, start, known=known, settings=how)
+        )

@@ -13,7 +13,7 @@ from loose_env.gap.effects.geometry import reach_of
 from loose_env.gap.effects.joint_compliance import SplitJoint
 from loose_env.gap.parameter import Parameter
 
-__all__ = ["Backlash", "stops"]
+__all__ = ["SOFTER", "Backlash", "stops"]
 
 Array = NDArray[np.float64]
 
@@ -26,6 +26,9 @@ _LEAST_LOAD = 0.05
 """Least usual load of a joint, as a share of that of the most loaded one."""
 _STARTS = (0.02, 0.06, 0.15, 0.3, 0.7, 3.0)
 """Gaps from which fits start, as shares of a hundredth of a radian or of the reach."""
+SOFTER = (1.0, 0.3, 0.1)
+"""Stiffnesses of stops from which fits start, over the usual one: on soft stops a wrong gap or
+friction is told from none, and a fit finds the right ones from further off."""
 _DAMPING = 0.3
 """Damping ratio of a mode on a stop, give or take a factor of two."""
 
@@ -34,6 +37,7 @@ class Backlash(SplitJoint):
     """An extra joint between stops, which are springs with dampers."""
 
     kind = "backlash"
+    has_stops = True
     limit: ClassVar[tuple[tuple[str, str], ...]] = (("gap", "low"), ("stiffness", "high"))
 
     @property
@@ -56,7 +60,11 @@ class Backlash(SplitJoint):
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Gaps from a hundredth of a degree to two: a wrong one fits no better than none."""
         gap, stiffness, ratio = self.parameters
-        return tuple((share * gap.scale, stiffness.scale, ratio.scale) for share in _STARTS)
+        return tuple(
+            (share * gap.scale, softer * stiffness.scale, ratio.scale)
+            for softer in SOFTER
+            for share in _STARTS
+        )
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Put the gap behind the joint."""

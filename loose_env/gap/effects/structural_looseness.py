@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from loose_env.gap.accelerations import ResidualAccelerations
 from loose_env.gap.effect import Effect
-from loose_env.gap.effects.backlash import stops
+from loose_env.gap.effects.backlash import SOFTER, stops
 from loose_env.gap.effects.extra_joint import add_extra_joint, keep_motor_side, set_stops
 from loose_env.gap.effects.geometry import frame_about, normal_of, reach_of
 from loose_env.gap.effects.joint_effect import added_name
@@ -49,6 +49,7 @@ class StructuralLooseness(Effect):
     limit: ClassVar[tuple[tuple[str, str], ...]] = (("friction", "high"),)
     adds_motion: ClassVar[bool] = True
     sharp: ClassVar[bool] = True
+    has_stops: ClassVar[bool] = True
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
@@ -115,7 +116,8 @@ class StructuralLooseness(Effect):
         length = reach_of(self.machine)
         _, friction, stiffness, ratio = (p.scale for p in self.parameters[-4:])
         return tuple(
-            (*angles, gap * length, share * friction, stiffness, ratio)
+            (*angles, gap * length, share * friction, softer * stiffness, ratio)
+            for softer in SOFTER
             for gap in _GAPS
             for share in _FRICTIONS
         )

@@ -1,0 +1,173 @@
+"""What else is missing beside a part that strikes its stops, whose law is not quite the model's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from loose_env.gap.catalogue import CATALOGUE
+from loose_env.gap.finding import GapFound, find_gap, prepare
+from loose_env.gap.fit import Fit, parameters_of
+from loose_env.gap.hypothesis import Hypothesis
+from loose_env.gap.judgement import Judge
+from loose_env.gap.machine import Machine
+from loose_env.gap.naming import Named
+from loose_env.gap.nominal import NominalFigures
+from loose_env.gap.parameter import free_of
+from loose_env.gap.preparing import Prepared
+from loose_env.gap.ranking import ranking_of
+from loose_env.gap.search import Searched
+from loose_env.gap.settings import GapSettings
+from loose_env.gap.stages import Stages, key_of
+from loose_env.recording import Recording, write_recording
+from tests.gap.level_arm import EVERY, FINE, LEVEL, recorded
+
+Array = NDArray[np.float64]
+NOTHING = Hypothesis(effects=(), values=())
+KINDS = ("backlash", "actuator_gain", "viscous_friction")
+COUNT = 2000
+GAP, GAIN = 0.01, 0.9
+
+
+def with_play(folder: Path) -> Recording:
+    """Runs of an arm with backlash between stops of another law, and a motor that is weak."""
+    spec = mujoco.MjSpec.from_string(LEVEL)
+    spec.option.timestep = FINE
+    machine = Machine(mujoco.MjSpec.from_string(LEVEL), step=FINE)
+    play = CATALOGUE["backlash"](machine, "joint2")
+    play.edit(spec, np.array([GAP, 4e3, 0.15]))
+    added = spec.joints[2]
+    assert added.name == "joint2_backlash"
+    added.solimp_limit[4] = 1.5  # force grows with travel by another power than on the model's
+    servo = spec.actuator("servo1")
+    servo.gainprm[0] *= GAIN
+    servo.biasprm[1:3] *= GAIN
+    model = spec.compile()
+    time, rng, runs = np.arange(COUNT) * FINE * EVERY, np.random.default_rng(4), []
+    for k in range(3):
+        controls = 0.3 * np.sin(np.outer(time, [7.0 + k, 11.0 - 2 * k, 16.0 + k]))
+        controls *= np.minimum(2 * time, 1.0)[:, None]
+        data = mujoco.MjData(model)
+        mujoco.mj_step(model, data, 2000)
+        runs.append(recorded(data, controls, rng, name=f"run-{k + 1:02d}.parquet"))
+    return write_recording(folder, model_xml=LEVEL, runs=runs)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return with_play(tmp_path_factory.mktemp("play") / "r")
+
+
+@pytest.fixture(scope="module")
+def prepared(recording: Recording) -> Prepared:
+    return prepare(recording, GapSettings(threads=1))
+
+
+@pytest.fixture(scope="module")
+def whole(recording: Recording) -> tuple[GapFound, list[str]]:
+    lines: list[str] = []
+    return find_gap(recording, GapSettings(threads=1, kinds=KINDS), say=lines.append), lines
+
+
+def test_what_is_left_in_channels_is_their_root_mean_square(prepared: Prepared) -> None:
+    runs = prepared.search
+    wanted = np.arange(1.0, 1.0 + len(runs.channels))
+    residual = wanted[runs.rows.channel] * np.where(np.arange(len(runs)) % 2, 1.0, -1.0)
+    assert np.allclose(runs.left_in_channels(residual), wanted)
+
+
+def test_louder_noise_makes_residuals_as_much_smaller(prepared: Prepared) -> None:
+    factors = np.linspace(1.0, 5.0, len(prepared.search.channels))
+    louder = prepared.louder(factors)
+    for name in ("search", "fit", "held", "whole_held"):
+        one, other = getattr(prepared, name), getattr(louder, name)
+        before, after = (runs.residuals([NOTHING])[0] for runs in (one, other))
+        assert np.allclose(after * factors[one.rows.channel], before)
+    # what was the same runs stays so, or all of them would be fitted once more
+    assert (louder.fit is louder.search) == (prepared.fit is prepared.search)
+    assert (louder.held is louder.whole_held) == (prepared.held is prepared.whole_held)
+
+
+def test_what_was_found_in_louder_noise_is_told_in_the_noise_there_is(prepared: Prepared) -> None:
+    louder = prepared.louder(np.full(len(prepared.search.channels), 4.0))
+    effects = (
+        NominalFigures(prepared.machine, tolerance=0.03),
+        CATALOGUE["viscous_friction"](prepared.machine, "joint1"),
+    )
+    free = np.append(np.zeros(len(effects[0].parameters)), free_of(effects[1].parameters, [0.5]))
+    rng = np.random.default_rng(1)
+
+    def judged(runs: Prepared) -> Any:
+        residual = np.zeros(len(runs.fit))
+        jacobian = rng.normal(size=(len(runs.fit), len(parameters_of(effects))))
+        fitted = Fit(effects=effects, free=free, residual=residual, jacobian=jacobian, cost=0.0)
+        residual = runs.fit.residuals([fitted.hypothesis])[0]
+        return Judge(runs.fit, runs.whole_held).judge(replace(fitted, residual=residual))
+
+    first, second = judged(prepared), judged(louder)
+    base = Named(base=first)
+    found = Searched(prepared=prepared, heard=louder, parts=(base, Named(base=second)))
+    told = found.in_noise(second)
+    assert np.allclose(told.fitted.residual, 4 * second.fitted.residual)
+    assert np.allclose(told.fitted.jacobian, 4 * second.fitted.jacobian)
+    assert told.held_rms == pytest.approx(first.held_rms)
+    same = Searched(prepared=prepared, heard=prepared, parts=(base,))
+    assert same.in_noise(first) is first
+
+
+def test_a_weak_motor_is_found_beside_play_of_another_law(
+    whole: tuple[GapFound, list[str]],
+) -> None:
+    found, lines = whole
+    assert found.verdict == "named"
+    assert {(e.kind, e.where) for e in found.effects} == {
+        ("backlash", "joint2"),
+        ("actuator_gain", "servo1"),
+    }
+    values = {e.kind: e.parameters for e in found.effects}
+    assert values["backlash"]["gap"] == pytest.approx(GAP, rel=0.05)
+    # the servo's own gain is known to 3 % only, and takes up as much
+    assert values["actuator_gain"]["gain"] == pytest.approx(GAIN, rel=0.03)
+    assert any("goes on with what its stops leave as noise" in line for line in lines)
+    # told in the noise there is, of which stops leave several times as much
+    assert found.base.held_rms > 1.5 * found.best.held_rms > 4
+    assert found.prepared.search.floors is found.prepared.held.floors
+
+
+def test_steps_of_both_searches_are_listed_one_after_the_other(
+    whole: tuple[GapFound, list[str]],
+) -> None:
+    found, _ = whole
+    steps = [each.step for each in found.ranking]
+    assert steps == sorted(steps) and set(steps) >= {1, 2}
+    first = {each.step: each for each in reversed(found.ranking)}
+    assert (first[1].kind, first[2].kind) == ("backlash", "actuator_gain")
+    # the best of the second step leaves what the result says, in the same noise
+    assert first[2].held_out == pytest.approx(found.best.held_rms, rel=0.05)
+    assert ranking_of(found.named, found.prepared.search, found.prepared.held) != found.ranking
+
+
+def test_an_interrupted_second_search_goes_on_where_it_was(
+    recording: Recording, whole: tuple[GapFound, list[str]], tmp_path: Path
+) -> None:
+    settings, key = GapSettings(threads=1, kinds=KINDS), key_of(recording, {})
+
+    class Interrupted(Stages):
+        def __call__(self, name: str, make: Callable[[], Any]) -> Any:
+            if name == "beside-stops-effect-2":
+                raise KeyboardInterrupt
+            return super().__call__(name, make)
+
+    with pytest.raises(KeyboardInterrupt):
+        find_gap(recording, settings, stages=Interrupted(tmp_path, key))
+    stages = Stages(tmp_path, key)
+    again = find_gap(recording, settings, stages=stages)
+    assert stages.taken_up[:3] == ["nominal", "effect-1", "beside-stops-begun"]
+    assert again.effects == whole[0].effects and again.ranking == whole[0].ranking
