@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
-from loose_env.gap.fit import UNNAMED, fit, fit_without, hypothesis_of, polished, slices_of
+from loose_env.gap.fit import UNNAMED, fit, fit_without, hypothesis_of, polished, slices_of, strikes
 from loose_env.gap.judgement import Judge, Judged, Lead, lead_of
 from loose_env.gap.kinship import joint_of
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.parameter import free_of, values_of
-from loose_env.gap.stops import BESIDE_STOPS, strikes
 
 __all__ = ["Acceptance", "share_above_noise"]
 
@@ -84,6 +83,7 @@ class Acceptance:
             lead = lead_of(found[0], judged)
             chance = lead.held < settings.tie and lead.fitted < settings.tie
             small = abs(found[0].total - judged.total) < settings.worth * found[0].total
+            small = small and min(lead.held, lead.fitted) < settings.everywhere
             whole = judged.structure_sureness < settings.structure
             if chance or (small and (whole or lead.share < settings.more)):
                 return [judged, *(j for j in found if j is not judged)]
@@ -118,6 +118,16 @@ class Acceptance:
         rigid = self.judge.judge(replace(fitted, free=free, residual=residual))
         return self.believed(lead_of(judged, rigid))
 
+    def needed_beside_stops(self, judged: Judged) -> bool:
+        """Whether an effect beside a part with stops does more than lead that to another fit.
+
+        Stops have many fits nearby, some a little better than others. What comes later starts from
+        one of them and may end at another; then that one does as well without it.
+        """
+        if not strikes(self.before.fitted.effects) or self._new(judged) > 1:
+            return True
+        return self.believed(lead_of(judged, self._without(judged, judged.fitted.effects[-1])))
+
     def above_the_noise(self, judged: Judged) -> bool:
         """Whether what an added motion gains backwards is more than noise that it shuts out.
 
@@ -147,8 +157,7 @@ class Acceptance:
         list of Effect
             Earlier effects that are left out, one at most.
         """
-        how = BESIDE_STOPS if strikes(judged.fitted.effects) else None
-        best = self.judge.judge(polished(self.comparison, judged.fitted, settings=how))
+        best = self.judge.judge(polished(self.comparison, judged.fitted))
         best = self._pruned(best, self._new(judged))
         for effect in best.fitted.effects[: len(self.before.fitted.effects)]:
             if effect.kind not in UNNAMED:

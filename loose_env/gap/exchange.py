@@ -90,7 +90,11 @@ class Exchange:
             simpler = self._without_idle(judged, before, best, acceptance)
             if acceptance.ranked([best, simpler])[0] is not simpler:
                 continue
-            if acceptance.ahead_of_its_limit(judged) and acceptance.above_the_noise(judged):
+            if (
+                acceptance.ahead_of_its_limit(judged)
+                and acceptance.above_the_noise(judged)
+                and acceptance.needed_beside_stops(judged)
+            ):
                 return self.judge.judge(polished(self.comparison, simpler.fitted))
         return None
 

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.export import corrected_spec
+from loose_env.gap.fit import strikes
 from loose_env.gap.hypothesis import Hypothesis, compiled
 from loose_env.gap.machine import Machine
 from loose_env.gap.quantities import rms
 from loose_env.gap.rest import SETTLE
 from loose_env.gap.stepping import step_with
-from loose_env.gap.stops import strikes
 from loose_env.gap.trial import Trial
 from loose_env.rig.quiet import quiet
 

@@ -15,11 +15,11 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.comparison import Comparison
+from loose_env.gap.fit import strikes
 from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.machine import Machine
 from loose_env.gap.noise import channel_floor
 from loose_env.gap.stepping import step_with
-from loose_env.gap.stops import strikes
 from loose_env.gap.trial import Channel, lay_out
 from loose_env.gap.windows import windowed
 from loose_env.recording import Run

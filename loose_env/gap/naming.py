@@ -11,13 +11,12 @@ from loose_env.gap.acceptance import Acceptance
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.exchange import Exchange
-from loose_env.gap.fit import Fit, fit
+from loose_env.gap.fit import Fit, fit, fitted_on, strikes
 from loose_env.gap.judgement import Judge, Judged, Lead, lead_of
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.parameter import free_of
 from loose_env.gap.proposals import proposals
 from loose_env.gap.screening import screen
-from loose_env.gap.stops import BESIDE_STOPS, strikes
 from loose_env.gap.trying import Trying
 from loose_env.gap.windows import SHORTEST, windowed
 
@@ -116,7 +115,7 @@ def name_effects(
     else:
         there = begun[1].fitted
         found = Named(base=begun[0])
-        found.steps.append(keep.judged("begun", lambda: judge.judge(_again(there, comparison))))
+        found.steps.append(keep.judged("begun", lambda: judge.judge(fitted_on(comparison, there))))
         found.rivals.append([])
     windows = SHORTEST * min(len(comparison.trials), settings.sorted_runs)
     short = windowed(comparison, max(settings.sorting, windows))
@@ -153,18 +152,6 @@ def name_effects(
         if _keys(better) != _keys(found.best):
             found.steps.append(better)
     return found
-
-
-def _again(fitted: Fit, comparison: Comparison) -> Fit:
-    """What is there already, fitted to these runs."""
-    return fit(
-        comparison,
-        fitted.effects,
-        fitted.free,
-        settings=BESIDE_STOPS,
-        known=fitted.jacobian,
-        residual=fitted.residual,
-    )
 
 
 def _stops_leave(comparison: Comparison, fitted: Fit, most: float) -> bool:
@@ -222,6 +209,9 @@ def _step(
                 continue
             if not acceptance.above_the_noise(judged):
                 say(f"  {judged.fitted.effects[-1]!r}: shuts out noise of the motion, no more")
+                continue
+            if not acceptance.needed_beside_stops(judged):
+                say(f"  {judged.fitted.effects[-1]!r}: the play beside it does as well alone")
                 continue
             accepted, dropped = acceptance.accept(judged)
             earlier = list(best.fitted.named)

@@ -13,13 +13,12 @@ from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.effects.sensor_kinds import of_place_or_speed
 from loose_env.gap.families import families
-from loose_env.gap.fit import Fit, cost_of, fit, hypothesis_of, parameters_of, refined
+from loose_env.gap.fit import Fit, cost_of, fit, hypothesis_of, parameters_of, refined, strikes
 from loose_env.gap.judgement import Judge, Judged, sureness_of
 from loose_env.gap.kinship import akin
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.parameter import free_of, values_of
 from loose_env.gap.screening import Screened
-from loose_env.gap.stops import BESIDE_STOPS, strikes
 
 __all__ = ["Trying"]
 
@@ -230,8 +229,7 @@ class Trying:
         effects = (*self.before.effects, *(each.effect for each in members))
         start, residual = self._start(effects, members)
         known = self.short_before.jacobian
-        how = BESIDE_STOPS if self.beside_stops else None
-        found = fit(self.short, effects, start, known=known, residual=residual, settings=how)
+        found = fit(self.short, effects, start, known=known, residual=residual)
         if both and members[0].second is not None:
             other = free_of(members[0].effect.parameters, np.array(members[0].second))
             other = np.concatenate([self.short_before.free, other])
@@ -290,8 +288,5 @@ class Trying:
     def _to_all(self, each: Fit) -> Judged:
         """Fit to all data what was fitted to the windows."""
         start = np.concatenate([self.before.free, each.free[len(self.before.free) :]])
-        how = BESIDE_STOPS if strikes(each.effects) else None
         known = self.before.jacobian
-        return self.judge.judge(
-            fit(self.comparison, each.effects, start, known=known, settings=how)
-        )
+        return self.judge.judge(fit(self.comparison, each.effects, start, known=known))

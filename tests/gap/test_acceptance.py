@@ -1,0 +1,68 @@
+"""What a hypothesis has to explain before it is believed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import inf
+
+import numpy as np
+
+from loose_env.gap.acceptance import Acceptance
+from loose_env.gap.fit import Fit
+from loose_env.gap.judgement import Judge, Judged, lead_of
+from loose_env.gap.naming_settings import NamingSettings
+from tests.gap.test_ranking import COMPARED, LATE, NOMINAL
+
+LEVELS = 2.5, 1.2
+"""Of what the nominal model leaves, and of what is left with what was found before."""
+
+
+def left(level: float, *, named: bool = False, quieter: float = 1.0) -> Judged:
+    """A hypothesis that leaves the same noise as another, in one block of two by a factor less."""
+    rng = np.random.default_rng(1)
+    effects = (NOMINAL, *LATE) if named else (NOMINAL,)
+    free = np.zeros(sum(len(e.parameters) for e in effects))
+    own = np.where(COMPARED.rows.block % 2 == 0, quieter, 1.0)
+    residual, held = level * own * rng.normal(size=(2, len(COMPARED)))
+    blocks = [COMPARED.by_block(r**2) for r in (held, residual)]
+    return Judged(
+        fitted=Fit(
+            effects=effects, free=free, residual=residual,
+            jacobian=np.zeros((0, len(free))), cost=float(residual @ residual),
+        ),
+        held_residual=held, held_blocks=blocks[0], fitted_blocks=blocks[1],
+        held_structure=np.tile(blocks[0], (3, 1)), fitted_structure=np.tile(blocks[1], (3, 1)),
+        channel_structure=np.zeros((2, 1)),
+    )  # fmt: skip
+
+
+def test_what_is_slight_and_everywhere_is_believed_only_where_that_is_asked_for() -> None:
+    base, before = (left(level) for level in LEVELS)
+    slight = left(0.96 * LEVELS[1], named=True)
+    lead = lead_of(slight, before)
+    assert min(lead.held, lead.fitted) > 8 and lead.share < 0.1
+    judge, settings = Judge(COMPARED, COMPARED), NamingSettings()
+    assert settings.everywhere == inf
+    for least, believed in ((inf, False), (8.0, True), (20.0, False)):
+        asked = replace(settings, everywhere=least)
+        acceptance = Acceptance(COMPARED, judge, base, before, asked)
+        assert acceptance.worth_naming(slight) is believed
+
+
+def test_fewer_parameters_do_not_outweigh_what_is_slight_and_everywhere() -> None:
+    base, before = (left(level) for level in LEVELS)
+    slight, simpler = left(0.993 * LEVELS[1], named=True), left(LEVELS[1])
+    lead = lead_of(slight, simpler)
+    assert min(lead.held, lead.fitted) > 8 and lead.share < 0.02
+    for least, first in ((inf, simpler), (8.0, slight)):
+        asked = NamingSettings(everywhere=least)
+        acceptance = Acceptance(COMPARED, Judge(COMPARED, COMPARED), base, before, asked)
+        assert acceptance.ranked([simpler, slight])[0] is first
+
+
+def test_what_shows_in_half_of_the_blocks_leads_less_than_what_shows_in_all() -> None:
+    before = left(LEVELS[1])
+    whole = lead_of(left(0.96 * LEVELS[1], named=True), before)
+    half = lead_of(left(LEVELS[1], named=True, quieter=0.92), before)
+    assert half.share > 0.9 * whole.share
+    assert half.held < 0.8 * whole.held and half.fitted < 0.8 * whole.fitted
