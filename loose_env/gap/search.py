@@ -144,6 +144,10 @@ def _judged_by(judge: Judge, judged: Judged, times: Array) -> Judged:
 
 
 def _times(louder: Comparison, runs: Comparison) -> Array:
-    """How many times as large noise is in one for each number of the same runs (N,)."""
+    """How many times as large noise is in one for each number of the same runs (N,).
+
+    Features go by their own scatter, however loud the channels that they are made of.
+    """
     found: Array = (louder.scales / runs.scales)[runs.rows.trial, runs.rows.channel]
+    found[runs.rows.white] = 1.0
     return found
