@@ -102,6 +102,16 @@ class Acceptance:
         material = self._visible(judged) and self._material(judged, lead)
         return self.believed(lead) and material and not all(slight)
 
+    def doubt(self, judged: Judged) -> str:
+        """What speaks against a hypothesis that is ahead by enough; "" where nothing does."""
+        if not self.ahead_of_its_limit(judged):
+            return "no better than if it were rigid"
+        if not self.above_the_noise(judged):
+            return "shuts out noise of the motion, no more"
+        if not self.needed_beside_stops(judged):
+            return "the play beside it does as well alone"
+        return ""
+
     def ahead_of_its_limit(self, judged: Judged) -> bool:
         """Whether an effect explains more than the way in which it is simulated.
 

@@ -75,7 +75,7 @@ class Comparison:
     channels : tuple of Channel
         What is compared.
     floors : ndarray (C,)
-        Noise standard deviation of each channel, as read.
+        What counts as noise of each channel: its standard deviation.
     threads : int
         Threads of the simulation; 0: all processors.
     inverse : InverseDynamics, optional
@@ -83,6 +83,9 @@ class Comparison:
     parting : frozenset of str
         Names of the random runs that are compared by features
         (`loose_env.gap.parting.parting_runs`).
+    read : ndarray (C,), optional
+        Noise standard deviation of each channel as it was read, where more counts as noise in
+        ``floors``.
     """
 
     def __init__(
@@ -95,6 +98,7 @@ class Comparison:
         threads: int = 0,
         inverse: InverseDynamics | None = None,
         parting: frozenset[str] = frozenset(),
+        read: Array | None = None,
     ) -> None:
         self.machine, self.trials = machine, list(trials)
         self.channels, self.floors, self.threads = channels, floors, threads
@@ -114,8 +118,9 @@ class Comparison:
             for k, t in enumerate(backwards):
                 self.scales[t] = inverse.floors(k)
         self.parting = parting
+        self.read = np.asarray(floors if read is None else read, dtype=float)
         self._random = {
-            t: RandomRun.of_trial(trial, machine, channels, np.asarray(floors, dtype=float))
+            t: RandomRun.of_trial(trial, machine, channels, self.read)
             for t, trial in enumerate(self.trials)
             if trial.excited and trial.name in parting
         }
@@ -190,16 +195,26 @@ class Comparison:
             return True
         return self.inverse is not None and self.inverse.shows(effect)
 
-    def with_floors(self, floors: Array) -> Comparison:
-        """The same runs, with other noise standard deviations of the channels (C,)."""
+    def like(
+        self,
+        *,
+        machine: Machine | None = None,
+        trials: Sequence[Trial] | None = None,
+        floors: Array | None = None,
+    ) -> Comparison:
+        """The same with another machine, other runs, or other noise of the channels (C,).
+
+        Features of random runs are weighed by the noise there is, whatever counts as noise else.
+        """
         return Comparison(
-            self.machine,
-            self.trials,
+            machine or self.machine,
+            self.trials if trials is None else trials,
             self.channels,
-            floors,
+            self.floors if floors is None else floors,
             threads=self.threads,
-            inverse=self.inverse,
+            inverse=self.inverse if trials is None else None,
             parting=self.parting,
+            read=self.read,
         )
 
     def left_in_channels(self, residual: Array) -> Array:
@@ -229,14 +244,8 @@ class Comparison:
             return self
         joined = 1 if stiff else self.machine.joined
         if joined not in self._lighter:
-            self._lighter[joined] = Comparison(
-                replace(self.machine, integrator=_IMPLICIT, joined=joined, even=True),
-                self.trials,
-                self.channels,
-                self.floors,
-                threads=self.threads,
-                inverse=self.inverse,
-                parting=self.parting,
+            self._lighter[joined] = self.like(
+                machine=replace(self.machine, integrator=_IMPLICIT, joined=joined, even=True)
             )
         return self._lighter[joined]
 

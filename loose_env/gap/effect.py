@@ -92,7 +92,8 @@ class Effect:
     sharp: ClassVar[bool] = False
     """Whether it asks for finer steps than a smooth model: a stiff spring, a joint that sticks."""
     has_stops: ClassVar[bool] = False
-    """Whether parts of it strike each other: what follows a blow, no simulation repeats exactly."""
+    """Whether parts of it strike each other: what follows a blow, no simulation repeats exactly.
+    Parameters named `gap`, `stiffness` and `damping_ratio`, if any, are those of the stops."""
     shifts: ClassVar[bool] = False
     """Whether it shifts signals in time by its only parameter: accelerations answer that in
     proportion over a fraction of a millisecond only, positions over many."""

@@ -90,11 +90,7 @@ class Exchange:
             simpler = self._without_idle(judged, before, best, acceptance)
             if acceptance.ranked([best, simpler])[0] is not simpler:
                 continue
-            if (
-                acceptance.ahead_of_its_limit(judged)
-                and acceptance.above_the_noise(judged)
-                and acceptance.needed_beside_stops(judged)
-            ):
+            if not acceptance.doubt(judged):
                 return self.judge.judge(polished(self.comparison, simpler.fitted))
         return None
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,7 +45,7 @@ class GapFound:
     prepared: Prepared
     """What was compared."""
     named: Named
-    """Step by step."""
+    """Step by step; the last part of the search, by its noise (`loose_env.gap.search`)."""
     base: Judged
     """The nominal model, fitted within the tolerance, on whole held-out runs."""
     best: Judged
@@ -97,26 +97,28 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Sta
     machine = prepared.machine
     nominal = NominalFigures(machine, tolerance=settings.tolerance)
     given = [*_starts(prepared.search), nominal]
-    keep = Keep() if stages is fresh else KeepInFiles(stages, machine, given)
     sought = [c for c in candidates(machine, settings.kinds or None) if prepared.search.shows(c)]
     naming = NamingSettings(most=settings.most_effects)
-    beside = Keep() if stages is fresh else KeepInFiles(stages, machine, given, "beside-stops-")
-    found = search(prepared, given, sought, settings=naming, say=say, keep=keep, keep_beside=beside)
+
+    def keep(prefix: str, given: Sequence[Effect] = given) -> Keep:
+        return Keep() if stages is fresh else KeepInFiles(stages, machine, given, prefix)
+
+    found = search(prepared, given, sought, settings=naming, say=say, keep=keep)
     named, heard, base, best = found.named, found.heard, found.base, found.best
     judge = Judge(heard.fit, heard.whole_held)
     if prepared.fit is not prepared.search or prepared.held is not prepared.whole_held:
         say("fits what was found to more of the runs")
         begun = _starts(prepared.fit)  # other windows begin elsewhere
-        if stages is not fresh:
-            keep = KeepInFiles(stages, machine, [*begun, nominal])
+        kept = keep("", [*begun, nominal])
         whole = Judge(prepared.fit, prepared.whole_held)
-        base = keep.judged("nominal-whole", lambda: whole.judge(_again(prepared, base, begun)))
+        base = kept.judged("nominal-whole", lambda: whole.judge(_again(prepared, base, begun)))
         if best.fitted.named:
-            best = keep.judged("effects-whole", lambda: judge.judge(_again(heard, best, begun)))
+            best = kept.judged("effects-whole", lambda: judge.judge(_again(heard, best, begun)))
         else:
             best = base
     best, dropped, intervals = sure_ones(best, heard, judge, settings.seed, say=say)
-    best, judge = found.in_noise(best), Judge(prepared.fit, prepared.whole_held)
+    best = found.in_noise(best) if best.fitted.named else base
+    judge = Judge(prepared.fit, prepared.whole_held)
     named.dropped += dropped
     verdict, struck = _verdict(base, best), None
     if verdict == "unexplained":
@@ -198,7 +200,7 @@ def _named(
         values = values_of(effect.parameters, fitted.free[own])
         names = [p.name for p in effect.parameters]
         by_blows = struck is not None and effect is struck.effect
-        rivals = struck.rivals if struck and by_blows else searched.indistinct(effect)
+        rivals = struck.rivals if struck and by_blows else searched.indistinct(effect, fitted.named)
         ends = zip(intervals.low[own], intervals.high[own], strict=True)
         found.append(
             NamedEffect(

@@ -11,7 +11,7 @@ from loose_env.gap.acceptance import Acceptance
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.exchange import Exchange
-from loose_env.gap.fit import Fit, fit, fitted_on, strikes
+from loose_env.gap.fit import fit, fitted_on, strikes
 from loose_env.gap.judgement import Judge, Judged, Lead, lead_of
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.parameter import free_of
@@ -40,8 +40,7 @@ class Named:
     dropped: list[Effect] = field(default_factory=list)
     """Effects that a later one made idle."""
     unfinished: bool = False
-    """Whether it stopped at a part that strikes stops and leaves more than noise
-    (`NamingSettings.left`): what else is missing drowns in that, unless it counts as noise."""
+    """Whether it stopped after a step because it was asked to."""
 
     @property
     def best(self) -> Judged:
@@ -82,7 +81,8 @@ def name_effects(
     settings: NamingSettings | None = None,
     say: Say = lambda _: None,
     keep: Keep | None = None,
-    begun: tuple[Judged, Judged] | None = None,
+    begun: Named | None = None,
+    pause: Callable[[Judged], bool] = lambda _: False,
 ) -> Named:
     """Add effects to a nominal model as long as held-out runs ask for it.
 
@@ -101,9 +101,11 @@ def name_effects(
         Told what goes on, line by line.
     keep : Keep, optional
         Keeps what was found for a run that is interrupted.
-    begun : (Judged, Judged), optional
-        The nominal model and what is there already; the search goes on from there and is not left
-        unfinished.
+    begun : Named, optional
+        An earlier search, judged by these runs; what it found is fitted to them, and the search
+        goes on from there.
+    pause : callable
+        Told what is there after a step; the search stops, unfinished, where it says so.
     """
     settings, keep = settings or NamingSettings(), keep or Keep()
     judge = Judge(comparison, held_out)
@@ -113,8 +115,8 @@ def name_effects(
         found = Named(base=base)
         say(f"nominal model: {base.held_rms:.2f} noise standard deviations on held-out runs")
     else:
-        there = begun[1].fitted
-        found = Named(base=begun[0])
+        there = begun.best.fitted
+        found = Named(base=begun.base, dropped=list(begun.dropped))
         found.steps.append(keep.judged("begun", lambda: judge.judge(fitted_on(comparison, there))))
         found.rivals.append([])
     windows = SHORTEST * min(len(comparison.trials), settings.sorted_runs)
@@ -142,7 +144,7 @@ def name_effects(
             say(f"  {effect!r} is idle now and is left out")
         found.steps.append(step.accepted)
         found.dropped += step.dropped
-        if begun is None and _stops_leave(comparison, found.best.fitted, settings.left):
+        if len(found.best.fitted.named) < settings.most and pause(found.best):
             found.unfinished = True
             return found
     if 2 <= len(found.best.fitted.named) <= settings.exchanges:
@@ -152,13 +154,6 @@ def name_effects(
         if _keys(better) != _keys(found.best):
             found.steps.append(better)
     return found
-
-
-def _stops_leave(comparison: Comparison, fitted: Fit, most: float) -> bool:
-    """Whether a part with stops leaves more than so much in any channel [noise sd]."""
-    return (
-        strikes(fitted.named) and float(comparison.left_in_channels(fitted.residual).max()) > most
-    )
 
 
 def _keys(judged: Judged) -> set[tuple[str, str, str]]:
@@ -204,14 +199,8 @@ def _step(
         for judged in ranked:
             if not any(judged is each for each in tried) or not acceptance.worth_naming(judged):
                 continue
-            if not acceptance.ahead_of_its_limit(judged):
-                say(f"  {judged.fitted.effects[-1]!r}: no better than if it were rigid")
-                continue
-            if not acceptance.above_the_noise(judged):
-                say(f"  {judged.fitted.effects[-1]!r}: shuts out noise of the motion, no more")
-                continue
-            if not acceptance.needed_beside_stops(judged):
-                say(f"  {judged.fitted.effects[-1]!r}: the play beside it does as well alone")
+            if doubt := acceptance.doubt(judged):
+                say(f"  {judged.fitted.effects[-1]!r}: {doubt}")
                 continue
             accepted, dropped = acceptance.accept(judged)
             earlier = list(best.fitted.named)

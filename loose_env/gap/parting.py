@@ -32,9 +32,8 @@ LOUD = 2.0
 """Incoherent power of a run over that of the nominal model, noise in both, that it shows."""
 NUDGE = 1e-5
 """Change of where a run begins that does not matter [rad, m]."""
-STIFFER, LESS_SPRINGY = 1.3, 1.5
-"""Factors on stiffness and damping of the stops that do not matter: no law of contact is that
-exact."""
+_OF_STOPS = {"stiffness": 1.3, "damping_ratio": 1.5}
+"""Factors on figures of stops that do not matter: no law of contact is that exact."""
 LOOKED_AT = 2.0
 """How much of a run is simulated to see whether trajectories part, where it is least like the
 nominal model [s]; at least as much as features need."""
@@ -125,20 +124,29 @@ def _pairs(effect: Effect, runs: int, joints: int) -> list[Hypothesis]:
     """An effect at each of its starts with the hardest stops, and nearly the same."""
     nudge = np.full((runs, joints), NUDGE)
     names = [parameter.name for parameter in effect.parameters]
-    hardest = max(start[names.index("stiffness")] for start in effect.starts)
+    changed = {names.index(n): by for n, by in _OF_STOPS.items() if n in names}
     found = []
-    for start in effect.starts:
-        if start[names.index("stiffness")] < hardest:
-            continue
+    for start in _with_hardest_stops(effect.starts, names):
         values = np.array(start)
         other = values.copy()
-        other[names.index("stiffness")] *= STIFFER
-        other[names.index("damping_ratio")] *= LESS_SPRINGY
+        for number, factor in changed.items():
+            other[number] *= factor
         found += [
             Hypothesis(effects=(effect,), values=(values,)),
             Hypothesis(effects=(effect,), values=(other,), position=nudge),
         ]
     return found
+
+
+def _with_hardest_stops(
+    starts: Sequence[tuple[float, ...]], names: Sequence[str]
+) -> list[tuple[float, ...]]:
+    """Those starts of which the stops are as stiff as any; all where nothing says how stiff."""
+    if "stiffness" not in names:
+        return list(starts)
+    number = names.index("stiffness")
+    hardest = max(start[number] for start in starts)
+    return [start for start in starts if start[number] == hardest]
 
 
 def _driven(trial: Trial, machine: Machine) -> bool:

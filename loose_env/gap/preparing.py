@@ -62,7 +62,7 @@ class Prepared:
         def again(comparison: Comparison) -> Comparison:
             if id(comparison) not in known:
                 floors = np.asarray(comparison.floors, dtype=float)
-                known[id(comparison)] = comparison.with_floors(floors * factors)
+                known[id(comparison)] = comparison.like(floors=floors * factors)
             return known[id(comparison)]
 
         return replace(

@@ -132,7 +132,8 @@ def _best_starts(
 ) -> dict[tuple[str, str, str], list[tuple[float, ...]]]:
     """The best starts of candidates with many, by candidate: those of a loose link go all ways.
 
-    A stiff spring comes out badly in a lighter simulation, but all of its starts alike.
+    A stiff spring comes out badly in a lighter simulation, but all of its starts alike. Of starts
+    that differ in nuisances alone, such as the stiffness of stops, the best one stands for all.
     """
     entries = [
         (effect, start)
@@ -146,15 +147,22 @@ def _best_starts(
     lighter, base = comparison.lightly(fitted.hypothesis, fitted.residual, stiff=True)
     if lighter is comparison:
         return {}
-    found: dict[tuple[str, str, str], list[tuple[float, tuple[float, ...]]]] = {}
+    found: dict[tuple[str, str, str], dict[tuple[float, ...], tuple[float, tuple[float, ...]]]] = {}
     for effect, start, signature in signatures(lighter, fitted, entries, base):
         weighed = _weigh(comparison, known, effect, start, signature)
         promise = 0.0 if weighed is None else weighed.promise
-        found.setdefault(effect.key, []).append((promise, start))
+        own, alike = found.setdefault(effect.key, {}), _without_nuisances(effect, start)
+        if alike not in own or promise > own[alike][0]:
+            own[alike] = promise, start
     return {
-        key: [start for _, start in sorted(many, key=lambda each: -each[0])[:_MANY]]
-        for key, many in found.items()
+        key: [start for _, start in sorted(own.values(), key=lambda each: -each[0])[:_MANY]]
+        for key, own in found.items()
     }
+
+
+def _without_nuisances(effect: Effect, values: Sequence[float]) -> tuple[float, ...]:
+    """Values of the parameters of which nothing is known beforehand."""
+    return tuple(v for p, v in zip(effect.parameters, values, strict=True) if p.centre is None)
 
 
 def signatures(
@@ -196,10 +204,12 @@ def _best(found: list[Screened]) -> Screened:
     """The start of a candidate that promises most, with another that lies far from it."""
     first, *others = sorted(found, key=lambda s: -s.promise)
     at = free_of(first.effect.parameters, np.array(first.values))
+    matter = np.array([p.centre is None for p in first.effect.parameters])
     for each in others:
         if each.promise < _SECOND * first.promise:
             break
-        if np.any(np.abs(free_of(each.effect.parameters, np.array(each.values)) - at) > _FAR):
+        off = np.abs(free_of(each.effect.parameters, np.array(each.values)) - at)
+        if np.any(off[matter] > _FAR):
             return replace(first, second=each.values)
     return first
 

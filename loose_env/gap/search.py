@@ -1,9 +1,9 @@
-"""The search for what is missing, beside stops a second time, with what these leave as noise.
+"""The search for what is missing; beside stops it goes on with what these leave as noise.
 
 No law of contact is that of the machine, so that a part which strikes its stops leaves
 accelerations many times louder than their noise. What else is missing is slight beside that: it
 would be passed over, or something loud and wrong be named in its place. So the search goes on with
-each channel's noise as large as what is left in it.
+each channel's noise as large as what is left in it, worked out anew with each effect that is named.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from loose_env.gap.ambiguity import indistinct
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
-from loose_env.gap.fit import cost_of, parameters_of
+from loose_env.gap.fit import cost_of, parameters_of, strikes
 from loose_env.gap.judgement import Judge, Judged
 from loose_env.gap.naming import Keep, Named, name_effects
 from loose_env.gap.naming_settings import NamingSettings
@@ -41,20 +41,23 @@ class Searched:
 
     prepared: Prepared
     """The runs."""
-    heard: Prepared
-    """The same, with the noise by which the last of the searches went."""
-    parts: tuple[Named, ...]
-    """The search, and the one that went on beside stops, if any."""
+    parts: tuple[tuple[Prepared, Named], ...]
+    """The search, and how it went on beside stops; each with the noise it went by."""
 
     @property
     def named(self) -> Named:
-        """The last search."""
-        return self.parts[-1]
+        """The last part."""
+        return self.parts[-1][1]
+
+    @property
+    def heard(self) -> Prepared:
+        """The runs with the noise by which the last part went."""
+        return self.parts[-1][0]
 
     @property
     def base(self) -> Judged:
         """The nominal model, by the noise there is."""
-        return self.parts[0].base
+        return self.parts[0][1].base
 
     @property
     def best(self) -> Judged:
@@ -63,18 +66,19 @@ class Searched:
 
     @property
     def ranking(self) -> tuple[Ranked, ...]:
-        """What was tried, step by step, by the noise there is."""
-        found = ranking_of(self.parts[0], self.prepared.search, self.prepared.held)
-        if len(self.parts) > 1:
-            runs = self.heard.search, self.heard.held
-            louder = _times(self.heard.held, self.prepared.held)
-            found += ranking_of(self.parts[1], *runs, louder=louder, first=len(self.parts[0].steps))
-        return found
+        """What was tried, step by step; what is left of held-out runs is in the noise there is."""
+        found: list[Ranked] = []
+        first = 1
+        for runs, named in self.parts:
+            louder = _times(runs.held, self.prepared.held)
+            found += ranking_of(named, runs.search, runs.held, louder=louder, first=first)
+            first += len(named.steps) - 1
+        return tuple(found)
 
-    def indistinct(self, effect: Effect) -> tuple[Effect, ...]:
-        """What held-out runs cannot tell from an effect."""
-        found = chain(*(indistinct(named, effect) for named in self.parts))
-        there = {(e.kind, e.where) for e in self.best.fitted.named}
+    def indistinct(self, effect: Effect, named: Sequence[Effect]) -> tuple[Effect, ...]:
+        """What held-out runs cannot tell from one of the named effects, the others left out."""
+        found = chain(*(indistinct(part, effect) for _, part in self.parts))
+        there = {(e.kind, e.where) for e in named}
         others = {(e.kind, e.where): e for e in found}
         return tuple(e for place, e in others.items() if place not in there)
 
@@ -93,8 +97,7 @@ def search(
     *,
     settings: NamingSettings,
     say: Callable[[str], None] = lambda _: None,
-    keep: Keep | None = None,
-    keep_beside: Keep | None = None,
+    keep: Callable[[str], Keep] = lambda _: Keep(),
 ) -> Searched:
     """Search for what a model lacks.
 
@@ -102,31 +105,61 @@ def search(
     ----------
     prepared : Prepared
         The runs.
-    given, sought, settings, say, keep
+    given, sought, settings, say
         As of `loose_env.gap.naming.name_effects`, ``sought`` being its candidates.
-    keep_beside : Keep, optional
-        Keeps what the second search finds.
+    keep : callable
+        Told a prefix, returns what keeps the stages of a part of the search.
     """
-    runs = prepared.search, prepared.held
-    found = name_effects(*runs, given, sought, settings=settings, say=say, keep=keep)
-    if not found.unfinished:
-        return Searched(prepared=prepared, heard=prepared, parts=(found,))
-    left = prepared.search.left_in_channels(found.best.fitted.residual)
-    say("goes on with what its stops leave as noise")
-    heard = prepared.louder(np.maximum(left, 1.0))
-    judge = Judge(heard.search, heard.held)
-    softer = 1.0 / _times(heard.search, prepared.search)
-    more = name_effects(
-        heard.search,
-        heard.held,
-        given,
-        sought,
-        settings=replace(settings, everywhere=_EVERYWHERE),
-        say=say,
-        keep=keep_beside,
-        begun=(_judged_by(judge, found.base, softer), _judged_by(judge, found.best, softer)),
-    )
-    return Searched(prepared=prepared, heard=heard, parts=(found, more))
+
+    def left(judged: Judged) -> Array:
+        return prepared.search.left_in_channels(judged.fitted.residual)
+
+    def stops_leave(judged: Judged) -> bool:
+        return strikes(judged.fitted.named) and bool(left(judged).max() > settings.left)
+
+    heard, own, pause, begun = prepared, settings, stops_leave, None
+    parts: list[tuple[Prepared, Named]] = []
+    for number in range(settings.most):
+        named = name_effects(
+            heard.search,
+            heard.held,
+            given,
+            sought,
+            settings=own,
+            say=say,
+            keep=keep(f"part-{number + 1}-" if number else ""),
+            begun=begun,
+            pause=pause,
+        )
+        parts.append((heard, named))
+        if not named.unfinished:
+            break
+        # in the noise there is, for what was found last may have left less than stops did before
+        times = _times(heard.search, prepared.search)
+        best = _judged_by(Judge(prepared.search, prepared.held), named.best, times)
+        if stops_leave(best):
+            say("goes on with what its stops leave as noise")
+            heard, own = prepared.louder(np.maximum(left(best), 1.0)), beside_stops(settings)
+        else:
+            heard, own = prepared, settings
+        # whatever comes next, what is left is another then
+        pause = stops_leave if heard is prepared else _always
+        judge, times = Judge(heard.search, heard.held), _times(heard.search, prepared.search)
+        begun = Named(
+            base=_judged_by(judge, parts[0][1].base, 1.0 / times),
+            steps=[_judged_by(judge, best, 1.0 / times)],
+            dropped=named.dropped,
+        )
+    return Searched(prepared=prepared, parts=tuple(parts))
+
+
+def beside_stops(settings: NamingSettings) -> NamingSettings:
+    """When an effect counts as found where what stops leave counts as noise."""
+    return replace(settings, everywhere=_EVERYWHERE)
+
+
+def _always(judged: Judged) -> bool:
+    return True
 
 
 def _judged_by(judge: Judge, judged: Judged, times: Array) -> Judged:

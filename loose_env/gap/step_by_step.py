@@ -60,7 +60,9 @@ class Tried:
     lead: Lead
     """By how much it is ahead of the model without it, in standard deviations; and its share."""
     believed: bool
-    """Whether the search would name it: surely ahead, by enough, and not by a limit or by noise."""
+    """Whether the search would name it: surely ahead, by enough, and not by a limit or by noise.
+    Beside a part that strikes its stops the search takes what these leave as noise, and may name
+    what is hidden by that here."""
     judged: Judged = field(repr=False)
     """The fit itself."""
 
@@ -370,7 +372,6 @@ class GapSteps:
     def _tried(self, judged: Judged) -> Tried:
         fitted, search = judged.fitted, self.prepared.search
         acceptance = Acceptance(search, self._judge, self.nominal, self.best, self._naming)
-        asked = (acceptance.worth_naming, acceptance.ahead_of_its_limit, acceptance.above_the_noise)
         effect, own = fitted.effects[-1], slices_of(fitted.effects)[-1]
         return Tried(
             effect=effect,
@@ -378,7 +379,7 @@ class GapSteps:
             held_out=judged.held_rms,
             before=self.best.held_rms,
             lead=lead_of(judged, self.best),
-            believed=all(ask(judged) for ask in asked),
+            believed=acceptance.worth_naming(judged) and not acceptance.doubt(judged),
             judged=judged,
         )
 

@@ -110,7 +110,7 @@ def find_striking(
         know nothing of moments, and a spring without play has those of much else.
     """
     there = {(e.kind, e.where) for e in known.effects}
-    striking = [c for c in candidates if c.has_stops and (c.kind, c.where) not in there]
+    striking = [c for c in candidates if _plays(c) and (c.kind, c.where) not in there]
     short = windowed(prepared.search, settings.sorting)
     if not striking or not all(map(Blows.worth_while, (short, prepared.held))):
         return None
@@ -208,12 +208,18 @@ def _fitted(blows: Blows, effect: Effect, starts: Sequence[tuple[float, ...]]) -
     return min(found, key=lambda each: each.cost)
 
 
+def _plays(effect: Effect) -> bool:
+    """Whether an effect has stops and a gap between them that can be shut."""
+    return effect.has_stops and any(p.name == "gap" for p in effect.parameters)
+
+
 def _shut(fitted: Fit) -> Hypothesis:
     """The part with as small a gap as there is."""
     (effect,), (values,) = fitted.effects, fitted.hypothesis.values
-    number = [p.name for p in effect.parameters].index("gap")
     shut = values.copy()
-    shut[number] = effect.parameters[number].low
+    for number, parameter in enumerate(effect.parameters):
+        if parameter.name == "gap":
+            shut[number] = parameter.low
     return Hypothesis(effects=(effect,), values=(shut,))
 
 

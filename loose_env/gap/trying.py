@@ -57,8 +57,8 @@ class Slow:
         if comparison.parting or counted.all() or not counted.any():
             return None
         return cls(
-            comparison=comparison.with_floors(
-                np.where(kept, comparison.floors, comparison.floors * _DEAF)
+            comparison=comparison.like(
+                floors=np.where(kept, comparison.floors, comparison.floors * _DEAF)
             ),
             weights=np.where(counted, 1.0, 1.0 / _DEAF),
         )

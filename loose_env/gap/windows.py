@@ -53,14 +53,7 @@ def windowed(comparison: Comparison, seconds: float) -> Comparison:
         for t in comparison.trials
         if t.form == "inverse" or id(t) in taken
     ]
-    return Comparison(
-        comparison.machine,
-        kept,
-        comparison.channels,
-        comparison.floors,
-        threads=comparison.threads,
-        parting=comparison.parting,
-    )
+    return comparison.like(trials=kept)
 
 
 def _shortened(comparison: Comparison, trial: Trial, length: float) -> Trial:
@@ -71,9 +64,8 @@ def _shortened(comparison: Comparison, trial: Trial, length: float) -> Trial:
     if not (trial.excited and trial.name in comparison.parting):
         return _window(trial, length)
     window = _window(trial, length, FEWEST)
-    floors = np.asarray(comparison.floors, dtype=float)
     try:
-        RandomFeatures.of_trial(window, comparison.machine, comparison.channels, floors)
+        RandomFeatures.of_trial(window, comparison.machine, comparison.channels, comparison.read)
     except InvalidData:
         return trial
     return window

@@ -247,6 +247,22 @@ def test_a_split_joint_without_rotor_stays_solvable(arm: str, where: str) -> Non
             assert np.abs(data.qvel).max() < 2
 
 
+def test_a_servo_gets_as_much_to_act_on_as_it_needs_and_the_same_at_any_step() -> None:
+    spec = machine_of("spatial").fresh()
+    spec.joint("reach").armature = 0.0
+    found = []
+    for integrator in (mujoco.mjtIntegrator.mjINT_RK4, mujoco.mjtIntegrator.mjINT_IMPLICITFAST):
+        machine = Machine(spec, step=1e-3, integrator=int(integrator))
+        for step in (5e-4, 1e-3):
+            edited_spec = machine.fresh()
+            edited_spec.option.timestep = step
+            effect = at(machine, "joint_compliance", "reach")
+            effect.edit(edited_spec, np.array(effect.starts[0]))
+            found.append(edited_spec.joint("reach").armature)
+    # 150 N·s/m may take twice its speed within 1 ms; else it is a fiftieth of 2 kg
+    assert found == pytest.approx([150 * 1e-3 / 2] * 2 + [0.04] * 2)
+
+
 def test_backlash_leaves_a_dead_zone_between_its_stops() -> None:
     effect = at(wheel(loads=np.array([0.5])), "backlash")
     gap, stiffness = 0.02, effect.starts[0][1]

@@ -14,6 +14,7 @@ from loose_env.gap import parting
 from loose_env.gap.catalogue import CATALOGUE
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effects.structural_looseness import StructuralLooseness
+from loose_env.gap.effects.viscous_friction import ViscousFriction
 from loose_env.gap.finding import find_gap, prepare
 from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.joint_motion import joint_motion
@@ -117,6 +118,39 @@ def test_struck_stops_are_compared_by_features(struck: Recording) -> None:
     assert prepared.search.parting == {run.name for run in struck.runs}
     assert prepared.search.rows.white.all()
     assert any("stops are struck" in warning for warning in prepared.warnings)
+
+
+def test_features_are_weighed_by_the_noise_there_is_whatever_counts_as_noise(
+    struck: Recording,
+) -> None:
+    prepared = prepare(struck, GapSettings(threads=1))
+    runs = prepared.search
+    assert runs.rows.white.all()
+    louder = prepared.louder(np.full(len(runs.channels), 30.0)).search
+    nothing = Hypothesis(effects=(), values=())
+    assert np.array_equal(runs.residuals([nothing]), louder.residuals([nothing]))
+    assert not runs.left_in_channels(np.ones(len(runs))).any()
+
+
+class Bump(ViscousFriction):
+    """Stops of somebody's own, whose figures have other names."""
+
+    kind = "bump"
+    has_stops = True
+
+
+def test_stops_of_ones_own_may_have_parameters_of_any_name(struck: Recording) -> None:
+    prepared = prepare(struck, GapSettings(threads=1))
+    runs = prepared.search
+    found = parting_runs(
+        prepared.machine,
+        runs.trials,
+        runs.channels,
+        runs.floors,
+        [Bump(prepared.machine, "joint1")],
+        threads=1,
+    )
+    assert found == frozenset()  # they draw nothing anew
 
 
 def test_the_loose_link_is_named_by_features(struck: Recording) -> None:

@@ -24,8 +24,12 @@ FASTEST = 0.8
 """Largest angle by which an added spring's mode may turn in a step, at the model's zero [rad]."""
 MOTOR_SHARE = 0.02
 """What stays on the motor side of a joint without rotor, as a share of what the joint carries."""
-_EXPLICIT = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_RK4))
-"""Integrators that take what an actuator gives from the state before the step."""
+_STABLE = {
+    int(mujoco.mjtIntegrator.mjINT_EULER): 1.0,
+    int(mujoco.mjtIntegrator.mjINT_RK4): 2.0,
+}
+"""Share of its speed by which a servo's damping may slow what it acts on within a step, by
+integrators that take it from the state before: stable up to 2 and 2.8."""
 _SOFT = 1e-4  # MuJoCo's smallest constraint impedance
 _TOUCH = 0.45
 """Impedance of a stop where it is touched, over its largest: so that a force grows with travel to
@@ -132,25 +136,24 @@ def set_stops(
 def keep_motor_side(machine: Machine, spec: mujoco.MjSpec, name: str, carried: float) -> None:
     """Leave a little inertia [kg·m² or kg] on the motor side of a joint that has no rotor.
 
-    An explicit step makes a servo that acts on too little go wild: there it is as much as the
-    servo's stiffness and damping ask for.
+    A Runge-Kutta or Euler step makes a servo that acts on too little go wild: there it is as much
+    as the servo's stiffness and damping ask for, whatever the step of the spec is.
     """
     joint = spec.joint(name)
     least = MOTOR_SHARE * carried
-    if joint.armature >= least:
-        return
-    if spec.option.integrator in _EXPLICIT:
-        stiffness, damping = _servo(machine, name)
-        turn = spec.option.timestep / FASTEST
-        least = max(least, stiffness * turn**2, damping * turn)
-    joint.armature = least
+    if joint.armature < least:
+        joint.armature = max(least, _held_still(machine, name))
 
 
-def _servo(machine: Machine, joint: str) -> tuple[float, float]:
-    """Stiffness and damping of the actuators at a joint [N·m/rad or N/m, N·m·s/rad or N·s/m]."""
+def _held_still(machine: Machine, joint: str) -> float:
+    """Least inertia [kg·m² or kg] on which the servo of a joint is stable by the machine's step."""
     model: mujoco.MjModel = machine.model
+    own = int(model.opt.integrator) if machine.integrator is None else machine.integrator
+    if own not in _STABLE:
+        return 0.0
+    step = machine.step or float(model.opt.timestep)
     squares = machine.gears(joint) ** 2
     affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
-    prm = np.where(affine[:, None], model.actuator_biasprm[:, 1:3], 0.0)
-    stiffness, damping = np.maximum(-(squares @ prm), 0.0)
-    return float(stiffness), float(damping)
+    terms = np.where(affine[:, None], model.actuator_biasprm[:, 1:3], 0.0)
+    stiffness, damping = np.maximum(-(squares @ terms), 0.0)
+    return float(max(stiffness * (step / FASTEST) ** 2, damping * step / _STABLE[own]))

@@ -45,7 +45,8 @@ class SplitJoint(JointEffect):
     """A joint whose drive is not rigid: an extra joint on the same axis behind it.
 
     The joint itself is the motor side: its sensors, servo, friction and rotor stay with it. A
-    joint without rotor gets a fiftieth of what it carries as one.
+    joint without rotor gets a fiftieth of what it carries as one, or what its servo needs to be
+    simulated.
     """
 
     adds_motion = True
