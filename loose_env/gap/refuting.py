@@ -1,8 +1,8 @@
-"""How near to nothing an effect may be that is nothing only in a limit: what the runs refute.
+"""How near to nothing an effect may be: what the runs refute.
 
 The bootstrap of an interval draws steps of a linear fit. Where stops are struck the sum of squares
 is no parabola, and such an interval may reach a limit that the runs have plainly refuted, such as a
-seat that sticks for ever.
+seat that sticks for ever; or no effect at all, with which no fit does as well.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
-from loose_env.gap.fit import Fit, hypothesis_of, slice_of
+from loose_env.gap.fit import Fit, fit_without, hypothesis_of, slice_of, strikes
 from loose_env.gap.intervals import Intervals
 from loose_env.gap.judgement import sureness_of
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.parameter import free_of, values_of
 
-__all__ = ["short_of_limit"]
+__all__ = ["short_of_limit", "short_of_nothing"]
 
 Array = NDArray[np.float64]
 
@@ -70,4 +70,41 @@ def short_of_limit(
     to_high = [dict(effect.limit).get(p.name) == "high" for p in effect.parameters]
     low[own] = np.where(to_low, np.maximum(low[own], ends), low[own])
     high[own] = np.where(to_high, np.minimum(high[own], ends), high[own])
+    return replace(intervals, low=low, high=high)
+
+
+def short_of_nothing(
+    comparison: Comparison, fitted: Fit, intervals: Intervals, effect: Effect
+) -> Intervals:
+    """Take back the interval of an effect beside stops that ends beyond what the runs refute.
+
+    All else is fitted again without the effect. If that surely leaves more, the parameter that is
+    furthest from nothing, by its own scatter, is given as much room towards nothing as a lead of
+    two standard deviations is of the lead over nothing: it grows about as the distance.
+
+    Parameters
+    ----------
+    comparison, fitted, intervals
+        As of `short_of_limit`.
+    effect : Effect
+        One of its effects; nothing is changed if no part with stops is there, if it is nothing only
+        in a limit, or if that is not refuted.
+    """
+    if effect.nothing is None or not strikes(fitted.effects):
+        return intervals
+    without = fit_without(comparison, fitted, effect).residual
+    lead = sureness_of(comparison.by_block(without**2), comparison.by_block(fitted.residual**2))
+    if not lead >= _SURE:
+        return intervals
+    own = slice_of(fitted.effects, effect)
+    here, nothing = fitted.free[own], free_of(effect.parameters, np.array(effect.nothing))
+    scatter = np.sqrt(np.maximum(np.diag(intervals.covariance)[own], 1e-30))
+    furthest = int(np.argmax(np.abs(here - nothing) / scatter))
+    ends = values_of(effect.parameters, here + _REFUTED / lead * (nothing - here))
+    number, end = own.start + furthest, float(ends[furthest])
+    low, high = intervals.low.copy(), intervals.high.copy()
+    if nothing[furthest] < here[furthest]:
+        low[number] = max(low[number], end)
+    else:
+        high[number] = min(high[number], end)
     return replace(intervals, low=low, high=high)

@@ -11,7 +11,7 @@ from loose_env.gap.fit import fit_without, refined, slice_of
 from loose_env.gap.intervals import Intervals, bootstrap, widened
 from loose_env.gap.judgement import Judge, Judged
 from loose_env.gap.preparing import Prepared
-from loose_env.gap.refuting import short_of_limit
+from loose_env.gap.refuting import short_of_limit, short_of_nothing
 
 __all__ = ["judged_without", "sure_ones"]
 
@@ -53,6 +53,8 @@ def sure_ones(
         for effect, own in named:
             if found.may_be_nothing(effect, own):
                 found = short_of_limit(prepared.fit, fitted, found, effect)
+            if found.may_be_nothing(effect, own):
+                found = short_of_nothing(prepared.fit, fitted, found, effect)
         doubtful = [effect for effect, own in named if found.may_be_nothing(effect, own)]
         if not doubtful:
             return best, dropped, widened(prepared.fit, fitted, found)

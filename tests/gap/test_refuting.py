@@ -1,4 +1,4 @@
-"""An interval does not reach a limit that the runs have refuted."""
+"""An interval reaches neither a limit nor nothing at all where the runs have refuted that."""
 
 from __future__ import annotations
 
@@ -6,13 +6,17 @@ import numpy as np
 import pytest
 
 from loose_env.gap.catalogue import CATALOGUE
+from loose_env.gap.effects.viscous_friction import ViscousFriction
 from loose_env.gap.fit import slices_of
 from loose_env.gap.intervals import Intervals
 from loose_env.gap.judgement import Judged
 from loose_env.gap.parameter import values_of
-from loose_env.gap.refuting import short_of_limit
+from loose_env.gap.refuting import short_of_limit, short_of_nothing
 from tests.gap.gap_case import DAMPING, GAIN
 from tests.gap.test_trying import Case
+
+SENSORS = ("rate3", GAIN), ("encoder1", 1.0001)
+"""One that shows too much, and one that does not."""
 
 
 @pytest.fixture(scope="module")
@@ -56,3 +60,32 @@ def test_an_interval_ends_short_of_a_limit_that_is_refuted(
         assert 0.1 * values[number] < found.low[own][number] < values[number]
     else:
         assert np.array_equal(found.low, wide.low)
+
+
+class Rattling(ViscousFriction):
+    """Friction that counts as a part with stops."""
+
+    has_stops = True
+
+
+def test_beside_stops_an_interval_ends_short_of_nothing_where_that_is_refuted(case: Case) -> None:
+    wet = Rattling(case.machine, "joint2"), [DAMPING]
+    gain, idle = (case.effect("sensor_gain", name, [value]) for name, value in SENSORS)
+    for named, refuted in (([wet, gain], True), ([wet, gain, idle], False)):
+        judged = case.fitted(named)
+        fitted, effect = judged.fitted, judged.fitted.effects[-1]
+        own, wide = slices_of(fitted.effects)[-1], to_the_limit(judged)
+        found = short_of_nothing(case.comparison, fitted, wide, effect)
+        assert wide.may_be_nothing(effect, own)
+        assert found.may_be_nothing(effect, own) is not refuted
+        ends = [found.low[own.start], values_of(effect.parameters, fitted.free[own])[0]]
+        if refuted:  # the lead is large, so nearly all of the way is refuted
+            assert 1.0 < ends[0] < ends[1] and ends[1] - ends[0] < 0.5 * (ends[1] - 1.0)
+    assert found is wide
+
+
+def test_without_stops_an_interval_is_left_as_it_is(case: Case) -> None:
+    wet = case.effect("viscous_friction", "joint2", [DAMPING])
+    judged = case.fitted([wet, case.effect("sensor_gain", SENSORS[0][0], [GAIN])])
+    wide = to_the_limit(judged)
+    assert short_of_nothing(case.comparison, judged.fitted, wide, judged.fitted.effects[-1]) is wide
