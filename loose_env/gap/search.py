@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,7 +119,8 @@ def search(
 
     heard, own, pause, begun = prepared, settings, stops_leave, None
     parts: list[tuple[Prepared, Named]] = []
-    for number in range(settings.most):
+    # ends, for each part that is left unfinished names one more, or drops one for good
+    for number in count(1):
         named = name_effects(
             heard.search,
             heard.held,
@@ -127,7 +128,7 @@ def search(
             sought,
             settings=own,
             say=say,
-            keep=keep(f"part-{number + 1}-" if number else ""),
+            keep=keep(f"part-{number}-" if number > 1 else ""),
             begun=begun,
             pause=pause,
         )

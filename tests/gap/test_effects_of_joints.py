@@ -247,20 +247,29 @@ def test_a_split_joint_without_rotor_stays_solvable(arm: str, where: str) -> Non
             assert np.abs(data.qvel).max() < 2
 
 
-def test_a_servo_gets_as_much_to_act_on_as_it_needs_and_the_same_at_any_step() -> None:
+@pytest.mark.parametrize("joined", [1, 4])
+def test_a_servo_gets_as_much_to_act_on_as_it_needs_and_the_same_at_any_step(joined: int) -> None:
     spec = machine_of("spatial").fresh()
     spec.joint("reach").armature = 0.0
-    found = []
-    for integrator in (mujoco.mjtIntegrator.mjINT_RK4, mujoco.mjtIntegrator.mjINT_IMPLICITFAST):
-        machine = Machine(spec, step=1e-3, integrator=int(integrator))
-        for step in (5e-4, 1e-3):
-            edited_spec = machine.fresh()
-            edited_spec.option.timestep = step
-            effect = at(machine, "joint_compliance", "reach")
-            effect.edit(edited_spec, np.array(effect.starts[0]))
-            found.append(edited_spec.joint("reach").armature)
-    # 150 N·s/m may take twice its speed within 1 ms; else it is a fiftieth of 2 kg
-    assert found == pytest.approx([150 * 1e-3 / 2] * 2 + [0.04] * 2)
+    rk4, implicit = (
+        Machine(spec, step=1e-3, integrator=int(integrator), joined=joined)
+        for integrator in (mujoco.mjtIntegrator.mjINT_RK4, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+    )
+    longest = 1e-3 * max(joined // 2, 1)
+    # 150 N·s/m may take 0.8 of its speed within a step; else it is a fiftieth of 2 kg
+    for machine, wanted in ((rk4, 150 * longest / 0.8), (implicit, 0.04)):
+        for kind in ("joint_compliance", "backlash"):
+            effect = at(machine, kind, "reach")
+            for start in effect.starts:
+                for step in (5e-4, longest):
+                    spec = machine.fresh()
+                    spec.option.timestep = step
+                    effect.edit(spec, np.array(start))
+                    assert spec.joint("reach").armature == pytest.approx(wanted)
+                    data = mujoco.MjData(model := spec.compile())
+                    mujoco.mj_step(model, data, 500)
+                    assert np.isfinite(data.qpos).all()
+                    assert np.abs(data.qvel).max() < 2
 
 
 def test_backlash_leaves_a_dead_zone_between_its_stops() -> None:

@@ -24,12 +24,8 @@ FASTEST = 0.8
 """Largest angle by which an added spring's mode may turn in a step, at the model's zero [rad]."""
 MOTOR_SHARE = 0.02
 """What stays on the motor side of a joint without rotor, as a share of what the joint carries."""
-_STABLE = {
-    int(mujoco.mjtIntegrator.mjINT_EULER): 1.0,
-    int(mujoco.mjtIntegrator.mjINT_RK4): 2.0,
-}
-"""Share of its speed by which a servo's damping may slow what it acts on within a step, by
-integrators that take it from the state before: stable up to 2 and 2.8."""
+_EXPLICIT = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_RK4))
+"""Integrators that take what an actuator gives from the state before the step."""
 _SOFT = 1e-4  # MuJoCo's smallest constraint impedance
 _TOUCH = 0.45
 """Impedance of a stop where it is touched, over its largest: so that a force grows with travel to
@@ -149,11 +145,12 @@ def _held_still(machine: Machine, joint: str) -> float:
     """Least inertia [kg·m² or kg] on which the servo of a joint is stable by the machine's step."""
     model: mujoco.MjModel = machine.model
     own = int(model.opt.integrator) if machine.integrator is None else machine.integrator
-    if own not in _STABLE:
+    if own not in _EXPLICIT:
         return 0.0
     step = machine.step or float(model.opt.timestep)
+    turn = step * max(machine.joined // 2, 1) / FASTEST  # the longest that a spring is taken in
     squares = machine.gears(joint) ** 2
     affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
     terms = np.where(affine[:, None], model.actuator_biasprm[:, 1:3], 0.0)
     stiffness, damping = np.maximum(-(squares @ terms), 0.0)
-    return float(max(stiffness * (step / FASTEST) ** 2, damping * step / _STABLE[own]))
+    return float(max(stiffness * turn**2, damping * turn))
