@@ -67,6 +67,8 @@ class Exchange:
         for effect in best.fitted.named:
             if not any(effect is each for each in best.fitted.effects):
                 continue  # one that an exchange made idle
+            if effect.has_stops and not self.settings.exchanges_stops:
+                continue
             better = self._in_place_of(effect, best)
             if better is not None:
                 before, after = (

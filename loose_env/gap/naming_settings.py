@@ -57,6 +57,9 @@ class NamingSettings:
     visible: float = 2.0
     """By how much it has to lower the sum of squares, on the runs held out or on all [standard
     deviations of the sum of as many squares of noise]."""
+    exchanges_stops: bool = True
+    """Whether a part with stops is exchanged, too; not where what it leaves counts as noise, for
+    in that what explains less does as well."""
     everywhere: float = inf
     """Lead on the runs fitted to and on those held out that will do in the place of any share
     [standard deviations]."""

@@ -156,7 +156,7 @@ def search(
 
 def beside_stops(settings: NamingSettings) -> NamingSettings:
     """When an effect counts as found where what stops leave counts as noise."""
-    return replace(settings, everywhere=_EVERYWHERE)
+    return replace(settings, everywhere=_EVERYWHERE, exchanges_stops=False)
 
 
 def _always(judged: Judged) -> bool:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from loose_env.gap.acceptance import Acceptance
 from loose_env.gap.catalogue import CATALOGUE
+from loose_env.gap.exchange import Exchange
 from loose_env.gap.finding import GapFound, find_gap, prepare
 from loose_env.gap.fit import Fit, parameters_of, refined
 from loose_env.gap.hypothesis import Hypothesis
@@ -23,7 +24,7 @@ from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.nominal import NominalFigures
 from loose_env.gap.parameter import free_of
 from loose_env.gap.preparing import Prepared
-from loose_env.gap.search import Searched
+from loose_env.gap.search import Searched, beside_stops
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.stages import Stages, key_of
 from loose_env.recording import Recording, write_recording
@@ -212,3 +213,21 @@ def test_what_play_beside_it_does_alone_is_no_second_effect(prepared: Prepared) 
     assert acceptance.believed(lead_of(later, before))
     assert not acceptance.needed_beside_stops(later)
     assert acceptance.doubt(later) == "the play beside it does as well alone"
+
+
+def test_a_part_with_stops_is_not_exchanged_in_noise_that_it_makes(
+    prepared: Prepared, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs, machine = prepared.search, prepared.machine
+    effects = [CATALOGUE["backlash"](machine, "joint2"), CATALOGUE["payload"](machine, "tool")]
+    free = np.concatenate([free_of(e.parameters, np.array(e.starts[0])) for e in effects])
+    fitted = Fit(
+        effects=tuple(effects), free=free, residual=np.zeros(len(runs)),
+        jacobian=np.zeros((len(runs), len(free))), cost=0.0,
+    )  # fmt: skip
+    judge, tried = Judge(runs, prepared.held), list[str]()
+    best = judge.judge(fitted)
+    monkeypatch.setattr(Exchange, "_in_place_of", lambda _, effect, best: tried.append(effect.kind))
+    for settings in (NamingSettings(), beside_stops(NamingSettings())):
+        assert Exchange(runs, runs, judge, effects, best, settings).better_than(best) is best
+    assert tried == ["backlash", "payload", "payload"]
