@@ -105,12 +105,11 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Sta
 
     found = search(prepared, given, sought, settings=naming, say=say, keep=keep)
     named, heard, base, best = found.named, found.heard, found.base, found.best
-    judge = Judge(heard.fit, heard.whole_held)
+    whole, judge = (Judge(runs.fit, runs.whole_held) for runs in (prepared, heard))
     if prepared.fit is not prepared.search or prepared.held is not prepared.whole_held:
         say("fits what was found to more of the runs")
         begun = _starts(prepared.fit)  # other windows begin elsewhere
         kept = keep("", [*begun, nominal])
-        whole = Judge(prepared.fit, prepared.whole_held)
         base = kept.judged("nominal-whole", lambda: whole.judge(_again(prepared, base, begun)))
         if best.fitted.named:
             best = kept.judged("effects-whole", lambda: judge.judge(_again(heard, best, begun)))
@@ -118,11 +117,10 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Sta
             best = base
     best, dropped, intervals = sure_ones(best, heard, judge, settings.seed, say=say)
     best = found.in_noise(best) if best.fitted.named else base
-    judge = Judge(prepared.fit, prepared.whole_held)
     named.dropped += dropped
     verdict, struck = _verdict(base, best), None
     if verdict == "unexplained":
-        again = second_look(prepared, judge, best, sought, settings, naming, say=say)
+        again = second_look(prepared, whole, best, sought, settings, naming, say=say)
         if again is not None:
             best, intervals, struck, verdict = again.best, again.intervals, again.struck, "named"
             named.dropped += again.dropped

@@ -26,7 +26,7 @@ from loose_env.gap.preparing import Prepared
 from loose_env.gap.ranking import ranking_of
 from loose_env.gap.result import Ranked
 
-__all__ = ["Searched", "search"]
+__all__ = ["Searched", "beside_stops", "search"]
 
 Array = NDArray[np.float64]
 
@@ -84,10 +84,7 @@ class Searched:
 
     def in_noise(self, best: Judged) -> Judged:
         """A fit to ``heard.fit`` as the noise there is judges it; nothing is fitted again."""
-        if self.heard is self.prepared:
-            return best
-        louder = _times(self.heard.fit, self.prepared.fit)
-        return _judged_by(Judge(self.prepared.fit, self.prepared.whole_held), best, louder)
+        return _judged_by(self.prepared.fit, self.prepared.whole_held, self.heard.fit, best)
 
 
 def search(
@@ -136,8 +133,7 @@ def search(
         if not named.unfinished:
             break
         # in the noise there is, for what was found last may have left less than stops did before
-        times = _times(heard.search, prepared.search)
-        best = _judged_by(Judge(prepared.search, prepared.held), named.best, times)
+        best = _judged_by(prepared.search, prepared.held, heard.search, named.best)
         if stops_leave(best):
             say("goes on with what its stops leave as noise")
             heard, own = prepared.louder(np.maximum(left(best), 1.0)), beside_stops(settings)
@@ -145,12 +141,11 @@ def search(
             heard, own = prepared, settings
         # whatever comes next, what is left is another then
         pause = stops_leave if heard is prepared else _always
-        judge, times = Judge(heard.search, heard.held), _times(heard.search, prepared.search)
-        begun = Named(
-            base=_judged_by(judge, parts[0][1].base, 1.0 / times),
-            steps=[_judged_by(judge, best, 1.0 / times)],
-            dropped=named.dropped,
+        base = parts[0][1].base
+        base, best = (
+            _judged_by(heard.search, heard.held, prepared.search, each) for each in (base, best)
         )
+        begun = Named(base=base, steps=[best], dropped=named.dropped)
     return Searched(prepared=prepared, parts=tuple(parts))
 
 
@@ -163,25 +158,27 @@ def _always(judged: Judged) -> bool:
     return True
 
 
-def _judged_by(judge: Judge, judged: Judged, times: Array) -> Judged:
-    """A fit as other noise judges it, in which residuals are so many times as large (N,)."""
+def _judged_by(runs: Comparison, held: Comparison, own: Comparison, judged: Judged) -> Judged:
+    """A fit to its own runs as the noise of the same runs, and of those held out, judges it."""
+    if runs is own:
+        return judged
     fitted = judged.fitted
-    residual = judge.comparison.residuals([fitted.hypothesis])[0]
-    return judge.judge(
+    residual = runs.residuals([fitted.hypothesis])[0]
+    return Judge(runs, held).judge(
         replace(
             fitted,
             residual=residual,
-            jacobian=fitted.jacobian * times[:, None],
+            jacobian=fitted.jacobian * _times(own, runs)[:, None],
             cost=cost_of(residual, fitted.free, parameters_of(fitted.effects)),
         )
     )
 
 
-def _times(louder: Comparison, runs: Comparison) -> Array:
-    """How many times as large noise is in one for each number of the same runs (N,).
+def _times(own: Comparison, runs: Comparison) -> Array:
+    """How many times as large noise is in the first for each number of the same runs (N,).
 
     Features go by their own scatter, however loud the channels that they are made of.
     """
-    found: Array = (louder.scales / runs.scales)[runs.rows.trial, runs.rows.channel]
+    found: Array = (own.scales / runs.scales)[runs.rows.trial, runs.rows.channel]
     found[runs.rows.white] = 1.0
     return found

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -43,3 +45,15 @@ def recorded(
         sensors={n: shown[:, c] for c, n in enumerate(names)} | {"shake": shown[:, 4:]},
         excited=excited,
     )
+
+
+def moving(model: mujoco.MjModel, speeds: Sequence[Array], *, size: float, count: int) -> list[Run]:
+    """Runs of so many samples in which every joint swings at speeds of its own [rad/s]."""
+    time, rng, runs = np.arange(count) * FINE * EVERY, np.random.default_rng(4), []
+    for k, own in enumerate(speeds):
+        controls = size * np.sin(np.outer(time, own))
+        controls *= np.minimum(2 * time, 1.0)[:, None]
+        data = mujoco.MjData(model)
+        mujoco.mj_step(model, data, 2000)
+        runs.append(recorded(data, controls, rng, name=f"run-{k + 1:02d}.parquet"))
+    return runs

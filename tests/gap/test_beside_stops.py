@@ -28,7 +28,7 @@ from loose_env.gap.search import Searched, beside_stops
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.stages import Stages, key_of
 from loose_env.recording import Recording, write_recording
-from tests.gap.level_arm import EVERY, FINE, LEVEL, recorded
+from tests.gap.level_arm import FINE, LEVEL, moving
 
 Array = NDArray[np.float64]
 NOTHING = Hypothesis(effects=(), values=())
@@ -50,14 +50,8 @@ def with_play(folder: Path) -> Recording:
     servo = spec.actuator("servo1")
     servo.gainprm[0] *= GAIN
     servo.biasprm[1:3] *= GAIN
-    model = spec.compile()
-    time, rng, runs = np.arange(COUNT) * FINE * EVERY, np.random.default_rng(4), []
-    for k in range(3):
-        controls = 0.3 * np.sin(np.outer(time, [7.0 + k, 11.0 - 2 * k, 16.0 + k]))
-        controls *= np.minimum(2 * time, 1.0)[:, None]
-        data = mujoco.MjData(model)
-        mujoco.mj_step(model, data, 2000)
-        runs.append(recorded(data, controls, rng, name=f"run-{k + 1:02d}.parquet"))
+    speeds = [np.array([7.0 + k, 11.0 - 2 * k, 16.0 + k]) for k in range(3)]
+    runs = moving(spec.compile(), speeds, size=0.3, count=COUNT)
     return write_recording(folder, model_xml=LEVEL, runs=runs)
 
 

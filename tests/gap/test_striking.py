@@ -25,7 +25,7 @@ from loose_env.gap.preparing import Prepared, prepare
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.striking import Struck, find_striking
 from loose_env.recording import write_recording
-from tests.gap.level_arm import EVERY, FINE, LEVEL, recorded
+from tests.gap.level_arm import FINE, LEVEL, moving
 
 COUNT = 1500
 TRUE = np.array([1.0, 4e-4, 3.0, 3e5, 0.1])
@@ -40,14 +40,8 @@ def prepared_arm(folder: Path, *, loose: bool = False, friction: float = 0.0) ->
         machine = Machine(mujoco.MjSpec.from_string(LEVEL), step=FINE)
         StructuralLooseness(machine, "link2").edit(spec, TRUE)
     spec.joint("joint2").frictionloss = friction
-    model = spec.compile()
-    time, rng, runs = np.arange(COUNT) * FINE * EVERY, np.random.default_rng(4), []
-    for k in range(3):
-        controls = 0.25 * np.sin(np.outer(time, [11.0 + k, 17.0 - 2 * k, 23.0 + k]))
-        controls *= np.minimum(2 * time, 1.0)[:, None]
-        data = mujoco.MjData(model)
-        mujoco.mj_step(model, data, 2000)
-        runs.append(recorded(data, controls, rng, name=f"run-{k + 1:02d}.parquet"))
+    speeds = [np.array([11.0 + k, 17.0 - 2 * k, 23.0 + k]) for k in range(3)]
+    runs = moving(spec.compile(), speeds, size=0.25, count=COUNT)
     recording = write_recording(folder, model_xml=LEVEL, runs=runs)
     return prepare(recording, GapSettings(threads=1))
 
