@@ -23,6 +23,7 @@ from gymnasium.vector import AsyncVectorEnv
 
 import loose_env  # noqa: F401  (registers the ids)
 from loose_env.arms import DESK_ARM
+from loose_env.arms.quiet import quiet
 from loose_env.envs.diagnosis import DiagnosisEnv
 from loose_env.envs.episode import EpisodeBatch
 from loose_env.errors import InvalidSetting
@@ -116,6 +117,7 @@ def new_batch(
     return batch
 
 
+@quiet()  # the same for every rival: no timers in the engine
 def seconds_per_record(batch: EpisodeBatch, rounds: int, duration: int | None) -> float:
     """Time the steps of a batch; every third round starts new episodes, as agents do."""
     rng = np.random.default_rng(0)
@@ -129,6 +131,7 @@ def seconds_per_record(batch: EpisodeBatch, rounds: int, duration: int | None) -
     return (time.perf_counter() - begin) / (rounds * batch.num)
 
 
+@quiet()
 def bare_seconds_per_record(env_id: str, arms: int, rounds: int, duration: int | None) -> float:
     """Time `mujoco.batch` alone on the same models, states, controls and threads."""
     batch = new_batch(env_id, arms)

@@ -1,4 +1,4 @@
-"""Keeps the engine's warnings to ourselves: what fails is reported by an error or a record."""
+"""Simulations of ours: no warnings, for what fails is told by an error or a record; no timers."""
 
 from __future__ import annotations
 
@@ -8,28 +8,32 @@ from contextlib import contextmanager
 
 import mujoco
 
+from .stopwatch import STOPWATCH
+
 __all__ = ["quiet"]
 
-_log_lock = threading.Lock()
-_log_before: list[mujoco.MjLogConfig] = []  # one entry for every call inside `quiet`
+_lock = threading.Lock()
+_before: list[tuple[mujoco.MjLogConfig, int | None]] = []  # one for every call inside `quiet`
 
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Keep MuJoCo's warnings off the console and out of its log file.
+    """Keep MuJoCo's warnings off the console and out of its log file, and its stopwatch still.
 
-    A diverging simulation is reported through its measurement. The setting belongs to the
-    whole process: the first call in saves it, the last one out puts it back.
+    A diverging simulation is reported through its measurement. Both settings belong to the
+    whole process: the first call in saves them, the last one out puts them back.
     """
-    with _log_lock:
-        _log_before.append(mujoco.MjLogConfig.get())
+    with _lock:
+        _before.append((mujoco.MjLogConfig.get(), STOPWATCH.value))
         silent = mujoco.MjLogConfig.get()
         silent.logto_console = silent.logto_file = False
         silent.set()
+        STOPWATCH.value = None
     try:
         yield
     finally:
-        with _log_lock:
-            last = _log_before.pop()
-            if not _log_before:
-                last.set()
+        with _lock:
+            log, clock = _before.pop()
+            if not _before:
+                log.set()
+                STOPWATCH.value = clock
