@@ -54,10 +54,10 @@ ROWS = "gap_suite_rows.jsonl"
 LAST = 3999
 """Largest number of a case."""
 BEGIN, END = "<!-- tables: begin -->", "<!-- tables: end -->"
-PAGE = f"""# Where model and measurement part: the suite of hidden effects
+PAGE = f"""# How often a missing effect is named
 
-How often `loose gap` names what a model lacks, on recordings made by an arm that shares no code
-with it.
+How often `loose gap` names what a model lacks and where, on recordings made by an arm that shares
+no code with it.
 
     make gap-suite
 

@@ -84,7 +84,7 @@ def summary(grades: Sequence[Grade]) -> list[tuple[str, str, str]]:
         ("gap of the written model in plain MuJoCo over the fit's, median and largest", "",
          f"{np.median(exported):.3f}, {max(exported):.3f} ({len(exported)} cases)"
          if exported else "none"),
-        ("time of one run, median and largest [s]", "at most 300",
+        ("time of one run on one core, median and largest [s]", "at most 300 on two cores",
          f"{np.median(seconds):.0f}, {max(seconds):.0f}" if seconds else "none"),
         ("cases that failed, wrong in all of the above", "0",
          share(sum(g.verdict == FAILED for g in grades), len(grades))),
