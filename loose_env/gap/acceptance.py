@@ -126,7 +126,7 @@ class Acceptance:
         free = np.concatenate([self.before.fitted.free, free_of(effect.parameters, values)])
         residual = self.comparison.residuals([hypothesis_of(fitted.effects, free)])[0]
         rigid = self.judge.judge(replace(fitted, free=free, residual=residual))
-        return self.believed(lead_of(judged, rigid))
+        return self.believed(lead_of(judged, rigid, strikes=effect.has_stops))
 
     def needed_beside_stops(self, judged: Judged) -> bool:
         """Whether an effect beside a part with stops does more than lead that to another fit.

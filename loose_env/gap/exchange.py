@@ -14,7 +14,7 @@ from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.fit import fit_without, polished
 from loose_env.gap.judgement import Judge, Judged, lead_of
-from loose_env.gap.kinship import akin
+from loose_env.gap.kinship import akin, joint_of
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.screening import screen
 from loose_env.gap.trying import Trying
@@ -80,15 +80,19 @@ class Exchange:
 
     def _in_place_of(self, effect: Effect, best: Judged) -> Judged | None:
         """The best hypothesis with another effect in the place of one; None if none is better."""
-        taken = {(e.kind, e.where) for e in best.fitted.effects}
-        kin = [c for c in self.candidates if akin(effect, c) and (c.kind, c.where) not in taken]
+        named = {(e.kind, e.where) for e in best.fitted.effects}
+        kin = [c for c in self.candidates if akin(effect, c) and (c.kind, c.where) not in named]
         if not kin:
             return None
         before = self._without(best, effect)
         trying = Trying(self.comparison, self.short, self.judge, before, self.settings)
         acceptance = Acceptance(self.comparison, self.judge, self.base, before, self.settings)
-        screened = screen(self.short, trying.short_before, kin)[: self.settings.exchanged]
-        for judged in trying.in_place(screened, best.fitted):
+        screened = screen(self.short, trying.short_before, kin)
+        taken = screened[: self.settings.exchanged]
+        # where a fit begins says little of a delay; at the same joint it is worth a fit
+        there = [s for s in screened if joint_of(s.effect) == joint_of(effect) is not None]
+        taken += [s for s in there if s not in taken][: self.settings.exchanged_there]
+        for judged in trying.in_place(taken, best.fitted):
             simpler = self._without_idle(judged, before, best, acceptance)
             if acceptance.ranked([best, simpler])[0] is not simpler:
                 continue

@@ -62,6 +62,9 @@ class FitSettings:
     valley, which differences over longer steps bar: what bends in each of them does not cancel."""
     trusted: float = 0.7
     """Share of the promised gain below which sensitivities are worked out anew."""
+    stale: float = 0.5
+    """Share of the cost at which sensitivities were worked out below which a fit does not end by
+    them: from far off they see no valley."""
     dampings: tuple[float, ...] = (0.0, 0.1, 3.0)
     """Levenberg's dampings, as shares of the curvature; those after the first are tried where its
     step does not bring what it promises."""
@@ -282,9 +285,11 @@ def fit(
         jacobian[:, :held] = known
     count = len(parameters)
     first = _NEW if held < count else _NONE
-    renew = first
+    renew, seen_at = first, cost
     for _ in range(settings.iterations):
         which = {_NONE: [], _NEW: list(range(held, count)), _ALL: again}[renew]
+        if len(which) == len(again):
+            seen_at = cost
         if which:
             jacobian[:, which] = sensitivities(
                 comparison, effects, free, residual, which, difference=settings.difference
@@ -305,9 +310,12 @@ def fit(
         if gained > 0:
             free, residual, cost = free + step, left, after
         if gained < settings.enough * cost:
-            if which or hoped < settings.enough * cost:
+            if cost < settings.stale * seen_at:
+                renew = _ALL
+            elif which or hoped < settings.enough * cost:
                 break
-            renew = first or _ALL
+            else:
+                renew = first or _ALL
         elif gained < settings.trusted * hoped:
             renew = _ALL if which else first or _ALL  # the old ones mislead
         else:

@@ -188,7 +188,7 @@ def joined(first: Intervals, second: Intervals) -> Intervals:
 
 
 def _no_surer(fitted: Fit, intervals: Intervals) -> Intervals:
-    """Intervals that are no surer of a value, or of how far it is from nothing, than `_EXACT`."""
+    """Intervals no surer than `_EXACT`, of a value or of how far it is from nothing."""
     parameters = parameters_of(fitted.effects)
     values = values_of(parameters, fitted.free)
     nothing = np.concatenate(
@@ -197,7 +197,9 @@ def _no_surer(fitted: Fit, intervals: Intervals) -> Intervals:
             for effect in fitted.effects
         ]
     )
-    room = _EXACT * np.abs(values - nothing)
+    room = _EXACT * np.minimum(
+        np.abs(values - nothing), np.where(nothing == 0, np.inf, abs(values))
+    )
     low = np.maximum(values - room, [p.low for p in parameters])
     high = np.minimum(values + room, [p.high for p in parameters])
     return replace(

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import mujoco
 import numpy as np
@@ -47,6 +48,12 @@ _KERNEL = 4096
 """Samples over which the filters' gains are measured, at most."""
 
 
+@lru_cache(maxsize=256)
+def _low_pass(order: int, end: float, rate: float) -> Array:
+    """Second-order sections of a Butterworth low-pass; every hypothesis filters by the same ones."""
+    return np.asarray(butter(order, end, fs=rate, output="sos"))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Band:
     """A low-pass filter without phase on an even grid."""
@@ -58,7 +65,7 @@ class Band:
 
     def smooth(self, values: Array) -> Array:
         """Filter values (T, ...) forwards and backwards."""
-        low = butter(_ORDER, self.end, fs=self.rate, output="sos")
+        low = _low_pass(_ORDER, self.end, self.rate)
         pad = min(len(values) - 1, int(2 * self.rate / self.end))
         return np.asarray(sosfiltfilt(low, values, axis=0, padlen=pad))
 
@@ -266,7 +273,7 @@ def _low(values: Array, band: Band, crossing: float) -> Array:
     """What the encoder contributes: 1 / (1 + (f / crossing)²) of it, without phase."""
     if crossing >= _HIGHEST * band.rate:
         return values
-    low = butter(1, crossing, fs=band.rate, output="sos")
+    low = _low_pass(1, crossing, band.rate)
     pad = min(len(values) - 1, int(2 * band.rate / crossing))
     return np.asarray(sosfiltfilt(low, values, padlen=pad))
 

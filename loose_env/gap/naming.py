@@ -11,6 +11,7 @@ from loose_env.gap.acceptance import Acceptance
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.exchange import Exchange
+from loose_env.gap.families import frictions
 from loose_env.gap.fit import fit, fitted_on, strikes
 from loose_env.gap.judgement import Judge, Judged, Lead, lead_of
 from loose_env.gap.naming_settings import NamingSettings
@@ -187,12 +188,24 @@ def _step(
         if much and all(lead_of(j, best).share < settings.alone for j in tried):
             say("  no single effect explains much: the same one at several places")
             tried += trying.families(screened)
+        elif much:
+            first = min(tried, key=lambda j: j.total)
+            alike = [s for s in screened if s.effect.kind == first.fitted.effects[-1].kind]
+            if first.structure > settings.much * found.base.structure:
+                say(f"  {first.fitted.effects[-1]!r} leaves much: the same one at other places")
+                everywhere.extend(trying.families(alike))
+                tried += everywhere
         yield tried
         if much:
             say("  none of these will do: others that promised less")
             yield trying.singles(screened, further=True)
+        groups = frictions(screened, best.fitted.named)
+        if groups and not strikes(best.fitted.effects):
+            say("  none of these will do: all frictions at one joint")
+            yield trying.together(groups)
 
     acceptance = Acceptance(comparison, judge, found.base, best, settings)
+    everywhere: list[Judged] = []  # the same as the best single one, at other places too
     ranked: list[Judged] = []
     for tried in waves():
         ranked = acceptance.ranked([*ranked, *tried])
@@ -204,6 +217,9 @@ def _step(
                 continue
             accepted, dropped = acceptance.accept(judged)
             earlier = list(best.fitted.named)
+            new = len(accepted.fitted.named) + len(dropped) - len(earlier)
+            if any(judged is each for each in everywhere) and new < settings.several:
+                continue  # at one place or two: rather one after the other
             alone = trying.alone(judged, found.base.fitted) if earlier else None
             if alone is not None and not acceptance.believed(lead_of(accepted, alone)):
                 acceptance = Acceptance(comparison, judge, found.base, found.base, settings)

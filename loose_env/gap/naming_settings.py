@@ -32,6 +32,8 @@ class NamingSettings:
     """Further candidates fitted to whole runs because the best one may be mistaken for them."""
     exchanged: int = 4
     """Candidates that are fitted in the place of each named effect, once all are there."""
+    exchanged_there: int = 2
+    """Further ones at the same joint."""
     exchanges: int = 3
     """Most effects that are exchanged in this way; many of one kind are not looked at singly."""
     hopeless: float = 2.0
@@ -44,6 +46,9 @@ class NamingSettings:
     """Share of what there was to explain at first that must be left for that."""
     families: int = 6
     """Kinds that are tried at several places."""
+    several: int = 3
+    """Places from which on an effect that explains much at one of them alone is one of a machine
+    that lacks it all over."""
     promise: float = 0.1
     """Share of the best candidate's promise from which on another is fitted too."""
     structure: float = 3.0

@@ -60,7 +60,9 @@ def short_of_limit(
         tried.append(free)
     residuals = comparison.residuals([hypothesis_of(fitted.effects, free) for free in tried])
     blocks = comparison.by_block(fitted.residual**2)
-    leads = [sureness_of(comparison.by_block(r**2), blocks) for r in residuals]
+    leads = [
+        sureness_of(comparison.by_block(r**2), blocks, strikes=effect.has_stops) for r in residuals
+    ]
     if not leads[-1] >= _SURE:
         return intervals
     first = next(k for k, lead in enumerate(leads) if lead >= _REFUTED)

@@ -26,8 +26,11 @@ Array = NDArray[np.float64]
 
 _WHOLE_FAMILIES = 3
 """Families that are fitted to all data."""
-_PARTS = (-0.75, -0.5, -0.25, -0.1, 0.1, 0.25, 0.5, 0.75)
-"""Parts of a sample by which a delay is moved to see whether that is better."""
+_SHIFTS = (
+    *(-4.0, -3.0, -2.0, -1.0, -0.75, -0.5, -0.25, -0.1),
+    *(0.1, 0.25, 0.5, 0.75, 1.0, 2.0, 3.0, 4.0),
+)
+"""Samples by which a delay is moved to see whether that is better."""
 _NEARER = (1.0, 0.5, 0.25)
 """Shares of the way from nothing to where screening says that are tried as starts."""
 _DEAF = 1e6
@@ -179,8 +182,12 @@ class Trying:
 
     def families(self, screened: Sequence[Screened]) -> list[Judged]:
         """Fit one kind of effect at several places at once."""
+        return self.together(families(screened, self.settings.families))
+
+    def together(self, groups: Sequence[Sequence[Screened]]) -> list[Judged]:
+        """Fit the members of each group at once; those that are no better than single ones go."""
         single = np.inf if self._best is None else self._best.cost
-        fits = [self._to_windows(each) for each in families(screened, self.settings.families)]
+        fits = [self._to_windows(each) for each in groups]
         better = self._with_hope([each for each in fits if each.cost < single])
         return [self._to_all(each) for each in better[:_WHOLE_FAMILIES]]
 
@@ -241,7 +248,7 @@ class Trying:
             known = self.short_before.jacobian * self.slow.weights[:, None]
             first = fit(self.slow.comparison, effects, start, known=known)
             again = fit(self.short, effects, first.free, known=self.short_before.jacobian)
-            found = self._between_samples(min((found, again), key=lambda f: f.cost))
+            found = self._shifted(min((found, again), key=lambda f: f.cost))
         return found
 
     def _start(self, effects: Sequence[Effect], members: Sequence[Screened]) -> tuple[Array, Array]:
@@ -268,15 +275,16 @@ class Trying:
         best = int(np.nanargmin(np.nan_to_num(costs, nan=np.inf)))
         return tried[best], residuals[best]
 
-    def _between_samples(self, fitted: Fit) -> Fit:
-        """Move the last effect, a delay, by parts of a sample, and fit on where that is better.
+    def _shifted(self, fitted: Fit) -> Fit:
+        """Move the last effect, a delay, by samples and parts, and fit on where that is better.
 
-        A delay of whole samples is a bend in the sum of squares at which a fit gets stuck.
+        A delay of whole samples is a bend in the sum of squares at which a fit gets stuck, and of
+        accelerations under held commands every sample has a valley of its own.
         """
         (parameter,) = fitted.effects[-1].parameters
         value, tried = values_of((parameter,), fitted.free[-1:])[0], []
-        for share in _PARTS:
-            moved = parameter.clipped(value + share / self.short.trials[0].rate)
+        for shift in _SHIFTS:
+            moved = parameter.clipped(value + shift / self.short.trials[0].rate)
             tried.append(np.append(fitted.free[:-1], free_of((parameter,), np.array([moved]))))
         residuals = self.short.residuals([hypothesis_of(fitted.effects, free) for free in tried])
         best = int(np.argmin(np.sum(residuals**2, axis=1)))

@@ -108,6 +108,14 @@ def _derivative(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=False)
+def _between(commands, j, x):  # type: ignore[no-untyped-def]
+    """Command of drive j at x samples, on a straight line between two."""
+    x = min(max(x, 0.0), commands.shape[0] - 1.0)
+    first = min(int(x), commands.shape[0] - 2)
+    return commands[first, j] + (x - first) * (commands[first + 1, j] - commands[first, j])
+
+
+@njit(cache=True, fastmath=False)
 def _run(  # type: ignore[no-untyped-def]
     bodies, laws, drives, gravity, tool, cable, fan, release, commands, q, v, settle, inside,
     every, straight,
@@ -120,7 +128,7 @@ def _run(  # type: ignore[no-untyped-def]
     work = np.zeros((dofs, 40))
     mass = np.zeros((dofs, dofs))
     force, torque, rate = np.zeros(dofs), np.zeros(n), np.zeros(dofs)
-    command, lag = commands[0].copy(), commands[0].copy()
+    command, there, lag = commands[0].copy(), commands[0].copy(), commands[0].copy()
     z = np.zeros(dofs)
     q1, v1, z1, lag1 = q.copy(), v.copy(), z.copy(), lag.copy()
     a = np.zeros((4, dofs))
@@ -141,7 +149,40 @@ def _run(  # type: ignore[no-untyped-def]
             if share < 1e-6:
                 share = 0.0
             now = commands[min(first, samples - 1), j]
+            there[j] = now
             command[j] = now + share * (commands[min(first + 1, samples - 1), j] - now)
+            if straight:
+                there[j] = _between(commands, j, (time - drives[j, 6]) / 1e-3)
+        if i >= 0 and i % every == 0 and row < rows:
+            # sensors read what is there at their moment, not what comes within the step
+            _derivative(
+                bodies, laws, drives, gravity, tool, cable, fan, on, there, time, q, v, lag,
+                z, work, mass, force, torque, rate, a[0], dlag[0], dz[0],
+            )  # fmt: skip
+            tool_acceleration(work, tool, a[0], acceleration)
+            for j in range(n):
+                k = int(drives[j, 0])
+                out[row, j] = q[k] + drives[j, 7]
+                out[row, n + j] = v[k]
+                out[row, 2 * n + 3 + j] = torque[j]
+            out[row, 2 * n] = acceleration[0]
+            out[row, 2 * n + 1] = acceleration[1]
+            out[row, 2 * n + 2] = acceleration[2]
+            # the solver leaves the upper half of the mass matrix; its diagonal is a factor's
+            energy = 0.0
+            for k in range(dofs):
+                for j in range(k):
+                    energy += v[j] * mass[j, k] * v[k]
+                square = mass[k, k] * mass[k, k]
+                for j in range(k):
+                    square += mass[k, j] * mass[k, j]
+                energy += 0.5 * square * v[k] * v[k]
+                s, b = work[k], bodies[k]
+                for d in range(3):
+                    com = s[9 + d] + s[3 * d] * b[8] + s[3 * d + 1] * b[9] + s[3 * d + 2] * b[10]
+                    energy -= b[7] * gravity[d] * com
+            out[row, 3 * n + 3] = energy
+            row += 1
         for stage in range(4):
             if stage == 0:
                 q1[:] = q
@@ -160,42 +201,12 @@ def _run(  # type: ignore[no-untyped-def]
                     lag1[j] = lag[j] + c * dlag[stage - 1, j]
             if straight:
                 for j in range(n):
-                    x = min(max((t - drives[j, 6]) / 1e-3, 0.0), samples - 1.0)
-                    first = min(int(x), samples - 2)
-                    now = commands[first, j]
-                    command[j] = now + (x - first) * (commands[first + 1, j] - now)
+                    command[j] = _between(commands, j, (t - drives[j, 6]) / 1e-3)
             _derivative(
                 bodies, laws, drives, gravity, tool, cable, fan, on, command, t, q1, v1, lag1,
                 z1, work, mass, force, torque, rate, a[stage], dlag[stage], dz[stage],
             )  # fmt: skip
             va[stage] = v1
-            if stage == 0 and i >= 0 and i % every == 0 and row < rows:
-                tool_acceleration(work, tool, a[0], acceleration)
-                for j in range(n):
-                    k = int(drives[j, 0])
-                    out[row, j] = q[k] + drives[j, 7]
-                    out[row, n + j] = v[k]
-                    out[row, 2 * n + 3 + j] = torque[j]
-                out[row, 2 * n] = acceleration[0]
-                out[row, 2 * n + 1] = acceleration[1]
-                out[row, 2 * n + 2] = acceleration[2]
-                # the solver leaves the upper half of the mass matrix; its diagonal is a factor's
-                energy = 0.0
-                for k in range(dofs):
-                    for j in range(k):
-                        energy += v[j] * mass[j, k] * v[k]
-                    square = mass[k, k] * mass[k, k]
-                    for j in range(k):
-                        square += mass[k, j] * mass[k, j]
-                    energy += 0.5 * square * v[k] * v[k]
-                    s, b = work[k], bodies[k]
-                    for d in range(3):
-                        com = (
-                            s[9 + d] + s[3 * d] * b[8] + s[3 * d + 1] * b[9] + s[3 * d + 2] * b[10]
-                        )
-                        energy -= b[7] * gravity[d] * com
-                out[row, 3 * n + 3] = energy
-                row += 1
         for k in range(dofs):
             q[k] += step / 6.0 * (va[0, k] + 2.0 * va[1, k] + 2.0 * va[2, k] + va[3, k])
             v[k] += step / 6.0 * (a[0, k] + 2.0 * a[1, k] + 2.0 * a[2, k] + a[3, k])

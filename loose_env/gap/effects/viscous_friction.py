@@ -26,7 +26,7 @@ class ViscousFriction(JointEffect):
     def parameters(self) -> tuple[Parameter, ...]:
         """The damping added."""
         per_speed = self.load / self.speed
-        nominal = float(self.machine.model.dof_damping[self._dof])
+        nominal = self._nominal
         return (
             Parameter(
                 name="damping",
@@ -39,9 +39,20 @@ class ViscousFriction(JointEffect):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """A twentieth and a third of the typical torque at the typical speed."""
+        """A twentieth and a third of the typical torque at the typical speed, and much less.
+
+        The damping of a model is often that of a stable simulation, ten times the machine's: half
+        of it taken away shows that, where it matters.
+        """
         per_speed = self.load / self.speed
-        return ((0.05 * per_speed,), (0.3 * per_speed,))
+        starts: tuple[tuple[float, ...], ...] = ((0.05 * per_speed,), (0.3 * per_speed,))
+        much = 0.5 * self._nominal
+        return (*starts, (-much,)) if much > starts[-1][0] else starts
+
+    @property
+    def _nominal(self) -> float:
+        """Damping of the model."""
+        return float(self.machine.model.dof_damping[self._dof])
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add to the joint's damping."""
