@@ -1,7 +1,7 @@
 """Several effects at once, where one by one each explains little.
 
-One kind at several places, for servos, gears and bearings of an arm are alike; or all that slows one
-joint down, for oil, seals and air do so together.
+One kind at several places, for servos, gears and bearings of an arm are alike; or all that slows
+one joint down, for oil, seals and air do so together.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ _ALL = "all"
 _LEAST = 0.02
 """Promise of a member, as a share of the most promising one of its family."""
 _FRICTIONS = ("viscous_friction", "coulomb_friction", "quadratic_drag")
-"""What grows with no power of the speed, the first and the second. One of them, fitted to all three,
-leaves a little that neither of the others is any good for alone."""
+"""What grows with no power of the speed, the first and the second. One of them, fitted to all
+three, leaves a little that neither of the others is any good for alone."""
 
 
 def families(screened: Sequence[Screened], most: int) -> list[list[Screened]]:

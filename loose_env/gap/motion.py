@@ -50,7 +50,7 @@ _KERNEL = 4096
 
 @lru_cache(maxsize=256)
 def _low_pass(order: int, end: float, rate: float) -> Array:
-    """Second-order sections of a Butterworth low-pass; every hypothesis filters by the same ones."""
+    """Second-order sections of a Butterworth low-pass; all hypotheses filter by the same ones."""
     return np.asarray(butter(order, end, fs=rate, output="sos"))
 
 

@@ -179,7 +179,7 @@ def _step(
     screened = screen(short, trying.short_before, left, proposed=proposed)
     for s in screened[:8]:
         say(f"  {s.effect!r}: promises {s.promise:.3f}, sureness {s.sureness:.1f}")
-    much = best.structure > settings.much * found.base.structure
+    much = best.structure > settings.much * found.base.structure or best.held_rms > settings.loud
     much = much and not strikes(best.fitted.effects)  # each more takes minutes there
 
     def waves() -> Iterator[list[Judged]]:

@@ -44,6 +44,8 @@ class NamingSettings:
     at several places is tried."""
     much: float = 0.2
     """Share of what there was to explain at first that must be left for that."""
+    loud: float = 3.0
+    """Or what is left of the held-out runs for that [noise standard deviations]."""
     families: int = 6
     """Kinds that are tried at several places."""
     several: int = 3
