@@ -200,7 +200,7 @@ def _step(
             say("  none of these will do: others that promised less")
             yield trying.singles(screened, further=True)
         groups = frictions(screened, best.fitted.named)
-        if groups and not strikes(best.fitted.effects):
+        if groups and best.held_rms > settings.mixed and not strikes(best.fitted.effects):
             say("  none of these will do: all frictions at one joint")
             yield trying.together(groups)
 

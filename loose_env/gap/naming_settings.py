@@ -46,6 +46,9 @@ class NamingSettings:
     """Share of what there was to explain at first that must be left for that."""
     loud: float = 3.0
     """Or what is left of the held-out runs for that [noise standard deviations]."""
+    mixed: float = 1.25
+    """What must be left of the held-out runs for all frictions of a joint to be tried at once
+    [noise standard deviations]."""
     families: int = 6
     """Kinds that are tried at several places."""
     several: int = 3

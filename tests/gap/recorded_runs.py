@@ -121,6 +121,7 @@ def pendulum_run(
     *,
     viscous: float,
     coulomb: float,
+    drag: float = 0.0,
     start: tuple[float, float],
     noise: float = 1e-3,
     rate: float = 100.0,
@@ -133,7 +134,7 @@ def pendulum_run(
 
     def change(_: float, state: Array) -> list[float]:
         angle, speed = state
-        friction = viscous * speed + coulomb * np.tanh(speed / 0.003)
+        friction = viscous * speed + coulomb * np.tanh(speed / 0.003) + drag * speed * abs(speed)
         return [speed, (-moment * np.sin(angle) - friction) / inertia]
 
     angle = solve_ivp(

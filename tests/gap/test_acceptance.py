@@ -9,7 +9,7 @@ import numpy as np
 
 from loose_env.gap.acceptance import Acceptance
 from loose_env.gap.fit import Fit
-from loose_env.gap.judgement import Judge, Judged, lead_of
+from loose_env.gap.judgement import Judge, Judged, lead_of, sureness_of
 from loose_env.gap.naming_settings import NamingSettings
 from tests.gap.test_ranking import COMPARED, LATE, NOMINAL
 
@@ -66,3 +66,17 @@ def test_what_shows_in_half_of_the_blocks_leads_less_than_what_shows_in_all() ->
     half = lead_of(left(LEVELS[1], named=True, quieter=0.92), before)
     assert half.share > 0.9 * whole.share
     assert half.held < 0.8 * whole.held and half.fitted < 0.8 * whole.fitted
+
+
+def test_a_blow_that_is_missed_does_not_outweigh_what_a_part_with_stops_explains() -> None:
+    before, after = left(LEVELS[0]), left(0.6 * LEVELS[0], named=True)
+    for blocks in (after.held_blocks, after.fitted_blocks):
+        blocks[0] = 1e4 * blocks[0]
+    asked, settings = lead_of(after, before), NamingSettings()
+    assert max(asked.held, asked.fitted) < settings.held
+    ranked = lead_of(after, before, strikes=True)
+    assert min(ranked.held, ranked.fitted) > settings.sureness
+    # of what explains nothing ranks say nothing, however many blows it misses
+    rng = np.random.default_rng(2)
+    chance = rng.normal(size=40) ** 2
+    assert abs(sureness_of(chance, rng.permutation(chance), strikes=True)) < settings.sureness

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.families import families
+from loose_env.gap.families import families, frictions
 from loose_env.gap.machine import Machine
 from loose_env.gap.screening import Screened
 from tests.gap.effect_arms import machine_of
@@ -56,3 +56,23 @@ def test_what_is_at_all_places_is_no_member_of_a_group() -> None:
     assert families(late, most=5) == []
     (group,) = families([*late, screened(machine, "command_delay", "servo3", 0.2)], most=5)
     assert [each.effect.where for each in group] == ["servo1", "servo3"]
+
+
+def test_the_frictions_that_are_missing_at_a_joint_make_a_group() -> None:
+    machine = machine_of("planar")
+    oil = CATALOGUE["viscous_friction"](machine, "joint2")
+    mass = CATALOGUE["link_mass"](machine, "link1")
+    candidates = [
+        screened(machine, "coulomb_friction", "joint1", 0.3),
+        screened(machine, "coulomb_friction", "joint2", 0.1),
+        screened(machine, "stribeck_friction", "joint2", 0.1),
+        screened(machine, "quadratic_drag", "joint2", 0.05),
+        screened(machine, "quadratic_drag", "joint1", 0.05),
+    ]
+    (group,) = frictions(candidates, [mass, oil])
+    assert [(s.effect.kind, s.effect.where) for s in group] == [
+        ("coulomb_friction", "joint2"),
+        ("quadratic_drag", "joint2"),
+    ]
+    assert frictions(candidates, [mass]) == []
+    assert frictions(candidates[:3], [oil]) == []  # a single one was tried by itself

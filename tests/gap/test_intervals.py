@@ -117,6 +117,19 @@ def test_no_interval_comes_to_hold_nothing_because_no_law_is_exact() -> None:
     assert not found.may_be_nothing(effect, slice(0, 1))
 
 
+def test_a_gain_of_a_twentieth_is_known_to_half_a_percent_of_itself() -> None:
+    effect = CATALOGUE["actuator_gain"](machine_of("planar"), "servo1")
+    free = free_of(effect.parameters, np.array([0.05]))
+    fitted = SimpleNamespace(
+        effects=(effect,), free=free, jacobian=np.ones((9, 1)), residual=np.zeros(9)
+    )
+    value = np.full(1, 0.05)
+    narrow = Intervals(low=value, high=value, free=free, covariance=np.eye(1))
+    comparison = SimpleNamespace(rows=SimpleNamespace(trial=np.zeros(9, dtype=int)))
+    found = widened(comparison, fitted, narrow)  # type: ignore[arg-type]
+    assert (found.low[0], found.high[0]) == pytest.approx((0.04975, 0.05025))
+
+
 @pytest.mark.parametrize(("first", "nothing"), [(0.0, True), (3.0, False)])
 def test_what_the_data_do_not_answer_to_may_be_anything(first: float, nothing: bool) -> None:
     rng = np.random.default_rng(6)

@@ -158,6 +158,25 @@ def test_a_delay_of_ten_samples_is_the_past_of_the_commands():
     np.testing.assert_allclose(one.position, other.position, atol=1e-9)
 
 
+def test_sensors_show_the_command_of_their_moment_and_not_the_next():
+    figures = planar3()
+    motion = Motion(commands=swing(figures))
+    late = np.concatenate((np.repeat(motion.commands[:1], 10, axis=0), motion.commands[:-10]))
+    effect = some_effect("command_delay", figures, place=-1)
+    # in the middle of a step the next command comes, 0.05 ms after every sample
+    soon = dataclasses.replace(effect, parameters={"delay": 0.00905})
+    whole = dataclasses.replace(effect, parameters={"delay": 0.010})
+    one, other = exact(figures, soon).run(motion), exact(figures, whole).run(motion)
+    jumps = np.abs(np.diff(late, axis=0)).max()
+    assert jumps > 1e-4
+    for k in (300, 700):
+        for trace in (one, other):
+            behind = figures.links[0].kp * (late[k, 0] - trace.position[k, 0])
+            behind -= figures.links[0].kv * trace.velocity[k, 0]
+            assert trace.torque[k, 0] == pytest.approx(behind, abs=1e-9)
+        assert one.position[k, 0] != pytest.approx(other.position[k, 0], abs=1e-6)
+
+
 def test_a_delayed_sensor_shows_the_past():
     figures = planar3()
     motion = Motion(commands=swing(figures))

@@ -55,11 +55,18 @@ class ViscousFriction(JointEffect):
         return float(self.machine.model.dof_damping[self._dof])
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Add to the joint's damping."""
-        joint = spec.joint(self.where)
+        """Add to the joint's damping, or take that share of the model's away.
+
+        As a share, so that a joint without any answers to it, whatever the model's is off by.
+        """
+        joint, added = spec.joint(self.where), float(values[0])
         damping = np.array(joint.damping)
-        damping[0] = max(damping[0] + float(values[0]), 0.0)
+        damping[0] = damping[0] + added if added > 0 else damping[0] * self._kept(added)
         joint.damping = damping
+
+    def _kept(self, added: float) -> float:
+        """Share of the model's damping that is left."""
+        return max(1.0 + added / self._nominal, 0.0) if added < 0 else 1.0
 
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
