@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from loose_env.gap.catalogue import candidates
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
-from loose_env.gap.fit import UNNAMED, Fit, fit, slices_of
+from loose_env.gap.fit import UNNAMED, Fit, fit, settled, slices_of, strikes
 from loose_env.gap.intervals import Intervals
 from loose_env.gap.judgement import Judge, Judged
 from loose_env.gap.keeping import KeepInFiles
@@ -115,6 +115,9 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Sta
             best = kept.judged("effects-whole", lambda: judge.judge(_again(heard, best, begun)))
         else:
             best = base
+    if strikes(best.fitted.named):
+        stops, kept = best, keep("", [e for e in best.fitted.effects if e.kind in UNNAMED])
+        best = kept.judged("settled", lambda: judge.judge(settled(heard.fit, stops.fitted)))
     best, dropped, intervals = sure_ones(best, heard, judge, settings.seed, say=say)
     best = found.in_noise(best) if best.fitted.named else base
     named.dropped += dropped

@@ -35,6 +35,7 @@ __all__ = [
     "polished",
     "prior_of",
     "sensitivities",
+    "settled",
     "slices_of",
     "started",
     "strikes",
@@ -72,10 +73,11 @@ class FitSettings:
     """Shares of the damped steps that are tried where none of the whole steps is any good."""
 
 
-BESIDE_STOPS = FitSettings(iterations=8, enough=3e-3, difference=0.02)
+BESIDE_STOPS = FitSettings(iterations=8, enough=3e-3, difference=0.02, stale=0.0)
 """How parts with stops, and what stands beside them, are fitted: a simulation takes three times as
 long, and the law of stops is never that of the machine to the last per mille. Sensitivities are
-taken over longer steps, for a blow that is just missed makes short ones jump."""
+taken over longer steps, for a blow that is just missed makes short ones jump; for the same reason
+fresh ones are no better at the end than those from afar."""
 
 
 def strikes(effects: Sequence[Effect]) -> bool:
@@ -378,6 +380,17 @@ def fitted_on(comparison: Comparison, fitted: Fit) -> Fit:
         known=fitted.jacobian,
         residual=fitted.residual,
     )
+
+
+def settled(comparison: Comparison, fitted: Fit) -> Fit:
+    """Fit a hypothesis with stops to its end by short differences, where that is better.
+
+    Long ones find the way between blows that are just missed and just struck; at its end short ones
+    are truer.
+    """
+    short = replace(BESIDE_STOPS, difference=FitSettings.difference)
+    found = fit(comparison, fitted.effects, fitted.free, settings=short, residual=fitted.residual)
+    return refined(found, comparison) if found.cost < fitted.cost else fitted
 
 
 def refined(fitted: Fit, comparison: Comparison) -> Fit:
