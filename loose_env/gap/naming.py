@@ -193,7 +193,10 @@ def _step(
             alike = [s for s in screened if s.effect.kind == first.fitted.effects[-1].kind]
             if first.structure > settings.much * found.base.structure:
                 say(f"  {first.fitted.effects[-1]!r} leaves much: the same one at other places")
-                everywhere.extend(trying.families(alike))
+                found_there = trying.families(alike)
+                everywhere.extend(
+                    j for j in found_there if lead_of(j, best).share >= settings.nearly
+                )
                 tried += everywhere
         yield tried
         if much:
