@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
-from loose_env.gap.fit import UNNAMED, fit, fit_without, hypothesis_of, polished, slices_of, strikes
+from loose_env.gap.fit import UNNAMED, fit, hypothesis_of, slices_of, strikes
 from loose_env.gap.judgement import Judge, Judged, Lead, lead_of
 from loose_env.gap.kinship import joint_of
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.parameter import free_of, values_of
+from loose_env.gap.refitting import fit_without, polished
 
 __all__ = ["Acceptance", "share_above_noise"]
 

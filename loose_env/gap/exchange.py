@@ -12,10 +12,10 @@ from collections.abc import Callable, Sequence
 from loose_env.gap.acceptance import Acceptance
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
-from loose_env.gap.fit import fit_without, polished
 from loose_env.gap.judgement import Judge, Judged, lead_of
 from loose_env.gap.kinship import akin, joint_of
 from loose_env.gap.naming_settings import NamingSettings
+from loose_env.gap.refitting import fit_without, polished
 from loose_env.gap.screening import screen
 from loose_env.gap.trying import Trying
 

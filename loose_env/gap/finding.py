@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from loose_env.gap.catalogue import candidates
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
-from loose_env.gap.fit import UNNAMED, Fit, fit, settled, slices_of, strikes
+from loose_env.gap.fit import UNNAMED, Fit, fit, slices_of, strikes
 from loose_env.gap.intervals import Intervals
 from loose_env.gap.judgement import Judge, Judged
 from loose_env.gap.keeping import KeepInFiles
@@ -21,6 +21,7 @@ from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.nominal import NominalFigures
 from loose_env.gap.parameter import values_of
 from loose_env.gap.preparing import Prepared, prepare
+from loose_env.gap.refitting import settled
 from loose_env.gap.result import NamedEffect, Place, Ranked, Verdict
 from loose_env.gap.search import Searched, search
 from loose_env.gap.second_look import second_look

@@ -7,7 +7,7 @@ once. The bounded linear problem inside is scipy's.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -27,15 +27,11 @@ __all__ = [
     "FitSettings",
     "cost_of",
     "fit",
-    "fit_without",
-    "fitted_on",
     "how_to_fit",
     "hypothesis_of",
     "parameters_of",
-    "polished",
     "prior_of",
     "sensitivities",
-    "settled",
     "slices_of",
     "started",
     "strikes",
@@ -151,14 +147,6 @@ def slices_of(effects: Sequence[Effect]) -> tuple[slice, ...]:
 def slice_of(effects: Sequence[Effect], effect: Effect) -> slice:
     """Where the parameters of one of them stand among those of all."""
     return dict(zip(map(id, effects), slices_of(effects), strict=True))[id(effect)]
-
-
-def fit_without(comparison: Comparison, fitted: Fit, effect: Effect) -> Fit:
-    """Leave out one effect of a fit and fit the others again."""
-    own = slice_of(fitted.effects, effect)
-    kept = [k for k in range(len(fitted.free)) if not own.start <= k < own.stop]
-    others = [e for e in fitted.effects if e is not effect]
-    return fit(comparison, others, fitted.free[kept], known=fitted.jacobian[:, kept])
 
 
 def sensitivities(
@@ -364,44 +352,3 @@ def step_of(
 def started(fitted: Fit, effect: Effect, values: Sequence[float]) -> Array:
     """Free numbers of a fit with one more effect (P + p,)."""
     return np.concatenate([fitted.free, free_of(effect.parameters, np.array(values))])
-
-
-def polished(comparison: Comparison, fitted: Fit) -> Fit:
-    """Fit on, with sensitivities worked out anew once."""
-    return fitted_on(comparison, refined(fitted, comparison))
-
-
-def fitted_on(comparison: Comparison, fitted: Fit) -> Fit:
-    """Fit on, with the sensitivities there are."""
-    return fit(
-        comparison,
-        fitted.effects,
-        fitted.free,
-        known=fitted.jacobian,
-        residual=fitted.residual,
-    )
-
-
-def settled(comparison: Comparison, fitted: Fit) -> Fit:
-    """Fit a hypothesis with stops to its end by short differences, where that is better.
-
-    Long ones find the way between blows that are just missed and just struck; at its end short ones
-    are truer.
-    """
-    short = replace(BESIDE_STOPS, difference=FitSettings.difference)
-    found = fit(comparison, fitted.effects, fitted.free, settings=short, residual=fitted.residual)
-    return refined(found, comparison) if found.cost < fitted.cost else fitted
-
-
-def refined(fitted: Fit, comparison: Comparison) -> Fit:
-    """The same with sensitivities worked out anew, all of them."""
-    count = len(parameters_of(fitted.effects))
-    jacobian = sensitivities(
-        comparison,
-        fitted.effects,
-        fitted.free,
-        fitted.residual,
-        range(count),
-        difference=how_to_fit(fitted.effects).difference,
-    )
-    return replace(fitted, jacobian=jacobian)

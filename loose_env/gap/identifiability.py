@@ -24,11 +24,11 @@ from loose_env.gap.fit import (
     hypothesis_of,
     parameters_of,
     prior_of,
-    refined,
     slices_of,
 )
 from loose_env.gap.independent import independent_rows
 from loose_env.gap.kinship import akin
+from loose_env.gap.refitting import refined
 from loose_env.gap.screening import along, signatures
 from loose_env.gap.unseen import Alike, Identifiability, Unseen
 from loose_env.gap.windows import windowed

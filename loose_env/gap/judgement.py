@@ -158,7 +158,7 @@ def sureness_of(behind: Array, ahead: Array, *, strikes: bool = False) -> float:
     >>> before, after = np.full(40, 4.0), np.full(40, 1.0)
     >>> after[0] = 900.0  # a blow that was missed
     >>> round(sureness_of(before, after), 1), round(sureness_of(before, after, strikes=True), 1)
-    (0.4, 4.9)
+    (0.4, 5.6)
     """
     gains = np.sqrt(behind) - np.sqrt(ahead)
     sure = _self_normalized(gains)

@@ -12,11 +12,12 @@ from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.exchange import Exchange
 from loose_env.gap.families import frictions
-from loose_env.gap.fit import fit, fitted_on, strikes
+from loose_env.gap.fit import fit, strikes
 from loose_env.gap.judgement import Judge, Judged, Lead, lead_of
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.parameter import free_of
 from loose_env.gap.proposals import proposals
+from loose_env.gap.refitting import fitted_on
 from loose_env.gap.screening import screen
 from loose_env.gap.trying import Trying
 from loose_env.gap.windows import SHORTEST, windowed

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
-from loose_env.gap.fit import Fit, fit_without, hypothesis_of, slice_of, strikes
+from loose_env.gap.fit import Fit, hypothesis_of, slice_of, strikes
 from loose_env.gap.intervals import Intervals
 from loose_env.gap.judgement import sureness_of
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.parameter import free_of, values_of
+from loose_env.gap.refitting import fit_without
 
 __all__ = ["short_of_limit", "short_of_nothing"]
 

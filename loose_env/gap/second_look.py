@@ -15,11 +15,12 @@ import numpy as np
 from loose_env.gap.blows import Blows
 from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
-from loose_env.gap.fit import Fit, cost_of, fit, parameters_of, refined, slices_of
+from loose_env.gap.fit import Fit, cost_of, fit, parameters_of, slices_of
 from loose_env.gap.intervals import Intervals, joined
 from loose_env.gap.judgement import Judge, Judged, machine_part
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.preparing import Prepared
+from loose_env.gap.refitting import refined
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.striking import Struck, find_striking
 from loose_env.gap.sure import judged_without, sure_ones

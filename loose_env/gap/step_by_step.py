@@ -19,7 +19,7 @@ from loose_env.gap.catalogue import CATALOGUE
 from loose_env.gap.effect import Effect
 from loose_env.gap.export import correction_code, write_model
 from loose_env.gap.exported import exported
-from loose_env.gap.fit import UNNAMED, fit, polished, refined, slices_of
+from loose_env.gap.fit import UNNAMED, fit, slices_of
 from loose_env.gap.intervals import bootstrap, widened
 from loose_env.gap.judgement import Judge, Judged, Lead, lead_of, machine_part
 from loose_env.gap.machine import Machine
@@ -28,6 +28,7 @@ from loose_env.gap.nominal import NominalFigures
 from loose_env.gap.parameter import free_of, values_of
 from loose_env.gap.preparing import Prepared, prepare
 from loose_env.gap.proposals import missing_torque, proposals
+from loose_env.gap.refitting import polished, refined
 from loose_env.gap.residual_series import Series, series_of
 from loose_env.gap.result import NamedEffect
 from loose_env.gap.result_table import html_table

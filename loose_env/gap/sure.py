@@ -7,10 +7,11 @@ from collections.abc import Callable
 import numpy as np
 
 from loose_env.gap.effect import Effect
-from loose_env.gap.fit import fit_without, refined, slice_of
+from loose_env.gap.fit import slice_of
 from loose_env.gap.intervals import Intervals, bootstrap, widened
 from loose_env.gap.judgement import Judge, Judged
 from loose_env.gap.preparing import Prepared
+from loose_env.gap.refitting import fit_without, refined
 from loose_env.gap.refuting import short_of_limit, short_of_nothing
 
 __all__ = ["judged_without", "sure_ones"]

@@ -13,11 +13,12 @@ from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.effects.sensor_kinds import of_place_or_speed
 from loose_env.gap.families import families
-from loose_env.gap.fit import Fit, cost_of, fit, hypothesis_of, parameters_of, refined, strikes
+from loose_env.gap.fit import Fit, cost_of, fit, hypothesis_of, parameters_of, strikes
 from loose_env.gap.judgement import Judge, Judged, sureness_of
 from loose_env.gap.kinship import akin
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.parameter import free_of, values_of
+from loose_env.gap.refitting import refined
 from loose_env.gap.screening import Screened
 
 __all__ = ["Trying"]

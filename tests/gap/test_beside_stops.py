@@ -15,7 +15,7 @@ from loose_env.gap.acceptance import Acceptance
 from loose_env.gap.catalogue import CATALOGUE
 from loose_env.gap.exchange import Exchange
 from loose_env.gap.finding import GapFound, find_gap, prepare
-from loose_env.gap.fit import Fit, parameters_of, refined
+from loose_env.gap.fit import Fit, parameters_of
 from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.judgement import Judge, lead_of
 from loose_env.gap.machine import Machine
@@ -24,6 +24,7 @@ from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.nominal import NominalFigures
 from loose_env.gap.parameter import free_of
 from loose_env.gap.preparing import Prepared
+from loose_env.gap.refitting import refined
 from loose_env.gap.search import Searched, beside_stops
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.stages import Stages, key_of

@@ -10,10 +10,11 @@ import pytest
 
 from loose_env.gap.catalogue import CATALOGUE
 from loose_env.gap.comparison import Comparison
-from loose_env.gap.fit import fit, hypothesis_of, polished
+from loose_env.gap.fit import fit, hypothesis_of
 from loose_env.gap.machine import Machine
 from loose_env.gap.nominal import NominalFigures
 from loose_env.gap.parameter import free_of
+from loose_env.gap.refitting import polished
 from loose_env.gap.trial import channels_of, lay_out
 from tests.gap.gap_case import STEP, record
 
