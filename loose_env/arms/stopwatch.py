@@ -12,7 +12,7 @@ import mujoco
 
 __all__ = ["STOPWATCH"]
 
-LOADED_ALREADY = getattr(os, "RTLD_NOLOAD", 0) | getattr(os, "RTLD_NOW", 0)
+_LOADED_ALREADY = getattr(os, "RTLD_NOLOAD", 0) | getattr(os, "RTLD_NOW", 0)
 """How to open a library: only the one that is in the process already, by the import above."""
 
 
@@ -22,7 +22,7 @@ def _found() -> ctypes.c_void_p:
     files = sorted(Path(mujoco.__file__).parent.glob(names.get(sys.platform, "libmujoco.so*")))
     for file in files:
         with suppress(OSError, ValueError):
-            library = ctypes.CDLL(str(file), mode=LOADED_ALREADY)
+            library = ctypes.CDLL(str(file), mode=_LOADED_ALREADY)
             return ctypes.c_void_p.in_dll(library, "mjcb_time")
     return ctypes.c_void_p()
 

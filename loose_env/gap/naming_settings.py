@@ -53,9 +53,10 @@ class NamingSettings:
     """Kinds that are tried at several places."""
     several: int = 3
     """Places from which on an effect that explains much at one of them alone is one of a machine
-    that lacks it all over; and that together explain"""
+    that lacks it all over."""
     nearly: float = 0.8
-    """this share of what there was to explain, or they stand in for another effect."""
+    """Share of what is still to be explained that these places have to explain together; else they
+    stand in for another effect."""
     promise: float = 0.1
     """Share of the best candidate's promise from which on another is fitted too."""
     structure: float = 3.0

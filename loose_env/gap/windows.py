@@ -44,11 +44,9 @@ def windowed(comparison: Comparison, seconds: float) -> Comparison:
     """
     inverse = [t for t in comparison.trials if t.form == "inverse"]
     others = [t for t in comparison.trials if t.form != "inverse"]
+    whole = any(t.form == "free" for t in others)
     lengths = _lengths(inverse, INVERSE * seconds, INVERSE * SHORTEST)
-    if not any(t.form == "free" for t in others):
-        lengths |= _lengths(others, seconds, SHORTEST)
-    else:
-        lengths |= {id(t): np.inf for t in others}
+    lengths |= _lengths(others, np.inf if whole else seconds, SHORTEST)
     if all(lengths.get(id(t)) == np.inf for t in comparison.trials):
         return comparison
     kept = [
@@ -59,7 +57,7 @@ def windowed(comparison: Comparison, seconds: float) -> Comparison:
 
 def _lengths(trials: Sequence[Trial], seconds: float, shortest: float) -> dict[int, float]:
     """Identity of a run that is kept -> how much of it [s], infinite where they are no longer."""
-    if not trials or sum(float(t.time[-1]) for t in trials) <= seconds:
+    if sum(float(t.time[-1]) for t in trials) <= seconds:
         return {id(t): np.inf for t in trials}
     count = max(1, min(len(trials), int(seconds / shortest)))
     taken = np.unique(np.linspace(0, len(trials) - 1, count).round().astype(int))
@@ -85,9 +83,9 @@ def _shortened(comparison: Comparison, trial: Trial, length: float) -> Trial:
 
 def _window(trial: Trial, length: float, *, fewest: int = 1, lead: float = LEAD) -> Trial:
     """The window in which the joints move most, so long [s] and of at least so many samples."""
-    if not np.isfinite(length) or max(round(length * trial.rate), fewest) >= len(trial.time):
+    size = max(round(min(length * trial.rate, len(trial.time))), fewest)
+    if size >= len(trial.time):
         return trial
-    size = max(round(length * trial.rate), fewest)
     activity = np.zeros(len(trial.time))
     for values in trial.motion.values():
         change = np.abs(np.diff(np.nan_to_num(values), prepend=np.nan_to_num(values[:1])))

@@ -147,26 +147,31 @@ def test_every_kind_changes_the_readings(name):
     assert max(changes) > 1e-3
 
 
+def all_late(figures, delay):
+    effect = some_effect("command_delay", figures, place=-1)
+    return dataclasses.replace(effect, parameters={"delay": delay})
+
+
+def ten_samples_late(motion):
+    return np.concatenate((np.repeat(motion.commands[:1], 10, axis=0), motion.commands[:-10]))
+
+
 def test_a_delay_of_ten_samples_is_the_past_of_the_commands():
     figures = planar3()
     motion = Motion(commands=swing(figures))
-    late = np.concatenate((np.repeat(motion.commands[:1], 10, axis=0), motion.commands[:-10]))
-    effect = some_effect("command_delay", figures, place=-1)
-    effect = dataclasses.replace(effect, parameters={"delay": 0.010})
+    effect = all_late(figures, 0.010)
     assert effect.place.name == "all"
-    one, other = exact(figures, effect).run(motion), exact(figures).run(Motion(commands=late))
+    one = exact(figures, effect).run(motion)
+    other = exact(figures).run(Motion(commands=ten_samples_late(motion)))
     np.testing.assert_allclose(one.position, other.position, atol=1e-9)
 
 
 def test_sensors_show_the_command_of_their_moment_and_not_the_next():
     figures = planar3()
     motion = Motion(commands=swing(figures))
-    late = np.concatenate((np.repeat(motion.commands[:1], 10, axis=0), motion.commands[:-10]))
-    effect = some_effect("command_delay", figures, place=-1)
-    # in the middle of a step the next command comes, 0.05 ms after every sample
-    soon = dataclasses.replace(effect, parameters={"delay": 0.00905})
-    whole = dataclasses.replace(effect, parameters={"delay": 0.010})
-    one, other = exact(figures, soon).run(motion), exact(figures, whole).run(motion)
+    late = ten_samples_late(motion)
+    # of the first the next command comes in the middle of a step, 0.05 ms after every sample
+    one, other = (exact(figures, all_late(figures, s)).run(motion) for s in (0.00905, 0.010))
     jumps = np.abs(np.diff(late, axis=0)).max()
     assert jumps > 1e-4
     for k in (300, 700):

@@ -26,13 +26,12 @@ class ViscousFriction(JointEffect):
     def parameters(self) -> tuple[Parameter, ...]:
         """The damping added."""
         per_speed = self.load / self.speed
-        nominal = self._nominal
         return (
             Parameter(
                 name="damping",
                 unit=f"{self.torque_unit}·s/{self.angle_unit}",
-                low=-nominal,
-                high=nominal + 50 * per_speed,
+                low=-self._nominal,
+                high=self._nominal + 50 * per_speed,
                 scale=0.1 * per_speed,
             ),
         )
@@ -61,12 +60,11 @@ class ViscousFriction(JointEffect):
         """
         joint, added = spec.joint(self.where), float(values[0])
         damping = np.array(joint.damping)
-        damping[0] = damping[0] + added if added > 0 else damping[0] * self._kept(added)
+        if added < 0:
+            damping[0] *= max(1.0 + added / self._nominal, 0.0)
+        else:
+            damping[0] += added
         joint.damping = damping
-
-    def _kept(self, added: float) -> float:
-        """Share of the model's damping that is left."""
-        return max(1.0 + added / self._nominal, 0.0) if added < 0 else 1.0
 
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
