@@ -371,7 +371,7 @@ def success_of(row: Row) -> Interval:
 def print_tables(rows: Sequence[Row]) -> None:
     """Print what was named, and how the diagnosis went with every model."""
     print("What loose gap named\n")
-    print(f"{'mode':>7} {'true stiffness':>14}  {'named':<38} {'stiffness (95 %)':<30} gap")
+    print(f"{'mode':>7} {'true stiffness':>14}  {'named':<38} {'stiffness (95 %)':<35} gap")
     for row in (r for r in rows if r["what"] == "gap"):
         named = [f"{e['kind']}@{e['where']}" for e in row["effects"]] or [row["verdict"]]
         figures = [
@@ -383,7 +383,7 @@ def print_tables(rows: Sequence[Row]) -> None:
         ]
         print(
             f"{row['mode_hz']:>4.0f} Hz {row['stiffness']:>14.4g}  {', '.join(named):<38} "
-            f"{', '.join(figures):<30} {row['before']:.1f} to {row['after']:.2f}"
+            f"{', '.join(figures):<35} {row['before']:.1f} to {row['after']:.2f}"
         )
     print("\nDiagnosis of the same hidden arms\n")
     print(
