@@ -16,6 +16,7 @@ from loose_env.gap.kinship import joint_of
 from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.parameter import free_of, values_of
 from loose_env.gap.refitting import fit_without, polished
+from loose_env.gap.slight import slight
 
 __all__ = ["Acceptance", "share_above_noise"]
 
@@ -74,10 +75,15 @@ class Acceptance:
         """The best first; but one with fewer parameters if the best is not ahead of it.
 
         More parameters fit a little better everywhere, surely and to no purpose: the best has to
-        explain some of what the simpler one leaves, and there has to be something left.
+        explain some of what the simpler one leaves, and there has to be something left. Of those
+        that leave the same, such as a rotor and a link on a vertical axis, the one comes first that
+        changes the machine least.
         """
-        found = sorted(tried, key=lambda j: j.total)
-        settings = self.settings
+        found, settings = sorted(tried, key=lambda j: j.total), self.settings
+        same = [j for j in found if j.total - found[0].total < settings.same]
+        same = [j for j in same if j.free_count == found[0].free_count]
+        least = min(same, key=self._change, default=None)
+        found.sort(key=lambda j: j is not least)
         for judged in sorted(found[1:], key=lambda j: j.free_count):
             if judged.free_count >= found[0].free_count:
                 break
@@ -92,16 +98,10 @@ class Acceptance:
 
     def worth_naming(self, judged: Judged) -> bool:
         """Whether a hypothesis is ahead, and by enough."""
-        lead, new = lead_of(judged, self.before), self._new(judged)
-        fitted = judged.fitted
-        slight = (
-            effect.immaterial(values_of(effect.parameters, fitted.free[own]))
-            for effect, own in zip(
-                fitted.effects[-new:], slices_of(fitted.effects)[-new:], strict=True
-            )
-        )
+        lead = lead_of(judged, self.before)
         material = self._visible(judged) and self._material(judged, lead)
-        return self.believed(lead) and material and not all(slight)
+        material = material and not slight(judged.fitted.hypothesis, self._new(judged))
+        return self.believed(lead) and material
 
     def doubt(self, judged: Judged) -> str:
         """What speaks against a hypothesis that is ahead by enough; "" where nothing does."""
@@ -117,7 +117,8 @@ class Acceptance:
         """Whether an effect explains more than the way in which it is simulated.
 
         One that adds motion is simulated by another route than the rigid arm, above all
-        backwards. It has to be ahead of itself at the limit in which nothing moves, too.
+        backwards. It has to be ahead of itself at the limit in which nothing moves, too: as surely
+        as ahead of what was there, or by less where most of its gain is its own.
         """
         effect, fitted = judged.fitted.effects[-1], judged.fitted
         if not effect.limit or self._new(judged) > 1:
@@ -127,7 +128,12 @@ class Acceptance:
         free = np.concatenate([self.before.fitted.free, free_of(effect.parameters, values)])
         residual = self.comparison.residuals([hypothesis_of(fitted.effects, free)])[0]
         rigid = self.judge.judge(replace(fitted, free=free, residual=residual))
-        return self.believed(lead_of(judged, rigid, strikes=effect.has_stops))
+        lead = lead_of(judged, rigid, strikes=effect.has_stops)
+        before, after, limit = (
+            float(j.fitted_blocks.sum() + j.held_blocks.sum()) for j in (self.before, judged, rigid)
+        )
+        mostly = before - limit < (1 - _MOST) * (before - after)
+        return self.believed(lead) or (mostly and min(lead.held, lead.fitted) >= self.settings.held)
 
     def needed_beside_stops(self, judged: Judged) -> bool:
         """Whether an effect beside a part with stops does more than lead that to another fit.
@@ -211,6 +217,17 @@ class Acceptance:
                 break
             judged, new = without[weakest], new - 1
         return judged
+
+    def _change(self, judged: Judged) -> float:
+        """How far the new effects of a hypothesis are from nothing, in the parameters' scales."""
+        effects, far = judged.fitted.effects, 0.0
+        first = len(effects) - max(self._new(judged), 0)
+        for effect, own in zip(effects[first:], slices_of(effects)[first:], strict=True):
+            if effect.nothing is None:
+                return np.inf
+            nothing = free_of(effect.parameters, np.array(effect.nothing))
+            far = max(far, float(np.max(np.abs(judged.fitted.free[own] - nothing))))
+        return far
 
     def _new(self, judged: Judged) -> int:
         """How many effects a hypothesis adds."""

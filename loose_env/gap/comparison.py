@@ -311,6 +311,20 @@ class Comparison:
         found[~np.isfinite(found)] = _WILD
         return np.clip(found, -_WILD, _WILD)
 
+    def levels(self, hypothesis: Hypothesis) -> Array:
+        """Noise under a hypothesis, over what counts as noise of the rigid arm (N,).
+
+        1 but in inverse runs, where a spring shuts out noise of the motion
+        (`loose_env.gap.inverse.InverseDynamics.levels`).
+        """
+        found = np.ones(len(self.measured))
+        if self.inverse is None or not any(effect.adds_motion for effect in hypothesis.effects):
+            return found
+        for t, level in zip(self._backwards, self.inverse.levels(hypothesis), strict=True):
+            own = self.rows.trial == t
+            found[own] = level[self.rows.channel[own]]
+        return found
+
     def flatten(self, predicted: Sequence[Array]) -> Array:
         """Predictions by trial -> one number per row, in noise standard deviations (N,)."""
         rows, found = self.rows, np.empty(len(self.measured))

@@ -8,6 +8,9 @@ the model needs is what the force gives beyond moving the rotor.
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
@@ -29,6 +32,8 @@ _FOLLOW = 20.0
 """Rate at which a joint returns to the measured motion [1/s]."""
 _SETTLE = 1.0
 """How long the model moves beforehand, so that what is not measured takes part [s]."""
+_SLOW = 2 * np.pi * 2.0
+"""Rate at which at least a joint that is not measured comes to rest by then [1/s]."""
 
 
 class Drive:
@@ -79,17 +84,21 @@ class Drive:
         control[0, :, -len(joints) :] = rotors * (
             rate + 2 * _FOLLOW * speed + _FOLLOW**2 * position
         )
-        batch = Batch(model, 1, self.threads)
+        measured = before * inside
+        batch = Batch(_sluggish(model, joints), 1, self.threads)
         batch.qpos[:, places] = position[0]
         batch.qvel[:, dofs] = speed[0]
+        spec = int(mujoco.mjtState.mjSTATE_CTRL)
+        batch.rollout(measured, control[:, :measured], control_spec=spec, record=("qpos",))
+        state = batch.qpos.copy(), batch.qvel.copy()
+        batch = Batch(model, 1, self.threads)
+        batch.qpos[:], batch.qvel[:] = state
+        recorded = ("actuator_force", "qacc")
         out = batch.rollout(
-            len(times),
-            control,
-            control_spec=int(mujoco.mjtState.mjSTATE_CTRL),
-            record=("actuator_force", "qacc"),
+            len(times) - measured, control[:, measured:], control_spec=spec, record=recorded
         )
         given = out["actuator_force"][0, :, -len(joints) :]
-        led = (given - rotors * out["qacc"][0][:, dofs])[before * inside :: inside]
+        led = (given - rotors * out["qacc"][0][:, dofs])[::inside]
         return np.asarray(led - torque_terms(hypothesis, motion.position, motion.speed))
 
     def _model(self, hypothesis: Hypothesis, step: float) -> tuple[mujoco.MjModel, Array]:
@@ -125,6 +134,22 @@ class Drive:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
         model = compiled(spec)
         return model, rotors
+
+
+def _sluggish(model: mujoco.MjModel, joints: Sequence[str]) -> mujoco.MjModel:
+    """The same with the joints that are not measured so damped that none rings.
+
+    So they come to where gravity and the first motion hold them before the run begins; lightly
+    damped springs would ring for seconds.
+    """
+    found = copy.deepcopy(model)
+    led = {int(model.joint(name).dofadr[0]) for name in joints}
+    for joint, dof in enumerate(model.jnt_dofadr):
+        if dof not in led:
+            inertia = 1.0 / max(float(model.dof_invweight0[dof]), 1e-12)
+            stiffness = max(float(model.jnt_stiffness[joint]), inertia * _SLOW**2)
+            found.dof_damping[dof] += 2 * np.sqrt(stiffness * inertia)
+    return found
 
 
 def _between(grid: Array, values: Array, times: Array) -> Array:

@@ -177,6 +177,11 @@ class Effect:
         """Values from which fits begin, each clearly visible."""
         raise NotImplementedError
 
+    @property
+    def close_starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts for inverse runs, where those of an effect may have to lie closer together."""
+        return self.starts
+
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Change the spec in place; names that the recording uses must stay valid."""
 
@@ -261,21 +266,39 @@ class Effect:
         """Whether it may be nothing at all, by the intervals of its parameters (P,).
 
         It may if nothing lies within all of them, or if they reach the limit in which it does
-        nothing, such as that of a stiff spring.
+        nothing, such as that of a stiff spring. Play without a gap is none, however soft the stops.
         """
         if self.nothing is None:
             ends = dict(self.limit)
-            reached = [
-                a <= _AT_BOUND * p.low if ends[p.name] == "low" else b >= p.high / _AT_BOUND
+            reached = {
+                p.name: a <= _AT_BOUND * p.low if ends[p.name] == "low" else b >= p.high / _AT_BOUND
                 for p, a, b in zip(self.parameters, low, high, strict=True)
                 if p.name in ends
-            ]
-            return bool(reached) and all(reached)
+            }
+            if self.has_stops and "gap" in reached:
+                return bool(reached["gap"])
+            return bool(reached) and all(reached.values())
         return bool(np.all((low <= np.array(self.nothing)) & (np.array(self.nothing) <= high)))
 
     def immaterial(self, values: Array) -> bool:
         """Whether it is too small to matter to anybody, however surely it is seen (P,)."""
         return False
+
+    def resistance(self, speed: float, values: Array) -> float:
+        """Torque or force [N·m or N] against a steady motion at a speed [rad/s or m/s].
+
+        Zero for what is no friction.
+        """
+        return 0.0
+
+    def displaced_mass(self, values: Array) -> float:
+        """Mass that it adds, or moves by the length of its link [kg]; zero for most."""
+        return 0.0
+
+    @property
+    def doubtful_mass(self) -> float:
+        """Mass of which its law takes for granted how it lies along a link [kg]; zero for most."""
+        return 0.0
 
     def unseen_torque(self, angle: Array, speed: Array, values: Array) -> Array:
         """What the joint needs for a motion (T,) [N·m or N] that inverse dynamics leave out.

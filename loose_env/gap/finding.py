@@ -14,7 +14,7 @@ from loose_env.gap.comparison import Comparison
 from loose_env.gap.effect import Effect
 from loose_env.gap.fit import UNNAMED, Fit, fit, slices_of, strikes
 from loose_env.gap.intervals import Intervals
-from loose_env.gap.judgement import Judge, Judged
+from loose_env.gap.judgement import Judge, Judged, share_of
 from loose_env.gap.keeping import KeepInFiles
 from loose_env.gap.naming import Keep, Named
 from loose_env.gap.naming_settings import NamingSettings
@@ -164,8 +164,9 @@ _EXPLAINED = 0.88
 """Share of what there was to explain that the named effects must explain together. An effect whose
 law is a little other than the catalogue's leaves a few percent, one that stands in leaves more."""
 _EXPLAINED_BY_IMPACTS = 0.45
-"""The same if a link slides. When its stops are struck depends on the last digit of friction and
-gap: a simulation misses some blows, and each one missed counts twice."""
+"""The same if a link slides, or if a part with stops was found where blows were missing. When its
+stops are struck depends on the last digit of friction and gap: a simulation misses some blows, and
+each one missed counts twice."""
 _EXPLAINED_AT_MANY = 0.5
 """The same if one kind of effect was found at several places (`_MANY`), each believed by itself: a
 machine that is wrong all over lacks more than one thing, and what it still lacks does not speak
@@ -178,15 +179,15 @@ _SURE = 4.0
 def _verdict(base: Judged, best: Judged) -> Verdict:
     """Whether something is missing, and whether the catalogue has it."""
     if not best.fitted.named:
-        return "unexplained" if best.structure_sureness > _SURE else "no_gap"
-    explained = 1 - best.structure / max(base.structure, 1e-12)
+        return "unexplained" if best.structure_sureness > _SURE or best.loud else "no_gap"
     kinds = Counter(effect.kind for effect in best.fitted.named)
     least = _EXPLAINED
     if max(kinds.values()) >= _MANY:
         least = _EXPLAINED_AT_MANY
-    if "structural_looseness" in kinds:
+    if "structural_looseness" in kinds or (base.blows and strikes(best.fitted.named)):
         least = min(least, _EXPLAINED_BY_IMPACTS)
-    if explained >= least or best.structure_sureness <= _SURE:
+    done = best.structure_sureness <= _SURE and not best.loud
+    if done or share_of(best, base) >= least:
         return "named"
     return "unexplained"
 

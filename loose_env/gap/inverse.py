@@ -42,6 +42,8 @@ _MOVES = 10.0
 """Largest speed of a joint that counts as moving [standard deviations of its noise]."""
 _REPEATS = 12
 """Steps in which a reading is followed back to what was there."""
+_SEED = 20
+"""Of the noise that is added to see what becomes of it."""
 _OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 
 
@@ -54,6 +56,8 @@ class _Run:
     """Torques after the filter, NaN where they are not compared (T, C)."""
     floors: Array
     """Standard deviation of the difference (C,)."""
+    torque: Array
+    """Its part that is the noise of the measured torque (C,)."""
 
 
 class InverseDynamics:
@@ -111,6 +115,55 @@ class InverseDynamics:
     def floors(self, trial: int) -> Array:
         """Noise of what is compared, of the torque and of the motion (C,); NaN if not compared."""
         return self._runs[trial].floors
+
+    def levels(self, hypothesis: Hypothesis) -> list[Array]:
+        """Noise of each run's torques under a hypothesis, over that of the rigid arm (C,).
+
+        The torque that a motion needs carries the noise of the measured acceleration. Behind a
+        spring there is less of it, or more near a resonance. How much is seen by adding noise once
+        more, the same for every hypothesis.
+        """
+        model = hypothesis.model(self.machine, self.machine.step or self.machine.model.opt.timestep)
+        if model.nv <= self.machine.model.nv:
+            return [np.ones(len(self.channels)) for _ in self.trials]
+        changed = self._change(hypothesis)
+        found = []
+        for run, own, rigid in zip(self._runs, changed, self._rigid_change, strict=True):
+            level = np.ones(len(self.channels))
+            for channel, joint in self._torques.items():
+                compared = np.isfinite(run.measured[run.motion.chosen, channel])
+                if compared.any():
+                    noise = run.torque[channel] ** 2
+                    now, then = (float(np.mean(c[compared, joint] ** 2)) for c in (own, rigid))
+                    level[channel] = np.sqrt((noise + now) / (noise + then))
+            found.append(level)
+        return found
+
+    def _change(self, hypothesis: Hypothesis) -> list[Array]:
+        """What more noise of the motion changes in the torques (E, joints) of each run."""
+        pair = (self._needed(hypothesis, motions) for motions in (self._noisier, self._motions))
+        return [one - other for one, other in zip(*pair, strict=True)]
+
+    @cached_property
+    def _rigid_change(self) -> list[Array]:
+        """The same of the nominal model."""
+        return self._change(Hypothesis(effects=(), values=()))
+
+    @cached_property
+    def _noisier(self) -> list[Motion]:
+        """The motions with as much noise again as their sensors have."""
+        found = []
+        for number, (run, motion) in enumerate(zip(self.trials, self._motions, strict=True)):
+            rng = np.random.default_rng([_SEED, number])
+            readings = {
+                c.column: run.measured[:, k]
+                + noise_floor(filled(run.time, run.measured[:, k], motion.time))
+                * rng.standard_normal(len(run.time))
+                for k, c in enumerate(self.channels)
+                if self._motion_sensor(c.column) and np.isfinite(run.measured[:, k]).any()
+            }
+            found.append(smooth_motion(run, self.machine, self.channels, readings, motion.band))
+        return found
 
     def spacing(self, trial: int) -> int:
         """Samples from one that is compared to the next."""
@@ -281,7 +334,7 @@ class InverseDynamics:
     def _run(self, number: int, propagated: Array) -> _Run:
         trial, motion = self.trials[number], self._motions[number]
         measured = np.full(trial.measured.shape, np.nan)
-        floors = np.full(len(self.channels), np.nan)
+        floors, own = np.full((2, len(self.channels)), np.nan)
         kept = motion.chosen
         edge = min(2.0 / motion.band.end, 0.1 * float(motion.time[-1]))
         inside = (motion.time[kept] >= edge) & (motion.time[kept] <= motion.time[-1] - edge)
@@ -293,8 +346,9 @@ class InverseDynamics:
             torque = filled(trial.time, raw, motion.time)
             good = inside & np.isfinite(raw[kept]) & _directed(motion, joint)[kept]
             measured[kept[good], channel] = motion.band.smooth(torque)[kept[good]]
-            floors[channel] = np.sqrt(passed * noise_floor(torque) ** 2 + propagated[joint])
-        return _Run(motion=motion, measured=measured, floors=floors)
+            own[channel] = np.sqrt(passed) * noise_floor(torque)
+            floors[channel] = np.hypot(own[channel], np.sqrt(propagated[joint]))
+        return _Run(motion=motion, measured=measured, floors=floors, torque=own)
 
 
 def _times(model: mujoco.MjModel, mass: Array, acceleration: Array) -> Array:

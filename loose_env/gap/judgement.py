@@ -14,10 +14,15 @@ from loose_env.gap.hypothesis import Hypothesis
 from loose_env.gap.start import StartState
 from loose_env.gap.structure import Structure, largest
 
-__all__ = ["Judge", "Judged", "Lead", "lead_of", "machine_part", "sureness_of"]
+__all__ = ["Judge", "Judged", "Lead", "lead_of", "machine_part", "share_of", "sureness_of"]
 
 Array = NDArray[np.float64]
 
+_LOUD = 1.5
+"""Root mean square [noise standard deviations] above which a residual is more than noise, whether
+or not it hangs together in time: blows behind a filter do not."""
+_BLOWS = 0.25
+"""Share of what is more than noise that hangs together in time, below which it is blows."""
 _FAR_BELOW = 0.1
 """Mean square of residuals [noise variances] below which they are no readings'."""
 
@@ -31,7 +36,8 @@ class Judged:
     held_residual: Array
     """On the others, in noise standard deviations (M,)."""
     held_blocks: Array
-    """Sums of its squares by block of time (B,)."""
+    """Twice its negative log-likelihood by block of time (B,): sums of squares, but for torques
+    behind springs, whose noise is another (`loose_env.gap.comparison.Comparison.levels`)."""
     fitted_blocks: Array
     """The same on the runs it was fitted to (A,)."""
     held_structure: Array
@@ -40,6 +46,9 @@ class Judged:
     """The same on the runs it was fitted to (3, A)."""
     channel_structure: Array
     """The largest over the lags of all runs by channel, and the number of products (2, C)."""
+    logs: tuple[float, float] = (0.0, 0.0)
+    """What of the log-likelihoods, on the runs fitted to and on those held out, comes from the
+    size of the noise alone."""
 
     @property
     def held_rms(self) -> float:
@@ -53,13 +62,34 @@ class Judged:
 
     @property
     def total(self) -> float:
-        """Sum of squares over all runs, what is known beforehand included."""
-        return self.fitted.cost + float(self.held_blocks.sum())
+        """Twice the negative log-likelihood of all runs, what is known beforehand included."""
+        prior = self.fitted.cost - float(self.fitted.residual @ self.fitted.residual)
+        return prior + float(self.fitted_blocks.sum() + self.held_blocks.sum())
 
     @property
     def structure(self) -> float:
         """What hangs together in time of all residuals."""
         return float(largest(self.held_structure.sum(axis=1) + self.fitted_structure.sum(axis=1)))
+
+    @property
+    def excess(self) -> float:
+        """Sum of squares over all runs beyond that of noise."""
+        squares = float(self.fitted_blocks.sum() + self.held_blocks.sum()) - sum(self.logs)
+        return max(squares - self._count, 0.0)
+
+    @property
+    def loud(self) -> bool:
+        """Whether it leaves more than noise, by size alone."""
+        return self.excess > (_LOUD**2 - 1) * self._count
+
+    @property
+    def blows(self) -> bool:
+        """Whether what it leaves is loud, and hardly hangs together in time."""
+        return self.loud and self.structure < _BLOWS * self.excess
+
+    @property
+    def _count(self) -> int:
+        return len(self.fitted.residual) + len(self.held_residual)
 
     @property
     def structure_sureness(self) -> float:
@@ -70,8 +100,16 @@ class Judged:
         sample size (Bartlett, J. R. Stat. Soc. Suppl. 8, 1946, 27). Residuals far below the noise
         are those of the arithmetic and count as no gap, however they hang together.
         """
-        held = len(self.held_residual), self.held_blocks, self.held_structure
-        fitted = len(self.fitted.residual), self.fitted_blocks, self.fitted_structure
+        squares = (
+            float(blocks.sum()) - logs
+            for blocks, logs in zip((self.fitted_blocks, self.held_blocks), self.logs, strict=True)
+        )
+        fitted, held = zip(
+            (len(self.fitted.residual), len(self.held_residual)),
+            squares,
+            (self.fitted_structure, self.held_structure),
+            strict=True,
+        )
         return max(_sureness(held), _sureness(held, fitted))
 
 
@@ -105,16 +143,18 @@ class Judge:
     def judge(self, fitted: Fit) -> Judged:
         """Simulate the held-out runs and sum up."""
         _, residual = self._start.fitted(self.held_out, fitted.hypothesis)
+        level, held_level = (c.levels(fitted.hypothesis) for c in (self.comparison, self.held_out))
+        own, held = fitted.residual / level, residual / held_level
+        logs, held_logs = 2 * np.log(level), 2 * np.log(held_level)
         return Judged(
             fitted=fitted,
             held_residual=residual,
-            held_blocks=self.held_out.by_block(residual**2),
-            fitted_blocks=self.comparison.by_block(fitted.residual**2),
-            held_structure=self._held.products(residual),
-            fitted_structure=self._fitted.products(fitted.residual),
-            channel_structure=_added(
-                self._held.by_channel(residual), self._fitted.by_channel(fitted.residual)
-            ),
+            held_blocks=self.held_out.by_block(held**2 + held_logs),
+            fitted_blocks=self.comparison.by_block(own**2 + logs),
+            held_structure=self._held.products(held),
+            fitted_structure=self._fitted.products(own),
+            channel_structure=_added(self._held.by_channel(held), self._fitted.by_channel(own)),
+            logs=(float(logs.sum()), float(held_logs.sum())),
         )
 
 
@@ -129,8 +169,18 @@ def lead_of(ahead: Judged, behind: Judged, *, strikes: bool = False) -> Lead:
     return Lead(
         held=sureness_of(behind.held_blocks, ahead.held_blocks, strikes=strikes),
         fitted=sureness_of(behind.fitted_blocks, ahead.fitted_blocks, strikes=strikes),
-        share=1.0 - ahead.structure / behind.structure if behind.structure > 0 else 0.0,
+        share=share_of(ahead, behind),
     )
+
+
+def share_of(ahead: Judged, behind: Judged) -> float:
+    """Share of what there was to explain that the first explains, 1: all of it.
+
+    Of what hangs together in time; where that is next to nothing, of what is more than noise.
+    """
+    if behind.blows:
+        return 1.0 - ahead.excess / behind.excess
+    return 1.0 - ahead.structure / behind.structure if behind.structure > 0 else 0.0
 
 
 def machine_part(judged: Judged) -> Hypothesis:
@@ -145,7 +195,7 @@ def machine_part(judged: Judged) -> Hypothesis:
 
 
 def sureness_of(behind: Array, ahead: Array, *, strikes: bool = False) -> float:
-    """By how much smaller sums of squares by block (B,) are: in standard deviations over blocks.
+    """By how much smaller sums by block (B,) are: in standard deviations over blocks.
 
     Blocks are taken as independent. Roots are compared, so that one block of impacts does not
     outweigh all others. Where a part with stops makes the difference (``strikes``), that is not
@@ -160,7 +210,9 @@ def sureness_of(behind: Array, ahead: Array, *, strikes: bool = False) -> float:
     >>> round(sureness_of(before, after), 1), round(sureness_of(before, after, strikes=True), 1)
     (0.4, 5.6)
     """
-    gains = np.sqrt(behind) - np.sqrt(ahead)
+    # a log-likelihood may be below zero, where noise is small
+    least = min(0.0, float(behind.min(initial=0.0)), float(ahead.min(initial=0.0)))
+    gains = np.sqrt(behind - least) - np.sqrt(ahead - least)
     sure = _self_normalized(gains)
     if not strikes:
         return sure
@@ -172,10 +224,10 @@ def _self_normalized(gains: Array) -> float:
     return float(gains.sum()) / max(float(np.sqrt(np.sum(gains**2))), 1e-12)
 
 
-def _sureness(*parts: tuple[int, Array, Array]) -> float:
-    """Structure of some runs together: for each their count, squares and products by block."""
+def _sureness(*parts: tuple[int, float, Array]) -> float:
+    """Structure of some runs together: for each count, sum of squares and products by block."""
     count = sum(part[0] for part in parts)
-    mean_square = sum(float(squares.sum()) for _, squares, _ in parts) / count
+    mean_square = sum(part[1] for part in parts) / count
     structure = float(largest(np.sum([products.sum(axis=1) for *_, products in parts], axis=0)))
     return structure / (max(mean_square, _FAR_BELOW) * float(np.sqrt(count)))
 

@@ -2,10 +2,11 @@
 
 Position, speed and acceleration pass the same low-pass filter as the torques that are compared with
 them, forwards and backwards, so that a torque in proportion to an acceleration stays so. The band
-holds the motion, and everything in which the noise of the acceleration does not yet drown that of
-the torque: below that end errors are white, above it they grow with the square of the frequency. A
-speed sensor takes over from the encoder's derivative at high frequencies, from where it is the
-less noisy of the two.
+ends where the motion does, or before, where the noise of the acceleration begins to drown that of
+the torque, if that does not cut the bulk of the motion: errors are white up to there, and above it
+they grow with the square of the frequency. What has no motion in it has nothing to tell, but a
+spring's resonance lets noise in. A speed sensor takes over from the encoder's derivative at high
+frequencies, from where it is the less noisy of the two.
 """
 
 from __future__ import annotations
@@ -34,11 +35,13 @@ _ORDER = 4
 """Order of the low-pass filter, which acts twice."""
 _STANDS_OUT = 4.0
 """Power of a motion over that of the noise that makes it visible, in a long run."""
+_BULK = 0.99
+"""Share of the mean square speed that is the bulk of a motion."""
 _CHANCE = 1e-3
 """Chance that noise stands out anywhere in a reading."""
 _LOWEST = 2.0
 """Lowest end of a band [Hz]."""
-_ROOM = 1.5
+_ROOM = 2.0
 """End of the band over the highest frequency of the motion: nearly all of that passes."""
 _HIGHEST = 0.4
 """Highest end of a band, as a share of the sample rate: below half of it."""
@@ -132,25 +135,31 @@ def motion_band(columns: Sequence[Array], rate: float) -> float:
     >>> 2.9 < motion_band([noisy], 500.0) < 5.0
     True
     """
-    highest = _LOWEST
-    for values in columns:
-        floor = noise_floor(values)
-        change = np.diff(values, 2)
-        size = min(len(change), max(64, int(2 * rate)))
-        frequency, power = welch(
-            change, fs=rate, window="blackmanharris", nperseg=size, detrend=False
-        )
-        # Second differences raise high frequencies, of signal and noise alike.
-        raised = (2 - 2 * np.cos(2 * np.pi * frequency / rate)) ** 2
-        segments = max(1, (len(change) - size // 2) // (size - size // 2))
-        by_chance = chi2.isf(_CHANCE / len(frequency), 2 * segments) / (2 * segments)
-        stands_out = max(_STANDS_OUT * (1 + 2 / np.sqrt(segments)), by_chance)
-        visible = power > stands_out * raised * floor**2 * 2 / rate
-        # One line alone may be interference: its neighbour has to stand out too.
-        sure = np.flatnonzero(visible[1:-1] & (visible[:-2] | visible[2:])) + 1
-        if len(sure):
-            highest = max(highest, float(frequency[sure[-1]]))
-    return min(highest, _HIGHEST * rate)
+    return min(max((_ends(v, rate)[1] for v in columns), default=_LOWEST), _HIGHEST * rate)
+
+
+def _ends(values: Array, rate: float) -> tuple[float, float]:
+    """Frequencies below which lie nearly all of a reading's motion, and what stands out of it [Hz].
+
+    Nearly all: 99 % of the mean square speed that stands out of the noise.
+    """
+    floor = noise_floor(values)
+    change = np.diff(values, 2)
+    size = min(len(change), max(64, int(2 * rate)))
+    frequency, power = welch(change, fs=rate, window="blackmanharris", nperseg=size, detrend=False)
+    # Second differences raise high frequencies, of signal and noise alike.
+    raised = (2 - 2 * np.cos(2 * np.pi * frequency / rate)) ** 2
+    segments = max(1, (len(change) - size // 2) // (size - size // 2))
+    by_chance = chi2.isf(_CHANCE / len(frequency), 2 * segments) / (2 * segments)
+    stands_out = max(_STANDS_OUT * (1 + 2 / np.sqrt(segments)), by_chance)
+    visible = power > stands_out * raised * floor**2 * 2 / rate
+    # One line alone may be interference: its neighbour has to stand out too.
+    sure = np.flatnonzero(visible[1:-1] & (visible[:-2] | visible[2:])) + 1
+    if not len(sure):
+        return _LOWEST, _LOWEST
+    speeds = np.cumsum(power[sure] / np.sqrt(raised[sure]))
+    bulk = sure[int(np.searchsorted(speeds, _BULK * speeds[-1]))]
+    return max(_LOWEST, float(frequency[bulk])), max(_LOWEST, float(frequency[sure[-1]]))
 
 
 def smooth_motion(
@@ -173,7 +182,7 @@ def smooth_motion(
     readings : dict, optional
         Column -> readings (T,) in place of those measured.
     band : Band, optional
-        What passes; by default what holds the motion and the torque's noise.
+        What passes; by default what holds the motion, as far as the torque's noise is the louder.
 
     Raises
     ------
@@ -184,9 +193,7 @@ def smooth_motion(
     rate = trial.rate
     positions, speeds = _joint_columns(trial, machine, channels, readings or {}, grid)
     if band is None:
-        highest = motion_band([*positions.values(), *speeds.values()], rate)
-        balanced = _balance(trial, machine, channels, positions, speeds)
-        band = Band(rate=rate, end=min(max(_ROOM * highest, balanced), _HIGHEST * rate))
+        band = Band(rate=rate, end=_band_end(trial, machine, channels, positions, speeds))
     if len(grid) < 4 * _ORDER or grid[-1] < 2.0 / band.end:
         raise InvalidData(
             f"{trial.name}: {trial.time[-1]:.3g} s are too short to smooth a motion with; an "
@@ -206,6 +213,27 @@ def smooth_motion(
         band=band, time=grid, position=found[0], speed=found[1], acceleration=found[2],
         noise=noise, chosen=np.arange(0, len(grid), every),
     )  # fmt: skip
+
+
+def _band_end(
+    trial: Trial,
+    machine: Machine,
+    channels: Sequence[Channel],
+    positions: dict[int, Array],
+    speeds: dict[int, Array],
+) -> float:
+    """End of the band of a run [Hz].
+
+    Where the motion ends; or before, where noise of the acceleration begins to drown that of the
+    torque, but not so low that it cuts the bulk of the motion: the model is not linear in that.
+    """
+    rate = trial.rate
+    ends = [_ends(values, rate) for values in positions.values()]
+    bulk = max((low for low, _ in ends), default=_LOWEST)
+    highest = motion_band([*positions.values(), *speeds.values()], rate)
+    balanced = _balance(trial, machine, channels, positions, speeds)
+    end = max(balanced, _ROOM * bulk) if balanced > 0 else np.inf
+    return float(min(_ROOM * highest, end, _HIGHEST * rate))
 
 
 def _balance(

@@ -126,7 +126,7 @@ def name_effects(
     for number in range(1, settings.most + 1):
         if len(found.best.fitted.named) >= settings.most:
             break
-        if found.best.structure_sureness < settings.structure:
+        if found.best.structure_sureness < settings.structure and not found.best.loud:
             say("what is left does not hang together in time: nothing more to explain")
             break
         step = keep.step(

@@ -99,7 +99,7 @@ def screen(
             for effect in own
             for start in dict.fromkeys(
                 (
-                    *(proposed.get(effect.key) or effect.starts),
+                    *(proposed.get(effect.key) or _starts(comparison, effect)),
                     *axes.get(id(effect), (effect, ()))[1],
                 )
             )
@@ -138,7 +138,7 @@ def _best_starts(
     entries = [
         (effect, start)
         for effect in candidates
-        for starts in [proposed.get(effect.key) or effect.starts]
+        for starts in [proposed.get(effect.key) or _starts(comparison, effect)]
         for start in starts
         if effect.adds_motion and len(starts) > _MANY
     ]
@@ -158,6 +158,11 @@ def _best_starts(
         key: [start for _, start in sorted(own.values(), key=lambda each: -each[0])[:_MANY]]
         for key, own in found.items()
     }
+
+
+def _starts(comparison: Comparison, effect: Effect) -> tuple[tuple[float, ...], ...]:
+    """Starts of an effect for the runs there are."""
+    return effect.close_starts if comparison.rows.inverse.all() else effect.starts
 
 
 def _without_nuisances(effect: Effect, values: Sequence[float]) -> tuple[float, ...]:

@@ -6,12 +6,14 @@ from dataclasses import replace
 from math import inf
 
 import numpy as np
+import pytest
 
 from loose_env.gap.acceptance import Acceptance
+from loose_env.gap.catalogue import CATALOGUE
 from loose_env.gap.fit import Fit
-from loose_env.gap.judgement import Judge, Judged, lead_of, sureness_of
+from loose_env.gap.judgement import Judge, Judged, lead_of, share_of, sureness_of
 from loose_env.gap.naming_settings import NamingSettings
-from tests.gap.test_ranking import COMPARED, LATE, NOMINAL
+from tests.gap.test_ranking import COMPARED, LATE, MACHINE, NOMINAL
 
 LEVELS = 2.5, 1.2
 """Of what the nominal model leaves, and of what is left with what was found before."""
@@ -58,6 +60,41 @@ def test_fewer_parameters_do_not_outweigh_what_is_slight_and_everywhere() -> Non
         asked = NamingSettings(everywhere=least)
         acceptance = Acceptance(COMPARED, Judge(COMPARED, COMPARED), base, before, asked)
         assert acceptance.ranked([simpler, slight])[0] is first
+
+
+def test_of_those_that_leave_the_same_the_one_that_changes_least_comes_first() -> None:
+    base, before = (left(level) for level in LEVELS)
+    acceptance = Acceptance(COMPARED, Judge(COMPARED, COMPARED), base, before, NamingSettings())
+
+    def with_effect(kind: str, where: str, times: float, level: float) -> Judged:
+        """With a mass or a rotor, so many times its scale."""
+        effect, found = CATALOGUE[kind](MACHINE, where), left(level)
+        free = np.append(found.fitted.free, times)
+        fitted = replace(found.fitted, effects=(*found.fitted.effects, effect), free=free)
+        return replace(found, fitted=fitted)
+
+    rotor = with_effect("rotor_inertia", "joint1", 1.5, 1.0)
+    heavy = with_effect("link_mass", "link1", -9.0, 1.0)
+    light = with_effect("link_mass", "link1", 0.5, 1.0)
+    better = with_effect("link_mass", "link1", -9.0, 0.99)
+    assert acceptance.ranked([heavy, rotor])[0] is rotor
+    assert acceptance.ranked([rotor, light])[0] is light
+    assert acceptance.ranked([rotor, better])[0] is better
+
+
+def test_what_is_loud_counts_though_it_does_not_hang_together() -> None:
+    still = np.zeros((3, 2))
+
+    def blows(level: float) -> Judged:
+        return replace(left(level), held_structure=still, fitted_structure=still)
+
+    noise, loud, less = blows(1.0), blows(3.0), blows(1.8)
+    assert not noise.loud and loud.loud and less.loud
+    assert loud.blows and not noise.blows and not left(3.0).blows
+    assert loud.structure_sureness == 0.0
+    assert share_of(less, loud) == pytest.approx(1 - (1.8**2 - 1) / (3.0**2 - 1), rel=0.02)
+    assert lead_of(noise, loud).share > 0.98
+    assert share_of(loud, noise) == 0.0  # of nothing
 
 
 def test_what_shows_in_half_of_the_blocks_leads_less_than_what_shows_in_all() -> None:

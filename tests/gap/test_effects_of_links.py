@@ -119,7 +119,7 @@ def test_bending_is_about_the_joint_or_across_it() -> None:
 def test_two_parts_make_the_whole(share: float) -> None:
     whole = Inertial(3.0, np.array([0.2, 0.01, 0.0]), np.diag([0.002, 0.05, 0.051]))
     along = np.array([1.0, 0, 0])
-    pair = parts(whole, along, 0.4, share)
+    pair = parts(whole, np.zeros(3), 0.4 * along, share)
     total = np.zeros((3, 3))
     for part in pair:
         lever = part.centre - whole.centre
@@ -136,7 +136,50 @@ def test_two_parts_make_the_whole(share: float) -> None:
     assert (far.centre - near.centre) @ along == pytest.approx(0.2)  # half the length
     # A lump cannot be stretched.
     lump = Inertial(3.0, np.zeros(3), 1e-6 * np.eye(3))
-    assert np.linalg.norm(parts(lump, along, 0.4, share)[1].centre) < 0.01
+    far = parts(lump, -0.2 * along, 0.2 * along, share)[1]
+    assert np.linalg.norm(far.centre) < 0.01
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
+@pytest.mark.parametrize("fall", [0.0, 0.5])
+def test_a_bar_is_cut_into_bars(share: float, fall: float) -> None:
+    """Slices of a bar, heavier near its joint, summed up on either side of the cut."""
+    count, length, thick = 20_000, 0.4, 0.01
+    place = (np.arange(count) + 0.5) / count
+    slices = (1 + fall * (1 - 2 * place)) * 3.0 / count
+    start, end = np.array([0.0, 0.1, 0.0]), np.array([0.0, 0.1, length])
+
+    def summed(chosen: NDArray[np.bool_]) -> Inertial:
+        mass = float(slices[chosen].sum())
+        middle = float(slices[chosen] @ place[chosen]) / mass
+        across = length**2 * float(slices[chosen] @ (place[chosen] - middle) ** 2)
+        round_bar = mass * thick**2 * np.array([0.25, 0.25, 0.5])
+        tensor = np.diag(round_bar + np.array([across, across, 0.0]))
+        return Inertial(mass, start + middle * (end - start), tensor)
+
+    found = parts(summed(place > 0), start, end, share)
+    for piece, true in zip(found, (summed(place < share), summed(place > share)), strict=True):
+        assert piece.mass == pytest.approx(true.mass, rel=1e-3)
+        assert np.allclose(piece.centre, true.centre, atol=1e-4)
+        assert np.allclose(piece.tensor, true.tensor, atol=2e-3 * true.tensor.max())
+
+
+def test_a_link_that_is_cut_touches_nothing_that_it_did_not_touch() -> None:
+    """Neighbours overlap at their joint; MuJoCo lets no body touch the one that it hangs on."""
+    machine = machine_of("spatial")
+    for effect in candidates(machine, ["link_flexibility"]):
+        model = edited(effect, *effect.starts[0])
+        for pose in poses(machine):
+            before, after = posed(machine.model, machine, pose), posed(model, machine, pose)
+            assert after.ncon <= before.ncon, (effect, pose)
+        again = mujoco.MjSpec.from_string(machine.fresh().to_xml())
+        effect.edit(again, np.array(effect.starts[0]))
+        assert len(list(again.excludes)) > 0 or effect.where == "hand"
+    # a model that lets neighbours touch keeps that
+    spec = machine.fresh()
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
+    CATALOGUE["link_flexibility"](machine, "column").edit(spec, np.array([100.0, 0.1, 0.5]))
+    assert not list(spec.excludes)
 
 
 def test_a_payload_weighs_at_the_tool() -> None:

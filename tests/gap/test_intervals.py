@@ -51,6 +51,7 @@ def test_parts_that_trade_against_each_other_are_judged_together() -> None:
     [
         ("joint_compliance", "joint2", "stiffness", "high"),
         ("link_flexibility", "link2", "stiffness", "high"),
+        ("backlash", "joint2", "gap", "low"),  # without it the stops are a spring
         ("structural_looseness", "link2", "friction", "high"),
         ("stribeck_friction", "joint2", "torque", "low"),
     ],

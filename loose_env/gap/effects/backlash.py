@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 import mujoco
@@ -26,6 +27,9 @@ _LEAST_LOAD = 0.05
 """Least usual load of a joint, as a share of that of the most loaded one."""
 _STARTS = (0.02, 0.06, 0.15, 0.3, 0.7, 3.0)
 """Gaps from which fits start, as shares of a hundredth of a radian or of the reach."""
+_CLOSE_STARTS = tuple(0.02 * 1.5**k for k in range(14))
+"""The same where the motion of the motor is given: then a gap too wide by a third fits worse than
+none."""
 SOFTER = (1.0, 0.3, 0.1)
 """Stiffnesses of stops from which fits start, over the usual one: on soft stops a wrong gap or
 friction is told from none, and a fit finds the right ones from further off."""
@@ -59,11 +63,19 @@ class Backlash(SplitJoint):
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Gaps from a hundredth of a degree to two: a wrong one fits no better than none."""
+        return self._starts(_STARTS)
+
+    @property
+    def close_starts(self) -> tuple[tuple[float, ...], ...]:
+        """The same range in smaller steps."""
+        return self._starts(_CLOSE_STARTS)
+
+    def _starts(self, shares: Sequence[float]) -> tuple[tuple[float, ...], ...]:
         gap, stiffness, ratio = self.parameters
         return tuple(
             (share * gap.scale, softer * stiffness.scale, ratio.scale)
             for softer in SOFTER
-            for share in _STARTS
+            for share in shares
         )
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:

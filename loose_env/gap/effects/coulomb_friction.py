@@ -57,6 +57,10 @@ class CoulombFriction(JointEffect):
         joint.frictionloss = max(joint.frictionloss + float(values[0]), 0.0)
         make_it_stick(joint, spec.option.timestep)
 
+    def resistance(self, speed: float, values: Array) -> float:
+        """The torque, at any speed."""
+        return float(values[0])
+
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
     ) -> tuple[tuple[float, ...], ...]:

@@ -69,6 +69,11 @@ class LinkCom(Effect):
         """A tenth of the link's length along one axis after the other."""
         return tuple(tuple(row) for row in 0.1 * self._length * np.eye(len(self._axes)))
 
+    def displaced_mass(self, values: Array) -> float:
+        """The link's mass, by as much of its length as the centre shifts."""
+        own = float(self.machine.model.body(self.where).mass[0])
+        return own * float(np.linalg.norm(values)) / self._length
+
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Shift the link's centre."""
         old = inertial_of(self.machine, spec, self.where)

@@ -21,7 +21,12 @@ from loose_env.gap.effects.joint_compliance import (
 )
 from loose_env.gap.effects.joint_effect import added_name
 from loose_env.gap.effects.link_mass import links_with_mass
-from loose_env.gap.effects.split_body import move_children, move_geoms, move_sites
+from loose_env.gap.effects.split_body import (
+    keep_from_touching,
+    move_children,
+    move_geoms,
+    move_sites,
+)
 from loose_env.gap.machine import Machine
 from loose_env.gap.parameter import Parameter
 
@@ -105,6 +110,11 @@ class LinkFlexibility(Effect):
         springs = stiffness_starts(self._figures[0], self.parameters[0])
         return tuple((*spring, _MIDDLE) for spring in springs)
 
+    @property
+    def doubtful_mass(self) -> float:
+        """That of the link: no arm's link is an even bar that bends at one place."""
+        return float(self.machine.model.body(self.where).mass[0])
+
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Cut the link and put the spring in between."""
         stiffness, ratio, place = (float(v) for v in values)
@@ -116,8 +126,9 @@ class LinkFlexibility(Effect):
         kind = f"{self.kind}_{self.variant}" if self.variant else self.kind
         name = added_name(spec, self.where, kind)
         whole = inertial_of(self.machine, spec, self.where)
-        near, far = parts(whole, self._along, self._length, share)
-        old, here = spec.body(self.where), self._start + share * self._length * self._along
+        start, end = self._start, self._start + self._length * self._along
+        near, far = parts(whole, start, end, share)
+        old, here = spec.body(self.where), start + share * (end - start)
         new = old.add_body(name=name, pos=here)
         move_children(self.machine, spec, old, new, self._along)
         move_sites(self.machine, spec, old, new, self._along)
@@ -134,6 +145,7 @@ class LinkFlexibility(Effect):
             stiffness=stiffness,
             damping=damping,
         )
+        keep_from_touching(spec, old, new)
         return name
 
     @cached_property
@@ -151,26 +163,37 @@ class LinkFlexibility(Effect):
 
 
 def parts(
-    whole: Inertial, along: Array, length: float, share: float = _MIDDLE
+    whole: Inertial, start: Array, end: Array, share: float = _MIDDLE
 ) -> tuple[Inertial, Inertial]:
     """Two bodies that together are one: same mass, centre and inertia.
 
-    They share the mass as the link's length, and their centres lie half that length apart along
-    it, or less where the link's inertia does not allow that.
+    They are the pieces of a bar whose mass per length rises or falls evenly, so that its centre
+    lies where the link's does. Their centres lie as far apart as those pieces' do, or less where
+    the link's inertia does not allow that.
 
     Parameters
     ----------
     whole : Inertial
         The link.
-    along : ndarray (3,)
-        Unit vector along it.
-    length : float
-        Of the link [m].
+    start, end : ndarray (3,)
+        Where it begins and ends [m].
     share : float
         How much of the length is the near one's.
+
+    Examples
+    --------
+    A uniform bar of one metre, cut in the middle:
+
+    >>> bar = Inertial(12.0, np.array([0.5, 0.0, 0.0]), np.diag([0.1, 1.05, 1.05]))
+    >>> near, far = parts(bar, np.zeros(3), np.array([1.0, 0.0, 0.0]))
+    >>> near.mass, near.centre.tolist(), np.diag(near.tensor).round(3).tolist()
+    (6.0, [0.25, 0.0, 0.0], [0.05, 0.15, 0.15])
     """
-    lever = 0.5 * length * along
-    reduced = share * (1 - share) * whole.mass
+    length = float(np.linalg.norm(end - start))
+    along = (end - start) / length
+    mass, apart, spread = _cut_bar(float((whole.centre - start) @ along) / length, share)
+    lever = apart * length * along
+    reduced = mass * (1 - mass) * whole.mass
     left = whole.tensor - steiner(reduced, lever)
     while not _solid(left):
         lever = 0.9 * lever
@@ -179,10 +202,52 @@ def parts(
         left = whole.tensor - steiner(reduced, lever)
         if not lever.any():
             break
+    near = _piece(left, along, mass, spread)
+    if not (_solid(near) and _solid(left - near)):
+        near = mass * left
     return (
-        Inertial(share * whole.mass, whole.centre - (1 - share) * lever, share * left),
-        Inertial((1 - share) * whole.mass, whole.centre + share * lever, (1 - share) * left),
+        Inertial(mass * whole.mass, whole.centre - (1 - mass) * lever, near),
+        Inertial((1 - mass) * whole.mass, whole.centre + mass * lever, left - near),
     )
+
+
+def _cut_bar(centre: float, share: float) -> tuple[float, float, float]:
+    """A bar of length and mass 1 that is cut.
+
+    Its mass per length is 1 + fall (1 - 2 x), nowhere below zero.
+
+    Returns
+    -------
+    (float, float, float)
+        Mass of the near piece; distance of the pieces' centres; the near one's share of what both
+        are spread along the bar about their own centres.
+    """
+    fall = float(np.clip(6 * (0.5 - centre), -1.0, 1.0))
+    near, whole = (
+        np.array(
+            [
+                x + fall * (x - x**2),
+                x**2 / 2 + fall * (x**2 / 2 - 2 * x**3 / 3),
+                x**3 / 3 + fall * (x**3 / 3 - x**4 / 2),
+            ]
+        )
+        for x in (share, 1.0)
+    )
+    far = whole - near
+    own = [float(m[2] - m[1] ** 2 / m[0]) for m in (near, far)]
+    return float(near[0]), float(far[1] / far[0] - near[1] / near[0]), own[0] / sum(own)
+
+
+def _piece(tensor: Array, along: Array, mass: float, spread: float) -> Array:
+    """Inertia (3, 3) of one of two pieces of a bar that have this together.
+
+    It has its share of the mass that is spread lengthwise, and of that across as of the mass.
+    """
+    moments = 0.5 * np.trace(tensor) * np.eye(3) - tensor
+    lengthwise = np.outer(along, along)
+    scale = np.sqrt(mass) * (np.eye(3) - lengthwise) + np.sqrt(spread) * lengthwise
+    own = scale @ moments @ scale
+    return np.asarray(np.trace(own) * np.eye(3) - own)
 
 
 def _solid(tensor: Array) -> bool:

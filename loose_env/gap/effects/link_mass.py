@@ -51,6 +51,10 @@ class LinkMass(Effect):
     def _own(self) -> float:
         return float(self.machine.model.body(self.where).mass[0])
 
+    def displaced_mass(self, values: Array) -> float:
+        """The mass added, or taken away."""
+        return abs(float(values[0]))
+
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Scale the link's mass and inertia."""
         old = inertial_of(self.machine, spec, self.where)

@@ -52,6 +52,10 @@ class Payload(Effect):
         first = int(model.jnt_bodyid[0])
         return float(model.body_subtreemass[first]) / len(self.machine.joints)
 
+    def displaced_mass(self, values: Array) -> float:
+        """Its mass."""
+        return float(values[0])
+
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add a body to the one that carries the tool."""
         mass = float(values[0])

@@ -49,6 +49,10 @@ class QuadraticDrag(JointEffect):
         damping[1] += float(values[0])
         joint.damping = damping
 
+    def resistance(self, speed: float, values: Array) -> float:
+        """In proportion to the speed squared."""
+        return float(values[0]) * speed**2
+
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
     ) -> tuple[tuple[float, ...], ...]:

@@ -9,9 +9,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from loose_env.gap.effects.joint_effect import added_name
 from loose_env.gap.machine import Machine
 
-__all__ = ["move_children", "move_geoms", "move_sites"]
+__all__ = ["keep_from_touching", "move_children", "move_geoms", "move_sites"]
 
 Array = NDArray[np.float64]
 
@@ -108,6 +109,44 @@ def move_geoms(spec: mujoco.MjSpec, old: mujoco.MjsBody, new: mujoco.MjsBody, al
             _move(spec, geom, new.add_geom(), {"fromto": (ends - here).ravel()})
         else:
             _move(spec, geom, new.add_geom(), {"pos": place - here, "quat": geom.quat})
+
+
+def keep_from_touching(spec: mujoco.MjSpec, near: mujoco.MjsBody, far: mujoco.MjsBody) -> None:
+    """Exclude the contacts that the link had none of before it was cut.
+
+    MuJoCo lets no body touch the one that it hangs on, nor what is fixed to either. Once ``far``
+    hangs on ``near``, the links beyond it hang on ``near`` no more, nor does it on what carries
+    that.
+
+    Parameters
+    ----------
+    spec : MjSpec
+        The model that is edited.
+    near, far : MjsBody
+        The parts of the link; ``far`` hangs on ``near`` by a joint.
+    """
+    if spec.option.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT):
+        return
+    carrier = near.parent
+    while carrier.name != "world" and not list(carrier.joints):
+        carrier = carrier.parent
+    ends = _fixed_together(far)
+    beyond = [b for end in ends for link in end.bodies if list(link.joints)
+              for b in _fixed_together(link)]  # fmt: skip
+    pairs = [(a, b) for a in _fixed_together(near) for b in beyond]
+    if carrier.name != "world":
+        pairs += [(a, b) for a in _fixed_together(carrier) for b in ends]
+    for several in pairs:
+        for number, body in enumerate(several):
+            if not body.name:
+                body.name = added_name(spec, far.name, f"part_{number}")
+        spec.add_exclude(bodyname1=several[0].name, bodyname2=several[1].name)
+
+
+def _fixed_together(body: mujoco.MjsBody) -> list[mujoco.MjsBody]:
+    """A body and those that are fixed to it."""
+    fixed = [child for child in body.bodies if not list(child.joints)]
+    return [body, *(each for child in fixed for each in _fixed_together(child))]
 
 
 def _move(spec: mujoco.MjSpec, old: Any, new: Any, placed: dict[str, Array]) -> None:

@@ -88,6 +88,11 @@ class StribeckFriction(JointEffect):
                 limit=max(ratio - 1, 1e-6) * torque * abs(slope) * limit,
             )
 
+    def resistance(self, speed: float, values: Array) -> float:
+        """The static torque, which is what it has of its own beside a Coulomb friction."""
+        torque, ratio, _ = values
+        return float(torque * ratio)
+
     def unseen_torque(self, angle: Array, speed: Array, values: Array) -> Array:
         """What the dampers take; they help, so that it is against the friction."""
         torque, ratio, slow = values

@@ -66,6 +66,10 @@ class ViscousFriction(JointEffect):
             damping[0] += added
         joint.damping = damping
 
+    def resistance(self, speed: float, values: Array) -> float:
+        """In proportion to the speed."""
+        return float(values[0]) * speed
+
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
     ) -> tuple[tuple[float, ...], ...]:
