@@ -135,7 +135,8 @@ class InverseDynamics:
                 if compared.any():
                     noise = run.torque[channel] ** 2
                     now, then = (float(np.mean(c[compared, joint] ** 2)) for c in (own, rigid))
-                    level[channel] = np.sqrt((noise + now) / (noise + then))
+                    if np.isfinite(now):  # a simulation that went wild says nothing
+                        level[channel] = np.sqrt((noise + now) / (noise + then))
             found.append(level)
         return found
 

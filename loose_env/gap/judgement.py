@@ -18,7 +18,7 @@ __all__ = ["Judge", "Judged", "Lead", "lead_of", "machine_part", "share_of", "su
 
 Array = NDArray[np.float64]
 
-_LOUD = 1.5
+_LOUD = 1.25
 """Root mean square [noise standard deviations] above which a residual is more than noise, whether
 or not it hangs together in time: blows behind a filter do not."""
 _BLOWS = 0.25
@@ -79,7 +79,10 @@ class Judged:
 
     @property
     def loud(self) -> bool:
-        """Whether it leaves more than noise, by size alone."""
+        """Whether it leaves more than noise on the held-out runs or on all, by size alone."""
+        held = float(self.held_blocks.sum()) - self.logs[1]
+        if held > _LOUD**2 * len(self.held_residual):
+            return True
         return self.excess > (_LOUD**2 - 1) * self._count
 
     @property
