@@ -92,8 +92,9 @@ class NamingSettings:
     channel_sureness: float = 10.0
     """Mean product of a residual of that channel with itself a little later, over what white
     noise shows by chance [standard deviations]."""
-    same: float = 2.0
-    """Difference in twice the log-likelihood below which two hypotheses leave the same."""
+    same: float = 10.0
+    """Difference in twice the log-likelihood below which two hypotheses leave the same: more than
+    that is very strong evidence (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995, 773)."""
     worth: float = 0.02
     """Share of the sum of squares below which further parameters are of little worth."""
     more: float = 0.1
