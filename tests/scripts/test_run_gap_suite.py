@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 from functools import partial
 from pathlib import Path
@@ -352,6 +353,37 @@ def test_rows_are_published_beside_the_page_and_taken_over(
     monkeypatch.setattr(script, "configuration", lambda: {**configuration, "tool": "another"})
     with pytest.raises(SystemExit, match="other code made the rows"):
         script.main(["--show", "--out", str(tmp_path / "third"), "--take", str(file)])
+
+
+def changed(line: str, *, grade: dict[str, Any] | None = None, **values: Any) -> str:
+    row = json.loads(line)
+    return json.dumps({**row, **values, "grade": {**row["grade"], **(grade or {})}})
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"grade": {"seconds": "soon"}}, "row.grade.seconds: float is needed, not 'soon'"),
+        ({"grade": {"right": "yes"}}, "row.grade.right: bool is needed"),
+        ({"grade": {"truth": [["rust", "joint1"]]}}, "the suite hides no 'rust'"),
+        ({"times": None}, "row.times: a mapping is needed"),
+        ({"number": 9000}, "there is no case 9000"),
+        ({"number": 1}, "the line has others"),
+        ({"role": "pair"}, "the line has others"),
+    ],
+)
+def test_of_a_file_with_a_broken_row_none_is_taken(
+    tmp_path: Path, change: dict[str, Any], complaint: str
+) -> None:
+    folders, page = write_blind(tmp_path), tmp_path / "page.md"
+    suite(folders)
+    script.main(["--show", "--out", str(folders.out), "--docs", str(page)])
+    file, there = page.with_name(script.ROWS), tmp_path / "another machine"
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join([*lines[:-1], changed(lines[-1], **change)]))
+    with pytest.raises(SystemExit, match=f"line {len(lines)} is no row: .*{re.escape(complaint)}"):
+        script.main(["--show", "--out", str(there), "--take", str(file)])
+    assert script.stored(NUMBERS, script.store_in(there)) == []
 
 
 def test_a_whole_run_goes_to_the_docs_and_a_part_does_not(
