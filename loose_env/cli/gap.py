@@ -29,6 +29,7 @@ from loose_env.gap.settings import GapSettings
 from loose_env.gap.stages import Stages, key_of
 from loose_env.recording import read_recording
 from loose_env.report.gap_report import write_outputs
+from loose_env.report.gap_words import ranked_words, unsure
 
 __all__ = ["add_options", "run", "summary"]
 
@@ -82,7 +83,14 @@ def summary(result: GapResult) -> str:
     if result.verdict == "no_gap":
         lines.append("no gap: within its tolerance the model explains the held-out runs")
     elif result.verdict == "unexplained":
-        lines.append("unexplained: something is missing that is not in the catalogue")
+        likely = unsure(result)
+        lines.append(
+            "unexplained: something is missing that is not in the catalogue"
+            if likely is None
+            else f"unexplained: something is missing. With {ranked_words(likely)} the model leaves "
+            f"{likely.held_out:.2f}, but is ahead by {likely.lead:.1f} standard deviations only: "
+            "these runs do not make that sure"
+        )
         lines += [f"  {words}" for words in result.where_it_lives]
     for effect in result.effects:
         lines.append(f"{effect.kind} at {effect.where}")

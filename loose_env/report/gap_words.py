@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from loose_env.gap.left import CLOSED
+from loose_env.gap.naming_settings import NamingSettings
 from loose_env.gap.quantities import quantity_words
 from loose_env.gap.result import GapResult, NamedEffect, Place, Ranked
 from loose_env.gap.separating import how_to_separate
@@ -17,6 +18,7 @@ __all__ = [
     "ranked_words",
     "size_words",
     "sure_words",
+    "unsure",
 ]
 
 _PLAIN = {
@@ -70,7 +72,11 @@ def headline(result: GapResult) -> str:
     if result.verdict == "no_gap":
         return "Nothing is missing: the model explains what was measured."
     if result.verdict == "unexplained":  # nothing is named then
-        return "Something is missing that is not in the catalogue."
+        likely = unsure(result)
+        if likely is None:
+            return "Something is missing that is not in the catalogue."
+        words = _in_a_row(_grouped(likely.places))
+        return f"Something is missing. It may be {words}, but these runs do not make that sure."
     listed = _in_a_row(_grouped(result.effects))
     return f"The model lacks {listed}{', and something else' if _open(result) else ''}."
 
@@ -85,7 +91,32 @@ def _by_blows(result: GapResult) -> NamedEffect | None:
     return next((e for e in result.effects if e.powers_explained is not None), None)
 
 
-def _grouped(effects: Sequence[NamedEffect]) -> list[str]:
+def unsure(result: GapResult) -> Ranked | None:
+    """What would close a gap in which nothing could be named; None if nothing would.
+
+    Short runs have too few stretches of time for any lead to be sure. That is no sign that the
+    effect is missing from the catalogue.
+
+    Examples
+    --------
+    >>> from loose_env.gap.result import Gap
+    >>> friction = Ranked(
+    ...     kind="coulomb_friction", where="joint2", held_out=1.01, bic=-9e3, lead=1.7
+    ... )
+    >>> result = GapResult(
+    ...     verdict="unexplained", gap=Gap(before=4.8, after=4.8), ranking=(friction,)
+    ... )
+    >>> headline(result)
+    'Something is missing. It may be dry friction (joint2), but these runs do not make that sure.'
+    """
+    if result.verdict != "unexplained" or result.gap.before <= CLOSED:
+        return None
+    sure = NamingSettings().sureness
+    first = (r for r in result.ranking if r.step == 1 and r.lead < sure)
+    return next((r for r in first if r.held_out <= CLOSED), None)
+
+
+def _grouped(effects: Sequence[NamedEffect | Place]) -> list[str]:
     """Effects in words, those of one kind together."""
     places: dict[str, list[str]] = {}
     for effect in effects:
@@ -223,6 +254,14 @@ def next_steps(result: GapResult) -> list[str]:
             )
             advice = how_to_separate(effect.kind, effect.where, other.kind, other.where)
             steps.append(f"To tell {first} from {second}: {advice[0].lower()}{advice[1:]}")
+    likely = unsure(result)
+    if likely is not None:
+        words = _in_a_row(_grouped(likely.places))
+        steps.append(
+            f"Record more of these motions, or longer ones: with {words} the model leaves "
+            f"{likely.held_out:.2f} of {result.gap.before:.2f}, but is ahead by {likely.lead:.1f} "
+            "standard deviations only."
+        )
     if result.verdict == "unexplained":
         steps += [f"Look here: {words}" for words in result.where_it_lives]
     elif _open(result):

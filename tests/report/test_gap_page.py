@@ -15,6 +15,7 @@ import pytest
 pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
+from loose_env.cli.gap import summary
 from loose_env.errors import MissingExtra
 from loose_env.gap.reporting import Evidence, GapOutputs, gather, result_of
 from loose_env.gap.result import Gap, GapResult, NamedEffect, Place, Ranked
@@ -231,6 +232,26 @@ def test_words_follow_the_verdict_and_the_size() -> None:
     assert effect_words("own_effect", "joint1") == "own effect (joint1)"
     steps = next_steps(result("unexplained", where_it_lives=("joint1 got 3 N·m.",)))
     assert steps[0] == "Look here: joint1 got 3 N·m."
+
+
+def test_what_short_runs_leave_unsure_is_not_said_to_be_outside_the_catalogue() -> None:
+    likely = Ranked(kind="coulomb_friction", where="joint2", held_out=1.01, bic=-9e3, lead=1.7)
+    short = result("unexplained", gap=Gap(before=4.8, after=4.8), ranking=(likely,))
+    for words in (headline(short), summary(short)):
+        assert "not in the catalogue" not in words
+        assert "joint2" in words and "sure" in words
+    assert next_steps(short)[0].startswith("Record more")
+    # A hypothesis that is sure and was not named, or leaves much, or of a gap that was none.
+    for other, gap in (
+        (replace(likely, lead=5.0), short.gap),
+        (replace(likely, held_out=2.0), short.gap),
+        (replace(likely, step=2), short.gap),
+        (likely, Gap(before=1.1, after=1.1)),
+    ):
+        outside = replace(short, ranking=(other,), gap=gap)
+        assert "not in the catalogue" in headline(outside)
+        assert "not in the catalogue" in summary(outside)
+        assert not next_steps(outside)[0].startswith("Record more")
 
 
 def test_every_ambiguous_effect_gets_a_motion_that_separates_it() -> None:
