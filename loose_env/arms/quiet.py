@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import mujoco
 
-from .stopwatch import STOPWATCH
+from loose_env.arms.stopwatch import STOPWATCH
 
 __all__ = ["quiet"]
 

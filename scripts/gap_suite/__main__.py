@@ -11,8 +11,8 @@ import argparse
 import time
 from pathlib import Path
 
-from .cases import draw_case, full_list, name_of, quick_list
-from .recordings import is_written, write_case
+from scripts.gap_suite.cases import draw_case, full_list, name_of, quick_list
+from scripts.gap_suite.recordings import is_written, write_case
 
 
 def main() -> None:

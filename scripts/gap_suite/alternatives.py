@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from .cases import HELD_OUT, Case, draw_case
-from .effects import RANDOM, Effect, Kind, Parameters, Place, kinds
-from .grade import Named, Separable
-from .motions import Motion
-from .sizing import VISIBLE, Visibility
+from scripts.gap_suite.cases import HELD_OUT, Case, draw_case
+from scripts.gap_suite.effects import RANDOM, Effect, Kind, Parameters, Place, kinds
+from scripts.gap_suite.grade import Named, Separable
+from scripts.gap_suite.motions import Motion
+from scripts.gap_suite.sizing import VISIBLE, Visibility
 
 Array = NDArray[np.float64]
 

@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from .dynamics import BODY
-from .figures import GRAVITY, Figures
-from .laws import ACTUATOR, DAMPING, GAIN, KP, KV, LAWS, LIMIT
-from .simulate import System
+from scripts.gap_suite.dynamics import BODY
+from scripts.gap_suite.figures import GRAVITY, Figures
+from scripts.gap_suite.laws import ACTUATOR, DAMPING, GAIN, KP, KV, LAWS, LIMIT
+from scripts.gap_suite.simulate import System
 
 Array = NDArray[np.float64]
 

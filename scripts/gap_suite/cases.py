@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from .build import Factors
-from .effects import (
+from scripts.gap_suite.build import Factors
+from scripts.gap_suite.effects import (
     CATALOGUE,
     FORWARD,
     FREE,
@@ -21,11 +21,11 @@ from .effects import (
     kinds,
     log_uniform,
 )
-from .figures import ARMS, Figures
-from .motions import Motion, motions
-from .sensing import Noise
-from .sizing import PRECISION, VISIBLE, Visibility, visible_size
-from .truth import TrueArm
+from scripts.gap_suite.figures import ARMS, Figures
+from scripts.gap_suite.motions import Motion, motions
+from scripts.gap_suite.sensing import Noise
+from scripts.gap_suite.sizing import PRECISION, VISIBLE, Visibility, visible_size
+from scripts.gap_suite.truth import TrueArm
 
 SEED = 20_281
 """Seed of the whole suite."""

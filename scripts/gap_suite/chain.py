@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .build import body_row
-from .dynamics import WORK, forward, mass_and_bias
-from .laws import LAWS
-from .simulate import System
+from scripts.gap_suite.build import body_row
+from scripts.gap_suite.dynamics import WORK, forward, mass_and_bias
+from scripts.gap_suite.laws import LAWS
+from scripts.gap_suite.simulate import System
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .figures import Figures
-from .simulate import System
+from scripts.gap_suite.figures import Figures
+from scripts.gap_suite.simulate import System
 
 Array = NDArray[np.float64]
 Parameters = dict[str, Any]
@@ -83,7 +83,13 @@ class Effect:
 
 def kinds() -> dict[str, Kind]:
     """All kinds by name: the catalogue in the order of its table, then those outside it."""
-    from . import effects_drive, effects_joint, effects_link, effects_sensor, outside
+    from scripts.gap_suite import (
+        effects_drive,
+        effects_joint,
+        effects_link,
+        effects_sensor,
+        outside,
+    )
 
     parts = (effects_joint, effects_link, effects_drive, effects_sensor, outside)
     found = {kind.name: kind for part in parts for kind in part.KINDS}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .effects import (
+from scripts.gap_suite.effects import (
     FORWARD,
     FREE,
     INVERSE,
@@ -19,9 +19,9 @@ from .effects import (
     nothing,
     scalar,
 )
-from .figures import Figures
-from .laws import DELAY, GAIN, LAG, OFFSET
-from .simulate import System
+from scripts.gap_suite.figures import Figures
+from scripts.gap_suite.laws import DELAY, GAIN, LAG, OFFSET
+from scripts.gap_suite.simulate import System
 
 LEAST_TIME = 3e-4
 """Shortest lag or delay [s]: shorter ones only say on which side of a command's step a sample

@@ -6,9 +6,9 @@ import dataclasses
 
 import numpy as np
 
-from .build import Factors, build
-from .chain import felt_inertia, free_link
-from .effects import (
+from scripts.gap_suite.build import Factors, build
+from scripts.gap_suite.chain import felt_inertia, free_link
+from scripts.gap_suite.effects import (
     FORWARD,
     FREE,
     INVERSE,
@@ -23,8 +23,8 @@ from .effects import (
     nothing,
     scalar,
 )
-from .figures import Figures
-from .laws import (
+from scripts.gap_suite.figures import Figures
+from scripts.gap_suite.laws import (
     BUMP,
     CROSSLEY,
     DAMPING,
@@ -45,7 +45,7 @@ from .laws import (
     STRIBECK_SPEED,
     THINNING,
 )
-from .simulate import System
+from scripts.gap_suite.simulate import System
 
 HIGHEST_MODE, LOWEST_MODE = 130.0, 12.0
 """Free modes that a compliance may have [Hz]: faster ones cannot be followed at 1 kHz, and

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .build import Factors, build
-from .chain import add_mass, free_link, split_link
-from .effects import (
+from scripts.gap_suite.build import Factors, build
+from scripts.gap_suite.chain import add_mass, free_link, split_link
+from scripts.gap_suite.effects import (
     FORWARD,
     FREE,
     INVERSE,
@@ -23,10 +23,10 @@ from .effects import (
     nothing,
     scalar,
 )
-from .effects_joint import draw_stops, set_spring, set_stops, spring_bounds
-from .figures import Figures
-from .laws import DAMPING, FRICTION, SMOOTH_SPEED, STRIBECK_SPEED
-from .simulate import System
+from scripts.gap_suite.effects_joint import draw_stops, set_spring, set_stops, spring_bounds
+from scripts.gap_suite.figures import Figures
+from scripts.gap_suite.laws import DAMPING, FRICTION, SMOOTH_SPEED, STRIBECK_SPEED
+from scripts.gap_suite.simulate import System
 
 Array = NDArray[np.float64]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .effects import (
+from scripts.gap_suite.effects import (
     FORWARD,
     FREE,
     RANDOM,
@@ -16,10 +16,10 @@ from .effects import (
     nothing,
     scalar,
 )
-from .effects_drive import LEAST_TIME
-from .effects_link import rotation
-from .figures import Figures
-from .simulate import System
+from scripts.gap_suite.effects_drive import LEAST_TIME
+from scripts.gap_suite.effects_link import rotation
+from scripts.gap_suite.figures import Figures
+from scripts.gap_suite.simulate import System
 
 ACCELEROMETER = "tool_acc"
 """Name of the accelerometer at the tool."""

@@ -7,12 +7,12 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import signal
 
-from .build import Factors, build
-from .dynamics import forward, mass_and_bias
-from .figures import Figures
-from .laws import DAMPING
-from .sensing import Signals
-from .simulate import SAMPLE
+from scripts.gap_suite.build import Factors, build
+from scripts.gap_suite.dynamics import forward, mass_and_bias
+from scripts.gap_suite.figures import Figures
+from scripts.gap_suite.laws import DAMPING
+from scripts.gap_suite.sensing import Signals
+from scripts.gap_suite.simulate import SAMPLE
 
 Array = NDArray[np.float64]
 

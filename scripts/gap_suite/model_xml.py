@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .figures import Figures
+from scripts.gap_suite.figures import Figures
 
 TIME_STEP = 5e-4
 """Time step of the model [s]: with the Runge-Kutta method its own error is about 1e-8 rad."""

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from .build import Factors, build
-from .chain import mass_matrix
-from .figures import Figures
-from .simulate import SAMPLE
+from scripts.gap_suite.build import Factors, build
+from scripts.gap_suite.chain import mass_matrix
+from scripts.gap_suite.figures import Figures
+from scripts.gap_suite.simulate import SAMPLE
 
 Array = NDArray[np.float64]
 

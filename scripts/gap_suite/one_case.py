@@ -18,12 +18,11 @@ from pathlib import Path
 from typing import Any
 
 from agents.shards import Shard
-
-from .alternatives import separable_by_data
-from .cases import draw_case, name_of, role_of
-from .grade import Grade, failed, grade
-from .recordings import is_written, write_case
-from .tool import EXPORTED, RESULT, Tool, run_tool
+from scripts.gap_suite.alternatives import separable_by_data
+from scripts.gap_suite.cases import draw_case, name_of, role_of
+from scripts.gap_suite.grade import Grade, failed, grade
+from scripts.gap_suite.recordings import is_written, write_case
+from scripts.gap_suite.tool import EXPORTED, RESULT, Tool, run_tool
 
 __all__ = ["Folders", "Row", "grade_of", "line_of", "lost", "run_case", "shard_for"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .effects import (
+from scripts.gap_suite.effects import (
     FORWARD,
     Kind,
     Parameters,
@@ -16,10 +16,19 @@ from .effects import (
     log_uniform,
     scalar,
 )
-from .effects_link import moved_axes
-from .figures import Figures
-from .laws import DEAD, FRICTION, HYSTERESIS, SAG, SMOOTH_SPEED, STRIBECK_SPEED, STROKE, WARM_TIME
-from .simulate import System
+from scripts.gap_suite.effects_link import moved_axes
+from scripts.gap_suite.figures import Figures
+from scripts.gap_suite.laws import (
+    DEAD,
+    FRICTION,
+    HYSTERESIS,
+    SAG,
+    SMOOTH_SPEED,
+    STRIBECK_SPEED,
+    STROKE,
+    WARM_TIME,
+)
+from scripts.gap_suite.simulate import System
 
 
 def _torque(low: float, high: float):  # type: ignore[no-untyped-def]

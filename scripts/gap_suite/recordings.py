@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 
 from loose_env.recording import Run, write_recording
-
-from .build import FACTORS
-from .cases import SEED, Case
-from .effects import FREE, INVERSE, RANDOM
-from .effects_sensor import ACCELEROMETER
-from .model_xml import model_xml
-from .motions import Motion
-from .sensing import Signals, add_noise
-from .simulate import SAMPLE
+from scripts.gap_suite.build import FACTORS
+from scripts.gap_suite.cases import SEED, Case
+from scripts.gap_suite.effects import FREE, INVERSE, RANDOM
+from scripts.gap_suite.effects_sensor import ACCELEROMETER
+from scripts.gap_suite.model_xml import model_xml
+from scripts.gap_suite.motions import Motion
+from scripts.gap_suite.sensing import Signals, add_noise
+from scripts.gap_suite.simulate import SAMPLE
 
 FORMAT = "gap-truth/1"
 """Format of a file of truth."""

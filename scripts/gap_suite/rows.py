@@ -14,11 +14,10 @@ from loose_env.gap.files import written_beside
 from loose_env.gap.plain import restored
 from loose_env.gap.result_file import whole_of
 from loose_env.recording.text_file import read_text
-
-from .cases import OUT, name_of, role_of
-from .effects import CATALOGUE, OUTSIDE
-from .grade import Grade
-from .one_case import Row, shard_for
+from scripts.gap_suite.cases import OUT, name_of, role_of
+from scripts.gap_suite.effects import CATALOGUE, OUTSIDE
+from scripts.gap_suite.grade import Grade
+from scripts.gap_suite.one_case import Row, shard_for
 
 __all__ = ["take_rows", "write_rows"]
 

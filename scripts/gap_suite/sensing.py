@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from .effects import Readings
-from .effects_sensor import ACCELEROMETER
-from .figures import GRAVITY, Figures
-from .simulate import SAMPLE, Trace
+from scripts.gap_suite.effects import Readings
+from scripts.gap_suite.effects_sensor import ACCELEROMETER
+from scripts.gap_suite.figures import GRAVITY, Figures
+from scripts.gap_suite.simulate import SAMPLE, Trace
 
 Array = NDArray[np.float64]
 

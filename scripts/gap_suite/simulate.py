@@ -8,8 +8,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from .dynamics import BODY, WORK, add_tool_force, forward, mass_and_bias, solve, tool_acceleration
-from .laws import ACTUATOR, LAWS, drive_torque, joint_force
+from scripts.gap_suite.dynamics import (
+    BODY,
+    WORK,
+    add_tool_force,
+    forward,
+    mass_and_bias,
+    solve,
+    tool_acceleration,
+)
+from scripts.gap_suite.laws import ACTUATOR, LAWS, drive_torque, joint_force
 
 Array = NDArray[np.float64]
 

@@ -28,13 +28,13 @@ from numpy.typing import NDArray
 from scipy import signal
 from scipy.optimize import lsq_linear
 
-from .build import FACTORS, TOLERANCE, Factors
-from .effects import INVERSE, RANDOM, Effect, Kind, Parameters, Place, kinds
-from .inverse import torque_residual
-from .motions import Motion
-from .sensing import Noise, Signals, add_noise
-from .simulate import SAMPLE
-from .truth import TrueArm
+from scripts.gap_suite.build import FACTORS, TOLERANCE, Factors
+from scripts.gap_suite.effects import INVERSE, RANDOM, Effect, Kind, Parameters, Place, kinds
+from scripts.gap_suite.inverse import torque_residual
+from scripts.gap_suite.motions import Motion
+from scripts.gap_suite.sensing import Noise, Signals, add_noise
+from scripts.gap_suite.simulate import SAMPLE
+from scripts.gap_suite.truth import TrueArm
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .effects import CATALOGUE, OUTSIDE
-from .grade import FAILED, NO_GAP, UNEXPLAINED, Grade
+from scripts.gap_suite.effects import CATALOGUE, OUTSIDE
+from scripts.gap_suite.grade import FAILED, NO_GAP, UNEXPLAINED, Grade
 
 SEVERAL = "several"
 """Column of the confusion matrix for results that name more than one effect."""

@@ -18,8 +18,7 @@ from loose_env.gap.finding import GapFound, find_gap
 from loose_env.gap.result import Gap, GapResult, read_result
 from loose_env.gap.settings import GapSettings
 from loose_env.recording import read_recording
-
-from .exported import exported_gap
+from scripts.gap_suite.exported import exported_gap
 
 __all__ = ["EXPORTED", "LOG", "RESULT", "Tool", "quick_result", "run_tool"]
 

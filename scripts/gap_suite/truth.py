@@ -6,14 +6,23 @@ import dataclasses
 
 import numpy as np
 
-from .build import Factors, build
-from .chain import felt_inertia
-from .effects import Effect, Readings
-from .figures import Figures
-from .laws import BUMP, CROSSLEY, DAMPING, EXTRA, FRICTION, HERTZ, SMOOTH_SPEED, STIFFNESS
-from .motions import Motion
-from .sensing import Signals, needs_fine, read
-from .simulate import SAMPLE, System, simulate
+from scripts.gap_suite.build import Factors, build
+from scripts.gap_suite.chain import felt_inertia
+from scripts.gap_suite.effects import Effect, Readings
+from scripts.gap_suite.figures import Figures
+from scripts.gap_suite.laws import (
+    BUMP,
+    CROSSLEY,
+    DAMPING,
+    EXTRA,
+    FRICTION,
+    HERTZ,
+    SMOOTH_SPEED,
+    STIFFNESS,
+)
+from scripts.gap_suite.motions import Motion
+from scripts.gap_suite.sensing import Signals, needs_fine, read
+from scripts.gap_suite.simulate import SAMPLE, System, simulate
 
 STOP_FORCE = 100.0
 """Force of a blow on the stops of a slide by which the steps are chosen [N]."""

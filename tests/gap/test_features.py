@@ -12,8 +12,7 @@ from loose_env.gap.features import FeatureSettings, RandomFeatures
 from loose_env.gap.machine import Machine
 from loose_env.gap.response import CommandResponse
 from loose_env.gap.trial import Channel, Trial
-
-from .effect_arms import PLANAR, mujoco
+from tests.gap.effect_arms import PLANAR, mujoco
 
 Array = NDArray[np.float64]
 
