@@ -38,7 +38,7 @@ from loose_env.diagnosis.dynamic_direction import direction_by_dynamics
 from loose_env.envs.diagnosis import DiagnosisEnv
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.faults import UNSURE
-from loose_env.gap.result import GapResult, read_result
+from loose_env.gap.output.result import GapResult, read_result
 from loose_env.recording import Recording, Run, write_recording
 from loose_env.report.paired import Interval, bootstrap_mean
 from loose_env.report.standings import wilson

@@ -20,13 +20,13 @@ from pathlib import Path
 from loose_env.arms.file_scan import files_of
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.cli.recorded import Said, add_recording_options, folder_of
-from loose_env.gap.effect_files import read_effects
-from loose_env.gap.finding import find_gap
-from loose_env.gap.quantities import quantity_words
-from loose_env.gap.reporting import outputs_of
-from loose_env.gap.result import GapResult
+from loose_env.gap.model.effects.catalogue import read_effects
+from loose_env.gap.output.checkpoints import Stages, key_of
+from loose_env.gap.output.result import GapResult
+from loose_env.gap.pipeline import find_gap
+from loose_env.gap.residuals.physical_units import quantity_words
 from loose_env.gap.settings import GapSettings
-from loose_env.gap.stages import Stages, key_of
+from loose_env.gap.summary import outputs_of
 from loose_env.recording import read_recording
 from loose_env.report.gap_report import write_outputs
 from loose_env.report.gap_words import ranked_words, unsure

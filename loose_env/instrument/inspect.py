@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from loose_env.arms.linear import LinearArm
 from loose_env.diagnosis.proposal import Proposal, holding_modes
-from loose_env.gap.result_file import json_text
 from loose_env.instrument.candidates import candidate_poses
 from loose_env.instrument.findable import Findable, best_seen, findable_faults
 from loose_env.instrument.ground import Ground
@@ -26,6 +25,7 @@ from loose_env.instrument.next_settings import NextSettings
 from loose_env.instrument.plan import load
 from loose_env.instrument.plan_settings import ModelSettings
 from loose_env.instrument.proposed import limited, proposed, torque_of
+from loose_env.io.json_codec import json_text
 
 __all__ = ["FORMAT", "Inspection", "JointSeen", "inspect_model"]
 

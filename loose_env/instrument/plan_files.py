@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.gap.files import write_text, written_beside
-from loose_env.gap.plain import plain
 from loose_env.instrument.plan import Plan
 from loose_env.instrument.signals import Signal
+from loose_env.io.files import write_text, written_beside
+from loose_env.io.json_codec import plain
 from loose_env.recording.csv_file import write_csv
 from loose_env.recording.description import DESCRIPTION, RunEntry, read_description
 from loose_env.recording.description import FORMAT as RECORDING_FORMAT

@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from loose_env.errors import InvalidData
-from loose_env.gap.files import write_text
-from loose_env.gap.plain import restored
-from loose_env.gap.result_file import json_text, read_result_file, whole_of
 from loose_env.instrument.next_settings import NextSettings
 from loose_env.instrument.setting_types import settings_within
+from loose_env.io.files import write_text
+from loose_env.io.json_codec import json_text, read_result_file, restored, whole_of
 
 __all__ = [
     "FORMAT",

@@ -8,6 +8,7 @@ from typing import Any
 
 from loose_env.arms.arm import Arm
 from loose_env.instrument.result import HEALTHY, Diagnosis, NextMeasurement, RecordSeen
+from loose_env.io.text import sentence
 from loose_env.report.diagnosis_arm import arm_figure
 from loose_env.report.diagnosis_figures import loop_figure, posterior_figure, shown_hypotheses
 from loose_env.report.diagnosis_words import (
@@ -20,7 +21,6 @@ from loose_env.report.diagnosis_words import (
 )
 from loose_env.report.gap_parts import group
 from loose_env.report.plate import Plate
-from loose_env.report.sentences import sentence
 from loose_env.report.template import template, write_whole
 
 __all__ = ["page_of", "write_page"]

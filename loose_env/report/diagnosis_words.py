@@ -9,7 +9,7 @@ import numpy as np
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidData
 from loose_env.instrument.result import HEALTHY, Diagnosis, NextMeasurement
-from loose_env.report.sentences import begun, sentence
+from loose_env.io.text import begun, sentence
 
 __all__ = [
     "headline",

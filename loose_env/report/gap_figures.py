@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.envs.drawing.ink import FAINT, INK, MEASURED, MUTED, TRUTH
-from loose_env.gap.dependence import binned
+from loose_env.gap.diagnostics.regressors import binned
 from loose_env.report.figures import WIDTH, new_figure
 
 if TYPE_CHECKING:

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.dependence import Dependence
-from loose_env.gap.durations import duration_words
-from loose_env.gap.joint_motion import JointMotion
-from loose_env.gap.locate import main_band, strongest
-from loose_env.gap.reporting import Evidence, GapOutputs
-from loose_env.gap.result import GapResult
+from loose_env.gap.diagnostics.joint_torque_residual import JointMotion
+from loose_env.gap.diagnostics.localisation import main_band, strongest
+from loose_env.gap.diagnostics.regressors import Dependence
+from loose_env.gap.output.result import GapResult
+from loose_env.gap.summary import Evidence, GapOutputs
+from loose_env.io.text import duration_words, sentence
 from loose_env.report.gap_figures import (
     channel_bars,
     horizon_curves,
@@ -33,7 +33,6 @@ from loose_env.report.gap_words import (
     sure_words,
 )
 from loose_env.report.plate import Plate
-from loose_env.report.sentences import sentence
 from loose_env.report.template import template, write_whole
 
 __all__ = ["render_gap_page", "write_gap_page"]

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from loose_env.gap.durations import duration_words
-from loose_env.gap.separating import how_to_see, how_to_separate
-from loose_env.gap.unseen import Identifiability
+from loose_env.gap.diagnostics.experiment_advice import Identifiability, how_to_see, how_to_separate
+from loose_env.io.text import duration_words
 from loose_env.report.gap_parts import group
 
 __all__ = ["shown_group"]

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.reporting import Evidence, GapOutputs
-from loose_env.gap.residual_series import Series, in_bands, series_of, spectrum
-from loose_env.gap.result import GapResult
-from loose_env.gap.struck import StruckChannel
+from loose_env.gap.diagnostics.feature_localisation import StruckChannel
+from loose_env.gap.diagnostics.residual_spectra import Series, in_bands, series_of, spectrum
+from loose_env.gap.output.result import GapResult
+from loose_env.gap.summary import Evidence, GapOutputs
 from loose_env.report.gap_figures import spectrum_curves
 from loose_env.report.gap_parts import group
 from loose_env.report.plate import Plate

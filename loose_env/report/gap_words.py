@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from loose_env.gap.left import CLOSED
-from loose_env.gap.naming_settings import NamingSettings
-from loose_env.gap.quantities import quantity_words
-from loose_env.gap.result import GapResult, NamedEffect, Place, Ranked
-from loose_env.gap.separating import how_to_separate
+from loose_env.gap.diagnostics.experiment_advice import how_to_separate
+from loose_env.gap.diagnostics.remaining_error import CLOSED
+from loose_env.gap.output.result import GapResult, NamedEffect, Place, Ranked
+from loose_env.gap.residuals.physical_units import quantity_words
+from loose_env.gap.settings import NamingSettings
 
 __all__ = [
     "effect_words",
@@ -99,7 +99,7 @@ def unsure(result: GapResult) -> Ranked | None:
 
     Examples
     --------
-    >>> from loose_env.gap.result import Gap
+    >>> from loose_env.gap.output.result import Gap
     >>> friction = Ranked(
     ...     kind="coulomb_friction", where="joint2", held_out=1.01, bic=-9e3, lead=1.7
     ... )

@@ -13,13 +13,13 @@ from scipy.signal import welch
 from loose_env.envs.drawing.ink import INK, MEASURED, MUTED
 from loose_env.instrument.plan import Plan
 from loose_env.instrument.signals import Signal
+from loose_env.io.text import sentence
 from loose_env.report.diagnosis_arm import arm_figure
 from loose_env.report.diagnosis_words import percent, with_plain_names
 from loose_env.report.figures import new_figure
 from loose_env.report.gap_parts import group
 from loose_env.report.plan_words import commands_after, plain_names, pose_rows, starts, steps
 from loose_env.report.plate import Plate
-from loose_env.report.sentences import sentence
 from loose_env.report.template import template, write_whole
 
 if TYPE_CHECKING:

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import mujoco
 
-from loose_env.gap.export import write_model
-from loose_env.gap.exported import compared, exported, resting_runs
-from loose_env.gap.finding import GapFound
-from loose_env.gap.judgement import machine_part
+from loose_env.gap.fitting.holdout_score import machine_part
+from loose_env.gap.output.export_check import compared, exported, resting_runs
+from loose_env.gap.output.export_mjcf import write_model
+from loose_env.gap.pipeline import GapFound
 
 __all__ = ["MODEL", "exported_gap"]
 

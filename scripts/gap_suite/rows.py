@@ -10,9 +10,8 @@ from typing import Any
 
 from agents.shard_store import ShardStore
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.gap.files import written_beside
-from loose_env.gap.plain import restored
-from loose_env.gap.result_file import whole_of
+from loose_env.io.files import written_beside
+from loose_env.io.json_codec import restored, whole_of
 from loose_env.recording.text_file import read_text
 from scripts.gap_suite.cases import OUT, name_of, role_of
 from scripts.gap_suite.effects import CATALOGUE, OUTSIDE

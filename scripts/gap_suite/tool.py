@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.finding import GapFound, find_gap
-from loose_env.gap.result import Gap, GapResult, read_result
+from loose_env.gap.output.result import Gap, GapResult, read_result
+from loose_env.gap.pipeline import GapFound, find_gap
 from loose_env.gap.settings import GapSettings
 from loose_env.recording import read_recording
 from scripts.gap_suite.exported import exported_gap

@@ -93,7 +93,7 @@ def _json_file(
 
 
 def _gap_reader() -> Callable[[Path], Any]:
-    from loose_env.gap.result import read_result
+    from loose_env.gap.output.result import read_result
 
     return read_result
 

@@ -233,7 +233,7 @@ def _table(out: Path) -> Any:
 def _gap(out: Path) -> list[str]:
     import mujoco
 
-    from loose_env.gap.result import read_result
+    from loose_env.gap.output.result import read_result
 
     found: list[str] = []
     result, page, model = out / "result.json", out / "report.html", out / "model.xml"

@@ -138,7 +138,7 @@ def recording() -> dict[str, bytes]:
 @functools.cache
 def gap_result() -> bytes:
     """Result of a comparison."""
-    from loose_env.gap.result import Gap, GapResult, NamedEffect, Place, Ranked
+    from loose_env.gap.output.result import Gap, GapResult, NamedEffect, Place, Ranked
 
     effect = NamedEffect(
         kind="viscous_friction",

@@ -113,7 +113,7 @@ def diagnosis() -> dict[str, Any]:
 
 def gap(threads: int = 1) -> dict[str, Any]:
     """What `loose gap` finds on a small recording."""
-    from loose_env.gap.finding import find_gap
+    from loose_env.gap.pipeline import find_gap
     from loose_env.gap.settings import GapSettings
     from loose_env.recording import read_recording
     from scripts.trust.commands import make_recording

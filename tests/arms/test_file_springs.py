@@ -20,8 +20,8 @@ from loose_env.arms.mismatch import MismatchDraw
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import at_levels
 from loose_env.faults import Healthy, StructuralLooseness
-from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.machine import Machine
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.nominal_model import Machine
 from loose_env.rig.reduced import ReducedRig
 from loose_env.rig.simulated import SimulatedRig
 

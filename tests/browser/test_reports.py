@@ -12,7 +12,7 @@ pytest.importorskip("matplotlib")
 
 from loose_env.arms import vera
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.gap.reporting import gather, result_of
+from loose_env.gap.summary import gather, result_of
 from loose_env.instrument.next_settings import NextSettings
 from loose_env.instrument.plan import plan
 from loose_env.instrument.plan_settings import PlanSettings

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.gap.effect import Effect, Readings
-from loose_env.gap.effects.sensor_delay import delayed
-from loose_env.gap.machine import Machine
+from loose_env.gap.model.effect import Effect, Readings
+from loose_env.gap.model.effects.sensors import delayed
+from loose_env.gap.model.nominal_model import Machine
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from loose_env.gap.effect import Effect
-from loose_env.gap.judgement import Judge, Judged
-from loose_env.gap.nominal import NominalFigures
-from loose_env.gap.preparing import Prepared, prepare
+from loose_env.gap.fitting.holdout_score import Judge, Judged
+from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.preparation.prepare import Prepared, prepare
 from loose_env.gap.settings import GapSettings
 from loose_env.recording import Run, write_recording
 from tests.gap.effect_arms import PLANAR

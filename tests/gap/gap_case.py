@@ -8,18 +8,18 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.comparison import Comparison
-from loose_env.gap.effect import Effect
-from loose_env.gap.effects.sensor_gain import SensorGain
-from loose_env.gap.effects.viscous_friction import ViscousFriction
-from loose_env.gap.fit import Fit
-from loose_env.gap.judgement import Judge
-from loose_env.gap.machine import Machine
-from loose_env.gap.noise import noise_floor
-from loose_env.gap.nominal import NominalFigures
-from loose_env.gap.reporting import GapOutputs
-from loose_env.gap.result import NamedEffect, Place, Ranked
-from loose_env.gap.trial import channels_of, lay_out
+from loose_env.gap.data.aligned_run import channels_of, lay_out
+from loose_env.gap.data.noise_floor import noise_floor
+from loose_env.gap.fitting.gauss_newton import Fit
+from loose_env.gap.fitting.holdout_score import Judge
+from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.friction import ViscousFriction
+from loose_env.gap.model.effects.sensors import SensorGain
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.output.result import NamedEffect, Place, Ranked
+from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.summary import GapOutputs
 from loose_env.recording import Recording, Run, write_recording
 from tests.gap.effect_arms import PLANAR
 

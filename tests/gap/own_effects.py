@@ -7,8 +7,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.effects.joint_effect import JointEffect
-from loose_env.gap.parameter import Parameter
+from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect
+from loose_env.gap.model.parameter import Parameter
 
 Array = NDArray[np.float64]
 

@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from loose_env.gap.comparison import Comparison
-from loose_env.gap.effect import Effect
-from loose_env.gap.fit import Fit, fit, hypothesis_of
-from loose_env.gap.machine import Machine
-from loose_env.gap.noise import noise_floor
-from loose_env.gap.nominal import NominalFigures
-from loose_env.gap.parameter import free_of
-from loose_env.gap.start import StartState
-from loose_env.gap.trial import channels_of, lay_out
+from loose_env.gap.data.aligned_run import channels_of, lay_out
+from loose_env.gap.data.noise_floor import noise_floor
+from loose_env.gap.fitting.gauss_newton import Fit, fit, hypothesis_of
+from loose_env.gap.fitting.initial_state import StartState
+from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.parameter import free_of
+from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.recording import Run
 
 Array = NDArray[np.float64]

@@ -8,11 +8,11 @@ from math import inf
 import numpy as np
 import pytest
 
-from loose_env.gap.acceptance import Acceptance
-from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.fit import Fit
-from loose_env.gap.judgement import Judge, Judged, lead_of, share_of, sureness_of
-from loose_env.gap.naming_settings import NamingSettings
+from loose_env.gap.fitting.gauss_newton import Fit
+from loose_env.gap.fitting.holdout_score import Judge, Judged, lead_of, share_of, sureness_of
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.selection.acceptance import Acceptance
+from loose_env.gap.settings import NamingSettings
 from tests.gap.test_ranking import COMPARED, LATE, MACHINE, NOMINAL
 
 LEVELS = 2.5, 1.2

@@ -11,23 +11,22 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.gap.acceptance import Acceptance
-from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.exchange import Exchange
-from loose_env.gap.finding import GapFound, find_gap, prepare
-from loose_env.gap.fit import Fit, parameters_of
-from loose_env.gap.hypothesis import Hypothesis
-from loose_env.gap.judgement import Judge, lead_of
-from loose_env.gap.machine import Machine
-from loose_env.gap.naming import Named
-from loose_env.gap.naming_settings import NamingSettings
-from loose_env.gap.nominal import NominalFigures
-from loose_env.gap.parameter import free_of
-from loose_env.gap.preparing import Prepared
-from loose_env.gap.refitting import refined
-from loose_env.gap.search import Searched, beside_stops
-from loose_env.gap.settings import GapSettings
-from loose_env.gap.stages import Stages, key_of
+from loose_env.gap.fitting.gauss_newton import Fit, parameters_of
+from loose_env.gap.fitting.holdout_score import Judge, lead_of
+from loose_env.gap.fitting.refit import refined
+from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.parameter import free_of
+from loose_env.gap.output.checkpoints import Stages, key_of
+from loose_env.gap.pipeline import GapFound, find_gap, prepare
+from loose_env.gap.preparation.prepare import Prepared
+from loose_env.gap.selection.acceptance import Acceptance
+from loose_env.gap.selection.forward_selection import Named
+from loose_env.gap.selection.revision import Exchange
+from loose_env.gap.selection.reweighted_search import Searched, beside_stops
+from loose_env.gap.settings import GapSettings, NamingSettings
 from loose_env.recording import Recording, write_recording
 from tests.gap.level_arm import FINE, LEVEL, moving
 

@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.gap.catalogue import CATALOGUE, candidates
-from loose_env.gap.comparison import Rows
-from loose_env.gap.effect import Effect
-from loose_env.gap.hypothesis import Hypothesis
-from loose_env.gap.kinship import joint_of
-from loose_env.gap.machine import Machine
-from loose_env.gap.structure import Structure, largest
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.residuals.autocorrelation import Structure, largest
+from loose_env.gap.residuals.residual_model import Rows
+from loose_env.gap.selection.screening.grouping import joint_of
 from loose_env.recording import Run
 from tests.gap.effect_arms import PLANAR, commands, simulate
 from tests.gap.recorded_runs import compared, measurable, torque_run

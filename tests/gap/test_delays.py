@@ -5,14 +5,14 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.fit import fit
-from loose_env.gap.judgement import Judge
-from loose_env.gap.machine import Machine
-from loose_env.gap.naming_settings import NamingSettings
-from loose_env.gap.nominal import NominalFigures
-from loose_env.gap.parameter import free_of, values_of
-from loose_env.gap.trying import Trying
+from loose_env.gap.fitting.gauss_newton import fit
+from loose_env.gap.fitting.holdout_score import Judge
+from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.parameter import free_of, values_of
+from loose_env.gap.selection.candidate_fits import Trying
+from loose_env.gap.settings import NamingSettings
 from loose_env.recording import Run
 from tests.gap.level_arm import EVERY, FINE, LEVEL, NOISE
 from tests.gap.recorded_runs import compared

@@ -10,14 +10,13 @@ import pytest
 from loose_env.cli import gap
 from loose_env.cli.main import main
 from loose_env.errors import InvalidSetting
-from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.effect_files import read_effects
-from loose_env.gap.result import read_result
+from loose_env.gap.model.effects.catalogue import CATALOGUE, read_effects
+from loose_env.gap.output.result import read_result
 from tests.gap.sprung_arm import sprung
 
 CREEP = """
-from loose_env.gap.catalogue import register
-from loose_env.gap.effects.sensor_bias import SensorBias
+from loose_env.gap.model.effects.catalogue import register
+from loose_env.gap.model.effects.sensors import SensorBias
 
 @register
 class Creep(SensorBias):

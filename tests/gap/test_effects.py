@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.gap.catalogue import CATALOGUE, candidates, register
-from loose_env.gap.effect import Effect
-from loose_env.gap.machine import Machine
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates, register
+from loose_env.gap.model.nominal_model import Machine
 from tests.gap.effect_arms import (
     ARMS,
     clock,

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.effect import Effect
-from loose_env.gap.machine import Machine
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.nominal_model import Machine
 from tests.gap.effect_arms import machine_of
 
 Array = NDArray[np.float64]

@@ -10,11 +10,11 @@ import pytest
 from numpy.typing import NDArray
 
 from loose_env.arms import DESK_ARM
-from loose_env.gap.catalogue import CATALOGUE, candidates
-from loose_env.gap.effect import Effect
-from loose_env.gap.effects.inertials import Inertial, inertial_of, make_explicit, steiner
-from loose_env.gap.effects.link_flexibility import parts
-from loose_env.gap.machine import Machine
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
+from loose_env.gap.model.effects.link_flexibility import parts
+from loose_env.gap.model.effects.mjcf.inertia import Inertial, inertial_of, make_explicit, steiner
+from loose_env.gap.model.nominal_model import Machine
 from tests.gap.effect_arms import ARMS, machine_of
 
 Array = NDArray[np.float64]

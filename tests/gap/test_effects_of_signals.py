@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from loose_env.gap.catalogue import CATALOGUE, candidates
-from loose_env.gap.effects.sensor_delay import delayed
-from loose_env.gap.machine import Machine
+from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
+from loose_env.gap.model.effects.sensors import delayed
+from loose_env.gap.model.nominal_model import Machine
 from tests.gap.effect_arms import clock, commands, machine_of, simulate
 
 

@@ -9,16 +9,14 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData
-from loose_env.gap.catalogue import CATALOGUE, candidates
-from loose_env.gap.effect import Effect
-from loose_env.gap.effects.coulomb_friction import CoulombFriction
-from loose_env.gap.effects.joint_compliance import JointCompliance
-from loose_env.gap.effects.sensor_bias import SensorBias
-from loose_env.gap.effects.sensor_gain import SensorGain
-from loose_env.gap.effects.viscous_friction import ViscousFriction
-from loose_env.gap.export import correction_code, write_model
-from loose_env.gap.machine import Machine
-from loose_env.gap.nominal import NominalFigures
+from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
+from loose_env.gap.model.effects.friction import CoulombFriction, ViscousFriction
+from loose_env.gap.model.effects.joint_elasticity import JointCompliance
+from loose_env.gap.model.effects.sensors import SensorBias, SensorGain
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.output.export_mjcf import correction_code, write_model
 from loose_env.recording.columns import ModelColumns
 from tests.gap.effect_arms import (
     PLANAR,

@@ -9,16 +9,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.gap.comparison import Comparison
-from loose_env.gap.effect import Effect
-from loose_env.gap.effects.actuator_lag import ActuatorLag
-from loose_env.gap.effects.command_delay import CommandDelay
-from loose_env.gap.effects.sensor_gain import SensorGain
-from loose_env.gap.effects.viscous_friction import ViscousFriction
-from loose_env.gap.export import corrected_spec
-from loose_env.gap.exported import Exported, exported, played
-from loose_env.gap.judgement import machine_part
-from loose_env.gap.preparing import Prepared
+from loose_env.gap.fitting.holdout_score import machine_part
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.actuators import ActuatorLag, CommandDelay
+from loose_env.gap.model.effects.friction import ViscousFriction
+from loose_env.gap.model.effects.sensors import SensorGain
+from loose_env.gap.output.export_check import Exported, exported, played
+from loose_env.gap.output.export_mjcf import corrected_spec
+from loose_env.gap.preparation.prepare import Prepared
+from loose_env.gap.residuals.residual_model import Comparison
 from tests.gap.exported_case import judged_with, prepared_arm
 
 

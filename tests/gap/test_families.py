@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.families import families, frictions
-from loose_env.gap.machine import Machine
-from loose_env.gap.screening import Screened
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.selection.screening.grouping import families, frictions
+from loose_env.gap.selection.screening.screening import Screened
 from tests.gap.effect_arms import machine_of
 
 

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.gap.features import FeatureSettings, RandomFeatures
-from loose_env.gap.machine import Machine
-from loose_env.gap.response import CommandResponse
-from loose_env.gap.trial import Channel, Trial
+from loose_env.gap.data.aligned_run import Channel, Trial
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.residuals.random_excitation.features import FeatureSettings, RandomFeatures
+from loose_env.gap.residuals.random_excitation.frequency_response import CommandResponse
 from tests.gap.effect_arms import PLANAR, mujoco
 
 Array = NDArray[np.float64]

@@ -13,11 +13,11 @@ import pytest
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.gap.effects.coulomb_friction import make_it_stick
-from loose_env.gap.finding import find_gap, prepare
+from loose_env.gap.model.effects.friction import make_it_stick
+from loose_env.gap.output.checkpoints import Stages, key_of
+from loose_env.gap.pipeline import find_gap, prepare
+from loose_env.gap.residuals.windows import SHORTEST
 from loose_env.gap.settings import GapSettings
-from loose_env.gap.stages import Stages, key_of
-from loose_env.gap.windows import SHORTEST
 from loose_env.recording import Recording, Run, write_recording
 from tests.gap.effect_arms import PLANAR
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loose_env.gap.finding import find_gap
+from loose_env.gap.pipeline import find_gap
 from loose_env.gap.settings import GapSettings
 from loose_env.recording import Run, read_recording, write_recording
 from tests.gap.test_how_runs_begin import COUNT, EVERY, KINDS, SERVOS, motion

@@ -8,13 +8,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.fit import hypothesis_of, parameters_of, sensitivities
-from loose_env.gap.hypothesis import Hypothesis
-from loose_env.gap.judgement import Judge
-from loose_env.gap.machine import Machine
-from loose_env.gap.parameter import free_of
-from loose_env.gap.start import StartState
+from loose_env.gap.fitting.gauss_newton import hypothesis_of, parameters_of, sensitivities
+from loose_env.gap.fitting.holdout_score import Judge
+from loose_env.gap.fitting.initial_state import StartState
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.parameter import free_of
 from loose_env.recording import Run
 from tests.gap.recorded_runs import PENDULUM, compared, fitted, measurable, pendulum_run
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.gap.catalogue import candidates
-from loose_env.gap.effect import Effect
-from loose_env.gap.horizons import HorizonError, horizon_errors
-from loose_env.gap.hypothesis import Hypothesis
-from loose_env.gap.machine import Machine
-from loose_env.gap.simulator import Simulator
-from loose_env.gap.trial import Channel, Trial
+from loose_env.gap.data.aligned_run import Channel, Trial
+from loose_env.gap.diagnostics.prediction_horizon import HorizonError, horizon_errors
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.catalogue import candidates
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.simulation.simulator import Simulator
 from tests.gap.effect_arms import PLANAR
 
 Array = NDArray[np.float64]

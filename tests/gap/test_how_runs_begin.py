@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.gap.finding import find_gap
-from loose_env.gap.machine import Machine
-from loose_env.gap.preparing import prepare
-from loose_env.gap.rest import comes_to_rest
+from loose_env.gap.data.aligned_run import channels_of, lay_out
+from loose_env.gap.data.initial_rest import comes_to_rest
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.pipeline import find_gap
+from loose_env.gap.preparation.prepare import prepare
 from loose_env.gap.settings import GapSettings
-from loose_env.gap.trial import channels_of, lay_out
 from loose_env.recording import Run, read_recording, write_recording
 
 Array = NDArray[np.float64]

@@ -6,17 +6,20 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.catalogue import CATALOGUE, candidates
-from loose_env.gap.comparison import Comparison
-from loose_env.gap.effect import Effect
-from loose_env.gap.fit import Fit
-from loose_env.gap.hypothesis import Hypothesis
-from loose_env.gap.identifiability import identifiability
-from loose_env.gap.machine import Machine
-from loose_env.gap.nominal import NominalFigures
-from loose_env.gap.separating import how_to_see
-from loose_env.gap.trial import Channel, lay_out
-from loose_env.gap.unseen import Identifiability, identifiability_words
+from loose_env.gap.data.aligned_run import Channel, lay_out
+from loose_env.gap.diagnostics.experiment_advice import (
+    Identifiability,
+    how_to_see,
+    identifiability_words,
+)
+from loose_env.gap.diagnostics.identifiability import identifiability
+from loose_env.gap.fitting.gauss_newton import Fit
+from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.recording import Run
 from tests.gap.effect_arms import PLANAR
 from tests.gap.gap_case import stated

@@ -10,13 +10,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.gap.effects.actuator_gain import ActuatorGain
-from loose_env.gap.hypothesis import Hypothesis
-from loose_env.gap.integration import Integration, choose_integration, corrected_step_words
-from loose_env.gap.machine import Machine
-from loose_env.gap.preparing import prepare
+from loose_env.gap.data.aligned_run import channels_of
+from loose_env.gap.model.effects.actuators import ActuatorGain
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.preparation.integrator_choice import (
+    Integration,
+    choose_integration,
+    corrected_step_words,
+)
+from loose_env.gap.preparation.prepare import prepare
 from loose_env.gap.settings import GapSettings
-from loose_env.gap.trial import channels_of
 from loose_env.recording import Run, write_recording
 
 Array = NDArray[np.float64]

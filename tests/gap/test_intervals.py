@@ -8,10 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.fit import Fit
-from loose_env.gap.intervals import Intervals, bootstrap, widened
-from loose_env.gap.parameter import free_of
+from loose_env.gap.fitting.confidence_intervals import Intervals, bootstrap, widened
+from loose_env.gap.fitting.gauss_newton import Fit
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.parameter import free_of
 from tests.gap.effect_arms import machine_of
 
 

@@ -8,11 +8,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.hypothesis import Hypothesis
-from loose_env.gap.machine import Machine
-from loose_env.gap.motion import motion_band, smooth_motion
-from loose_env.gap.trial import channels_of, lay_out
+from loose_env.gap.data.aligned_run import channels_of, lay_out
+from loose_env.gap.data.smoothing import motion_band, smooth_motion
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
 from tests.gap.effect_arms import PLANAR
 from tests.gap.recorded_runs import compared, measurable, torque_run
 

@@ -8,15 +8,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.comparison import Comparison
-from loose_env.gap.fit import hypothesis_of
-from loose_env.gap.hypothesis import Hypothesis
-from loose_env.gap.machine import Machine
-from loose_env.gap.nominal import NominalFigures
-from loose_env.gap.parameter import free_of
-from loose_env.gap.stepping import step_with
-from loose_env.gap.trial import Trial, channels_of, lay_out
+from loose_env.gap.data.aligned_run import Trial, channels_of, lay_out
+from loose_env.gap.fitting.gauss_newton import hypothesis_of
+from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.parameter import free_of
+from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.simulation.time_step import step_with
 from loose_env.recording import Recording
 from tests.gap.gap_case import STEP, record
 

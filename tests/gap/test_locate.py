@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.gap.comparison import Rows
-from loose_env.gap.dependence import REGRESSORS, binned, dependence, direction_of
-from loose_env.gap.joint_motion import JointMotion, joint_motion
-from loose_env.gap.locate import (
+from loose_env.gap.data.aligned_run import Channel, Trial
+from loose_env.gap.diagnostics.joint_torque_residual import JointMotion, joint_motion
+from loose_env.gap.diagnostics.localisation import (
     Band,
     ChannelGap,
     Location,
@@ -17,10 +16,11 @@ from loose_env.gap.locate import (
     strongest,
     where_it_lives,
 )
-from loose_env.gap.machine import Machine
-from loose_env.gap.residual_series import band_edges, density, series_of, spectrum
-from loose_env.gap.residual_tests import left_over
-from loose_env.gap.trial import Channel, Trial
+from loose_env.gap.diagnostics.regressors import REGRESSORS, binned, dependence, direction_of
+from loose_env.gap.diagnostics.residual_spectra import band_edges, density, series_of, spectrum
+from loose_env.gap.diagnostics.residual_tests import left_over
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.residuals.residual_model import Rows
 
 Array = NDArray[np.float64]
 CHANNELS = (Channel("sensor.q"), Channel("sensor.acc", 0))

@@ -6,14 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.gap.catalogue import CATALOGUE, candidates
-from loose_env.gap.effects.geometry import link_ends
-from loose_env.gap.effects.inertials import make_explicit
-from loose_env.gap.effects.payload import Payload, payload_words
-from loose_env.gap.export import corrected_spec
-from loose_env.gap.machine import Machine
-from loose_env.gap.names import naming_words
-from loose_env.gap.nominal import NominalFigures
+from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
+from loose_env.gap.model.effects.link_inertia import Payload, payload_words
+from loose_env.gap.model.effects.mjcf.geometry import link_ends
+from loose_env.gap.model.effects.mjcf.inertia import make_explicit
+from loose_env.gap.model.element_names import naming_words
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.output.export_mjcf import corrected_spec
 
 NAMED = """
 <mujoco>

@@ -10,23 +10,23 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from loose_env.gap import parting
-from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.comparison import Comparison
-from loose_env.gap.effects.structural_looseness import StructuralLooseness
-from loose_env.gap.effects.viscous_friction import ViscousFriction
-from loose_env.gap.finding import find_gap, prepare
-from loose_env.gap.hypothesis import Hypothesis
-from loose_env.gap.joint_motion import joint_motion
-from loose_env.gap.judgement import Judge
-from loose_env.gap.machine import Machine
-from loose_env.gap.nominal import NominalFigures
-from loose_env.gap.parting import parting_runs
-from loose_env.gap.reporting import GapOutputs, gather, outputs_of, result_of
+from loose_env.gap.data.aligned_run import channels_of, lay_out
+from loose_env.gap.diagnostics.feature_localisation import struck_channels
+from loose_env.gap.diagnostics.joint_torque_residual import joint_motion
+from loose_env.gap.fitting.holdout_score import Judge
+from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.effects.friction import ViscousFriction
+from loose_env.gap.model.effects.structural_looseness import StructuralLooseness
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.pipeline import find_gap, prepare
+from loose_env.gap.preparation import chaotic_runs as parting
+from loose_env.gap.preparation.chaotic_runs import parting_runs
+from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.settings import GapSettings
-from loose_env.gap.struck import struck_channels
-from loose_env.gap.trial import channels_of, lay_out
-from loose_env.gap.windows import windowed
+from loose_env.gap.summary import GapOutputs, gather, outputs_of, result_of
 from loose_env.recording import Recording, Run, write_recording
 from loose_env.report.gap_page import render_gap_page
 from tests.gap.gap_case import stated

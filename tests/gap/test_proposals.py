@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.gap.activations import activations
-from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.comparison import Comparison
-from loose_env.gap.hypothesis import Hypothesis
-from loose_env.gap.joint_motion import joint_motion
-from loose_env.gap.locate import locate
-from loose_env.gap.machine import Machine
-from loose_env.gap.proposals import missing_torque, proposals
-from loose_env.gap.simulator import Simulator
-from loose_env.gap.trial import Channel, Trial, channels_of, lay_out
+from loose_env.gap.data.actuator_states import activations
+from loose_env.gap.data.aligned_run import Channel, Trial, channels_of, lay_out
+from loose_env.gap.diagnostics.joint_torque_residual import joint_motion
+from loose_env.gap.diagnostics.localisation import locate
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.selection.screening.data_driven_starts import missing_torque, proposals
+from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import Recording, Run, write_recording
 from tests.gap.effect_arms import PLANAR
 from tests.gap.gap_case import DAMPING, MODEL, STEP, record

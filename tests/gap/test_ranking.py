@@ -7,19 +7,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.gap.ambiguity import indistinct
-from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.comparison import Comparison
-from loose_env.gap.effect import Effect
-from loose_env.gap.fit import Fit
-from loose_env.gap.independent import independent_rows
-from loose_env.gap.judgement import Judged, lead_of
-from loose_env.gap.machine import Machine
-from loose_env.gap.naming import Named
-from loose_env.gap.nominal import NominalFigures
-from loose_env.gap.ranking import bic, ranking_of
-from loose_env.gap.result import Place
-from loose_env.gap.trial import Channel, Trial
+from loose_env.gap.data.aligned_run import Channel, Trial
+from loose_env.gap.fitting.gauss_newton import Fit
+from loose_env.gap.fitting.holdout_score import Judged, lead_of
+from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.output.result import Place
+from loose_env.gap.residuals.autocorrelation import independent_rows
+from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.selection.forward_selection import Named
+from loose_env.gap.selection.ranking import bic, indistinct, ranking_of
 from tests.gap.effect_arms import PLANAR
 
 Array = NDArray[np.float64]

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.effects.viscous_friction import ViscousFriction
-from loose_env.gap.fit import slices_of
-from loose_env.gap.intervals import Intervals
-from loose_env.gap.judgement import Judged
-from loose_env.gap.parameter import values_of
-from loose_env.gap.refuting import short_of_limit, short_of_nothing
+from loose_env.gap.fitting.confidence_intervals import Intervals
+from loose_env.gap.fitting.gauss_newton import slices_of
+from loose_env.gap.fitting.holdout_score import Judged
+from loose_env.gap.fitting.profile_bounds import short_of_limit, short_of_nothing
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.effects.friction import ViscousFriction
+from loose_env.gap.model.parameter import values_of
 from tests.gap.gap_case import DAMPING, GAIN
 from tests.gap.test_trying import Case
 

@@ -10,18 +10,18 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.gap.judgement import Judge
-from loose_env.gap.keeping import judged_of, plain_judged
-from loose_env.gap.nominal import NominalFigures
-from loose_env.gap.reporting import (
+from loose_env.gap.fitting.holdout_score import Judge
+from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.output.checkpoints import Stages, key_of
+from loose_env.gap.output.result import read_result
+from loose_env.gap.selection.checkpoint_codec import judged_of, plain_judged
+from loose_env.gap.summary import (
     Evidence,
     GapOutputs,
     gather,
     result_of,
     write_model_and_result,
 )
-from loose_env.gap.result import read_result
-from loose_env.gap.stages import Stages, key_of
 from loose_env.recording import Recording, read_recording
 from tests.gap.gap_case import DAMPING, GAIN, outputs_for, record, stated
 
@@ -198,7 +198,7 @@ def test_stages_of_another_version_are_made_again(
     keys = {key_of(recording, {}), key_of(recording, {})}
     monkeypatch.setattr("mujoco.__version__", "0.0.1")
     keys.add(key_of(recording, {}))
-    monkeypatch.setattr("loose_env.gap.stages.version", lambda _: "0.0.1")
+    monkeypatch.setattr("loose_env.gap.output.checkpoints.version", lambda _: "0.0.1")
     keys.add(key_of(recording, {}))
     assert len(keys) == 3
 

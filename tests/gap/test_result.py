@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from loose_env.errors import InvalidData
-from loose_env.gap.dependence import Dependence
-from loose_env.gap.locate import Band, ChannelGap, JointGap, Location
-from loose_env.gap.residual_tests import LeftOver
-from loose_env.gap.result import (
+from loose_env.gap.diagnostics.localisation import Band, ChannelGap, JointGap, Location
+from loose_env.gap.diagnostics.regressors import Dependence
+from loose_env.gap.diagnostics.residual_tests import LeftOver
+from loose_env.gap.output.result import (
     UNIT,
     Gap,
     GapResult,

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.comparison import Comparison
-from loose_env.gap.fit import fit
-from loose_env.gap.hypothesis import Hypothesis
-from loose_env.gap.machine import Machine
-from loose_env.gap.nominal import NominalFigures
-from loose_env.gap.parameter import free_of
-from loose_env.gap.screening import Screened, screen
-from loose_env.gap.trial import channels_of, lay_out
+from loose_env.gap.data.aligned_run import channels_of, lay_out
+from loose_env.gap.fitting.gauss_newton import fit
+from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.parameter import free_of
+from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.selection.screening.screening import Screened, screen
 from tests.gap.gap_case import STEP, record
 
 FLOORS = np.array([2e-5] * 3 + [2e-3] + [0.02] * 3)

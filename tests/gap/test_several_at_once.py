@@ -8,11 +8,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.gap.explaining import explain_gap
-from loose_env.gap.hypothesis import Hypothesis
-from loose_env.gap.machine import Machine
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.residuals.windows import INVERSE, windowed
 from loose_env.gap.settings import GapSettings
-from loose_env.gap.windows import INVERSE, windowed
+from loose_env.gap.summary import explain_gap
 from loose_env.recording import read_recording, write_recording
 from tests.gap.effect_arms import PLANAR
 from tests.gap.recorded_runs import PENDULUM, compared, measurable, pendulum_run, torque_run

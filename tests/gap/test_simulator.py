@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.export import corrected_spec
-from loose_env.gap.hypothesis import Hypothesis, compiled
-from loose_env.gap.machine import Machine
-from loose_env.gap.preparing import prepare
-from loose_env.gap.rest import SETTLE
+from loose_env.gap.data.aligned_run import Channel, Trial
+from loose_env.gap.data.initial_rest import SETTLE
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.hypothesis import Hypothesis, compiled
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.output.export_mjcf import corrected_spec
+from loose_env.gap.preparation.prepare import prepare
 from loose_env.gap.settings import GapSettings
-from loose_env.gap.simulator import Simulator
-from loose_env.gap.trial import Channel, Trial
+from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import Run, write_recording
 from tests.gap.effect_arms import PLANAR
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.effect import Effect
-from loose_env.gap.hypothesis import Hypothesis
-from loose_env.gap.slight import slight
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.selection.negligible import slight
 from tests.gap.effect_arms import machine_of
 
 PLANAR = machine_of("planar")

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from loose_env.errors import InvalidData
-from loose_env.gap.split import split_runs
+from loose_env.gap.data.holdout_split import split_runs
 
 
 def test_families_of_motions_are_held_out_whole() -> None:

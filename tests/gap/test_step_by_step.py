@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
-from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.explaining import explain_gap
-from loose_env.gap.result import GapResult, read_result
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.output.result import GapResult, read_result
+from loose_env.gap.session import GapSteps, Tried
 from loose_env.gap.settings import GapSettings
-from loose_env.gap.step_by_step import GapSteps, Tried
+from loose_env.gap.summary import explain_gap
 from loose_env.recording import Recording
 from tests.gap.own_effects import CubicSpring
 from tests.gap.sprung_arm import STIFFNESS, sprung

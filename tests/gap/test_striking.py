@@ -11,19 +11,18 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.gap import striking
-from loose_env.gap.blows import Blows
-from loose_env.gap.catalogue import CATALOGUE, candidates
-from loose_env.gap.comparison import Comparison
-from loose_env.gap.effects.structural_looseness import StructuralLooseness
-from loose_env.gap.hypothesis import Hypothesis
-from loose_env.gap.integration import corrected_step_words
-from loose_env.gap.machine import Machine
-from loose_env.gap.naming_settings import NamingSettings
-from loose_env.gap.nominal import NominalFigures
-from loose_env.gap.preparing import Prepared, prepare
-from loose_env.gap.settings import GapSettings
-from loose_env.gap.striking import Struck, find_striking
+from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
+from loose_env.gap.model.effects.structural_looseness import StructuralLooseness
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.preparation.integrator_choice import corrected_step_words
+from loose_env.gap.preparation.prepare import Prepared, prepare
+from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.selection.impacts import impact_search as striking
+from loose_env.gap.selection.impacts.impact_power import Blows
+from loose_env.gap.selection.impacts.impact_search import Struck, find_striking
+from loose_env.gap.settings import GapSettings, NamingSettings
 from loose_env.recording import write_recording
 from tests.gap.level_arm import FINE, LEVEL, moving
 

@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.gap.catalogue import CATALOGUE, register
-from loose_env.gap.comparison import Comparison
-from loose_env.gap.effect import Effect
-from loose_env.gap.export import correction_code, write_model
-from loose_env.gap.horizons import horizon_errors
-from loose_env.gap.hypothesis import Hypothesis
-from loose_env.gap.inverse import InverseDynamics
-from loose_env.gap.machine import Machine
-from loose_env.gap.proposals import missing_torque
-from loose_env.gap.simulator import Simulator
-from loose_env.gap.torque_terms import BatchWithTerms, torque_terms
-from loose_env.gap.trial import Channel, Trial, channels_of, lay_out
+from loose_env.gap.data.aligned_run import Channel, Trial, channels_of, lay_out
+from loose_env.gap.diagnostics.prediction_horizon import horizon_errors
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.catalogue import CATALOGUE, register
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.output.export_mjcf import correction_code, write_model
+from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.selection.screening.data_driven_starts import missing_torque
+from loose_env.gap.simulation.inverse_dynamics import InverseDynamics
+from loose_env.gap.simulation.simulator import Simulator
+from loose_env.gap.simulation.torque_terms import BatchWithTerms, torque_terms
 from tests.gap.effect_arms import PLANAR
 from tests.gap.own_effects import (
     Cogging,

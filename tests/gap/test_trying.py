@@ -8,20 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loose_env.gap.acceptance import Acceptance
-from loose_env.gap.catalogue import CATALOGUE, candidates
-from loose_env.gap.comparison import Comparison
-from loose_env.gap.effect import Effect
-from loose_env.gap.exchange import Exchange
-from loose_env.gap.fit import FitSettings, fit, slices_of
-from loose_env.gap.judgement import Judge, Judged, lead_of
-from loose_env.gap.machine import Machine
-from loose_env.gap.naming_settings import NamingSettings
-from loose_env.gap.noise import noise_floor
-from loose_env.gap.nominal import NominalFigures
-from loose_env.gap.parameter import free_of, values_of
-from loose_env.gap.trial import channels_of, lay_out
-from loose_env.gap.trying import Trying
+from loose_env.gap.data.aligned_run import channels_of, lay_out
+from loose_env.gap.data.noise_floor import noise_floor
+from loose_env.gap.fitting.gauss_newton import FitSettings, fit, slices_of
+from loose_env.gap.fitting.holdout_score import Judge, Judged, lead_of
+from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.parameter import free_of, values_of
+from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.selection.acceptance import Acceptance
+from loose_env.gap.selection.candidate_fits import Trying
+from loose_env.gap.selection.revision import Exchange
+from loose_env.gap.settings import NamingSettings
 from tests.gap.gap_case import DAMPING, GAIN, STEP, record
 
 

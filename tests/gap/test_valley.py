@@ -8,14 +8,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.gap.catalogue import CATALOGUE
-from loose_env.gap.comparison import Comparison
-from loose_env.gap.fit import fit, hypothesis_of
-from loose_env.gap.machine import Machine
-from loose_env.gap.nominal import NominalFigures
-from loose_env.gap.parameter import free_of
-from loose_env.gap.refitting import polished
-from loose_env.gap.trial import channels_of, lay_out
+from loose_env.gap.data.aligned_run import channels_of, lay_out
+from loose_env.gap.fitting.gauss_newton import fit, hypothesis_of
+from loose_env.gap.fitting.refit import polished
+from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.parameter import free_of
+from loose_env.gap.residuals.residual_model import Comparison
 from tests.gap.gap_case import STEP, record
 
 FLOORS = np.array([2e-7] * 3 + [2e-5] + [0.0005] * 3)

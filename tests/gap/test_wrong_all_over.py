@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.gap.effects.coulomb_friction import make_it_stick
-from loose_env.gap.finding import GapFound, find_gap
+from loose_env.gap.model.effects.friction import make_it_stick
+from loose_env.gap.pipeline import GapFound, find_gap
 from loose_env.gap.settings import GapSettings
 from tests.gap.test_finding import STEP, record
 

@@ -16,6 +16,7 @@ pytest.importorskip("matplotlib")
 from loose_env.arms import Arm
 from loose_env.errors import InvalidData
 from loose_env.instrument.result import Diagnosis, Fault
+from loose_env.io.text import sentence
 from loose_env.report.diagnosis_arm import arm_figure
 from loose_env.report.diagnosis_figures import (
     hypothesis_colours,
@@ -25,7 +26,6 @@ from loose_env.report.diagnosis_figures import (
 )
 from loose_env.report.diagnosis_page import page_of, write_page
 from loose_env.report.diagnosis_words import headline, percent, questions, steps
-from loose_env.report.sentences import sentence
 from loose_env.report.svg import THEMED, to_svg
 from tests.report.diagnosis_case import CASES, desk, diagnosis, flat
 from tests.report.test_gap_page import Balanced

@@ -17,10 +17,15 @@ pytest.importorskip("matplotlib")
 
 from loose_env.cli.gap import summary
 from loose_env.errors import MissingExtra
-from loose_env.gap.reporting import Evidence, GapOutputs, gather, result_of
-from loose_env.gap.result import Gap, GapResult, NamedEffect, Place, Ranked
-from loose_env.gap.separating import how_to_separate
-from loose_env.gap.unseen import Alike, Identifiability, Unseen, identifiability_words
+from loose_env.gap.diagnostics.experiment_advice import (
+    Alike,
+    Identifiability,
+    Unseen,
+    how_to_separate,
+    identifiability_words,
+)
+from loose_env.gap.output.result import Gap, GapResult, NamedEffect, Place, Ranked
+from loose_env.gap.summary import Evidence, GapOutputs, gather, result_of
 from loose_env.report import gap_report
 from loose_env.report.gap_figures import channel_bars, residual_panels
 from loose_env.report.gap_page import render_gap_page, write_gap_page

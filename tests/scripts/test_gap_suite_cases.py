@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("numba")
 pytest.importorskip("pyarrow")
 
-from loose_env.gap.split import split_runs
+from loose_env.gap.data.holdout_split import split_runs
 from loose_env.recording import read_recording
 from scripts.gap_suite.alternatives import Comparison
 from scripts.gap_suite.build import TOLERANCE, Factors

@@ -9,13 +9,12 @@ import pytest
 
 pytest.importorskip("numba")
 
-from loose_env.gap.effect import Effect
-from loose_env.gap.effects.actuator_lag import ActuatorLag
-from loose_env.gap.effects.command_delay import CommandDelay
-from loose_env.gap.effects.joint_compliance import JointCompliance
-from loose_env.gap.effects.sensor_gain import SensorGain
-from loose_env.gap.effects.viscous_friction import ViscousFriction
-from loose_env.gap.preparing import Prepared
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.actuators import ActuatorLag, CommandDelay
+from loose_env.gap.model.effects.friction import ViscousFriction
+from loose_env.gap.model.effects.joint_elasticity import JointCompliance
+from loose_env.gap.model.effects.sensors import SensorGain
+from loose_env.gap.preparation.prepare import Prepared
 from scripts.gap_suite.exported import exported_gap
 from tests.gap.exported_case import judged_with, prepared_arm
 

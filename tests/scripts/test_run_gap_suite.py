@@ -18,7 +18,7 @@ pytest.importorskip("numba")
 
 from agents.backends import BackendSettings
 from loose_env.errors import InvalidSetting
-from loose_env.gap.result import NamedEffect, read_result
+from loose_env.gap.output.result import NamedEffect, read_result
 from scripts import run_gap_suite as script
 from scripts.gap_suite import cases, one_case
 from scripts.gap_suite.cases import full_list, name_of, quick_list, role_of

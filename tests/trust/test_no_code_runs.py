@@ -143,7 +143,7 @@ def _arm(place: Path, data: bytes) -> Any:
 
 
 def _result(place: Path, data: bytes) -> Any:
-    from loose_env.gap.result import read_result
+    from loose_env.gap.output.result import read_result
 
     place.joinpath("result.json").write_bytes(data)
     return read_result(place)
@@ -228,7 +228,7 @@ def test_arrays_of_objects_are_not_unpickled(tmp_path: Path, trap: bytes, kind: 
         with pytest.raises(InvalidData):
             READERS["shard of arrays"](home, stored.getvalue())
         return
-    from loose_env.gap.stages import Stages
+    from loose_env.gap.output.checkpoints import Stages
 
     home.joinpath("fit.npz").write_bytes(stored.getvalue())
     assert Stages(home, "k")("fit", lambda: 1) == 1  # made anew

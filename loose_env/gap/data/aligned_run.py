@@ -1,0 +1,330 @@
+"""A measured run, laid out on the steps of a simulation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from math import ceil
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.data.initial_rest import comes_to_rest, stays
+from loose_env.gap.data.noise_floor import noise_floor
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.recording import Run
+
+__all__ = ["Channel", "Trial", "channels_of", "lay_out", "step_for"]
+
+Array = NDArray[np.float64]
+
+_REGULAR = 0.02
+"""Largest deviation from an even rate, as a share of the sample interval, that counts as even."""
+_REST = 0.01
+"""How much of the beginning tells whether the arm rests there [s]; an arm may set off at once."""
+_NEAR = 0.05
+"""How far about the start of a window lines are drawn [s]."""
+_BEYOND = 0.25
+"""How far beyond readings a parabola through them is followed, as a share of what they span."""
+AXES = {3: ("x", "y", "z")}
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One scalar column that is compared."""
+
+    column: str
+    """Without the axis: "sensor.name" or "torque.name"."""
+    axis: int | None = None
+    """0, 1, 2 for x, y, z of a vector."""
+
+    @property
+    def name(self) -> str:
+        """As in the recording, axis included."""
+        return self.column if self.axis is None else f"{self.column}.{'xyz'[self.axis]}"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trial:
+    """One run, ready to be compared with a simulation."""
+
+    name: str
+    """File of the run."""
+    form: str
+    """ "forward", "inverse" or "free"."""
+    time: Array
+    """Samples [s], from 0 (T,)."""
+    measured: Array
+    """What the channels showed; NaN where nothing was read (T, C)."""
+    step: float
+    """Simulation step [s]."""
+    steps: int
+    """Simulation steps from the first to the last sample, both counted."""
+    controls: Array
+    """Commands at every step (steps, actuators); zero without commands."""
+    position: Array
+    """Joints at the first sample [rad, m] (joints,)."""
+    speed: Array
+    """Their speeds [rad/s, m/s] (joints,)."""
+    resting: bool
+    """Whether the arm stood still at the first samples, held by its commands."""
+    settles: bool = True
+    """Whether the nominal model comes to rest under commands that are held."""
+    joints: tuple[str, ...] = ()
+    """Names of the joints, in the model's order."""
+    excited: tuple[str, ...] = ()
+    """Joints driven by random noise."""
+    motion: dict[str, Array] = field(default_factory=dict)
+    """Joint -> its measured position at the samples (T,); joints that were measured only."""
+
+    @property
+    def rate(self) -> float:
+        """Samples per second, mean."""
+        return (len(self.time) - 1) / float(self.time[-1])
+
+    def finer(self, parts: int) -> Trial:
+        """The same, every step in so many parts."""
+        if parts == 1:
+            return self
+        steps = (self.steps - 1) * parts + 1
+        controls = np.repeat(self.controls, parts, axis=0)[:steps]
+        return replace(self, step=self.step / parts, steps=steps, controls=controls)
+
+    def coarser(self, most: int) -> Trial:
+        """The same with several steps in one, at most so many and none that hides a command.
+
+        Samples and changes of commands stay at the beginning of a step.
+        """
+        return next((found for k in range(most, 1, -1) if (found := self._joined(k))), self)
+
+    def _joined(self, parts: int) -> Trial | None:
+        """The same with so many steps in one; None where samples or commands come between."""
+        at, steps = self.time / (self.step * parts), -(-(self.steps - 1) // parts) + 1
+        controls = self.controls[::parts]
+        between = np.any(np.abs(at - np.round(at)) > 1e-5)
+        if between or np.any(np.repeat(controls, parts, axis=0)[: self.steps] != self.controls):
+            return None
+        controls = np.concatenate([controls, self.controls[-1:]])[:steps]
+        return replace(self, step=self.step * parts, steps=steps, controls=controls)
+
+    def until(self, seconds: float) -> Trial:
+        """The beginning of the run, of so many seconds; the whole if it is no longer."""
+        count = int(np.searchsorted(self.time, seconds, side="right"))
+        if count >= len(self.time):
+            return self
+        steps = ceil(float(self.time[count - 1]) / self.step - 1e-6) + 1
+        return replace(
+            self,
+            time=self.time[:count],
+            measured=self.measured[:count],
+            steps=steps,
+            controls=self.controls[:steps],
+            motion={joint: values[:count] for joint, values in self.motion.items()},
+        )
+
+    def between(self, first: int, last: int) -> Trial:
+        """A window of the run, from one sample to before another, as a run of its own.
+
+        Its start is taken from parabolas through the measured motion about it; where a joint was
+        not read there, from a straight line between its readings before and after.
+
+        Parameters
+        ----------
+        first, last : int
+            Samples; the first is taken in.
+        """
+        if first <= 0 and last >= len(self.time):
+            return self
+        begun = round(float(self.time[first]) / self.step)
+        time = self.time[first:last] - begun * self.step
+        steps = ceil(float(time[-1]) / self.step - 1e-6) + 1
+        position, speed, resting = self.position.copy(), np.zeros_like(self.speed), True
+        for joint, values in self.motion.items():
+            number = self.joints.index(joint)
+            away = self.time - self.time[first]
+            near = np.abs(away) <= max(_NEAR, 4.1 / self.rate)
+            if _tells(away[near], values[near]):
+                position[number], speed[number], still = _line(away[near], values[near], whole=True)
+            elif np.isfinite(values).any():
+                position[number], speed[number], still = _across(away, values)
+            else:
+                continue  # never read: where the run began, as far as anybody knows
+            resting &= still
+        controls = self.controls[begun : begun + steps]
+        resting &= bool(np.ptp(self.controls[max(begun - 50, 0) : begun + 1], axis=0).max() == 0)
+        resting &= self.settles
+        return replace(
+            self,
+            time=time,
+            measured=self.measured[first:last],
+            steps=len(controls),
+            controls=controls,
+            position=position,
+            speed=np.zeros_like(speed) if resting else speed,
+            resting=resting,
+            motion={joint: values[first:last] for joint, values in self.motion.items()},
+        )
+
+    def at_samples(self, values: Array) -> Array:
+        """Values at the steps (..., steps, C) -> at the samples (..., T, C), interpolated."""
+        at = np.clip(self.time / self.step, 0, self.steps - 1)
+        low = np.minimum(np.floor(at + 1e-6).astype(int), self.steps - 1)
+        high = np.minimum(low + 1, self.steps - 1)
+        share = np.clip(at - low, 0.0, 1.0)[:, None]
+        if np.all(share < 1e-5):
+            return np.asarray(values[..., low, :])
+        return np.asarray(values[..., low, :] * (1 - share) + values[..., high, :] * share)
+
+
+def channels_of(runs: list[Run]) -> tuple[Channel, ...]:
+    """Every column that any run shows, in the order of its first appearance."""
+    found: dict[Channel, None] = {}
+    for run in runs:
+        for prefix, columns in (("sensor", run.sensors), ("torque", run.torques)):
+            for name, values in columns.items():
+                axes = [None] if values.ndim == 1 else list(range(values.shape[1]))
+                for axis in axes:
+                    found[Channel(f"{prefix}.{name}", axis)] = None
+    return tuple(found)
+
+
+def step_for(run: Run, longest: float) -> float:
+    """Step [s] of at most ``longest`` that divides the sample interval where that is even."""
+    intervals = np.diff(run.time)
+    typical = float(np.median(intervals))
+    if np.max(np.abs(intervals - typical)) > _REGULAR * typical:
+        return longest
+    mean = float(run.time[-1] - run.time[0]) / len(intervals)
+    return mean / ceil(mean / longest * (1 - 1e-9))
+
+
+def lay_out(run: Run, machine: Machine, channels: tuple[Channel, ...], *, step: float) -> Trial:
+    """Lay a run out on steps.
+
+    Commands are held from their sample to the next. A missing command keeps the one before.
+
+    Parameters
+    ----------
+    run : Run
+        As it was recorded.
+    machine : Machine
+        The nominal model.
+    channels : tuple of Channel
+        What is compared; missing ones become NaN.
+    step : float
+        Longest simulation step [s].
+    """
+    time = run.time - run.time[0]
+    step = step_for(run, step)
+    steps = ceil(float(time[-1]) / step - 1e-6) + 1
+    measured = np.full((len(time), len(channels)), np.nan)
+    for k, channel in enumerate(channels):
+        prefix, _, name = channel.column.partition(".")
+        values = (run.sensors if prefix == "sensor" else run.torques).get(name)
+        if values is not None:
+            measured[:, k] = values if channel.axis is None else values[:, channel.axis]
+    controls = np.zeros((steps, len(machine.actuators)))
+    held = np.searchsorted(time, np.arange(steps) * step + 1e-6 * step, side="right") - 1
+    for k, name in enumerate(machine.actuators):
+        if name in run.controls:
+            controls[:, k] = _filled(run.controls[name])[held]
+    position, speed, resting, motion = _start(run, machine, time)
+    forward = run.comparison == "forward"  # a free arm is let go
+    settles = not forward or comes_to_rest(machine, position, controls[0])
+    commands = np.column_stack([_filled(values) for values in run.controls.values()] or [time * 0])
+    resting = resting and forward and settles
+    resting = resting and all(stays(time, each, commands) for each in motion.values())
+    return Trial(
+        name=run.name,
+        form=run.comparison,
+        time=time,
+        measured=measured,
+        step=step,
+        steps=steps,
+        controls=controls,
+        position=position,
+        speed=speed,
+        resting=resting,
+        settles=settles,
+        joints=machine.joints,
+        excited=tuple(run.excited),
+        motion=motion,
+    )
+
+
+def _filled(values: Array) -> Array:
+    """Values with gaps closed by the value before, those at the start by the first one."""
+    good = np.isfinite(values)
+    if good.all():
+        return values
+    at = np.maximum.accumulate(np.where(good, np.arange(len(values)), -1))
+    return np.asarray(values[np.where(at < 0, np.argmax(good), at)])
+
+
+def _start(run: Run, machine: Machine, time: Array) -> tuple[Array, Array, bool, dict[str, Array]]:
+    """Position, speed and rest at the first sample, and the measured motion."""
+    model = machine.model
+    position, speed = model.qpos0.copy(), np.zeros(model.nv)
+    resting, motion = True, {}
+    for k, joint in enumerate(machine.joints):
+        if run.pose and joint in run.pose:
+            position[k] = run.pose[joint]
+    for name, values in run.sensors.items():
+        sensor = model.sensor(name)
+        if int(sensor.type[0]) == mujoco.mjtSensor.mjSENS_JOINTPOS:
+            number = int(sensor.objid[0])
+            motion[machine.joints[number]] = values
+            position[number], speed[number], still = _line(time, values)
+            resting &= still
+    for name, values in run.sensors.items():
+        sensor = model.sensor(name)
+        if int(sensor.type[0]) == mujoco.mjtSensor.mjSENS_JOINTVEL:
+            first = values[: max(3, int(np.searchsorted(time, 0.005)))]
+            if np.isfinite(first).any():
+                speed[int(sensor.objid[0])] = float(np.nanmean(first))
+    if resting:
+        speed[:] = 0.0
+    return position, speed, resting, motion
+
+
+def _tells(time: Array, values: Array) -> bool:
+    """Whether a parabola through readings (T,) says where they are at time 0, or hardly beyond."""
+    read = time[np.isfinite(values)]
+    return len(read) >= 4 and max(read[0], -read[-1]) <= _BEYOND * (read[-1] - read[0])
+
+
+def _across(time: Array, values: Array) -> tuple[float, float, bool]:
+    """Value and slope at time 0 of the straight line across a gap in readings, and whether level.
+
+    Before the first reading and after the last one it is level.
+    """
+    good = np.isfinite(values)
+    t, v = time[good], values[good]
+    after = int(np.searchsorted(t, 0.0))
+    if after in (0, len(t)):
+        return float(v[min(after, len(t) - 1)]), 0.0, True
+    change, apart = float(v[after] - v[after - 1]), float(t[after] - t[after - 1])
+    if abs(change) <= 4.0 * noise_floor(values):
+        return float(v[after - 1] + v[after]) / 2, 0.0, True
+    slope = change / apart
+    return float(v[after - 1] - slope * t[after - 1]), slope, False
+
+
+def _line(time: Array, values: Array, *, whole: bool = False) -> tuple[float, float, bool]:
+    """Value and slope at time 0 by a parabola, and whether it stands still there.
+
+    Through the first samples, or through the whole. Still is what has no slope beyond its
+    standard error three times over.
+    """
+    count = len(time) if whole else int(np.clip(np.searchsorted(time, _REST), 8, len(time)))
+    good = np.isfinite(values[:count])
+    if good.sum() < 4:
+        good = np.isfinite(values)
+        return float(values[good][0]) if good.any() else 0.0, 0.0, True
+    t, v = time[:count][good], values[:count][good]
+    terms = np.stack([np.ones_like(t), t, t**2], axis=1)
+    found, *_ = np.linalg.lstsq(terms, v, rcond=None)
+    scatter = float(np.sqrt(np.sum((v - terms @ found) ** 2) / max(len(v) - 3, 1))) + 1e-9
+    error = scatter * float(np.sqrt(np.linalg.pinv(terms.T @ terms)[1, 1]))
+    still = abs(float(found[1])) < 3 * error
+    return float(found[0]), 0.0 if still else float(found[1]), still

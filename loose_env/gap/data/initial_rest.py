@@ -1,0 +1,98 @@
+"""Whether an arm rests when a run begins, and whether its model would rest there, too.
+
+An arm that stands still under its first command has been doing so: springs have taken their load.
+The model is therefore held under that command before a run that begins at rest. An arm that is set
+off by its first command, or by a torque that nothing opposes, must not be held: it would be gone.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.data.noise_floor import noise_floor, resolution_of
+from loose_env.gap.model.nominal_model import Machine
+
+__all__ = ["SETTLE", "comes_to_rest", "stays"]
+
+Array = NDArray[np.float64]
+
+SETTLE = 0.4
+"""How long an arm at rest is held before the start, so that springs take their load [s]."""
+_LOOK = 0.3
+"""How much of a command that is held tells whether the arm stays under it [s]."""
+_LEAST = 9
+"""Samples below which it is not told."""
+_LONGER = 4
+"""Times `SETTLE` after which a model that comes to rest is about where it was after `SETTLE`."""
+_CREEPS = 1.5
+"""How many times as far away it is then, if it does not."""
+_NO_MATTER = 1e-3
+"""Way that is no matter [rad, m]."""
+
+
+def stays(time: Array, values: Array, controls: Array) -> bool:
+    """Whether a joint stays where it is for as long as the first commands are held.
+
+    Parameters
+    ----------
+    time : ndarray (T,)
+        Samples [s].
+    values : ndarray (T,)
+        Measured position [rad, m]; NaN where nothing was read.
+    controls : ndarray (T, actuators)
+        Commands at the samples.
+
+    Returns
+    -------
+    bool
+        True, too, where the commands change before it can be told.
+
+    Examples
+    --------
+    >>> time = np.arange(300) / 1000
+    >>> read = np.random.default_rng(1).normal(0, 1e-4, 300)
+    >>> stays(time, read, np.ones((300, 1))), stays(time, read + time**2, np.ones((300, 1)))
+    (True, False)
+    """
+    changed = np.flatnonzero((controls != controls[0]).any(axis=1))
+    count = min(len(time) if not len(changed) else int(changed[0]), np.searchsorted(time, _LOOK))
+    good = values[:count][np.isfinite(values[:count])]
+    if len(good) < _LEAST:
+        return True
+    third = len(good) // 3
+    moved = abs(float(np.mean(good[-third:]) - np.mean(good[:third])))
+    chance = 4.0 * noise_floor(values) * float(np.sqrt(2.0 / third))
+    return moved <= max(chance, 1.5 * resolution_of(values))
+
+
+def comes_to_rest(machine: Machine, position: Array, commands: Array) -> bool:
+    """Whether the nominal model, let go at rest in a pose, comes to rest nearby.
+
+    A servo swings to where it carries its load; a torque that nothing opposes drives on and on.
+
+    Parameters
+    ----------
+    machine : Machine
+        The nominal model.
+    position : ndarray (joints,)
+        Pose [rad, m].
+    commands : ndarray (actuators,)
+        Commands that are held.
+    """
+    model = machine.model
+    data = mujoco.MjData(model)
+    at = [model.joint(name) for name in machine.joints]
+    data.qpos[[int(j.qposadr[0]) for j in at]] = position
+    data.ctrl[: len(commands)] = commands
+    start = data.qpos.copy()
+    count = round(SETTLE / model.opt.timestep)
+    way = np.empty((_LONGER * count, len(start)))
+    for k in range(len(way)):
+        mujoco.mj_step(model, data)
+        way[k] = data.qpos - start
+    last = max(count // 4, 1)  # the mean of a while, for a servo may ring
+    soon = np.abs(np.mean(way[count - last : count], axis=0))
+    later = np.abs(np.mean(way[-last:], axis=0))
+    return bool(np.all((later <= _CREEPS * soon) | (later < _NO_MATTER)))

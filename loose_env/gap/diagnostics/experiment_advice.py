@@ -1,0 +1,262 @@
+"""What motions could not show, or tell apart, and what would help: as data and in sentences.
+
+Motions and measurements that show effects, and that separate those which look alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from loose_env.io.text import duration_words
+
+__all__ = [
+    "Alike",
+    "Identifiability",
+    "Unseen",
+    "how_to_see",
+    "how_to_separate",
+    "identifiability_words",
+]
+
+_LISTED = 3
+"""Effects, and pairs, that are told of one by one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unseen:
+    """An effect that would not be seen at a size that matters."""
+
+    kind: str
+    """Identifier of the catalogue."""
+    where: str
+    """Its place."""
+    parameters: dict[str, float]
+    """The size."""
+    sureness: float
+    """What it changes beyond all that can be mistaken for it, in standard deviations; 5 needed."""
+    more_s: float | None
+    """How much more of the same runs would show it [s]; None where no length would."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Alike:
+    """Two effects that these motions do not tell apart."""
+
+    kind: str
+    """Of the first; a named one, if either is."""
+    where: str
+    """Its place."""
+    other_kind: str
+    """Of the second."""
+    other_where: str
+    """Its place."""
+    sureness: float
+    """What of the first the second cannot take up, in standard deviations; 5 are needed."""
+    more_s: float | None
+    """How much more of the same runs would tell them apart [s]; None where no length would."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identifiability:
+    """What these motions can show."""
+
+    unseen: tuple[Unseen, ...] = ()
+    """Effects that they do not show."""
+    alike: tuple[Alike, ...] = ()
+    """Pairs that they do not tell apart, those with a named effect first."""
+
+
+def identifiability_words(found: Identifiability) -> list[str]:
+    """Sentences on what cannot be seen or told apart, how much is missing and what would help."""
+    said, by_kind = [], dict[str, list[Unseen]]()
+    for each in found.unseen:
+        by_kind.setdefault(each.kind, []).append(each)
+    for kind, many in list(by_kind.items())[:_LISTED]:
+        places = ", ".join(each.where for each in many[:_LISTED])
+        places += " and elsewhere" if len(many) > _LISTED else ""
+        size = ", ".join(f"{k} {v:.2g}" for k, v in many[0].parameters.items())
+        said.append(
+            f"these motions would not show {kind} at {places} (such as {size}); "
+            f"{_missing(many[0].more_s)}{how_to_see(kind)}"
+        )
+    for pair in found.alike[:_LISTED]:
+        advice = how_to_separate(pair.kind, pair.where, pair.other_kind, pair.other_where)
+        said.append(
+            f"these motions do not tell {pair.kind} at {pair.where} from {pair.other_kind} at "
+            f"{pair.other_where}; {_missing(pair.more_s)}{advice[0].lower()}{advice[1:]}"
+        )
+    further = [
+        f"kinds of effect not shown ({len(by_kind) - _LISTED})" * (len(by_kind) > _LISTED),
+        f"pairs that look alike ({len(found.alike) - _LISTED})" * (len(found.alike) > _LISTED),
+    ]
+    if any(further):
+        listed = " and ".join(filter(None, further))
+        said.append(f"further {listed} in these motions are listed under identifiability")
+    return said
+
+
+def _missing(seconds: float | None) -> str:
+    if seconds is None:
+        return "more of the same will not help: "
+    return f"record about {duration_words(seconds)} more of them, or better: "
+
+
+_PAIRS = {
+    (
+        "command_delay",
+        "joint_compliance",
+    ): "Tap the arm while it is held: a compliance rings at its "
+    "own frequency, a delay does not. A sensor on the link behind the joint separates them too.",
+    ("payload", "link_mass"): "Move the last joint by itself, with its axis level: the load at the "
+    "tool has the longer lever. Or record once with a known weight at the tool.",
+    (
+        "actuator_gain",
+        "payload",
+    ): "Hold several poses and move fast in one pose: a gain scales every "
+    "torque, a payload adds gravity and inertia.",
+    (
+        "backlash",
+        "coulomb_friction",
+    ): "Reverse slowly with gravity pulling to one side, then where it "
+    "pulls to neither: a gap shows only where the load changes sides, friction always.",
+    ("base_tilt", "sensor_bias"): "Hold several poses that turn the sensor: a bias stays with the "
+    "sensor, gravity from elsewhere turns with the base.",
+    (
+        "joint_spring",
+        "link_mass",
+    ): "Hold the joint at many angles in two poses of the other joints: a "
+    "spring goes by its own angle, gravity by that of the link.",
+    (
+        "joint_spring",
+        "link_com",
+    ): "Hold the joint at many angles in two poses of the other joints: a "
+    "spring goes by its own angle, gravity by that of the link.",
+    (
+        "joint_spring",
+        "payload",
+    ): "Hold the joint at many angles in two poses of the other joints: a "
+    "spring goes by its own angle, gravity by that of the tool.",
+    ("base_tilt", "joint_spring"): "Hold the joint at many angles with the others folded and "
+    "stretched: gravity's share changes, a spring's does not.",
+    (
+        "actuator_gain",
+        "viscous_friction",
+    ): "Move at several constant speeds and hold several loads at "
+    "rest: friction vanishes at rest, a gain does not.",
+    (
+        "base_tilt",
+        "encoder_offset",
+    ): "With the first joint's axis level these are the same for every "
+    "motion; a spirit level on the base decides.",
+    (
+        "command_delay",
+        "sensor_delay",
+    ): "Command a motion that two sensors of different kinds see: a "
+    "late command moves both, a late sensor only itself.",
+    (
+        "joint_compliance",
+        "link_flexibility",
+    ): "Put an accelerometer on the link between the joint and "
+    "the tool: a compliant joint moves it, a flexible link moves only what lies beyond.",
+    (
+        "actuator_lag",
+        "command_delay",
+    ): "Command a sweep to well above 1 / (2π time constant): behind "
+    "a lag the motion fades, behind a delay it keeps its size.",
+    ("coulomb_friction", "stribeck_friction"): "Move at a few speeds down to creeping: Coulomb "
+    "friction is the same at all, Stribeck's grows towards rest.",
+    (
+        "coulomb_friction",
+        "viscous_friction",
+    ): "Move at several constant speeds: Coulomb friction is "
+    "the same at all, viscous friction grows with the speed.",
+    (
+        "quadratic_drag",
+        "viscous_friction",
+    ): "Move at several constant speeds, the highest included: drag grows with the square.",
+    ("link_com", "link_mass"): "Hold the link level and upright, and move it fast: the mass alone "
+    "changes what the joints before it carry.",
+    (
+        "link_mass",
+        "rotor_inertia",
+    ): "Accelerate the joint alike in poses of different reach and hold "
+    "several: a rotor's inertia never changes and has no weight.",
+    (
+        "backlash",
+        "joint_compliance",
+    ): "Reverse slowly under small and under large load: a gap has the "
+    "same size at both, a compliance yields in proportion.",
+    ("structural_looseness", "backlash"): "Shake one joint at a time with an accelerometer at the "
+    "tool: a loose link moves along a direction of its own, a joint about its axis.",
+}
+_GRAVITY = "hold many poses, the level ones and the stretched ones among them"
+_SEE = {
+    "viscous_friction": "move at several constant speeds, the highest included",
+    "coulomb_friction": "reverse the joint slowly, many times",
+    "stribeck_friction": "reverse the joint slowly, and creep at a few low speeds",
+    "quadratic_drag": "move at the highest speed",
+    "joint_compliance": "accelerate hard and stop, or shake the joint up to well above 10 Hz",
+    "backlash": "reverse slowly under a small load that changes sides",
+    "structural_looseness": "shake one joint at a time, hard, with an accelerometer at the tool",
+    "link_flexibility": "accelerate hard and stop, with an accelerometer at the tool",
+    "link_mass": _GRAVITY,
+    "link_com": _GRAVITY,
+    "payload": _GRAVITY,
+    "rotor_inertia": "accelerate and brake hard, to and fro",
+    "actuator_gain": "hold known loads at rest, and accelerate hard",
+    "actuator_lag": "command sweeps to well above 1 / (2π time constant)",
+    "command_delay": "command fast sweeps or steps",
+    "sensor_delay": "move fast, and read densely",
+    "encoder_offset": _GRAVITY,
+    "sensor_misalignment": "turn the sensor into many directions, and shake it in each",
+    "sensor_gain": "let the sensor read over its whole range",
+    "sensor_bias": "hold several poses at rest that turn the sensor",
+    "base_tilt": _GRAVITY,
+    "torque_ripple": "turn slowly at a constant speed over a whole turn or as far as it goes",
+    "joint_spring": "hold the joint at many angles over its whole range",
+}
+_OF_KIND = {
+    "sensor": "Let a second sensor see the same motion.",
+    "actuator": "Hold known loads at rest, and move at several speeds and accelerations.",
+    "joint": "Move the joint alone, slowly and fast, both ways, over its whole range.",
+}
+
+
+def how_to_separate(kind: str, where: str, other: str, elsewhere: str) -> str:
+    """Name a motion or a measurement that tells two effects apart.
+
+    Examples
+    --------
+    >>> how_to_separate("payload", "tool", "link_mass", "link3").split(":")[0]
+    'Move the last joint by itself, with its axis level'
+    >>> how_to_separate("viscous_friction", "joint1", "viscous_friction", "joint2")
+    'Move joint1 while joint2 is held, and the other way round.'
+    >>> how_to_separate("command_delay", "motor1", "command_delay", "all")
+    'Command the drives one at a time.'
+    """
+    known = _PAIRS.get((kind, other)) or _PAIRS.get((other, kind))
+    if known and (kind != other):
+        return known
+    if kind == other and "all" in (where, elsewhere):
+        return "Command the drives one at a time."
+    if where != elsewhere and kind == other:
+        return f"Move {where} while {elsewhere} is held, and the other way round."
+    for each in (kind, other):
+        for family in ("sensor", "actuator"):
+            if each.startswith(family):
+                return _OF_KIND[family]
+    return _OF_KIND["joint"]
+
+
+def how_to_see(kind: str) -> str:
+    """Name a motion that shows an effect.
+
+    Examples
+    --------
+    >>> how_to_see("coulomb_friction")
+    'reverse the joint slowly, many times'
+    >>> how_to_see("own_effect")
+    'move the joint alone, slowly and fast, both ways, over its whole range'
+    """
+    general = _OF_KIND["joint"].rstrip(".")
+    return _SEE.get(kind, general[0].lower() + general[1:])

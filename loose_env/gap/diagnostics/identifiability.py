@@ -1,0 +1,308 @@
+"""Which effects these motions could show, and which of them look alike in these motions.
+
+Every effect is simulated once at a size that would matter, on top of what was found. What that
+changes in the readings, less what the nominal figures can take up within their tolerance, is all
+that a fit has to go by: its length says whether the effect is seen at all, what another effect
+leaves of it whether the two are told apart. How both grow with the time recorded says how much more
+of the same motions would do, if any: no length tells an effect from a figure within its tolerance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.diagnostics.experiment_advice import Alike, Identifiability, Unseen
+from loose_env.gap.fitting.gauss_newton import (
+    UNNAMED,
+    Fit,
+    cost_of,
+    hypothesis_of,
+    parameters_of,
+    prior_of,
+    slices_of,
+)
+from loose_env.gap.fitting.refit import refined
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.residuals.autocorrelation import independent_rows
+from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.windows import windowed
+from loose_env.gap.selection.screening.grouping import akin
+from loose_env.gap.selection.screening.screening import along, signatures
+
+__all__ = ["identifiability"]
+
+Array = NDArray[np.float64]
+
+_SECONDS = 4.0
+"""How much of the runs is looked at, in all [s]."""
+_NEEDED = 5.0
+"""Length of a signature, or of what tells two apart, that is needed [standard deviations]."""
+_NEARLY = 0.2
+"""Share of a signature that another one leaves, up to which it is tried at its best size."""
+_NEVER = 1e3
+"""Factor on the length of the runs above which more of the same is no help."""
+_PRECISION = 1.05
+"""Ratio to which such a factor is found."""
+_RIDGE = 1e-12
+"""What is added to the diagonal of a scaled problem, against rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Signature:
+    """What an effect of some size changes in the readings (N,), in standard deviations."""
+
+    effect: Effect
+    values: tuple[float, ...]
+    change: Array
+
+
+def identifiability(
+    comparison: Comparison, best: Fit, candidates: Sequence[Effect]
+) -> Identifiability:
+    """Tell what the runs fitted to can show.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        The runs.
+    best : Fit
+        What was found, on them.
+    candidates : sequence of Effect
+        What else may be there.
+    """
+    short = windowed(comparison, _SECONDS)
+    base = _on(comparison, short, best)
+    seconds = sum(float(trial.time[-1]) for trial in comparison.trials)
+    looked = sum(float(trial.time[-1]) for trial in short.trials)
+    # In standard deviations of all the runs, what is left counted as their noise.
+    rms = max(float(np.sqrt(np.mean(base.residual**2))), 1.0)
+    rows = independent_rows(base.residual, short.rows.block, short.rows.channel)
+    unit = float(np.sqrt(rows / len(base.residual) * max(seconds / looked, 1.0))) / rms
+    named = _of_named(short, base, unit)
+    taken = {(each.effect.kind, each.effect.where) for each, _ in named}
+    others = [c for c in candidates if (c.kind, c.where) not in taken and short.shows(c)]
+    figures = _Fitted.of(base, [k for k, e in enumerate(base.effects) if e.kind in UNNAMED], unit)
+    seen: dict[tuple[str, str], tuple[float, _Signature]] = {}
+    for each in _of_candidates(short, base, others, unit):
+        length, key = figures.length(each.change), (each.effect.kind, each.effect.where)
+        if key not in seen or length > seen[key][0]:
+            seen[key] = length, each
+    unseen = [
+        Unseen(
+            kind=each.effect.kind,
+            where=each.effect.where,
+            parameters={
+                p.name: float(v) for p, v in zip(each.effect.parameters, each.values, strict=True)
+            },
+            sureness=length,
+            more_s=figures.more(each.change, seconds),
+        )
+        for length, each in seen.values()
+        if length < _NEEDED
+    ]
+    shown = [each for length, each in seen.values() if length >= _NEEDED]
+    pairs = _with_named(short, named, shown, unit, seconds)
+    pairs += _among(figures, shown, seconds)
+    return Identifiability(unseen=tuple(unseen), alike=tuple(pairs))
+
+
+def _on(comparison: Comparison, short: Comparison, best: Fit) -> Fit:
+    """What was found as it looks on some windows, with sensitivities of its own."""
+    if short is comparison:
+        return refined(best, comparison)
+    kept = [k for k, effect in enumerate(best.effects) if effect.kind != "start"]
+    effects = tuple(best.effects[k] for k in kept)  # windows begin elsewhere
+    own = slices_of(best.effects)
+    free = np.concatenate([best.free[own[k]] for k in kept])
+    residual = short.residuals([hypothesis_of(effects, free)])[0]
+    cost = cost_of(residual, free, parameters_of(effects))
+    fitted = replace(best, effects=effects, free=free, residual=residual, cost=cost)
+    return refined(fitted, short)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fitted:
+    """Parameters that are fitted along, and what is known of them."""
+
+    jacobian: Array
+    """Change of the readings with them, in standard deviations (N, P)."""
+    weights: Array
+    """What is known of each, 0: nothing (P,)."""
+    curvature: Array
+    """Squares and products of the jacobian's columns (P, P)."""
+
+    @classmethod
+    def of(cls, base: Fit, effects: Sequence[int], unit: float) -> _Fitted:
+        """Those of some effects of a fit, by their numbers."""
+        own = slices_of(base.effects)
+        kept = [k for e in effects for k in range(own[e].start, own[e].stop)]
+        jacobian = unit * base.jacobian[:, kept]
+        weights = prior_of(parameters_of([base.effects[e] for e in effects]))[1]
+        return cls(jacobian, weights, jacobian.T @ jacobian)
+
+    def size(self, change: Array, other: Array) -> float:
+        """Multiple of another change that takes up most of one (N,), once all have been fitted."""
+        whole = self.curvature + np.diag(self.weights**2)
+        scale = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+        scaled = whole / np.outer(scale, scale) + _RIDGE * np.eye(len(whole))
+        one, two = (self.jacobian.T @ each / scale for each in (change, other))
+        taken = np.linalg.solve(scaled, two)
+        left = float(other @ other) - float(two @ taken)
+        return (float(change @ other) - float(one @ taken)) / max(left, 1e-300)
+
+    def length(self, change: Array, other: Array | None = None, *, times: float = 1.0) -> float:
+        """Length of what is left of a change of the readings (N,) once all have been fitted.
+
+        Parameters
+        ----------
+        change : ndarray (N,)
+            The change.
+        other : ndarray (N,), optional
+            Another that is fitted too, at any size.
+        times : float
+            How many times as long the runs are: more rows, the same knowledge beforehand.
+        """
+        across, curvature, weights = self.jacobian.T @ change, self.curvature, self.weights
+        if other is not None:
+            beside = self.jacobian.T @ other
+            curvature = np.block([[curvature, beside[:, None]], [beside[None], other @ other]])
+            across, weights = np.append(across, other @ change), np.append(weights, 0.0)
+        whole = times * curvature + np.diag(weights**2)
+        scale = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+        scaled = whole / np.outer(scale, scale) + _RIDGE * np.eye(len(whole))
+        taken = across / scale @ np.linalg.solve(scaled, across / scale)
+        return float(np.sqrt(max(times * float(change @ change) - times**2 * float(taken), 0.0)))
+
+    def more(self, change: Array, seconds: float, other: Array | None = None) -> float | None:
+        """How much longer the runs would have to be [s]; None where no length will do."""
+        low, high = 1.0, _NEVER
+        if self.length(change, other, times=high) < _NEEDED:
+            return None
+        while high / low > _PRECISION:
+            middle = float(np.sqrt(low * high))
+            enough = self.length(change, other, times=middle) >= _NEEDED
+            low, high = (low, middle) if enough else (middle, high)
+        return (high - 1.0) * seconds
+
+
+def _of_named(short: Comparison, base: Fit, unit: float) -> list[tuple[_Signature, Fit]]:
+    """Named effects at their own size, what their presence changes, and the fit without each."""
+    found, own = [], slices_of(base.effects)
+    for k, effect in enumerate(base.effects):
+        if effect.kind in UNNAMED:
+            continue
+        others = tuple(e for e in base.effects if e is not effect)
+        kept = np.delete(np.arange(len(base.free)), np.arange(own[k].start, own[k].stop))
+        residual = short.residuals([hypothesis_of(others, base.free[kept])])[0]
+        without = replace(
+            base, effects=others, free=base.free[kept], residual=residual,
+            jacobian=base.jacobian[:, kept],
+        )  # fmt: skip
+        found.append((_Signature(effect, (), unit * (base.residual - residual)), without))
+    return found
+
+
+def _of_candidates(
+    short: Comparison, base: Fit, candidates: Sequence[Effect], unit: float
+) -> list[_Signature]:
+    """Candidates at the first of their starts; without those that nothing reads."""
+    entries = [(c, tuple(c.starts[0])) for c in candidates]
+    return [each for each in _changes(short, base, entries, unit, cheap=True) if each.change.any()]
+
+
+def _changes(
+    short: Comparison,
+    base: Fit,
+    entries: Sequence[tuple[Effect, tuple[float, ...]]],
+    unit: float,
+    *,
+    cheap: bool = False,
+) -> list[_Signature]:
+    """What effects of some size change, on top of what was found.
+
+    The difference of two cheap simulations will do for a first look at what adds no spring: their
+    error is in both.
+    """
+    found: list[_Signature | None] = [None] * len(entries)
+    stiff = any(effect.adds_motion for effect in base.effects)
+    for springs in (True, False):
+        own = [k for k, (effect, _) in enumerate(entries) if effect.adds_motion == springs]
+        if not own:
+            continue
+        compared, alike = short, base.residual
+        if cheap and not springs:
+            compared, alike = short.lightly(base.hypothesis, base.residual, stiff=stiff)
+        changes = signatures(compared, base, [entries[k] for k in own], alike)
+        for k, (effect, values, change) in zip(own, changes, strict=True):
+            found[k] = _Signature(effect, values, unit * change)
+    return [each for each in found if each is not None]
+
+
+def _with_named(
+    short: Comparison,
+    named: Sequence[tuple[_Signature, Fit]],
+    others: Sequence[_Signature],
+    unit: float,
+    seconds: float,
+) -> list[Alike]:
+    """Named effects that another one could take the place of, all else as it was found."""
+    found = []
+    for one, without in named:
+        fitted = _Fitted.of(without, range(len(without.effects)), unit)
+        pairs = [(_pair(fitted, one, other, seconds), other) for other in others]
+        own = fitted.length(one.change)
+        near = [k for k, (pair, _) in enumerate(pairs) if pair.sureness < _NEARLY * own]
+        # What does about the same may do just the same at another size and in its place, or only
+        # at a size that it cannot have, such as that of a friction that drives.
+        again = [_resized(pairs[k][1], fitted.size(one.change, pairs[k][1].change)) for k in near]
+        there = _changes(short, without, again, unit)
+        for k, other in zip(near, there, strict=True):
+            pairs[k] = _pair(fitted, one, other, seconds), other
+        found += [pair for pair, _ in pairs]
+    return _sorted(found)
+
+
+def _resized(seen: _Signature, share: float) -> tuple[Effect, tuple[float, ...]]:
+    """An effect at a multiple of its size."""
+    effect, values = seen.effect, seen.values
+    if effect.nothing is not None:
+        return effect, along(effect, values, effect.nothing, share)
+    if effect.proportional is not None:
+        return effect, along(effect, values, (0.0,) * len(values), share)
+    return effect, values
+
+
+def _among(fitted: _Fitted, shown: Sequence[_Signature], seconds: float) -> list[Alike]:
+    """Effects that were not named and look like their kin."""
+    found = []
+    for k, one in enumerate(shown):
+        for other in shown[k + 1 :]:
+            if akin(one.effect, other.effect):
+                orders = ((one, other), (other, one))
+                found.append(min((_pair(fitted, *o, seconds) for o in orders), key=_sureness))
+    return _sorted(found)
+
+
+def _sorted(pairs: Sequence[Alike]) -> list[Alike]:
+    """Those that are not told apart, the most alike first."""
+    return sorted((pair for pair in pairs if pair.sureness < _NEEDED), key=_sureness)
+
+
+def _sureness(pair: Alike) -> float:
+    return pair.sureness
+
+
+def _pair(fitted: _Fitted, one: _Signature, other: _Signature, seconds: float) -> Alike:
+    length = fitted.length(one.change, other.change)
+    return Alike(
+        kind=one.effect.kind,
+        where=one.effect.where,
+        other_kind=other.effect.kind,
+        other_where=other.effect.where,
+        sureness=length,
+        more_s=fitted.more(one.change, seconds, other.change) if length < _NEEDED else 0.0,
+    )

@@ -1,0 +1,213 @@
+"""How a machine moved in a run, what load its joints bore, and what torque the model lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData
+from loose_env.gap.data.actuator_states import activations
+from loose_env.gap.data.aligned_run import Channel, Trial
+from loose_env.gap.data.smoothing import Motion, filled, smooth_motion
+from loose_env.gap.diagnostics.regressors import direction_of
+from loose_env.gap.model.nominal_model import Machine
+
+__all__ = ["JointMotion", "joint_motion"]
+
+Array = NDArray[np.float64]
+
+_EDGE = 1.0
+"""Periods of the filter's end that are left out at the ends of a run."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointMotion:
+    """Motion of all joints in one run, on an even clock."""
+
+    joints: tuple[str, ...]
+    """Names."""
+    units: tuple[str, ...]
+    """Unit of what drives each, "N·m" or "N"."""
+    time: Array
+    """[s] (T,)."""
+    position: Array
+    """[rad, m] (T, J); NaN where the joint was not measured."""
+    speed: Array
+    """[rad/s, m/s] (T, J)."""
+    acceleration: Array
+    """[rad/s², m/s²] (T, J)."""
+    load: Array
+    """Torque [N·m] or force [N] that the nominal model needs for it (T, J); NaN where not every
+    joint was measured."""
+    missing: Array
+    """What was applied beyond that (T, J): torque that the nominal model does not explain. NaN
+    where it is not known."""
+    missing_floor: Array
+    """Standard deviation of ``missing`` that the noise of the readings makes (J,)."""
+
+    def regressor(self, name: str, joint: int) -> Array:
+        """Values (T,) of one of `loose_env.gap.diagnostics.regressors.REGRESSORS` at a joint."""
+        if name == "direction":
+            return direction_of(self.speed[:, joint])
+        table = {"position": self.position, "velocity": self.speed, "load": self.load}
+        return np.asarray(table.get(name, self.acceleration)[:, joint])
+
+    def at(self, name: str, joint: int, time: Array) -> Array:
+        """The same at other times (N,); directions are not interpolated."""
+        values = self.regressor(name, joint)
+        if name == "direction":
+            near = np.clip(np.searchsorted(self.time, time), 0, len(self.time) - 1)
+            return np.asarray(values[near])
+        return np.interp(time, self.time, values)
+
+
+def joint_motion(
+    machine: Machine, trial: Trial, channels: Sequence[Channel], floors: Array
+) -> JointMotion:
+    """Hold the measured motion of a run against the nominal model.
+
+    In a forward run the torque that was applied is what the nominal actuators give at this motion;
+    in an inverse run it is the torque measured; in a free run there is none. All of them pass the
+    filter that smooths the motion. Where an actuator's activation is not known
+    (`loose_env.gap.data.actuator_states`), neither is the torque that was applied.
+
+    Parameters
+    ----------
+    machine : Machine
+        The nominal model.
+    trial : Trial
+        The run.
+    channels : sequence of Channel
+        What was measured.
+    floors : ndarray (C,)
+        Noise standard deviation of each.
+    """
+    joints = machine.joints
+    units = tuple("N·m" if machine.turns(joint) else "N" for joint in joints)
+    measured = [np.isfinite(trial.motion.get(joint, np.nan)).any() for joint in joints]
+    try:
+        smooth = smooth_motion(trial, machine, channels)
+    except InvalidData:  # too short
+        return _unknown(joints, units, trial)
+    known = np.array(measured, dtype=bool)
+    shape = smooth.position.shape
+    load, missing = np.full(shape, np.nan), np.full(shape, np.nan)
+    floor = np.full(len(joints), np.nan)
+    if known.all() and machine.model.nv == len(joints):
+        needed, applied = _torques(machine, trial, smooth)
+        load = smooth.band.smooth(needed)
+        floor = _needed_noise(machine, trial, smooth)
+        if trial.form != "inverse":
+            missing = smooth.band.smooth(applied) - load
+        passed = np.sqrt(2 * smooth.band.end / smooth.band.rate)
+        for c, channel in enumerate(channels):
+            prefix, _, name = channel.column.partition(".")
+            values = trial.measured[:, c]
+            if prefix == "torque" and trial.form == "inverse" and np.isfinite(values).any():
+                j = machine.joint_number(name)
+                torque = smooth.band.smooth(filled(trial.time, values, smooth.time))
+                missing[:, j] = torque - load[:, j]
+                floor[j] = np.hypot(floor[j], floors[c] * passed)
+        edge = min(int(_EDGE * smooth.band.rate / smooth.band.end), (len(missing) - 1) // 4)
+        missing[:edge], missing[len(missing) - edge :] = np.nan, np.nan
+    return JointMotion(
+        joints=joints,
+        units=units,
+        time=smooth.time,
+        position=np.where(known, smooth.position, np.nan),
+        speed=np.where(known, smooth.speed, np.nan),
+        acceleration=np.where(known, smooth.acceleration, np.nan),
+        load=load,
+        missing=missing,
+        missing_floor=floor,
+    )
+
+
+def _unknown(joints: tuple[str, ...], units: tuple[str, ...], trial: Trial) -> JointMotion:
+    """Nothing is known but the time."""
+    empty = np.full((len(trial.time), len(joints)), np.nan)
+    return JointMotion(
+        joints=joints,
+        units=units,
+        time=trial.time,
+        position=empty,
+        speed=empty,
+        acceleration=empty,
+        load=empty,
+        missing=empty,
+        missing_floor=np.full(len(joints), np.nan),
+    )
+
+
+def _torques(machine: Machine, trial: Trial, motion: Motion) -> tuple[Array, Array]:
+    """Torque that the nominal model needs, and what its actuators give (T, J).
+
+    The latter is NaN in a forward run where an activation is not known.
+    """
+    model = machine.model.__copy__()
+    if machine.integrator is not None:
+        model.opt.integrator = machine.integrator
+    # Contacts and stops of a motion that is only nearly exact would be noise.
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    friction = model.dof_frictionloss.copy()
+    model.dof_frictionloss[:] = 0.0  # a constraint, whose force at rest is not known
+    data = mujoco.MjData(model)
+    needed, applied = np.zeros_like(motion.position), np.zeros_like(motion.position)
+    commanded = _held(trial.controls, trial.step, motion.time)
+    forward, acting = trial.form == "forward", None
+    if forward:
+        own = activations(model, trial.controls, trial.step)
+        acting = None if own is None else _held(own, trial.step, motion.time)
+        if acting is None:
+            applied[:] = np.nan
+    for k in range(len(motion.time)):
+        data.qpos[:], data.qvel[:] = motion.position[k], motion.speed[k]
+        data.qacc[:] = motion.acceleration[k]
+        mujoco.mj_inverse(model, data)
+        needed[k] = data.qfrc_inverse
+        if acting is not None:
+            data.act[:] = acting[k]
+            data.ctrl[: trial.controls.shape[1]] = commanded[k]
+            mujoco.mj_fwdActuation(model, data)
+            applied[k] = data.qfrc_actuator
+    return needed + friction * np.sign(motion.speed), applied
+
+
+def _held(values: Array, step: float, time: Array) -> Array:
+    """Mean about each time (T, N) of values (steps, N) held from their step to the next."""
+    half = 0.5 * float(np.median(np.diff(time)))
+    edges = np.arange(len(values) + 1) * step
+    sums = np.vstack([np.zeros(values.shape[1]), np.cumsum(values, axis=0)])
+    first = np.clip(time - half, 0.0, edges[-1] - step)
+    last = np.clip(time + half, first + 1e-9, edges[-1])
+    found = np.empty((len(time), values.shape[1]))
+    for k in range(found.shape[1]):
+        passed = np.interp(last, edges, sums[:, k]) - np.interp(first, edges, sums[:, k])
+        found[:, k] = passed * step / (last - first)
+    return found
+
+
+def _needed_noise(machine: Machine, trial: Trial, motion: Motion) -> Array:
+    """What the noise of the motion makes of the torque needed, less that applied (J,)."""
+    model = machine.model
+    data = mujoco.MjData(model)
+    data.qpos[:] = motion.position[len(motion.time) // 2]
+    mujoco.mj_forward(model, data)
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    spring, damper = np.zeros(model.nv), model.dof_damping.copy()
+    if trial.form == "forward":
+        for k, name in enumerate(machine.actuators):
+            joint = machine.actuated_joint.get(name)
+            if joint is not None:
+                j, gear = machine.joint_number(joint), float(model.actuator_gear[k, 0])
+                spring[j] += abs(gear**2 * model.actuator_biasprm[k, 1])
+                damper[j] += abs(gear**2 * model.actuator_biasprm[k, 2])
+    position, speed, acceleration = motion.noise**2
+    variance = mass**2 @ acceleration + damper**2 * speed + spring**2 * position
+    return np.asarray(np.sqrt(variance))

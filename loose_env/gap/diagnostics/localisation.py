@@ -1,0 +1,379 @@
+"""Where measurement and model disagree: by channel, run, frequency, motion and load.
+
+Everything here is a function of residuals that are there already. Readings show the disagreement
+in noise standard deviations; beside them stands a view as torque, which says of each joint what
+drove it, or held it back, beyond the nominal model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.data.aligned_run import Channel, Trial
+from loose_env.gap.diagnostics.joint_torque_residual import JointMotion
+from loose_env.gap.diagnostics.regressors import REGRESSORS, Dependence, dependence
+from loose_env.gap.diagnostics.residual_spectra import Series, band_edges, density, series_of
+from loose_env.gap.residuals.autocorrelation import Structure, largest
+from loose_env.gap.residuals.residual_model import LONGEST, Rows
+
+__all__ = [
+    "Band",
+    "ChannelGap",
+    "JointGap",
+    "Location",
+    "depends_on",
+    "locate",
+    "main_band",
+    "strongest",
+    "where_it_lives",
+]
+
+Array = NDArray[np.float64]
+
+_SAMPLES = 2500
+"""Samples of a run that are held against motion and load, at most."""
+_SURE = 3.0
+"""Sureness from which on a dependence is worth telling [standard deviations]."""
+_LEAST = 0.05
+"""Share of a residual's power from which on a dependence is worth telling."""
+_VISIBLE = 1.2
+"""Residual over the noise floor from which on it is told of."""
+_NO_NOISE = 4.0
+"""Sureness from which on what hangs together in time is told of, however small: of hundreds of
+runs and channels with nothing but noise none passes it."""
+_AS_GOOD = 0.85
+"""Share of the strongest dependence from which on a simpler one is named in its place."""
+_SIMPLEST = ("direction", "position", "velocity", "load", "acceleration")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Band:
+    """A residual within a frequency band."""
+
+    low: float
+    """[Hz]."""
+    high: float
+    """[Hz]."""
+    over_floor: float
+    """Root mean square over that of the channel's noise in the same band; 1: noise alone."""
+    share: float
+    """Share of the residual's power (0 to 1)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelGap:
+    """The disagreement of one channel in one run."""
+
+    run: str
+    """File of the run."""
+    channel: str
+    """As in the recording."""
+    over_floor: float
+    """Root mean square residual over the noise floor."""
+    offset: float
+    """Mean residual, in noise standard deviations."""
+    bands: tuple[Band, ...]
+    """From low frequencies to high ones."""
+    depends: tuple[Dependence, ...]
+    """For each regressor the joint that explains most; explained parts in noise deviations."""
+    together: float = 0.0
+    """The part that hangs together in time, which noise does not, in noise standard deviations."""
+    sureness: float = 0.0
+    """Of that part, over what white noise shows by chance, in standard deviations."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointGap:
+    """Torque or force at one joint that the nominal model does not explain, in one run."""
+
+    run: str
+    """File of the run."""
+    joint: str
+    """Its name."""
+    unit: str
+    """ "N·m", or "N" where it slides."""
+    missing: float
+    """Root mean square, in that unit."""
+    floor: float
+    """What the noise of the readings makes of it."""
+    load: float
+    """Root mean square of what the nominal model needs for the motion."""
+    depends: tuple[Dependence, ...]
+    """On the joint's own motion and load; explained parts in that unit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Location:
+    """Where the nominal model, fitted within its tolerance, disagrees with the measurement."""
+
+    channels: tuple[ChannelGap, ...] = ()
+    """By run and channel."""
+    joints: tuple[JointGap, ...] = ()
+    """By run and joint; empty where the machine's motion was not measured."""
+
+
+def locate(
+    residual: Array,
+    rows: Rows,
+    trials: Sequence[Trial],
+    channels: Sequence[Channel],
+    motions: Sequence[JointMotion],
+) -> Location:
+    """Locate a disagreement.
+
+    Parameters
+    ----------
+    residual : ndarray (N,)
+        Measured less predicted, in noise standard deviations.
+    rows : Rows
+        Where each number comes from.
+    trials, channels : sequence of Trial, of Channel
+        The runs and what was compared.
+    motions : sequence of JointMotion
+        Of each run, as of `loose_env.gap.diagnostics.joint_torque_residual.joint_motion`.
+    """
+    many = series_of(residual, rows, trials, channels)
+    sums = np.zeros((len(trials), len(channels)))
+    if many:
+        group = rows.trial * len(channels) + rows.channel
+        found = largest(Structure(rows).by_group(residual, group))
+        sums.flat[: len(found)] = found
+    number = {channel.name: c for c, channel in enumerate(channels)}
+    return Location(
+        channels=tuple(
+            _channel_gap(series, motions, float(sums[series.trial, number[series.channel]]))
+            for series in many
+        ),
+        joints=tuple(
+            gap for trial, motion in zip(trials, motions, strict=True)
+            for gap in _joint_gaps(trial.name, motion)
+        ),
+    )  # fmt: skip
+
+
+def _channel_gap(series: Series, motions: Sequence[JointMotion], products: float) -> ChannelGap:
+    count = len(series.residual)
+    return ChannelGap(
+        run=series.run,
+        channel=series.channel,
+        over_floor=series.rms,
+        offset=float(np.mean(series.residual)),
+        bands=_bands(series),
+        depends=depends_on([series], motions),
+        together=float(np.sqrt(products / count)),
+        sureness=products / max(series.rms**2 * float(np.sqrt(count)), 1e-300),
+    )
+
+
+def _bands(series: Series) -> tuple[Band, ...]:
+    frequency, power = density(series)
+    if not len(frequency):
+        return ()
+    total = float(power.sum())
+    edges = band_edges(float(frequency[-1]))
+    found = []
+    for low, high in pairwise(edges):
+        inside = (frequency > low) & (frequency <= high * (1 + 1e-9))
+        if inside.any():
+            found.append(
+                Band(
+                    low=low,
+                    high=high,
+                    over_floor=float(np.sqrt(np.mean(power[inside]))),
+                    share=float(power[inside].sum() / total) if total > 0 else 0.0,
+                )
+            )
+    return tuple(found)
+
+
+def depends_on(many: Sequence[Series], motions: Sequence[JointMotion]) -> tuple[Dependence, ...]:
+    """For each regressor the joint whose own explains most of series of one channel.
+
+    ``motions`` are those of all runs, by number of the trial.
+    """
+    thinned = [(s, np.arange(0, len(s.sample), max(1, len(s.sample) // _SAMPLES))) for s in many]
+    residual = np.concatenate([s.residual[keep] for s, keep in thinned])
+    block = np.concatenate([s.block[keep] for s, keep in thinned])
+    joints = motions[many[0].trial].joints
+    found = []
+    for on in REGRESSORS:
+        best: Dependence | None = None
+        for j, joint in enumerate(joints):
+            values = np.concatenate(
+                [motions[s.trial].at(on, j, s.time[keep]) for s, keep in thinned]
+            )
+            each = dependence(residual, values, block, on=on, of=joint)
+            if each is not None and (best is None or each.share > best.share):
+                best = each
+        if best is not None:
+            found.append(best)
+    return tuple(found)
+
+
+def _joint_gaps(run: str, motion: JointMotion) -> list[JointGap]:
+    found = []
+    every = max(1, len(motion.time) // _SAMPLES)
+    block = (motion.time[::every] // LONGEST).astype(np.intp)
+    for j, joint in enumerate(motion.joints):
+        missing = motion.missing[::every, j]
+        good = np.isfinite(missing)
+        if not good.any():
+            continue
+        depends = (
+            dependence(missing, motion.regressor(on, j)[::every], block, on=on, of=joint)
+            for on in REGRESSORS
+        )
+        found.append(
+            JointGap(
+                run=run,
+                joint=joint,
+                unit=motion.units[j],
+                missing=float(np.sqrt(np.mean(missing[good] ** 2))),
+                floor=float(motion.missing_floor[j]),
+                load=float(np.sqrt(np.nanmean(motion.load[:, j] ** 2))),
+                depends=tuple(d for d in depends if d is not None),
+            )
+        )
+    return found
+
+
+def strongest(depends: Sequence[Dependence], *, least: float = _LEAST) -> Dependence | None:
+    """The dependence to tell of: the simplest that explains about as much as the strongest.
+
+    Parameters
+    ----------
+    depends : sequence of Dependence
+        Those of one channel.
+    least : float
+        Share of the residual's power from which on one is worth telling.
+    """
+    sure = [d for d in depends if d.sureness >= _SURE and d.share >= least]
+    if not sure:
+        return None
+    most = max(d.share for d in sure)
+    good = [d for d in sure if d.share >= _AS_GOOD * most]
+    return min(good, key=lambda d: _SIMPLEST.index(d.on))
+
+
+def main_band(gap: ChannelGap) -> Band | None:
+    """Band with most of the power beyond that of noise; None where there is only noise."""
+    return _loudest(gap) if _shows(gap) else None
+
+
+def _loudest(gap: ChannelGap) -> Band | None:
+    """Band with most of the power beyond that of noise, if any has more."""
+    excess = {b: (b.over_floor**2 - 1) * (b.high - b.low) for b in gap.bands}
+    band = max(excess, key=lambda b: excess[b], default=None)
+    return band if band is not None and excess[band] > 0 else None
+
+
+def _shows(gap: ChannelGap) -> bool:
+    """Whether there is more than noise: large, or faint and yet surely no white noise."""
+    return gap.over_floor >= _VISIBLE or gap.sureness >= _NO_NOISE
+
+
+def where_it_lives(location: Location, *, most: int = 3, always: bool = False) -> list[str]:
+    """Sentences that say where a disagreement is, the worst channels first.
+
+    Parameters
+    ----------
+    location : Location
+        The disagreement.
+    most : int
+        Most channels, and joints, that are told of.
+    always : bool
+        Whether something is known to disagree: the likeliest channel is told of even where none
+        stands out.
+
+    Examples
+    --------
+    >>> gap = ChannelGap(
+    ...     run="a.csv",
+    ...     channel="sensor.q",
+    ...     over_floor=8.0,
+    ...     offset=0.1,
+    ...     depends=(),
+    ...     bands=(Band(low=0, high=1, over_floor=9.0, share=0.9),),
+    ... )
+    >>> where_it_lives(Location(channels=(gap,)))
+    ['sensor.q is up to 8.0 noise standard deviations off (a.csv), most of it between 0 and 1 Hz.']
+    """
+    torques = _torque_words(location.joints, most)
+    large = _worst([g for g in location.channels if g.over_floor >= _VISIBLE], faint=False)
+    told = {gap.channel for gap in large}
+    faint = [g for g in location.channels if _shows(g) and g.channel not in told]
+    told_of = [*large, *_worst(faint, faint=True)][:most]
+    if always and not told_of and not torques:
+        told_of = _worst(location.channels, faint=True)[:1]
+    said = [_channel_words(gap, whole=always) for gap in told_of]
+    return said + torques
+
+
+def _channel_words(gap: ChannelGap, *, whole: bool) -> str:
+    """A sentence on one channel; with ``whole`` it says, too, that nothing of the motion fits."""
+    faint = gap.over_floor < _VISIBLE
+    # The part that hangs together: of a faint gap most of the power is noise.
+    share = min((gap.together / gap.over_floor) ** 2, 1.0) if faint and gap.over_floor else 1.0
+    if faint:
+        words = (
+            f"{gap.channel} is hardly off by more than its noise ({gap.over_floor:.2f} of its "
+            f"standard deviations, {gap.run}), but {gap.together:.2f} of that hang together in time"
+        )
+    else:
+        words = (
+            f"{gap.channel} is up to {gap.over_floor:.1f} noise standard deviations off ({gap.run})"
+        )
+    band = _loudest(gap)
+    if band is not None:
+        words += f", most of it between {band.low:g} and {band.high:g} Hz"
+    found = strongest(gap.depends, least=_LEAST * share)
+    if abs(gap.offset) > 0.7 * gap.over_floor:
+        words += "; it is almost constant"
+    elif found is not None:
+        of_it = min(found.share / max(share, 1e-12), 1.0)
+        words += f"; {100 * of_it:.0f} % of it goes with the {found.on} of {found.of}"
+    elif whole:
+        words += f"; it goes surely with none of {', '.join(REGRESSORS)}"
+    return words + "."
+
+
+def _worst(gaps: Sequence[ChannelGap], *, faint: bool) -> list[ChannelGap]:
+    """The worst run of every channel, the worst channel first."""
+
+    def size(gap: ChannelGap) -> float:
+        return gap.sureness if faint else gap.over_floor
+
+    worst: dict[str, ChannelGap] = {}
+    for gap in gaps:
+        if gap.channel not in worst or size(gap) > size(worst[gap.channel]):
+            worst[gap.channel] = gap
+    return sorted(worst.values(), key=lambda gap: -size(gap))
+
+
+def _torque_words(joints: Sequence[JointGap], most: int) -> list[str]:
+    """The same of the torque that is not explained."""
+    shares: dict[str, list[JointGap]] = {}
+    for gap in joints:
+        if np.isfinite(gap.floor) and gap.missing > _VISIBLE * gap.floor:
+            shares.setdefault(gap.joint, []).append(gap)
+    ranked = sorted(
+        shares.items(), key=lambda item: -max(g.missing / max(g.load, 1e-12) for g in item[1])
+    )
+    said = []
+    for joint, gaps in ranked[:most]:
+        gap = max(gaps, key=lambda g: g.missing)
+        words = (
+            f"{joint} got {gap.missing:.3g} {gap.unit} (RMS) that the model does not explain, "
+            f"beside {gap.load:.3g} {gap.unit} that it needed ({gap.run}); noise makes "
+            f"{gap.floor:.2g} {gap.unit}"
+        )
+        found = strongest(gap.depends)
+        if found is not None:
+            words += f"; {100 * found.share:.0f} % of it goes with its {found.on}"
+        said.append(words + ".")
+    return said

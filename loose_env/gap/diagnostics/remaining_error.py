@@ -1,0 +1,118 @@
+"""What is left once the named effects are added: how much, where, and as torque at which joints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.diagnostics.joint_torque_residual import JointMotion, joint_motion
+from loose_env.gap.diagnostics.localisation import Location, where_it_lives
+from loose_env.gap.fitting.holdout_score import Judged
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.residuals.autocorrelation import largest
+from loose_env.gap.residuals.residual_model import Comparison
+
+__all__ = ["CLOSED", "left_motions", "left_words"]
+
+Array = NDArray[np.float64]
+
+CLOSED = 1.25
+"""Gap over the noise floor up to which it counts as closed."""
+_SURE = 4.0
+"""Sureness from which on what hangs together in time is no noise [standard deviations]."""
+
+
+def left_words(
+    base: Judged, best: Judged, location: Location, *, most: int = 3, struck: bool = False
+) -> list[str]:
+    """Sentences on how much is left after the named effects, and where; none if nothing is.
+
+    Parameters
+    ----------
+    base, best : Judged
+        The nominal model, and the corrected one.
+    location : Location
+        Where the corrected one disagrees.
+    most : int
+        Most channels, and joints, that are told of.
+    struck : bool
+        Whether a part was named that strikes its stops at moments that no simulation repeats.
+    """
+    before, after = base.held_rms, best.held_rms
+    together = float(largest(best.held_structure.sum(axis=1)))
+    by_chance = after**2 * float(np.sqrt(len(best.held_residual)))
+    if after <= CLOSED and together <= _SURE * by_chance:
+        return []
+    if struck:
+        first = (
+            f"{after:.3g} noise standard deviations are left of {before:.3g} on the held-out runs, "
+            "sample by sample: blows fall at moments that no simulation repeats."
+        )
+    elif after > CLOSED:
+        share = 100 * after / max(before, 1e-12)
+        first = (
+            f"{after:.3g} noise standard deviations are left of {before:.3g} on the held-out runs "
+            f"({share:.0f} %): something is missing that was not named."
+        )
+    else:
+        first = (
+            f"What is left is no larger than the noise ({after:.2f} of its standard deviations), "
+            "but hangs together in time: something small is missing that was not named."
+        )
+    return [first, *where_it_lives(location, most=most, always=True)]
+
+
+def left_motions(
+    machine: Machine, comparison: Comparison, hypothesis: Hypothesis
+) -> tuple[JointMotion, ...] | None:
+    """Motion of the runs with the torque that the corrected model does not explain.
+
+    Parameters
+    ----------
+    machine : Machine
+        The nominal model.
+    comparison : Comparison
+        The runs.
+    hypothesis : Hypothesis
+        What was added to it.
+
+    Returns
+    -------
+    tuple of JointMotion or None
+        None where that torque is not known: an effect adds motion that nothing measures, or says
+        that the readings are not what they seem.
+    """
+    pairs = list(zip(hypothesis.effects, hypothesis.values, strict=True))
+    if any(effect.adds_motion or type(effect).read is not Effect.read for effect, _ in pairs):
+        return None
+    spec = machine.spec.copy()
+    for effect, values in pairs:
+        effect.edit(spec, values)
+    corrected = replace(machine, spec=spec)
+    if corrected.model.nv != machine.model.nv:
+        return None
+    found = []
+    for trial in comparison.trials:
+        controls, clock = trial.controls, trial.step * np.arange(trial.steps, dtype=float)
+        for effect, values in pairs:
+            controls = effect.command(clock, controls, values)
+        motion = joint_motion(
+            corrected, replace(trial, controls=controls), comparison.channels, comparison.floors
+        )
+        found.append(_with_torques(motion, pairs))
+    return tuple(found)
+
+
+def _with_torques(motion: JointMotion, pairs: Sequence[tuple[Effect, Array]]) -> JointMotion:
+    """The same with what effects add to the joints' torques taken into account."""
+    added = [
+        effect.torque(motion.position, motion.speed, values)
+        for effect, values in pairs
+        if type(effect).torque is not Effect.torque
+    ]
+    return replace(motion, missing=motion.missing + sum(added)) if added else motion

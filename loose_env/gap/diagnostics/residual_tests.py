@@ -1,0 +1,150 @@
+"""Tests of what is left of a residual: whether it is noise, and if not, what it goes with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.data.aligned_run import Channel, Trial
+from loose_env.gap.diagnostics.joint_torque_residual import JointMotion
+from loose_env.gap.diagnostics.localisation import depends_on
+from loose_env.gap.diagnostics.regressors import Dependence
+from loose_env.gap.diagnostics.residual_spectra import Series, series_of
+from loose_env.gap.residuals.residual_model import Rows
+
+__all__ = ["LeftOver", "autocorrelation", "left_over"]
+
+Array = NDArray[np.float64]
+
+_LAGS = 50
+"""Lags of the autocorrelation that is looked at."""
+_SURE = 3.0
+"""Sureness of a dependence that is told of [standard deviations]."""
+_LEAST = 0.15
+"""Explained part that is told of, in noise standard deviations."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeftOver:
+    """What is left of one channel on the held-out runs."""
+
+    channel: str
+    """As in the recording."""
+    over_floor: float
+    """Root mean square over the noise floor; 1: noise alone."""
+    autocorrelation: float
+    """Of neighbouring samples; 0 for white noise."""
+    whiteness_95: float
+    """What the largest autocorrelation of white noise stays below, 95 times in 100."""
+    largest: float
+    """Largest autocorrelation over all lags looked at."""
+    correlation_time: float
+    """Time over which what is left hangs together [s]; the sample interval for white noise."""
+    trend: float
+    """Growth from the beginning of a run to its end, in noise standard deviations."""
+    trend_sureness: float
+    """Over its scatter from block to block, in standard deviations."""
+    depends: tuple[Dependence, ...]
+    """On motion and load, those that are sure and matter; explained parts in noise deviations."""
+
+    @property
+    def white(self) -> bool:
+        """Whether it cannot be told from white noise by its autocorrelation."""
+        return self.largest <= self.whiteness_95
+
+
+def autocorrelation(residual: Array, *, lags: int = _LAGS) -> Array:
+    """Autocorrelation (lags,) of an evenly sampled residual (T,) at 1, 2, ... samples.
+
+    Examples
+    --------
+    >>> swing = np.sin(2 * np.pi * np.arange(4000) / 20)
+    >>> [round(float(r), 2) for r in autocorrelation(swing, lags=20)[[0, 9, 19]]]
+    [0.95, -1.0, 1.0]
+    """
+    centred = residual - residual.mean()
+    power = float(centred @ centred)
+    lags = min(lags, len(centred) - 1)
+    if power <= 0 or lags < 1:
+        return np.zeros(max(lags, 0))
+    size = 1 << (2 * len(centred) - 1).bit_length()
+    spectrum = np.abs(np.fft.rfft(centred, size)) ** 2
+    return np.asarray(np.fft.irfft(spectrum, size)[1 : lags + 1] / power)
+
+
+def left_over(
+    residual: Array,
+    rows: Rows,
+    trials: Sequence[Trial],
+    channels: Sequence[Channel],
+    motions: Sequence[JointMotion],
+) -> tuple[LeftOver, ...]:
+    """Test what is left on some runs, channel by channel.
+
+    Parameters
+    ----------
+    residual : ndarray (N,)
+        Measured less predicted, in noise standard deviations.
+    rows : Rows
+        Where each number comes from.
+    trials, channels : sequence of Trial, of Channel
+        The runs and what was compared.
+    motions : sequence of JointMotion
+        Of each run.
+    """
+    by_channel: dict[str, list[Series]] = {}
+    for series in series_of(residual, rows, trials, channels):
+        by_channel.setdefault(series.channel, []).append(series)
+    return tuple(_test(name, many, motions) for name, many in by_channel.items())
+
+
+def _test(name: str, many: Sequence[Series], motions: Sequence[JointMotion]) -> LeftOver:
+    usable = [s for s in many if len(s.residual) > 2 * _LAGS] or list(many)
+    weights = np.array([len(s.residual) for s in usable], dtype=float)
+    lags = min(_LAGS, *(len(s.residual) - 1 for s in usable))
+    found = np.array([autocorrelation(s.residual, lags=lags) for s in usable])
+    mean = weights @ found / weights.sum()
+    count = int(weights.sum())
+    # Of `lags` independent normal numbers the largest stays below this 95 times in 100.
+    limit = float(np.sqrt(2 * np.log(lags / 0.0513)) / np.sqrt(count)) if lags else 0.0
+    intervals = [float(np.median(np.diff(s.time))) for s in usable if len(s.time) > 1]
+    interval = float(np.median(intervals)) if intervals else 0.0
+    positive = mean[: int(np.argmax(mean <= limit))] if (mean <= limit).any() else mean
+    trend, sureness = _trend(many)
+    power = np.concatenate([s.residual for s in many])
+    return LeftOver(
+        channel=name,
+        over_floor=float(np.sqrt(np.mean(power**2))),
+        autocorrelation=float(mean[0]) if lags else 0.0,
+        whiteness_95=limit,
+        largest=float(np.abs(mean).max()) if lags else 0.0,
+        correlation_time=interval * (1 + 2 * float(positive.sum())),
+        trend=trend,
+        trend_sureness=sureness,
+        depends=tuple(
+            d for d in depends_on(many, motions) if d.sureness >= _SURE and d.explained >= _LEAST
+        ),
+    )
+
+
+def _trend(many: Sequence[Series]) -> tuple[float, float]:
+    """Growth over a run and its sureness, from the means of blocks of time."""
+    times, means = [], []
+    for series in many:
+        span = float(series.time[-1]) or 1.0
+        _, block = np.unique(series.block, return_inverse=True)
+        counts = np.bincount(block)
+        means.append(np.bincount(block, series.residual) / counts)
+        at = np.bincount(block, series.time) / counts / span
+        times.append(at - at.mean())
+        means[-1] = means[-1] - means[-1].mean()
+    x, y = np.concatenate(times), np.concatenate(means)
+    power = float(x @ x)
+    if len(x) < 4 or power <= 0:
+        return 0.0, 0.0
+    slope = float(x @ y) / power
+    scatter = float(np.sqrt(np.sum((y - slope * x) ** 2) / (len(x) - 1 - len(many) + 1e-9)))
+    return slope, float(abs(slope) * np.sqrt(power) / max(scatter, 1e-12))

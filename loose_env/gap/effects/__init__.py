@@ -1,1 +1,0 @@
-"""The effects that a model can lack, one concept a file; `loose_env.gap.catalogue` lists them."""

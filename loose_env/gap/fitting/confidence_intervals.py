@@ -1,0 +1,222 @@
+"""How surely the parameters of a fit are known: a block bootstrap of its last step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from loose_env.gap.fitting.gauss_newton import Fit, parameters_of, prior_of, slices_of
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.parameter import free_of, values_of
+from loose_env.gap.residuals.residual_model import Comparison
+
+__all__ = ["Intervals", "bootstrap", "joined", "widened"]
+
+Array = NDArray[np.float64]
+
+_ANSWER = 1.0
+"""Rise of the sum of squares [noise variances] with a step of one free number, about the least size
+that matters, below which the data do not answer to it."""
+_EXACT = 0.005
+"""Share of a value that no interval is surer of, to either side: however little noise there is, no
+law of the catalogue is that of a machine more closely, nor is a clock."""
+_ANYWHERE = 1e6
+"""Factor on the squared range of such a number, for its variance."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Intervals:
+    """95 % intervals of the values of all parameters."""
+
+    low: Array
+    """Lower ends, in the parameters' units (P,)."""
+    high: Array
+    """Upper ends (P,)."""
+    free: Array
+    """Free numbers of the fit (P,)."""
+    covariance: Array
+    """Of the free numbers, over blocks (P, P)."""
+    misfit: float = 1.0
+    """Variance of the blocks' slopes, in units of what the noise alone makes; at least 1."""
+
+    def may_be_nothing(self, effect: Effect, own: slice) -> bool:
+        """Whether an effect, whose parameters stand at `own`, may be nothing at all.
+
+        Parts of a vector that trade against each other may each be zero, and yet not all of them:
+        the region in which they lie together decides, an ellipse of 95 %.
+        """
+        if not effect.vanishes(self.low[own], self.high[own]):
+            return False
+        if effect.nothing is None or effect.proportional is not None or own.stop == own.start + 1:
+            return True
+        off = self.free[own] - free_of(effect.parameters, np.array(effect.nothing))
+        distance = off @ np.linalg.pinv(self.covariance[own, own]) @ off
+        return bool(distance < stats.chi2.ppf(0.95, len(off)))
+
+
+def bootstrap(
+    comparison: Comparison, fitted: Fit, rng: np.random.Generator, *, draws: int = 500
+) -> Intervals:
+    """Draw blocks of time with replacement and take the step that each draw asks for.
+
+    The residual is linear in the parameters nearby, so that no draw needs a simulation. Blocks
+    keep together what hangs together in time. Where the model fits badly the data are worth as much
+    less (a quasi-likelihood, Wedderburn, Biometrika 61, 1974), and what is known beforehand weighs
+    more: else a wrong model would move masses and gains, and what trades against them, far beyond
+    the tolerance within which they are known.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        What was fitted to.
+    fitted : Fit
+        The fit, with fresh sensitivities.
+    rng : numpy.random.Generator
+        Draws the blocks.
+    draws : int
+        How many draws.
+    """
+    parameters = parameters_of(fitted.effects)
+    _, weights = prior_of(parameters)
+    count, blocks = len(parameters), int(comparison.rows.block.max()) + 1
+    curvatures, slopes = np.zeros((blocks, count, count)), np.zeros((blocks, count))
+    order = np.argsort(comparison.rows.block, kind="stable")
+    edges = np.searchsorted(comparison.rows.block[order], np.arange(blocks + 1))
+    for b in range(blocks):
+        own = order[edges[b] : edges[b + 1]]
+        jacobian = fitted.jacobian[own]
+        curvatures[b], slopes[b] = jacobian.T @ jacobian, jacobian.T @ fitted.residual[own]
+    misfit = _misfit(curvatures, slopes)
+    curvatures, slopes = curvatures / misfit, slopes / misfit
+    known = np.diag(weights**2 + 1e-9)
+    inverse = np.linalg.inv(curvatures.sum(axis=0) + known)
+    drawn = rng.multinomial(blocks, np.full(blocks, 1 / blocks), size=draws)
+    curvature = np.tensordot(drawn, curvatures, 1) + known
+    # Deviations from the whole sample's slope, so that a fit at a bound is not pushed further.
+    slope = (drawn - 1) @ slopes
+    # What is known beforehand is as uncertain as it says: along directions that the data leave
+    # open it decides.
+    slope += weights * rng.standard_normal(slope.shape)
+    steps = -np.linalg.solve(curvature, slope[..., None])[..., 0]
+    free = fitted.free + steps
+    low, high = np.quantile(free, (0.025, 0.975), axis=0)
+    covariance = inverse @ (slopes.T @ slopes + np.diag(weights**2)) @ inverse
+    # Data that do not answer to a parameter have no scatter in it either: it may be anything.
+    blind = (np.einsum("bpp->p", curvatures) < _ANSWER) & (weights == 0)
+    ends = np.array([p.bounds for p in parameters])
+    low[blind], high[blind] = ends[blind].T
+    covariance[blind], covariance[:, blind] = 0.0, 0.0
+    covariance[blind, blind] = np.ptp(ends[blind], axis=1) ** 2 * _ANYWHERE
+    return Intervals(
+        low=np.array([p.value(v) for p, v in zip(parameters, low, strict=True)]),
+        high=np.array([p.value(v) for p, v in zip(parameters, high, strict=True)]),
+        free=fitted.free,
+        covariance=covariance,
+        misfit=misfit,
+    )
+
+
+def _misfit(curvatures: Array, slopes: Array) -> float:
+    """How much more the slopes of blocks (B, P) vary than by noise: there as their curvature."""
+    by_noise = np.einsum("bpp->p", curvatures)
+    seen = by_noise > 0
+    if not seen.any():
+        return 1.0
+    return max(1.0, float(np.mean(np.sum(slopes[:, seen] ** 2, axis=0) / by_noise[seen])))
+
+
+def widened(comparison: Comparison, fitted: Fit, intervals: Intervals) -> Intervals:
+    """Intervals at least as wide as the runs disagree.
+
+    A law that is a little wrong asks every motion for other parameters. The slope of each run at
+    the common fit says which way; their scatter is that of a cluster-robust covariance (Liang and
+    Zeger, Biometrika 73, 1986), with Student's law for as few runs as a recording has (Bell and
+    McCaffrey, Survey Methodology 28, 2002). That is a rough figure: by it alone no interval comes
+    to include nothing, which other runs have refuted; the end on that side stays where it is.
+    Nor is any interval surer of a value than the law itself is.
+
+    Parameters
+    ----------
+    comparison, fitted
+        As of `bootstrap`.
+    intervals : Intervals
+        To be widened.
+    """
+    intervals = _no_surer(fitted, intervals)
+    runs = np.unique(comparison.rows.trial)
+    if len(runs) < 2:
+        return intervals
+    parameters = parameters_of(fitted.effects)
+    _, weights = prior_of(parameters)
+    worth = 1 / intervals.misfit
+    curvature = worth * fitted.jacobian.T @ fitted.jacobian + np.diag(weights**2 + 1e-9)
+    slopes = np.zeros((len(runs), len(weights)))
+    for k, run in enumerate(runs):
+        own = comparison.rows.trial == run
+        slopes[k] = worth * fitted.jacobian[own].T @ fitted.residual[own]
+    asked = np.linalg.solve(curvature, (slopes - slopes.mean(axis=0)).T)
+    room = stats.t.ppf(0.975, len(runs) - 1) * np.sqrt(
+        (asked**2).sum(axis=1) * len(runs) / (len(runs) - 1)
+    )
+    ends = [
+        [p.value(f + side) for p, f, side in zip(parameters, fitted.free, sides, strict=True)]
+        for sides in (-room, room)
+    ]
+    low, high = np.minimum(intervals.low, ends[0]), np.maximum(intervals.high, ends[1])
+    for effect, own in zip(fitted.effects, slices_of(fitted.effects), strict=True):
+        if effect.vanishes(low[own], high[own]):
+            low[own], high[own] = _short_of_nothing(effect, intervals, own, low[own], high[own])
+    return replace(intervals, low=low, high=high)
+
+
+def joined(first: Intervals, second: Intervals) -> Intervals:
+    """Intervals of two sets of parameters that were fitted one after the other."""
+    count = len(first.free)
+    covariance = np.zeros((count + len(second.free),) * 2)
+    covariance[:count, :count] = first.covariance
+    covariance[count:, count:] = second.covariance
+    return Intervals(
+        low=np.concatenate([first.low, second.low]),
+        high=np.concatenate([first.high, second.high]),
+        free=np.concatenate([first.free, second.free]),
+        covariance=covariance,
+        misfit=max(first.misfit, second.misfit),
+    )
+
+
+def _no_surer(fitted: Fit, intervals: Intervals) -> Intervals:
+    """Intervals no surer than `_EXACT`, of a value or of how far it is from nothing."""
+    parameters = parameters_of(fitted.effects)
+    values = values_of(parameters, fitted.free)
+    nothing = np.concatenate(
+        [
+            np.zeros(len(effect.parameters)) if effect.nothing is None else effect.nothing
+            for effect in fitted.effects
+        ]
+    )
+    room = _EXACT * np.minimum(
+        np.abs(values - nothing), np.where(nothing == 0, np.inf, abs(values))
+    )
+    low = np.maximum(values - room, [p.low for p in parameters])
+    high = np.minimum(values + room, [p.high for p in parameters])
+    return replace(
+        intervals, low=np.minimum(intervals.low, low), high=np.maximum(intervals.high, high)
+    )
+
+
+def _short_of_nothing(
+    effect: Effect, intervals: Intervals, own: slice, low: Array, high: Array
+) -> tuple[Array, Array]:
+    """Wider ends (P,), but those between which and the values nothing lies as they were."""
+    before = intervals.low[own], intervals.high[own]
+    if effect.nothing is None:
+        ends = [dict(effect.limit).get(p.name) for p in effect.parameters]
+        to_low = np.array([end == "low" for end in ends])
+        to_high = np.array([end == "high" for end in ends])
+    else:
+        nothing = np.array(effect.nothing)
+        to_low, to_high = nothing < before[0], nothing > before[1]
+    return np.where(to_low, before[0], low), np.where(to_high, before[1], high)

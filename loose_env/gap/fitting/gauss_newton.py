@@ -1,0 +1,354 @@
+"""Fits the parameters of a hypothesis: bounded Gauss-Newton on batched simulations.
+
+Each iteration is two batches: one for the sensitivities, one that tries several step lengths at
+once. The bounded linear problem inside is scipy's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from loose_env.gap.fitting.initial_state import StartState
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.parameter import Parameter, free_of, values_of
+from loose_env.gap.residuals.residual_model import Comparison
+
+__all__ = [
+    "BESIDE_STOPS",
+    "UNNAMED",
+    "Fit",
+    "FitSettings",
+    "cost_of",
+    "fit",
+    "how_to_fit",
+    "hypothesis_of",
+    "parameters_of",
+    "prior_of",
+    "sensitivities",
+    "slices_of",
+    "started",
+    "strikes",
+]
+
+Array = NDArray[np.float64]
+
+UNNAMED = ("nominal", "start")
+"""Kinds that are fitted with every hypothesis, stand first, and are never named."""
+
+_NONE, _NEW, _ALL = 0, 1, 2
+"""Which sensitivities are worked out (anew): none, those not known beforehand, all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitSettings:
+    """How a fit goes about it."""
+
+    iterations: int = 16
+    """Most Gauss-Newton steps."""
+    enough: float = 1e-3
+    """Share of the cost below which a further step is not worth its simulations."""
+    difference: float = 0.002
+    """Step of the sensitivities, in free units. Figures that nearly cancel one another leave a
+    valley, which differences over longer steps bar: what bends in each of them does not cancel."""
+    trusted: float = 0.7
+    """Share of the promised gain below which sensitivities are worked out anew."""
+    stale: float = 0.5
+    """Share of the cost at which sensitivities were worked out below which a fit does not end by
+    them: from far off they see no valley."""
+    dampings: tuple[float, ...] = (0.0, 0.1, 3.0)
+    """Levenberg's dampings, as shares of the curvature; those after the first are tried where its
+    step does not bring what it promises."""
+    shorter: tuple[float, ...] = (0.3, 0.1, 0.03)
+    """Shares of the damped steps that are tried where none of the whole steps is any good."""
+
+
+BESIDE_STOPS = FitSettings(iterations=8, enough=3e-3, difference=0.02, stale=0.0)
+"""How parts with stops, and what stands beside them, are fitted: a simulation takes three times as
+long, and the law of stops is never that of the machine to the last per mille. Sensitivities are
+taken over longer steps, for a blow that is just missed makes short ones jump; for the same reason
+fresh ones are no better at the end than those from afar."""
+
+
+def strikes(effects: Sequence[Effect]) -> bool:
+    """Whether one of some effects has stops."""
+    return any(effect.has_stops for effect in effects)
+
+
+def how_to_fit(effects: Sequence[Effect]) -> FitSettings:
+    """How a hypothesis of these effects is fitted."""
+    return BESIDE_STOPS if strikes(effects) else FitSettings()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fit:
+    """A hypothesis with its best parameters."""
+
+    effects: tuple[Effect, ...]
+    """In the order of their parameters."""
+    free: Array
+    """Free numbers (P,)."""
+    residual: Array
+    """Measured less predicted, in noise standard deviations (N,)."""
+    jacobian: Array
+    """Change of the residual with the free numbers (N, P)."""
+    cost: float
+    """Sum of squares of the residual, and of what the free numbers are off their centres."""
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """What it says."""
+        return hypothesis_of(self.effects, self.free)
+
+    @property
+    def named(self) -> tuple[Effect, ...]:
+        """Effects that may be named: neither nominal figures nor starts of runs."""
+        return tuple(effect for effect in self.effects if effect.kind not in UNNAMED)
+
+    @property
+    def rms(self) -> float:
+        """Root mean square residual, in noise standard deviations."""
+        return float(np.sqrt(np.mean(self.residual**2)))
+
+
+def parameters_of(effects: Sequence[Effect]) -> tuple[Parameter, ...]:
+    """Parameters of all effects, one after the other."""
+    return tuple(p for effect in effects for p in effect.parameters)
+
+
+def hypothesis_of(effects: Sequence[Effect], free: Array) -> Hypothesis:
+    """Hypothesis of effects with free numbers (P,); a `StartState` becomes its starts."""
+    kept, values, at = [], [], 0
+    position = speed = None
+    for effect in effects:
+        own = effect.parameters
+        found = values_of(own, free[at : at + len(own)])
+        at += len(own)
+        if isinstance(effect, StartState):
+            position, speed = effect.offsets(found)
+        else:
+            kept.append(effect)
+            values.append(found)
+    return Hypothesis(effects=tuple(kept), values=tuple(values), position=position, speed=speed)
+
+
+def slices_of(effects: Sequence[Effect]) -> tuple[slice, ...]:
+    """Where each effect's parameters stand among those of all."""
+    ends = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
+    return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
+
+
+def slice_of(effects: Sequence[Effect], effect: Effect) -> slice:
+    """Where the parameters of one of them stand among those of all."""
+    return dict(zip(map(id, effects), slices_of(effects), strict=True))[id(effect)]
+
+
+def sensitivities(
+    comparison: Comparison,
+    effects: Sequence[Effect],
+    free: Array,
+    residual: Array,
+    which: Sequence[int],
+    *,
+    difference: float = FitSettings.difference,
+) -> Array:
+    """Change of the residual with some of the free numbers (N, len(which)); inward at bounds."""
+    known = _of_starts(comparison, effects, free, residual, which)
+    rest = [k for k in which if k not in known]
+    known |= _differences(comparison, effects, free, residual, rest, difference)
+    return np.stack([known[k] for k in which], axis=1)
+
+
+def _nuisances(effects: Sequence[Effect]) -> set[int]:
+    """Numbers of the free numbers that are nominal figures."""
+    return {
+        k
+        for effect, own in zip(effects, slices_of(effects), strict=True)
+        if effect.kind == "nominal"
+        for k in range(own.start, own.stop)
+    }
+
+
+def _differences(
+    comparison: Comparison,
+    effects: Sequence[Effect],
+    free: Array,
+    residual: Array,
+    which: Sequence[int],
+    difference: float,
+) -> dict[int, Array]:
+    """Free number -> change of the residual with it (N,), by a step inside its bounds."""
+    parameters = parameters_of(effects)
+    tried, steps = [], []
+    for k in which:
+        moved = free.copy()
+        low, high = parameters[k].bounds
+        step = difference if moved[k] + difference <= high else -difference
+        moved[k] = np.clip(moved[k] + step, low, high)
+        steps.append(moved[k] - free[k])
+        tried.append(hypothesis_of(effects, moved))
+    if not tried:
+        return {}
+    found = comparison.residuals(tried)
+    return dict(zip(which, (found - residual) / np.array(steps)[:, None], strict=True))
+
+
+def _of_starts(
+    comparison: Comparison,
+    effects: Sequence[Effect],
+    free: Array,
+    residual: Array,
+    which: Sequence[int],
+) -> dict[int, Array]:
+    """Number of a start's parameter -> change of the residual with it (N,)."""
+    found, at = {}, 0
+    for effect in effects:
+        own = range(at, at + len(effect.parameters))
+        if isinstance(effect, StartState) and any(k in own for k in which):
+            hypothesis = hypothesis_of(effects, free)
+            columns = effect.sensitivities(comparison, hypothesis, residual)
+            found.update({k: columns[:, k - at] for k in which if k in own})
+        at = own.stop
+    return found
+
+
+def prior_of(parameters: Sequence[Parameter]) -> tuple[Array, Array]:
+    """Centres and weights of the free numbers (P,), weight 0 where nothing is known."""
+    centres = [0.0 if p.centre is None else p.free(p.centre) for p in parameters]
+    weights = [0.0 if p.spread is None else 1.0 / p.spread for p in parameters]
+    return np.array(centres), np.array(weights)
+
+
+def cost_of(residual: Array, free: Array, parameters: Sequence[Parameter]) -> float:
+    """Sum of squares, what is known beforehand included."""
+    centres, weights = prior_of(parameters)
+    return float(residual @ residual + np.sum((weights * (free - centres)) ** 2))
+
+
+def fit(
+    comparison: Comparison,
+    effects: Sequence[Effect],
+    start: Array,
+    *,
+    settings: FitSettings | None = None,
+    known: Array | None = None,
+    residual: Array | None = None,
+) -> Fit:
+    """Fit a hypothesis.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        What is compared.
+    effects : sequence of Effect
+        The hypothesis; those whose sensitivities are known stand first.
+    start : ndarray (P,)
+        Free numbers from which it starts.
+    settings : FitSettings, optional
+        How it goes about it; as of `how_to_fit` if not given.
+    known : ndarray (N, K), optional
+        Sensitivities of the first K free numbers from a fit nearby, worked out again where they
+        mislead.
+    residual : ndarray (N,), optional
+        At the start.
+    """
+    settings = settings or how_to_fit(effects)
+    parameters = parameters_of(effects)
+    low, high = np.array([p.bounds for p in parameters]).T.reshape(2, -1)
+    free = np.clip(start, low, high)
+    if residual is None:
+        residual = comparison.residuals([hypothesis_of(effects, free)])[0]
+    cost = cost_of(residual, free, parameters)
+    held = 0 if known is None else known.shape[1]
+    # Nominal figures move within their tolerance only: where their sensitivities are known, they
+    # are not worked out again.
+    kept = _nuisances(effects) if held else set()
+    again = [k for k in range(len(parameters)) if k not in kept]
+    jacobian = np.zeros((len(residual), len(parameters)))
+    if known is not None:
+        jacobian[:, :held] = known
+    count = len(parameters)
+    first = _NEW if held < count else _NONE
+    renew, seen_at = first, cost
+    for _ in range(settings.iterations):
+        which = {_NONE: [], _NEW: list(range(held, count)), _ALL: again}[renew]
+        if len(which) == len(again):
+            seen_at = cost
+        if which:
+            jacobian[:, which] = sensitivities(
+                comparison, effects, free, residual, which, difference=settings.difference
+            )
+        steps = [step_of(jacobian, residual, free, parameters, d) for d in settings.dampings]
+        step, left, after = _best_of(comparison, effects, free, parameters, steps[:1])
+        hoped = cost - cost_of(residual + jacobian @ step, free + step, parameters)
+        if cost - after < settings.trusted * hoped and hoped >= settings.enough * cost:
+            damped = _best_of(comparison, effects, free, parameters, steps[1:])
+            step, left, after = min((step, left, after), damped, key=lambda found: found[2])
+            hoped = cost - cost_of(residual + jacobian @ step, free + step, parameters)
+        if which and cost - after < settings.enough * cost <= hoped:
+            # far from the best the slope says where it lies and not how far
+            short = [share * long for long in steps[1:] for share in settings.shorter]
+            shortened = _best_of(comparison, effects, free, parameters, short)
+            step, left, after = min((step, left, after), shortened, key=lambda found: found[2])
+        gained = cost - after
+        if gained > 0:
+            free, residual, cost = free + step, left, after
+        if gained < settings.enough * cost:
+            if cost < settings.stale * seen_at:
+                renew = _ALL
+            elif which or hoped < settings.enough * cost:
+                break
+            else:
+                renew = first or _ALL
+        elif gained < settings.trusted * hoped:
+            renew = _ALL if which else first or _ALL  # the old ones mislead
+        else:
+            renew = _NONE
+    return Fit(effects=tuple(effects), free=free, residual=residual, jacobian=jacobian, cost=cost)
+
+
+def _best_of(
+    comparison: Comparison,
+    effects: Sequence[Effect],
+    free: Array,
+    parameters: Sequence[Parameter],
+    steps: Sequence[Array],
+) -> tuple[Array, Array, float]:
+    """The best of some steps, with what it leaves and its cost."""
+    found = comparison.residuals([hypothesis_of(effects, free + step) for step in steps])
+    costs = [cost_of(r, free + s, parameters) for r, s in zip(found, steps, strict=True)]
+    best = int(np.argmin(costs))
+    return steps[best], found[best], costs[best]
+
+
+def step_of(
+    jacobian: Array,
+    residual: Array,
+    free: Array,
+    parameters: Sequence[Parameter],
+    damping: float,
+) -> Array:
+    """Bounded step that lowers the linearised cost most (P,)."""
+    centres, weights = prior_of(parameters)
+    curvature = jacobian.T @ jacobian + np.diag(weights**2)
+    slope = jacobian.T @ residual + weights**2 * (free - centres)
+    diagonal = np.diag(curvature)
+    ridge = damping * diagonal + 1e-9 * diagonal.max() + 1e-30
+    root = np.linalg.cholesky(curvature + np.diag(ridge))
+    low, high = np.array([p.bounds for p in parameters]).T.reshape(2, -1)
+    room = 1e-9 * (1 + np.abs(free))
+    found = lsq_linear(
+        root.T, -np.linalg.solve(root, slope), bounds=(low - free - room, high - free + room)
+    )
+    return np.asarray(np.clip(free + found.x, low, high) - free)
+
+
+def started(fitted: Fit, effect: Effect, values: Sequence[float]) -> Array:
+    """Free numbers of a fit with one more effect (P + p,)."""
+    return np.concatenate([fitted.free, free_of(effect.parameters, np.array(values))])

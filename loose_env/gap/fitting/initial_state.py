@@ -1,0 +1,239 @@
+"""The state in which a run begins, which its sensors show only as well as they are.
+
+A free response, or a run that begins in motion, is simulated from its measured first samples. What
+these are off is fitted with every hypothesis and never named. A run depends on its own start only,
+so all runs share the simulations of the sensitivities: two for each joint, however many runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.data.aligned_run import Channel, Trial
+from loose_env.gap.data.noise_floor import noise_floor
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.parameter import Parameter
+
+if TYPE_CHECKING:
+    from loose_env.gap.model.hypothesis import Hypothesis
+    from loose_env.gap.residuals.residual_model import Comparison
+
+__all__ = ["StartState"]
+
+Array = NDArray[np.float64]
+
+_LINE = 0.05
+"""How much of a run the first state is taken from [s]."""
+_FURTHEST = 30.0
+"""How far a start may be off, in standard deviations."""
+
+
+class StartState(Effect):
+    """Offsets of the measured start, of each run's joints: position and speed.
+
+    Parameters
+    ----------
+    machine : Machine
+        The nominal model.
+    trials : sequence of Trial
+        The runs, as the comparison has them.
+    channels : tuple of Channel
+        Their columns.
+    """
+
+    kind = "start"
+
+    def __init__(
+        self, machine: Machine, trials: Sequence[Trial], channels: tuple[Channel, ...]
+    ) -> None:
+        super().__init__(machine, "all")
+        self.trials, self.channels = tuple(trials), channels
+        self.nothing = (0.0,) * len(self.parameters)  # type: ignore[misc]
+
+    @classmethod
+    def places(cls, machine: Machine) -> tuple[str, ...]:
+        """All of the model."""
+        return ("all",)
+
+    @cached_property
+    def moving(self) -> tuple[int, ...]:
+        """Numbers of the runs whose start is not that of an arm at rest."""
+        return tuple(
+            t
+            for t, trial in enumerate(self.trials)
+            if trial.form == "free"
+            or (trial.form == "forward" and not trial.resting and _compared_at_once(trial))
+        )
+
+    @cached_property
+    def spreads(self) -> Array:
+        """Standard deviation of the measured start, of position and speed (runs, 2, joints)."""
+        return np.array([_spread(self.machine, self.trials[t], self.channels) for t in self.moving])
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """By run, position of every joint, speed of every joint."""
+        found = []
+        for k, t in enumerate(self.moving):
+            for which, name in enumerate(("position", "speed")):
+                for j, joint in enumerate(self.machine.joints):
+                    spread = float(self.spreads[k, which, j])
+                    unit = ("rad" if self.machine.turns(joint) else "m") + ("", "/s")[which]
+                    found.append(
+                        Parameter(
+                            name=f"{name}.{joint}.{self.trials[t].name}", unit=unit,
+                            low=-_FURTHEST * spread, high=_FURTHEST * spread, scale=spread,
+                            centre=0.0, spread=1.0,
+                        )
+                    )  # fmt: skip
+        return tuple(found)
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """As measured."""
+        return ((0.0,) * len(self.parameters),)
+
+    def offsets(self, values: Array) -> tuple[Array, Array]:
+        """Positions and speeds to be added to the measured starts (trials, joints) each."""
+        found = np.zeros((2, len(self.trials), len(self.machine.joints)))
+        if self.moving:
+            own = np.reshape(values, (len(self.moving), 2, len(self.machine.joints)))
+            found[:, list(self.moving)] = own.swapaxes(0, 1)
+        return found[0], found[1]
+
+    def sensitivities(
+        self,
+        comparison: Comparison,
+        hypothesis: Hypothesis,
+        residual: Array,
+        *,
+        difference: float = 0.05,
+    ) -> Array:
+        """Change of the residual with each free number (N, P), all runs at a time.
+
+        Parameters
+        ----------
+        comparison : Comparison
+            Of the same runs.
+        hypothesis : Hypothesis
+            With the starts about which they are wanted.
+        residual : ndarray (N,)
+            Of that hypothesis.
+        difference : float
+            Step, in free units.
+        """
+        joints = len(self.machine.joints)
+        found = np.zeros((len(residual), len(self.parameters)))
+        if not self.moving:
+            return found
+        at = [
+            np.zeros((len(self.trials), joints)) if start is None else start
+            for start in (hypothesis.position, hypothesis.speed)
+        ]
+        tried = []
+        for which in range(2):
+            for j in range(joints):
+                moved = [start.copy() for start in at]
+                moved[which][list(self.moving), j] += difference * self.spreads[:, which, j]
+                tried.append(_with_start(hypothesis, moved[0], moved[1]))
+        changes = (comparison.residuals(tried) - residual) / difference
+        for k, t in enumerate(self.moving):
+            own = comparison.rows.trial == t
+            found[own, k * 2 * joints : (k + 1) * 2 * joints] = changes[:, own].T
+        return found
+
+    def fitted(
+        self, comparison: Comparison, hypothesis: Hypothesis, *, iterations: int = 3
+    ) -> tuple[Hypothesis, Array]:
+        """Fit the starts alone: for runs that a hypothesis was not fitted to.
+
+        Returns
+        -------
+        hypothesis : Hypothesis
+            With starts.
+        residual : ndarray (N,)
+            What it leaves.
+        """
+        free = np.zeros(len(self.parameters))
+        now = self._at(hypothesis, free)
+        residual = comparison.residuals([now])[0]
+        for _ in range(iterations if self.moving else 0):
+            jacobian = self.sensitivities(comparison, now, residual)
+            curvature = jacobian.T @ jacobian + np.eye(len(free))
+            step = -np.linalg.solve(curvature, jacobian.T @ residual + free)
+            tried = [np.clip(free + share * step, -_FURTHEST, _FURTHEST) for share in (1.0, 0.3)]
+            found = comparison.residuals([self._at(hypothesis, f) for f in tried])
+            costs = [float(r @ r + f @ f) for r, f in zip(found, tried, strict=True)]
+            before = float(residual @ residual + free @ free)
+            best = int(np.argmin(costs))
+            if costs[best] >= before:
+                break
+            free, residual = tried[best], found[best]
+            now = self._at(hypothesis, free)
+            if before - costs[best] < 1e-3 * before:
+                break
+        return now, residual
+
+    def _at(self, hypothesis: Hypothesis, free: Array) -> Hypothesis:
+        if not self.moving:
+            return replace(hypothesis, position=None, speed=None)
+        scales = np.array([p.scale for p in self.parameters])
+        return _with_start(hypothesis, *self.offsets(free * scales))
+
+
+def _compared_at_once(trial: Trial) -> bool:
+    """Whether the beginning counts; a window's start has died away by the time it does."""
+    return bool(np.isfinite(trial.measured[: max(1, round(_LINE * trial.rate))]).any())
+
+
+def _with_start(hypothesis: Hypothesis, position: Array, speed: Array) -> Hypothesis:
+    """The hypothesis with other starts."""
+    return replace(hypothesis, position=position, speed=speed)
+
+
+def _spread(machine: Machine, trial: Trial, channels: tuple[Channel, ...]) -> Array:
+    """Standard deviation of a run's measured start (2, joints).
+
+    Of a straight line through the first samples by its noise, and by its distance from a parabola:
+    an arm that accelerates leaves the line. A speed that was read counts as well as it was read.
+    """
+    count = int(np.clip(np.searchsorted(trial.time, _LINE), 6, len(trial.time)))
+    time = trial.time[:count]
+    reach = float(time[-1])
+    loads = np.maximum(machine.load_scales / machine.inertias, 1e-9)
+    # Where nothing is read: as far as the joint's typical load takes it.
+    found = np.stack([loads * reach**2, loads * reach])
+    read = np.zeros(len(machine.joints), dtype=bool)
+    for k, channel in enumerate(channels):
+        prefix, _, name = channel.column.partition(".")
+        values = trial.measured[:, k]
+        good = np.isfinite(values[:count])
+        if prefix != "sensor" or good.sum() < 4:
+            continue
+        sensor = machine.model.sensor(name)
+        kind, joint = int(sensor.type[0]), int(sensor.objid[0])
+        floor = noise_floor(values)
+        if kind == mujoco.mjtSensor.mjSENS_JOINTPOS:
+            line = np.polyfit(time[good], values[:count][good], 1)[::-1]
+            bent = np.polyfit(time[good], values[:count][good], 2)[::-1]
+            seen = np.sqrt(good.sum())
+            found[0, joint] = np.hypot(3 * floor / seen, line[0] - bent[0])
+            if not read[joint]:
+                found[1, joint] = np.hypot(14 * floor / seen / reach, line[1] - bent[1])
+        elif kind == mujoco.mjtSensor.mjSENS_JOINTVEL:
+            first = max(3, int(np.searchsorted(trial.time, 0.005)))
+            known = int(good[:first].sum())
+            if not known or not np.isfinite(floor):
+                continue  # lost where the run begins: the speed is not from this sensor
+            short = np.ptp(values[:count][good][: 2 * first])
+            found[1, joint] = np.hypot(floor / np.sqrt(known), short)
+            read[joint] = True
+    return found

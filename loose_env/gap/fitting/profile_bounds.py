@@ -1,0 +1,113 @@
+"""How near to nothing an effect may be: what the runs refute.
+
+The bootstrap of an interval draws steps of a linear fit. Where stops are struck the sum of squares
+is no parabola, and such an interval may reach a limit that the runs have plainly refuted, such as a
+seat that sticks for ever; or no effect at all, with which no fit does as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.fitting.confidence_intervals import Intervals
+from loose_env.gap.fitting.gauss_newton import Fit, hypothesis_of, slice_of, strikes
+from loose_env.gap.fitting.holdout_score import sureness_of
+from loose_env.gap.fitting.refit import fit_without
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.parameter import free_of, values_of
+from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.settings import NamingSettings
+
+__all__ = ["short_of_limit", "short_of_nothing"]
+
+Array = NDArray[np.float64]
+
+_SURE = NamingSettings.sureness
+"""Lead over the limit itself from which on it is refuted [standard deviations over blocks]."""
+_REFUTED = 2.0
+"""Lead over a value from which on it lies outside a 95 % interval."""
+_SHARES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)
+"""Values that are looked at: shares of the way to the limit, in free numbers."""
+
+
+def short_of_limit(
+    comparison: Comparison, fitted: Fit, intervals: Intervals, effect: Effect
+) -> Intervals:
+    """Take back the ends of an interval that lie beyond what the runs refute.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        What was fitted to.
+    fitted : Fit
+        The fit.
+    intervals : Intervals
+        Of all its parameters.
+    effect : Effect
+        One of its effects; nothing is changed if it has no limit, or if that is not refuted.
+    """
+    if not effect.limit:
+        return intervals
+    own = slice_of(fitted.effects, effect)
+    here = fitted.free[own]
+    limit = free_of(effect.parameters, effect.at_limit(values_of(effect.parameters, here)))
+    tried = []
+    for share in (*_SHARES, 1.0):
+        free = fitted.free.copy()
+        free[own] = here + share * (limit - here)
+        tried.append(free)
+    residuals = comparison.residuals([hypothesis_of(fitted.effects, free) for free in tried])
+    blocks = comparison.by_block(fitted.residual**2)
+    leads = [
+        sureness_of(comparison.by_block(r**2), blocks, strikes=effect.has_stops) for r in residuals
+    ]
+    if not leads[-1] >= _SURE:
+        return intervals
+    first = next(k for k, lead in enumerate(leads) if lead >= _REFUTED)
+    ends = values_of(effect.parameters, tried[first][own])
+    low, high = intervals.low.copy(), intervals.high.copy()
+    to_low = [dict(effect.limit).get(p.name) == "low" for p in effect.parameters]
+    to_high = [dict(effect.limit).get(p.name) == "high" for p in effect.parameters]
+    low[own] = np.where(to_low, np.maximum(low[own], ends), low[own])
+    high[own] = np.where(to_high, np.minimum(high[own], ends), high[own])
+    return replace(intervals, low=low, high=high)
+
+
+def short_of_nothing(
+    comparison: Comparison, fitted: Fit, intervals: Intervals, effect: Effect
+) -> Intervals:
+    """Take back the interval of an effect beside stops that ends beyond what the runs refute.
+
+    All else is fitted again without the effect. If that surely leaves more, the parameter that is
+    furthest from nothing, by its own scatter, is given as much room towards nothing as a lead of
+    two standard deviations is of the lead over nothing: it grows about as the distance.
+
+    Parameters
+    ----------
+    comparison, fitted, intervals
+        As of `short_of_limit`.
+    effect : Effect
+        One of its effects; nothing is changed if no part with stops is there, if it is nothing only
+        in a limit, or if that is not refuted.
+    """
+    if effect.nothing is None or not strikes(fitted.effects):
+        return intervals
+    without = fit_without(comparison, fitted, effect).residual
+    lead = sureness_of(comparison.by_block(without**2), comparison.by_block(fitted.residual**2))
+    if not lead >= _SURE:
+        return intervals
+    own = slice_of(fitted.effects, effect)
+    here, nothing = fitted.free[own], free_of(effect.parameters, np.array(effect.nothing))
+    scatter = np.sqrt(np.maximum(np.diag(intervals.covariance)[own], 1e-30))
+    furthest = int(np.argmax(np.abs(here - nothing) / scatter))
+    ends = values_of(effect.parameters, here + _REFUTED / lead * (nothing - here))
+    number, end = own.start + furthest, float(ends[furthest])
+    low, high = intervals.low.copy(), intervals.high.copy()
+    if nothing[furthest] < here[furthest]:
+        low[number] = max(low[number], end)
+    else:
+        high[number] = min(high[number], end)
+    return replace(intervals, low=low, high=high)

@@ -1,0 +1,69 @@
+"""Goes on from a fit: on its own runs, with fresh slopes, to its end, or without an effect."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from loose_env.gap.fitting.gauss_newton import (
+    BESIDE_STOPS,
+    Fit,
+    FitSettings,
+    fit,
+    how_to_fit,
+    parameters_of,
+    sensitivities,
+    slice_of,
+)
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.residuals.residual_model import Comparison
+
+__all__ = ["fit_without", "fitted_on", "polished", "refined", "settled"]
+
+
+def fit_without(comparison: Comparison, fitted: Fit, effect: Effect) -> Fit:
+    """Leave out one effect of a fit and fit the others again."""
+    own = slice_of(fitted.effects, effect)
+    kept = [k for k in range(len(fitted.free)) if not own.start <= k < own.stop]
+    others = [e for e in fitted.effects if e is not effect]
+    return fit(comparison, others, fitted.free[kept], known=fitted.jacobian[:, kept])
+
+
+def fitted_on(comparison: Comparison, fitted: Fit) -> Fit:
+    """Fit on, with the sensitivities there are."""
+    return fit(
+        comparison,
+        fitted.effects,
+        fitted.free,
+        known=fitted.jacobian,
+        residual=fitted.residual,
+    )
+
+
+def polished(comparison: Comparison, fitted: Fit) -> Fit:
+    """Fit on, with sensitivities worked out anew once."""
+    return fitted_on(comparison, refined(fitted, comparison))
+
+
+def refined(fitted: Fit, comparison: Comparison) -> Fit:
+    """The same with sensitivities worked out anew, all of them."""
+    count = len(parameters_of(fitted.effects))
+    jacobian = sensitivities(
+        comparison,
+        fitted.effects,
+        fitted.free,
+        fitted.residual,
+        range(count),
+        difference=how_to_fit(fitted.effects).difference,
+    )
+    return replace(fitted, jacobian=jacobian)
+
+
+def settled(comparison: Comparison, fitted: Fit) -> Fit:
+    """Fit a hypothesis with stops to its end by short differences, where that is better.
+
+    Long ones find the way between blows that are just missed and just struck; at its end short ones
+    are truer.
+    """
+    short = replace(BESIDE_STOPS, difference=FitSettings.difference)
+    found = fit(comparison, fitted.effects, fitted.free, settings=short, residual=fitted.residual)
+    return refined(found, comparison) if found.cost < fitted.cost else fitted

@@ -1,0 +1,116 @@
+"""Backlash: the link side of a joint is free within a gap."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.model.effects.joint_elasticity import SplitJoint
+from loose_env.gap.model.effects.mjcf.extra_joint import set_stops
+from loose_env.gap.model.effects.mjcf.geometry import reach_of
+from loose_env.gap.model.parameter import Parameter
+
+__all__ = ["SOFTER", "Backlash", "stops"]
+
+Array = NDArray[np.float64]
+
+_DRAG_RATE = 2.0
+"""How fast oil stops a link that floats in the gap [1/s]."""
+_FASTEST = 1.2
+"""Largest angle by which a mode on a stop may turn in a step, at the model's zero [rad]: more than
+that of an added spring, since a stop is damped."""
+_LEAST_LOAD = 0.05
+"""Least usual load of a joint, as a share of that of the most loaded one."""
+_STARTS = (0.02, 0.06, 0.15, 0.3, 0.7, 3.0)
+"""Gaps from which fits start, as shares of a hundredth of a radian or of the reach."""
+_CLOSE_STARTS = tuple(0.02 * 1.5**k for k in range(14))
+"""The same where the motion of the motor is given: then a gap too wide by a third fits worse than
+none."""
+SOFTER = (1.0, 0.3, 0.1)
+"""Stiffnesses of stops from which fits start, over the usual one: on soft stops a wrong gap or
+friction is told from none, and a fit finds the right ones from further off."""
+_DAMPING = 0.3
+"""Damping ratio of a mode on a stop, give or take a factor of two."""
+
+
+class Backlash(SplitJoint):
+    """An extra joint between stops, which are springs with dampers."""
+
+    kind = "backlash"
+    has_stops = True
+    limit: ClassVar[tuple[tuple[str, str], ...]] = (("gap", "low"), ("stiffness", "high"))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Gap, stiffness of the stops, damping ratio on them."""
+        length = 1.0 if self.machine.turns(self.where) else reach_of(self.machine)
+        return (
+            Parameter(
+                name="gap",
+                unit=self.angle_unit,
+                low=1e-5 * length,
+                high=0.5 * length,
+                scale=0.01 * length,
+                log=True,
+            ),
+            *stops(self.weight, self.step, f"{self.torque_unit}/{self.angle_unit}"),
+        )
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Gaps from a hundredth of a degree to two: a wrong one fits no better than none."""
+        return self._starts(_STARTS)
+
+    @property
+    def close_starts(self) -> tuple[tuple[float, ...], ...]:
+        """The same range in smaller steps."""
+        return self._starts(_CLOSE_STARTS)
+
+    def _starts(self, shares: Sequence[float]) -> tuple[tuple[float, ...], ...]:
+        gap, stiffness, ratio = self.parameters
+        return tuple(
+            (share * gap.scale, softer * stiffness.scale, ratio.scale)
+            for softer in SOFTER
+            for share in shares
+        )
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Put the gap behind the joint."""
+        joint = self._split(spec, damping=_DRAG_RATE * self.carried)
+        gap, stiffness, ratio = (float(v) for v in values)
+        set_stops(
+            joint,
+            0.5 * gap,
+            stiffness=stiffness,
+            ratio=ratio,
+            weight=self.weight,
+            load=self._load,
+        )
+
+    @property
+    def _load(self) -> float:
+        """Usual load of the joint; one that carries little is taken to be shaken a little."""
+        largest = float(np.max(self.machine.load_scales))
+        return max(self.machine.load(self.where), _LEAST_LOAD * largest)
+
+
+def stops(weight: float, step: float, unit: str) -> tuple[Parameter, Parameter]:
+    """Stiffness of stops and damping ratio of the mode on them, both nuisances.
+
+    The stiffness lies about a quarter of the most that the step [s] can follow.
+    """
+    high = (_FASTEST / step) ** 2 / weight
+    return (
+        Parameter(
+            name="stiffness", unit=unit, low=1e-3 * high, high=high, scale=0.25 * high, log=True,
+            centre=0.25 * high, spread=1.5,
+        ),
+        Parameter(
+            name="damping_ratio", unit="", low=0.02, high=1.0, scale=_DAMPING, log=True,
+            centre=_DAMPING, spread=0.7,
+        ),
+    )  # fmt: skip

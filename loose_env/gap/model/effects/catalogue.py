@@ -1,0 +1,160 @@
+"""The catalogue of effects that a model can lack, and what of it a machine can have.
+
+A new effect is a subclass of `loose_env.gap.model.effect.Effect` in a file of its own; `register`
+adds it to the catalogue.
+
+Effects of one's own, read from a Python file.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TypeVar
+
+from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.actuators import ActuatorGain, ActuatorLag, CommandDelay
+from loose_env.gap.model.effects.backlash import Backlash
+from loose_env.gap.model.effects.base_tilt import BaseTilt
+from loose_env.gap.model.effects.drivetrain import RotorInertia, TorqueRipple
+from loose_env.gap.model.effects.friction import (
+    CoulombFriction,
+    QuadraticDrag,
+    StribeckFriction,
+    ViscousFriction,
+)
+from loose_env.gap.model.effects.joint_elasticity import JointCompliance, JointSpring
+from loose_env.gap.model.effects.link_flexibility import LinkFlexibility
+from loose_env.gap.model.effects.link_inertia import LinkCom, LinkMass, Payload
+from loose_env.gap.model.effects.sensors import (
+    EncoderOffset,
+    SensorBias,
+    SensorDelay,
+    SensorGain,
+    SensorMisalignment,
+)
+from loose_env.gap.model.effects.structural_looseness import StructuralLooseness
+from loose_env.gap.model.nominal_model import Machine
+
+__all__ = ["CATALOGUE", "candidates", "read_effects", "register"]
+
+Kind = TypeVar("Kind", bound=type[Effect])
+
+CATALOGUE: dict[str, type[Effect]] = {
+    effect.kind: effect
+    for effect in (
+        ViscousFriction,
+        CoulombFriction,
+        StribeckFriction,
+        QuadraticDrag,
+        JointCompliance,
+        Backlash,
+        StructuralLooseness,
+        LinkFlexibility,
+        LinkMass,
+        LinkCom,
+        Payload,
+        RotorInertia,
+        ActuatorGain,
+        ActuatorLag,
+        CommandDelay,
+        EncoderOffset,
+        SensorMisalignment,
+        SensorGain,
+        SensorBias,
+        SensorDelay,
+        BaseTilt,
+        TorqueRipple,
+        JointSpring,
+    )
+}
+"""Identifier, as in the result file -> class."""
+
+
+def register(effect: Kind) -> Kind:
+    """Add an effect to the catalogue; usable as a decorator.
+
+    Raises
+    ------
+    InvalidSetting
+        If it has no identifier, or one that another effect has, or a term on the torque without
+        anything that applies it to the written model.
+    """
+    if not effect.kind:
+        raise InvalidSetting(f"{effect.__name__} needs a kind, its identifier in the result file")
+    term = effect.torque is not Effect.torque and effect.export is Effect.export
+    if term and (effect.in_model or effect.torque_code is Effect.torque_code):
+        raise InvalidSetting(
+            f"{effect.__name__} is a term on the torque: give it in_model = False and a "
+            "torque_code that applies it, or an export where MJCF has means for it"
+        )
+    known = CATALOGUE.get(effect.kind, effect)
+    # a notebook runs a cell again: the same class in a new version takes the place of the old one
+    again = (known.__module__, known.__qualname__) == (effect.__module__, effect.__qualname__)
+    if not again:
+        raise InvalidSetting(
+            f"{effect.__name__} has the kind {effect.kind!r} of "
+            f"{CATALOGUE[effect.kind].__name__}; give it another"
+        )
+    CATALOGUE[effect.kind] = effect
+    return effect
+
+
+def candidates(machine: Machine, kinds: Iterable[str] | None = None) -> list[Effect]:
+    """All effects at all places where they can be, in every variant.
+
+    Parameters
+    ----------
+    machine : Machine
+        The nominal model.
+    kinds : iterable of str, optional
+        Identifiers; all by default.
+
+    Raises
+    ------
+    UnknownName
+        If the catalogue has no such identifier.
+    """
+    wanted = tuple(CATALOGUE) if kinds is None else tuple(kinds)
+    for kind in wanted:
+        if kind not in CATALOGUE:
+            raise UnknownName(f"unknown effect {kind!r}; the catalogue has {list(CATALOGUE)}")
+    return [
+        CATALOGUE[kind](machine, where, variant)
+        for kind in wanted
+        for where in CATALOGUE[kind].places(machine)
+        for variant in CATALOGUE[kind].forms(machine, where)
+    ]
+
+
+def read_effects(path: str | Path) -> tuple[str, ...]:
+    """Run a file that registers effects, and return their identifiers.
+
+    Parameters
+    ----------
+    path : str or Path
+        A Python file with classes under ``@register`` of `loose_env.gap.model.effects.catalogue`.
+
+    Raises
+    ------
+    InvalidSetting
+        If it cannot be read or run, or registers no effect.
+    """
+    file = Path(path)
+    name = f"effects_of_{file.stem}"
+    spec = importlib.util.spec_from_file_location(name, file)
+    if spec is None or spec.loader is None or not file.is_file():
+        raise InvalidSetting(f"{file} is no Python file with effects")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # as an import does: dataclasses look there for their module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # whatever the file does
+        raise InvalidSetting(f"{file} cannot be run: {type(error).__name__}: {error}") from error
+    found = tuple(kind for kind, effect in CATALOGUE.items() if effect.__module__ == name)
+    if not found:
+        raise InvalidSetting(f"{file} registers no effect; put @register before its class")
+    return found

@@ -1,0 +1,296 @@
+"""Viscous friction: a torque against the motion, in proportion to its speed.
+
+Coulomb friction: a constant torque against the motion, which holds a joint at rest.
+
+Stribeck friction: larger near rest than in motion, so that a slow joint sticks and slips.
+
+Quadratic drag: a torque against the motion, in proportion to its speed squared.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect, added_name, fitted_rate
+from loose_env.gap.model.effects.mjcf.passive_actuators import add_limited_damper
+from loose_env.gap.model.parameter import Parameter
+
+__all__ = [
+    "CoulombFriction",
+    "QuadraticDrag",
+    "StribeckFriction",
+    "ViscousFriction",
+    "make_it_stick",
+]
+
+Array = NDArray[np.float64]
+
+
+class ViscousFriction(JointEffect):
+    """Damping beyond that of the model; less than that down to none at all."""
+
+    kind = "viscous_friction"
+    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The damping added."""
+        per_speed = self.load / self.speed
+        return (
+            Parameter(
+                name="damping",
+                unit=f"{self.torque_unit}·s/{self.angle_unit}",
+                low=-self._nominal,
+                high=self._nominal + 50 * per_speed,
+                scale=0.1 * per_speed,
+            ),
+        )
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """A twentieth and a third of the typical torque at the typical speed, and much less.
+
+        The damping of a model is often that of a stable simulation, ten times the machine's: half
+        of it taken away shows that, where it matters.
+        """
+        per_speed = self.load / self.speed
+        starts: tuple[tuple[float, ...], ...] = ((0.05 * per_speed,), (0.3 * per_speed,))
+        much = 0.5 * self._nominal
+        return (*starts, (-much,)) if much > starts[-1][0] else starts
+
+    @property
+    def _nominal(self) -> float:
+        """Damping of the model."""
+        return float(self.machine.model.dof_damping[self._dof])
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add to the joint's damping, or take that share of the model's away.
+
+        As a share, so that a joint without any answers to it, whatever the model's is off by.
+        """
+        joint, added = spec.joint(self.where), float(values[0])
+        damping = np.array(joint.damping)
+        if added < 0:
+            damping[0] *= max(1.0 + added / self._nominal, 0.0)
+        else:
+            damping[0] += added
+        joint.damping = damping
+
+    def resistance(self, speed: float, values: Array) -> float:
+        """In proportion to the speed."""
+        return float(values[0]) * speed
+
+    def propose(
+        self, angle: Array, speed: Array, acceleration: Array, torque: Array
+    ) -> tuple[tuple[float, ...], ...]:
+        """Regress the torque on the speed."""
+        return ((self.parameters[0].clipped(fitted_rate(speed, torque)),),)
+
+
+_STIFF = 0.9999  # MuJoCo's largest constraint impedance
+
+
+class CoulombFriction(JointEffect):
+    """Friction beyond that of the model; less than that down to none at all.
+
+    MuJoCo's own friction creeps: with its default impedance, 0.9, a joint that is held against
+    10 rad/s² drifts at about 0.01 rad/s. The stiffest impedance makes that 1e-6 rad/s at a step
+    of 1 ms.
+    """
+
+    kind = "coulomb_friction"
+    sharp: ClassVar[bool] = True
+    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The torque added."""
+        nominal = float(self.machine.model.dof_frictionloss[self._dof])
+        return (
+            Parameter(
+                name="torque",
+                unit=self.torque_unit,
+                low=-nominal,
+                high=nominal + 20 * self.load,
+                scale=0.1 * self.load,
+            ),
+        )
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """A thirtieth and a fifth of the typical torque."""
+        return ((0.03 * self.load,), (0.2 * self.load,))
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add to the joint's friction loss."""
+        if values[0] == 0:
+            return
+        joint = spec.joint(self.where)
+        joint.frictionloss = max(joint.frictionloss + float(values[0]), 0.0)
+        make_it_stick(joint, spec.option.timestep)
+
+    def resistance(self, speed: float, values: Array) -> float:
+        """The torque, at any speed."""
+        return float(values[0])
+
+    def propose(
+        self, angle: Array, speed: Array, acceleration: Array, torque: Array
+    ) -> tuple[tuple[float, ...], ...]:
+        """Regress the torque on the direction of motion, rest left out."""
+        moving = np.abs(speed) > 0.05 * np.nanmax(np.abs(speed), initial=0.0)
+        rate = fitted_rate(np.sign(speed[moving]), torque[moving])
+        return ((self.parameters[0].clipped(rate),),)
+
+
+def make_it_stick(joint: mujoco.MjsJoint, step: float) -> None:
+    """Make a joint's friction as stiff as a step [s] allows."""
+    joint.solimp_friction = [_STIFF, _STIFF, 0.001, 0.5, 2]
+    joint.solref_friction = [2 * step, 1.0]
+
+
+_START_SPEED = 0.3
+"""Stribeck speed from which fits start, over the typical speed."""
+_KNOTS = (0.19, 1.58)
+"""Speeds, over the Stribeck speed, at which the pieces of the fall meet."""
+_FALLEN = (0.028, 1.0)
+"""What has fallen there: the straight lines nearest to 1 - exp(-x²), 0.03 off in the mean."""
+
+
+class StribeckFriction(JointEffect):
+    """Coulomb friction, and near rest more of it.
+
+    Torque in steady motion: Fc + (Fs - Fc) exp(-(v/vs)²), with the Coulomb torque Fc, the static
+    torque Fs = ratio · Fc and the Stribeck speed vs. At rest it is MuJoCo's friction loss, which
+    truly sticks; two limited dampers give back in motion what the friction falls by, so that the
+    fall is made of three straight lines. Bristles (LuGre) would be stiff equations.
+    """
+
+    kind = "stribeck_friction"
+    sharp: ClassVar[bool] = True
+
+    proportional: ClassVar[int | None] = 0
+    limit: ClassVar[tuple[tuple[str, str], ...]] = (("torque", "low"),)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Coulomb torque, static torque over it, Stribeck speed."""
+        return (
+            Parameter(
+                name="torque",
+                unit=self.torque_unit,
+                low=1e-4 * self.load,
+                high=20 * self.load,
+                scale=0.1 * self.load,
+                log=True,
+            ),
+            Parameter(name="static_ratio", unit="", low=1.0, high=5.0, scale=0.5),
+            Parameter(
+                name="speed",
+                unit=f"{self.angle_unit}/s",
+                low=1e-3 * self.speed,
+                high=2.0 * self.speed,
+                scale=0.1 * self.speed,
+                log=True,
+                centre=_START_SPEED * self.speed,
+                spread=2.0,
+            ),
+        )
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """A weak and a strong one, each half as strong again at rest."""
+        return (
+            (0.04 * self.load, 1.6, _START_SPEED * self.speed),
+            (0.2 * self.load, 1.6, _START_SPEED * self.speed),
+        )
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add friction loss, and drives without input for what is less in motion."""
+        torque, ratio, speed = (float(v) for v in values)
+        joint = spec.joint(self.where)
+        joint.frictionloss += ratio * torque
+        make_it_stick(joint, spec.option.timestep)
+        for number, (slope, limit) in enumerate(_pieces()):
+            add_limited_damper(
+                spec,
+                self.where,
+                added_name(spec, self.where, f"{self.kind}_{number}"),
+                damping=-max(ratio - 1, 1e-6) * torque * slope / speed,
+                limit=max(ratio - 1, 1e-6) * torque * abs(slope) * limit,
+            )
+
+    def resistance(self, speed: float, values: Array) -> float:
+        """The static torque, which is what it has of its own beside a Coulomb friction."""
+        torque, ratio, _ = values
+        return float(torque * ratio)
+
+    def unseen_torque(self, angle: Array, speed: Array, values: Array) -> Array:
+        """What the dampers take; they help, so that it is against the friction."""
+        torque, ratio, slow = values
+        fallen = sum(slope * np.minimum(np.abs(speed) / slow, limit) for slope, limit in _pieces())
+        return np.asarray(-(ratio - 1) * torque * fallen * np.sign(speed))
+
+    def propose(
+        self, angle: Array, speed: Array, acceleration: Array, torque: Array
+    ) -> tuple[tuple[float, ...], ...]:
+        """Regress the torque on the direction of motion."""
+        moving = np.abs(speed) > 0.05 * np.nanmax(np.abs(speed), initial=0.0)
+        rate = fitted_rate(np.sign(speed[moving]), torque[moving])
+        if rate <= 0:
+            return ()
+        return ((self.parameters[0].clipped(rate), 1.6, _START_SPEED * self.speed),)
+
+
+def _pieces() -> tuple[tuple[float, float], tuple[float, float]]:
+    """Slope and end of two ramps from zero whose sum is the fall."""
+    first = _FALLEN[0] / _KNOTS[0]
+    second = (_FALLEN[1] - _FALLEN[0]) / (_KNOTS[1] - _KNOTS[0])
+    return (second, _KNOTS[1]), (first - second, _KNOTS[0])
+
+
+class QuadraticDrag(JointEffect):
+    """Torque -c v |v|: the second coefficient of MuJoCo's damping polynomial."""
+
+    kind = "quadratic_drag"
+    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The coefficient."""
+        per_square = self.load / self.speed**2
+        return (
+            Parameter(
+                name="drag",
+                unit=f"{self.torque_unit}·s²/{self.angle_unit}²",
+                low=0.0,
+                high=50 * per_square,
+                scale=0.1 * per_square,
+            ),
+        )
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """A twentieth and a third of the typical torque at the typical speed."""
+        per_square = self.load / self.speed**2
+        return ((0.05 * per_square,), (0.3 * per_square,))
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add to the joint's damping polynomial."""
+        joint = spec.joint(self.where)
+        damping = np.array(joint.damping)
+        damping[1] += float(values[0])
+        joint.damping = damping
+
+    def resistance(self, speed: float, values: Array) -> float:
+        """In proportion to the speed squared."""
+        return float(values[0]) * speed**2
+
+    def propose(
+        self, angle: Array, speed: Array, acceleration: Array, torque: Array
+    ) -> tuple[tuple[float, ...], ...]:
+        """Regress the torque on v |v|."""
+        return ((self.parameters[0].clipped(fitted_rate(speed * np.abs(speed), torque)),),)

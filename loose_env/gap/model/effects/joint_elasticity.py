@@ -1,0 +1,230 @@
+"""An elastic drive: a spring and a damper between motor side and link side of a joint.
+
+A spring across a joint: cables, hoses, balancers.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from math import pi, sqrt
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.model.effects.mjcf.extra_joint import (
+    FASTEST,
+    add_extra_joint,
+    keep_motor_side,
+    last_joints,
+)
+from loose_env.gap.model.effects.mjcf.joint_effect import (
+    JointEffect,
+    added_name,
+    angle_unit,
+    fitted_rate,
+)
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.parameter import Parameter
+
+__all__ = [
+    "JointCompliance",
+    "JointSpring",
+    "SplitJoint",
+    "damping_ratio",
+    "stiffness_between",
+    "stiffness_starts",
+]
+
+Array = NDArray[np.float64]
+
+_SLOWEST_HZ = 0.3
+"""Mode of the softest spring that is tried."""
+_START_HZ = (4.0, 12.0, 35.0)
+"""Modes of the springs from which fits start."""
+_LIKELY_DAMPING = 0.05
+"""Damping ratio of a metal drive, give or take a factor of four."""
+_START_DAMPING = 0.4
+"""Damping ratio from which fits start: a lightly damped mode rings, and what it rings agrees with
+a measurement only within some per cent of the true frequency; a damped one is led there."""
+
+
+class SplitJoint(JointEffect):
+    """A joint whose drive is not rigid: an extra joint on the same axis behind it.
+
+    The joint itself is the motor side: its sensors, servo, friction and rotor stay with it. A
+    joint without rotor gets a fiftieth of what it carries as one, or what its servo needs to be
+    simulated.
+    """
+
+    adds_motion = True
+    sharp = True
+
+    @classmethod
+    def places(cls, machine: Machine) -> tuple[str, ...]:
+        """Every joint that is the last of its body."""
+        return last_joints(machine)
+
+    def _split(
+        self, spec: mujoco.MjSpec, *, stiffness: float = 0.0, damping: float = 0.0
+    ) -> mujoco.MjsJoint:
+        """Add the link side; return its joint."""
+        number = self.machine.joint_number(self.where)
+        keep_motor_side(self.machine, spec, self.where, self.carried)
+        return add_extra_joint(
+            spec.body(self.machine.body_of(self.where)),
+            added_name(spec, self.where, self.kind),
+            turns=self.machine.turns(self.where),
+            axis=self.machine.model.jnt_axis[number],
+            pos=self.machine.model.jnt_pos[number],
+            stiffness=stiffness,
+            damping=damping,
+        )
+
+    @cached_property
+    def weight(self) -> float:
+        """Inverse of the inertia on the link side [1/(kg·m²) or 1/kg], all others free."""
+        spec = self.machine.fresh()
+        name = self._split(spec).name
+        model = spec.compile()
+        return float(model.dof_invweight0[model.joint(name).dofadr[0]])
+
+    @property
+    def step(self) -> float:
+        """Simulation step [s]."""
+        return self.machine.step or float(self.machine.model.opt.timestep)
+
+
+class JointCompliance(SplitJoint):
+    """A spring and a damper; the rigid drive is the limit of a stiff spring."""
+
+    kind = "joint_compliance"
+    limit: ClassVar[tuple[tuple[str, str], ...]] = (("stiffness", "high"),)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Stiffness, and the damping ratio of the link on the spring with the motor held."""
+        unit = f"{self.torque_unit}/{self.angle_unit}"
+        return (stiffness_between(self.carried, self.weight, self.step, unit), damping_ratio())
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Modes of a soft, a middling and a stiff drive."""
+        return stiffness_starts(self.carried, self.parameters[0])
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Put the spring behind the joint."""
+        stiffness, ratio = float(values[0]), float(values[1])
+        self._split(spec, stiffness=stiffness, damping=2 * ratio * sqrt(stiffness * self.carried))
+
+
+def stiffness_between(carried: float, weight: float, step: float, unit: str) -> Parameter:
+    """Stiffness of an added spring, from very soft to what the step [s] can follow."""
+    low = carried * (2 * pi * _SLOWEST_HZ) ** 2
+    high = max((FASTEST / step) ** 2 / weight, 10 * low)
+    return Parameter(
+        name="stiffness", unit=unit, low=low, high=high, scale=sqrt(low * high), log=True
+    )
+
+
+def damping_ratio() -> Parameter:
+    """Damping ratio of an added spring: a nuisance, of 0.05 give or take a factor of four."""
+    return Parameter(
+        name="damping_ratio", unit="", low=1e-3, high=2.0, scale=_LIKELY_DAMPING, log=True,
+        centre=_LIKELY_DAMPING, spread=1.4,
+    )  # fmt: skip
+
+
+def stiffness_starts(carried: float, stiffness: Parameter) -> tuple[tuple[float, float], ...]:
+    """Springs with modes from slow to fast, none stiffer than half the stiffest."""
+    wanted = (carried * (2 * pi * hz) ** 2 for hz in _START_HZ)
+    kept = dict.fromkeys(stiffness.clipped(min(k, 0.5 * stiffness.high)) for k in wanted)
+    return tuple((k, _START_DAMPING) for k in kept)
+
+
+class JointSpring(JointEffect):
+    """Torque -k (q - q0), combined exactly with a spring that the joint already has."""
+
+    kind = "joint_spring"
+    proportional: ClassVar[int | None] = 0
+    nothing: ClassVar[tuple[float, ...] | None] = (0.0, 0.0)
+
+    @classmethod
+    def places(cls, machine: Machine) -> tuple[str, ...]:
+        """Every joint but those with a spring that is not straight."""
+        bent = np.any(machine.model.jnt_stiffnesspoly != 0, axis=1)
+        return tuple(name for name, b in zip(machine.joints, bent, strict=True) if not b)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Stiffness and the coordinate at which the spring rests."""
+        low, high = self._range
+        width = high - low
+        return (
+            Parameter(
+                name="stiffness",
+                unit=f"{self.torque_unit}/{self.angle_unit}",
+                low=0.0,
+                high=50 * self.load / min(width, pi),
+                scale=0.2 * self.load / min(width, pi),
+            ),
+            Parameter(
+                name="reference",
+                unit=self.angle_unit,
+                low=low - 2 * width,
+                high=high + 2 * width,
+                scale=0.2 * width,
+            ),
+        )
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """A third of the typical torque over the range, at rest in its middle."""
+        low, high = self._range
+        width = high - low
+        stiffness = 0.5 * self.load / min(width, pi)
+        middle = 0.5 * (low + high)
+        return (
+            (stiffness, middle),
+            (stiffness, low - 0.2 * width),
+            (stiffness, high + 0.2 * width),
+        )
+
+    @property
+    def _range(self) -> tuple[float, float]:
+        """Range of the joint [rad or m], or half a turn about its zero."""
+        number = self.machine.joint_number(self.where)
+        if self.machine.model.jnt_limited[number]:
+            low, high = self.machine.model.jnt_range[number]
+            return float(low), float(high)
+        half = pi / 2 if self.machine.turns(self.where) else 0.5
+        return -half, half
+
+    def vanishes(self, low: Array, high: Array) -> bool:
+        """By its stiffness alone."""
+        return bool(low[0] <= 0 <= high[0])
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Set the joint's stiffness and spring reference to those of both springs together."""
+        added, rest = float(values[0]), float(values[1])
+        if added == 0:
+            return
+        joint = spec.joint(self.where)
+        unit = angle_unit(joint)
+        stiffness = np.array(joint.stiffness)
+        both = stiffness[0] + added
+        rests = (stiffness[0] * joint.springref * unit + added * rest) / both
+        stiffness[0] = both
+        joint.stiffness, joint.springref = stiffness, rests / unit
+
+    def propose(
+        self, angle: Array, speed: Array, acceleration: Array, torque: Array
+    ) -> tuple[tuple[float, ...], ...]:
+        """Regress the torque on the angle; where it is zero, the spring rests."""
+        stiffness, reference = self.parameters
+        rate = fitted_rate(angle, torque)
+        if rate <= 0:
+            return ()
+        rests = float(np.nanmean(angle) - np.nanmean(torque) / rate)
+        return ((stiffness.clipped(rate), reference.clipped(rests)),)

@@ -1,0 +1,218 @@
+"""Mass of a link.
+
+Centre of mass of a link.
+
+A payload at the tool.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.mjcf.geometry import link_ends, normal_of, reach_of
+from loose_env.gap.model.effects.mjcf.inertia import Inertial, inertial_of, set_inertial
+from loose_env.gap.model.effects.mjcf.joint_effect import added_name
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.parameter import Parameter
+
+__all__ = ["LinkCom", "LinkMass", "Payload", "links_with_mass", "payload_words"]
+
+Array = NDArray[np.float64]
+
+
+def links_with_mass(machine: Machine) -> tuple[str, ...]:
+    """Names of the links that have mass of their own."""
+    mass = machine.model.body_mass
+    return tuple(name for name in machine.links if mass[machine.model.body(name).id] > 0)
+
+
+class LinkMass(Effect):
+    """Mass added to a link where its own lies; its inertia grows in proportion."""
+
+    kind = "link_mass"
+    acts_on: ClassVar[str] = "link"
+    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+
+    @classmethod
+    def places(cls, machine: Machine) -> tuple[str, ...]:
+        """Every link that has mass."""
+        return links_with_mass(machine)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The mass added."""
+        own = self._own
+        return (Parameter(name="mass", unit="kg", low=-0.9 * own, high=20 * own, scale=0.1 * own),)
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """A quarter less and more."""
+        return ((-0.25 * self._own,), (0.25 * self._own,))
+
+    @property
+    def _own(self) -> float:
+        return float(self.machine.model.body(self.where).mass[0])
+
+    def displaced_mass(self, values: Array) -> float:
+        """The mass added, or taken away."""
+        return abs(float(values[0]))
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Scale the link's mass and inertia."""
+        old = inertial_of(self.machine, spec, self.where)
+        factor = max(1.0 + float(values[0]) / old.mass, 0.01)
+        scaled = Inertial(factor * old.mass, old.centre, factor * old.tensor)
+        set_inertial(self.machine, spec, self.where, scaled)
+
+
+class LinkCom(Effect):
+    """The centre of mass lies elsewhere, along the body's axes; mass and inertia about it stay.
+
+    Of a machine that moves in a plane only the shift in the plane counts; an axis of the body that
+    is perpendicular to the plane has no parameter.
+    """
+
+    kind = "link_com"
+    acts_on: ClassVar[str] = "link"
+    adds_up: ClassVar[bool] = True
+
+    @classmethod
+    def places(cls, machine: Machine) -> tuple[str, ...]:
+        """Every link that has mass."""
+        return links_with_mass(machine)
+
+    def __init__(self, machine: Machine, where: str, variant: str | None = None) -> None:
+        super().__init__(machine, where, variant)
+        self._axes: tuple[int, ...] = (0, 1, 2)
+        normal = normal_of(machine)
+        if normal is not None:
+            data = mujoco.MjData(machine.model)
+            mujoco.mj_kinematics(machine.model, data)
+            along = data.body(where).xmat.reshape(3, 3).T @ normal
+            self._axes = tuple(k for k in range(3) if abs(along[k]) < 1 - 1e-6)
+        self.nothing = (0.0,) * len(self._axes)  # type: ignore[misc]
+        start, end = link_ends(machine, where)
+        self._length = max(float(np.linalg.norm(end - start)), 0.05 * reach_of(machine))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Shift along the body's axes."""
+        return tuple(
+            Parameter(
+                name="xyz"[k],
+                unit="m",
+                low=-1.5 * self._length,
+                high=1.5 * self._length,
+                scale=0.1 * self._length,
+            )
+            for k in self._axes
+        )
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """A tenth of the link's length along one axis after the other."""
+        return tuple(tuple(row) for row in 0.1 * self._length * np.eye(len(self._axes)))
+
+    def displaced_mass(self, values: Array) -> float:
+        """The link's mass, by as much of its length as the centre shifts."""
+        own = float(self.machine.model.body(self.where).mass[0])
+        return own * float(np.linalg.norm(values)) / self._length
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Shift the link's centre."""
+        old = inertial_of(self.machine, spec, self.where)
+        centre = old.centre.copy()
+        centre[list(self._axes)] += np.asarray(values, dtype=float)
+        set_inertial(self.machine, spec, self.where, replace(old, centre=centre))
+
+
+_RADIUS = 0.01
+"""Radius of gyration of the payload, in lengths of the machine."""
+
+
+class Payload(Effect):
+    """A small body at the tool's site; without a site, at the end of the last link."""
+
+    kind = "payload"
+    acts_on: ClassVar[str] = "arm"
+    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+
+    @classmethod
+    def places(cls, machine: Machine) -> tuple[str, ...]:
+        """The tool."""
+        return ("tool",)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Its mass."""
+        moved = self._moved
+        return (Parameter(name="mass", unit="kg", low=0.0, high=20 * moved, scale=0.05 * moved),)
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """A tenth and a half of the mass that the machine moves before its last third."""
+        return ((0.05 * self._moved,), (0.3 * self._moved,))
+
+    @property
+    def _moved(self) -> float:
+        """Mass of all that the first joint moves, over the number of joints [kg]."""
+        model = self.machine.model
+        first = int(model.jnt_bodyid[0])
+        return float(model.body_subtreemass[first]) / len(self.machine.joints)
+
+    def displaced_mass(self, values: Array) -> float:
+        """Its mass."""
+        return float(values[0])
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add a body to the one that carries the tool."""
+        mass = float(values[0])
+        if mass <= 0:
+            return
+        if self.machine.tool:
+            site = spec.site(self.machine.tool)
+            place, carrier = np.array(site.pos), site.parent
+            if site.frame is not None or not np.isfinite(place).all():
+                place = self.machine.model.site_pos[self.machine.model.site(site.name).id]
+        else:
+            name, place = _outermost(self.machine)
+            carrier = spec.body(name)
+        body = carrier.add_body(name=added_name(spec, "tool", self.kind), pos=place)
+        body.mass, body.ipos = mass, [0, 0, 0]
+        body.inertia = [mass * (_RADIUS * reach_of(self.machine)) ** 2] * 3
+        body.explicitinertial = True
+
+
+def payload_words(machine: Machine) -> list[str]:
+    """A sentence on where a payload is tried in a model without a site at its tool; else none."""
+    model = machine.model
+    if machine.tool:
+        carrier = model.site(machine.tool).bodyid[0]
+        link = str(model.body(int(model.body_weldid[carrier])).name)
+        if machine.tool == "tool" or link == machine.last_link:
+            return []
+        return [
+            f"the model has no site at the end of its last link: a payload is tried at "
+            f'{machine.tool} of {link}; add <site name="tool"/> where it hangs'
+        ]
+    name, place = _outermost(machine)
+    where = "the origin" if not place.any() else "the far end"
+    return [
+        f"the model has no site at its tool: a payload is tried at {where} of {name}, and its mass "
+        'stands for that place; add <site name="tool"/> where it hangs'
+    ]
+
+
+def _outermost(machine: Machine) -> tuple[str, Array]:
+    """Body that stands for the tool, with a place in its frame (3,) [m]."""
+    model, last = machine.model, machine.model.body(machine.last_link).id
+    fixed = [b for b in range(last + 1, model.nbody) if model.body_weldid[b] == last]
+    if fixed:
+        return str(model.body(fixed[-1]).name), np.zeros(3)
+    return machine.last_link, link_ends(machine, machine.last_link)[1]

@@ -1,0 +1,103 @@
+"""What effects at a joint share: where they can be, their units, the scale of the joint."""
+
+from __future__ import annotations
+
+from math import pi
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.nominal_model import Machine
+
+__all__ = ["JointEffect", "added_name", "angle_unit", "fitted_rate"]
+
+Array = NDArray[np.float64]
+
+
+class JointEffect(Effect):
+    """An effect that can be at every joint."""
+
+    acts_on: ClassVar[str] = "joint"
+
+    @classmethod
+    def places(cls, machine: Machine) -> tuple[str, ...]:
+        """Every joint."""
+        return machine.joints
+
+    @property
+    def load(self) -> float:
+        """Typical torque [N·m] or force [N] of the joint."""
+        return self.machine.load(self.where)
+
+    @property
+    def speed(self) -> float:
+        """Typical speed of the joint [rad/s or m/s]."""
+        return self.machine.speed(self.where)
+
+    @property
+    def carried(self) -> float:
+        """What the joint moves without its own rotor [kg·m² or kg]."""
+        rotor = float(self.machine.model.dof_armature[self._dof])
+        return max(self.machine.inertia(self.where) - rotor, 1e-9)
+
+    @property
+    def _dof(self) -> int:
+        return int(self.machine.model.joint(self.where).dofadr[0])
+
+    @property
+    def torque_unit(self) -> str:
+        """Unit of what the joint's drive gives."""
+        return "N·m" if self.machine.turns(self.where) else "N"
+
+    @property
+    def angle_unit(self) -> str:
+        """Unit of the joint's coordinate."""
+        return "rad" if self.machine.turns(self.where) else "m"
+
+
+def angle_unit(joint: mujoco.MjsJoint) -> float:
+    """What one unit of the spec's angles at a joint is [rad]; 1 for a slide."""
+    return pi / 180 if joint.type == mujoco.mjtJoint.mjJNT_HINGE and joint.compiler.degree else 1.0
+
+
+def added_name(spec: mujoco.MjSpec, where: str, kind: str) -> str:
+    """Name of what an effect adds to a model, one that nothing in it has.
+
+    A corrected model that is compared again has what was added before, and an effect may be there
+    twice.
+
+    Examples
+    --------
+    >>> spec = mujoco.MjSpec()
+    >>> added_name(spec, "joint2", "backlash")
+    'joint2_backlash'
+    >>> _ = spec.worldbody.add_joint(name="joint2_backlash")
+    >>> added_name(spec, "joint2", "backlash")
+    'joint2_backlash_2'
+    """
+    several = (spec.bodies, spec.joints, spec.sites, spec.actuators)
+    taken = {element.name for elements in several for element in elements}
+    name, again = f"{where}_{kind}", 2
+    while name in taken:
+        name, again = f"{where}_{kind}_{again}", again + 1
+    return name
+
+
+def fitted_rate(regressor: Array, torque: Array) -> float:
+    """Least-squares share of a regressor (T,) in a torque (T,), beside a constant.
+
+    Examples
+    --------
+    >>> x = np.array([0.0, 1.0, 2.0, 3.0])
+    >>> round(fitted_rate(x, 5 + 2 * x), 6)
+    2.0
+    """
+    good = np.isfinite(regressor) & np.isfinite(torque)
+    if good.sum() < 3:
+        return 0.0
+    x = regressor[good] - regressor[good].mean()
+    power = float(x @ x)
+    return float(x @ (torque[good] - torque[good].mean())) / power if power > 0 else 0.0

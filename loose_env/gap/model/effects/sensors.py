@@ -1,0 +1,297 @@
+"""Bias of a sensor.
+
+Gain of a sensor.
+
+Delay of a sensor.
+
+A vector sensor that is mounted askew.
+
+Offset of a joint's encoder: the zero of its reading, and of its servo, lies elsewhere.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from loose_env.gap.model.effect import Effect, Readings
+from loose_env.gap.model.effects.actuators import held_delay
+from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect, added_name, angle_unit
+from loose_env.gap.model.effects.mjcf.sensor_columns import (
+    column_of,
+    of_place_or_speed,
+    reading_scale,
+    vectors,
+)
+from loose_env.gap.model.nominal_model import Machine, history_for
+from loose_env.gap.model.parameter import Parameter
+
+__all__ = [
+    "EncoderOffset",
+    "SensorBias",
+    "SensorDelay",
+    "SensorGain",
+    "SensorMisalignment",
+    "delayed",
+]
+
+Array = NDArray[np.float64]
+
+_AXES = {1: ("bias",), 3: ("bias_x", "bias_y", "bias_z")}
+
+
+class SensorBias(Effect):
+    """A constant on what a sensor shows, one for each axis; servos see the joint itself."""
+
+    kind = "sensor_bias"
+    acts_on: ClassVar[str] = "sensor"
+    in_model: ClassVar[bool] = False
+    adds_up: ClassVar[bool] = True
+
+    @classmethod
+    def places(cls, machine: Machine) -> tuple[str, ...]:
+        """Every sensor of one axis or three."""
+        dims = machine.model.sensor_dim
+        return tuple(n for k, n in enumerate(machine.sensors) if n and int(dims[k]) in _AXES)
+
+    def __init__(self, machine: Machine, where: str, variant: str | None = None) -> None:
+        super().__init__(machine, where, variant)
+        self._size = int(machine.model.sensor(where).dim[0])
+        self.nothing = (0.0,) * self._size  # type: ignore[misc]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The constant of each axis."""
+        scale, unit = reading_scale(self.machine, self.where)
+        return tuple(
+            Parameter(name=name, unit=unit, low=-500 * scale, high=500 * scale, scale=scale)
+            for name in _AXES[self._size]
+        )
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Visible on every axis."""
+        scale, _ = reading_scale(self.machine, self.where)
+        return ((scale,) * self._size,)
+
+    def read(self, time: Array, readings: Readings, values: Array) -> Readings:
+        """Add to the sensor's column."""
+        column = column_of(self.where)
+        if column not in readings:
+            return readings
+        bias = values[0] if self._size == 1 else np.asarray(values)
+        return {**readings, column: readings[column] + bias}
+
+    def code(self, values: Array) -> str:
+        """One line: the reading plus the bias."""
+        return f"data.sensor({self.where!r}).data += {[float(v) for v in values]}"
+
+
+_NEGLIGIBLE = 1e-3
+"""Error of a gain that no sensor is calibrated to."""
+
+
+class SensorGain(Effect):
+    """A factor on what a sensor shows; servos see the joint itself."""
+
+    kind = "sensor_gain"
+    acts_on: ClassVar[str] = "sensor"
+    in_model: ClassVar[bool] = False
+    nothing: ClassVar[tuple[float, ...] | None] = (1.0,)
+
+    @classmethod
+    def places(cls, machine: Machine) -> tuple[str, ...]:
+        """Every sensor."""
+        return tuple(name for name in machine.sensors if name)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The factor."""
+        return (Parameter(name="gain", unit="", low=0.1, high=10.0, scale=0.05),)
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """A tenth less and more."""
+        return ((0.9,), (1.1,))
+
+    def immaterial(self, values: Array) -> bool:
+        """Sensors are not calibrated that well."""
+        return abs(float(values[0]) - 1.0) < _NEGLIGIBLE
+
+    def read(self, time: Array, readings: Readings, values: Array) -> Readings:
+        """Scale the sensor's column."""
+        column = column_of(self.where)
+        if column not in readings:
+            return readings
+        return {**readings, column: float(values[0]) * readings[column]}
+
+    def code(self, values: Array) -> str:
+        """One line: the reading times the gain."""
+        return f"data.sensor({self.where!r}).data *= {float(values[0])!r}"
+
+
+_LONGEST = 0.25
+"""Longest delay that is tried [s]."""
+
+
+class SensorDelay(Effect):
+    """A sensor shows what was; servos see the joint itself, as it is.
+
+    Written out as MuJoCo's own sensor delay.
+    """
+
+    kind = "sensor_delay"
+    acts_on: ClassVar[str] = "sensor"
+    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+    shifts: ClassVar[bool] = True
+
+    @classmethod
+    def places(cls, machine: Machine) -> tuple[str, ...]:
+        """Every sensor."""
+        return tuple(name for name in machine.sensors if name)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The delay."""
+        return (Parameter(name="delay", unit="s", low=0.0, high=_LONGEST, scale=0.01),)
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """From a fast bus to that of hobby servos."""
+        return ((0.001,), (0.003,), (0.008,), (0.02,), (0.05,), (0.12,))
+
+    @property
+    def _jumps(self) -> bool:
+        """Whether the reading is no place or speed, nor one that the model delays already."""
+        spec_sensor = self.machine.spec.sensor(self.where)
+        smooth = of_place_or_speed(self.machine, column_of(self.where))
+        return not smooth and float(spec_sensor.delay) == 0.0
+
+    def lateness(self, values: Array) -> tuple[str, float] | None:
+        """The delay of an acceleration or a force."""
+        return (self.where, float(values[0])) if self._jumps else None
+
+    def read(self, time: Array, readings: Readings, values: Array) -> Readings:
+        """Shift the column of a place or a speed."""
+        column = column_of(self.where)
+        if column not in readings or values[0] <= 0 or self._jumps:
+            return readings
+        vector = int(self.machine.model.sensor(self.where).dim[0]) > 1
+        late = delayed(time, readings[column], float(values[0]), axis=-2 if vector else -1)
+        return {**readings, column: late}
+
+    def export(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Give the sensor a history and a delay, on top of the delay that it has."""
+        if values[0] <= 0:
+            return
+        sensor, step = spec.sensor(self.where), float(spec.option.timestep)
+        own = float(sensor.delay) if sensor.interp else held_delay(float(sensor.delay), step)
+        sensor.delay, sensor.interp = own + float(values[0]), 1
+        sensor.nsample = max(history_for(sensor.delay, step), int(sensor.nsample))
+
+
+def delayed(time: Array, values: Array, delay: float, *, axis: int = -1) -> Array:
+    """Values as they were, straight lines between samples; before the first one it holds.
+
+    Examples
+    --------
+    >>> delayed(np.arange(4.0), np.array([0.0, 2.0, 4.0, 6.0]), 0.5)
+    array([0., 1., 3., 5.])
+    """
+    at = np.interp(time - delay, time, np.arange(len(time), dtype=float))
+    low = np.floor(at).astype(int)
+    high = np.minimum(low + 1, len(time) - 1)
+    moved = np.moveaxis(values, axis, -1)
+    share = at - low
+    return np.moveaxis(moved[..., low] * (1 - share) + moved[..., high] * share, -1, axis)
+
+
+class SensorMisalignment(Effect):
+    """The sensor's site is turned by a rotation vector, given in the site's own frame."""
+
+    kind = "sensor_misalignment"
+    acts_on: ClassVar[str] = "sensor"
+    nothing: ClassVar[tuple[float, ...] | None] = (0.0, 0.0, 0.0)
+    adds_up: ClassVar[bool] = True
+
+    @classmethod
+    def places(cls, machine: Machine) -> tuple[str, ...]:
+        """Every sensor of three axes that is fixed to a site."""
+        return vectors(machine)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The rotation vector."""
+        return tuple(
+            Parameter(name=f"turn_{axis}", unit="rad", low=-1.6, high=1.6, scale=0.05)
+            for axis in "xyz"
+        )
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Three degrees about every axis at once: small turns add up."""
+        return ((0.05, 0.05, 0.05),)
+
+    def read(self, time: Array, readings: Readings, values: Array) -> Readings:
+        """Show the vector in the turned frame."""
+        column = column_of(self.where)
+        if column not in readings:
+            return readings
+        turn = Rotation.from_rotvec(np.asarray(values, dtype=float)).as_matrix()
+        return {**readings, column: readings[column] @ turn}
+
+    def export(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Move the sensor to a site of its own, turned."""
+        sensor, model = spec.sensor(self.where), self.machine.model
+        site = spec.site(sensor.objname)
+        place, turned = np.array(site.pos), np.array(site.quat)
+        if any(model.site(k).name == site.name for k in range(model.nsite)):
+            # with angles worked out; one that was turned before is written as a quaternion
+            number = model.site(site.name).id
+            turned = model.site_quat[number]
+            if site.frame is not None or not np.isfinite(place).all():
+                place = model.site_pos[number]
+        askew = added_name(spec, self.where, self.kind)
+        x, y, z, w = (
+            Rotation.from_quat(turned, scalar_first=True)
+            * Rotation.from_rotvec(np.asarray(values, dtype=float))
+        ).as_quat()
+        site.parent.add_site(name=askew, pos=place, quat=[w, x, y, z])
+        sensor.objname = askew
+
+
+class EncoderOffset(JointEffect):
+    """The joint's coordinate is the true one plus an offset.
+
+    The reading and the servo go by the coordinate; the links, the joint's stops and its spring
+    stay where they are.
+    """
+
+    kind = "encoder_offset"
+    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The offset: reading minus truth."""
+        if self.machine.turns(self.where):
+            return (Parameter(name="offset", unit="rad", low=-1.0, high=1.0, scale=0.02),)
+        return (Parameter(name="offset", unit="m", low=-0.3, high=0.3, scale=0.005),)
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Visible, to either side."""
+        scale = self.parameters[0].scale
+        return ((-scale,), (scale,))
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Shift the joint's reference, range and spring."""
+        joint = spec.joint(self.where)
+        offset = float(values[0]) / angle_unit(joint)
+        joint.ref += offset
+        joint.springref += offset
+        if self.machine.model.jnt_limited[self.machine.joint_number(self.where)]:
+            joint.range = np.array(joint.range) + offset

@@ -1,0 +1,271 @@
+"""Whether the corrected model's file does in plain MuJoCo what was fitted, and the step for that.
+
+Fits move late commands by their means over steps, and work readings out at their moments. A file
+has the delays and filters of MJCF, which act from step to step: one that is shorter than a step
+comes out wrong, and a filter that is much shorter makes a Runge-Kutta method diverge. Finer steps
+mend that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import ceil, nan
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.data.aligned_run import Trial
+from loose_env.gap.data.initial_rest import SETTLE
+from loose_env.gap.fitting.gauss_newton import strikes
+from loose_env.gap.model.hypothesis import Hypothesis, compiled
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.output.export_mjcf import corrected_spec
+from loose_env.gap.residuals.physical_units import rms
+from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.simulation.time_step import step_with
+from loose_env.rig.quiet import quiet
+
+__all__ = ["Exported", "compared", "exported", "played", "resting_runs"]
+
+Array = NDArray[np.float64]
+
+PARTS = (1, 2, 4, 8)
+"""Into how many parts a step is cut."""
+_APART = 0.3
+"""How far the file may be from the fit in a channel [noise standard deviations]."""
+_OF_LEFT = 0.1
+"""The same as a share of what the fit leaves there, where that is more."""
+_BETTER = 0.5
+"""Distance over that of the step as it was, below which a finer one that will not do is taken."""
+_PLAYED = 15.0
+"""How much of the held-out runs is simulated [s]."""
+_AS_LONG = 1.02
+"""Step over that on which a run was laid out, up to which it is the same."""
+_SHORTEST = 1.0
+"""What is simulated of a run, at least [s]; of many runs some are taken."""
+_GONE_WILD = tuple(
+    int(kind)
+    for kind in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+    )
+)
+_WILD = 1e4
+"""Distance where a simulation went wild, and the largest that counts [standard deviations]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exported:
+    """How a corrected model is written, and what its file does."""
+
+    parts: int = 1
+    """Into how many the step is cut."""
+    step: float | None = None
+    """Step of the file [s]; None: as the comparison chose it."""
+    left: float = nan
+    """What the file leaves of the held-out runs in plain MuJoCo [RMS, noise standard deviations];
+    NaN where it cannot be tried: no run begins at rest and is simulated with its commands, or an
+    effect is one that MJCF has not."""
+    fitted: float = nan
+    """What the fit leaves of the same numbers."""
+    apart: float = 0.0
+    """How far the file is from the fit, in the channel where that matters most [noise standard
+    deviations]."""
+    channel: str = ""
+    """That channel."""
+    matters: bool = False
+    """Whether that is too far."""
+
+    def words(self) -> list[str]:
+        """What a reader should know."""
+        found = []
+        if self.parts > 1:
+            found.append(
+                f"the corrected model has a step of {self.step:.3g} s: what was added needs one "
+                "that is finer than the nominal model's"
+            )
+        if self.matters:
+            found.append(
+                f"in plain MuJoCo the corrected model does not quite do what was fitted: in "
+                f"{self.channel} it is {self.apart:.2g} noise standard deviations off, and leaves "
+                f"{self.left:.3g} of the held-out runs where the fit leaves {self.fitted:.3g}"
+            )
+        return found
+
+
+def exported(held: Comparison, hypothesis: Hypothesis, residual: Array) -> Exported:
+    """Choose the step of a corrected model's file, by simulating it as a user would.
+
+    Parameters
+    ----------
+    held : Comparison
+        The held-out runs.
+    hypothesis : Hypothesis
+        Nominal figures and effects of the fit.
+    residual : ndarray (N,)
+        What it leaves of these runs, in noise standard deviations.
+
+    Returns
+    -------
+    Exported
+        With the fewest parts that will do, or those that come nearest.
+    """
+    trials = _shown(held)
+    if not trials or not all(effect.in_model for effect in hypothesis.effects):
+        return Exported()
+    own = step_with(held.machine, hypothesis.effects)
+    shortest = min(trial.step for trial in trials.values())
+    longest = own if own < _AS_LONG * shortest else shortest
+    found: list[tuple[float, Exported]] = []
+    for parts in PARTS:
+        step = longest / parts
+        spec = corrected_spec(held.machine, hypothesis.effects, hypothesis.values, step=step)
+        tried = compared(held, residual, compiled(spec), trials)
+        if tried is None:
+            return Exported()
+        off, shown = tried
+        found.append((off, replace(shown, parts=parts, step=step, matters=off > 1.0)))
+        if off <= 1.0:
+            break
+    nearest = min(found, key=lambda each: each[0])
+    chosen = nearest if nearest[0] < max(1.0, _BETTER * found[0][0]) else found[0]
+    if strikes(hypothesis.effects):
+        # after a blow no two simulations agree, however fine their steps
+        return replace(chosen[1], matters=False)
+    return chosen[1]
+
+
+def resting_runs(held: Comparison) -> dict[int, Trial]:
+    """Number and run of all that a file can be held against.
+
+    They begin at rest, and are simulated with their commands and compared sample by sample.
+    """
+    return {t: run for t, run in enumerate(held.trials) if held.follows(run) and run.resting}
+
+
+def _shown(held: Comparison) -> dict[int, Trial]:
+    """The beginnings of these runs; of some if there are many."""
+    runs = resting_runs(held)
+    count = min(len(runs), int(_PLAYED / _SHORTEST))
+    taken = np.unique(np.linspace(0, len(runs) - 1, count).round().astype(int))
+    numbers = list(runs)
+    return {numbers[k]: runs[numbers[k]].until(_PLAYED / count) for k in taken.tolist()}
+
+
+def compared(
+    held: Comparison, residual: Array, model: mujoco.MjModel, trials: dict[int, Trial]
+) -> tuple[float, Exported] | None:
+    """Hold a model, simulated by MuJoCo alone, against a fit.
+
+    Parameters
+    ----------
+    held : Comparison
+        The held-out runs.
+    residual : ndarray (N,)
+        What the fit leaves of them, in noise standard deviations.
+    model : MjModel
+        The corrected model.
+    trials : dict
+        Number -> run, or the beginning of it, for those that are played.
+
+    Returns
+    -------
+    (float, Exported) or None
+        How far the model is from the fit over how far it may be, and what both leave; None where
+        nothing was read.
+    """
+    rows, read = held.rows, np.array([c.column.startswith("sensor.") for c in held.channels])
+    left, fitted = [np.zeros(0)], [np.zeros(0)]
+    channels = [np.zeros(0, dtype=np.intp)]
+    for t, trial in trials.items():
+        chosen = (rows.trial == t) & (rows.sample < len(trial.time)) & read[rows.channel]
+        own = np.flatnonzero(chosen)
+        sample, channel = rows.sample[own], rows.channel[own]
+        with quiet():  # a step that is too long may go wild
+            shown = played(held, model, trial)[sample, channel]
+        off = (trial.measured[sample, channel] - shown) / held.scales[t, channel]
+        left.append(np.clip(np.nan_to_num(off, nan=_WILD), -_WILD, _WILD))
+        fitted.append(residual[own])
+        channels.append(channel)
+    by_file, by_fit = np.concatenate(left), np.concatenate(fitted)
+    channel = np.concatenate(channels)
+    if not len(channel):
+        return None
+    count = np.maximum(np.bincount(channel), 1)
+    apart, left_by = (
+        np.sqrt(np.bincount(channel, part**2) / count) for part in (by_file - by_fit, by_fit)
+    )
+    allowed = np.maximum(_APART, _OF_LEFT * left_by)
+    worst = int(np.argmax(apart / allowed))
+    return float(apart[worst] / allowed[worst]), Exported(
+        left=rms(by_file),
+        fitted=rms(by_fit),
+        apart=float(apart[worst]),
+        channel=held.channels[worst].name,
+    )
+
+
+def played(comparison: Comparison, model: mujoco.MjModel, trial: Trial) -> Array:
+    """What the channels of a comparison show when MuJoCo alone plays a run's commands (T, C).
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Its machine says which joints and actuators there are.
+    model : MjModel
+        A model that has them, and perhaps more joints; its step is shortened for a while, so that
+        samples fall on steps.
+    trial : Trial
+        A run that begins at rest; its first command is held beforehand, as fits do.
+
+    Returns
+    -------
+    ndarray (T, C)
+        NaN of channels that are no sensors, and from where a run goes wild.
+    """
+    machine, own = comparison.machine, float(model.opt.timestep)
+    inside = max(1, ceil(trial.step / own - 1e-6))
+    model.opt.timestep = trial.step / inside
+    data = mujoco.MjData(model)
+    driven = np.arange(len(machine.actuators))  # effects add none
+    for name, angle in zip(machine.joints, trial.position, strict=True):
+        data.joint(name).qpos[0] = angle
+    data.ctrl[driven] = trial.controls[0]
+    _begin_with(model, data, machine)
+    mujoco.mj_step(model, data, round(SETTLE / model.opt.timestep))
+    readings = np.full((trial.steps, model.nsensordata), np.nan)
+    for row, command in zip(readings, trial.controls, strict=True):
+        data.ctrl[driven] = command
+        # sensors show the beginning of a step; late ones keep a history that only steps may add to
+        mujoco.mj_step(model, data)
+        if any(data.warning[kind].number for kind in _GONE_WILD):
+            break
+        row[:] = data.sensordata
+        mujoco.mj_step(model, data, inside - 1)
+    model.opt.timestep = own
+    shown = trial.at_samples(readings)
+    found = np.full((len(trial.time), len(comparison.channels)), np.nan)
+    for c, channel in enumerate(comparison.channels):
+        prefix, _, name = channel.column.partition(".")
+        if prefix == "sensor":
+            found[:, c] = shown[:, int(model.sensor(name).adr[0]) + (channel.axis or 0)]
+    return found
+
+
+def _begin_with(model: mujoco.MjModel, data: mujoco.MjData, machine: Machine) -> None:
+    """Let what was added to the actuators begin with the first command, as fits do.
+
+    MuJoCo begins with zeros: an arm would swing there before it is told anything.
+    """
+    nominal = machine.model
+    for k in range(len(machine.actuators)):
+        first = float(data.ctrl[k])
+        if model.actuator_ctrllimited[k]:
+            first = float(np.clip(first, *model.actuator_ctrlrange[k]))
+        if model.actuator_dyntype[k] != nominal.actuator_dyntype[k]:
+            data.act[model.actuator_actadr[k]] = first
+        if model.actuator_delay[k] > 0 and nominal.actuator_delay[k] == 0:
+            samples = int(model.actuator_history[k, 0])
+            mujoco.mj_initCtrlHistory(model, data, k, None, np.full((samples, 1), first))

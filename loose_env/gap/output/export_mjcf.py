@@ -1,0 +1,291 @@
+"""The corrected model as a plain MJCF file that any MuJoCo reads, without this package.
+
+What a corrected model says of itself: the effects that were named, and those it has besides.
+
+Where too much is left for what was accepted to be the explanation, nothing is named; the corrected
+model has it nevertheless, and its errors are stated with it.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.file_scan import files_of
+from loose_env.errors import InvalidData
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.nominal_model import Machine, set_step
+from loose_env.gap.output.result import NamedEffect
+from loose_env.gap.simulation.time_step import step_with
+from loose_env.io.files import written_beside
+from loose_env.recording.columns import ModelColumns
+
+__all__ = ["corrected_spec", "correction_code", "model_notes", "nameless_words", "write_model"]
+
+Array = NDArray[np.float64]
+
+
+def corrected_spec(
+    machine: Machine,
+    effects: Sequence[Effect],
+    values: Sequence[Array],
+    *,
+    step: float | None = None,
+) -> mujoco.MjSpec:
+    """Nominal model with all effects that MJCF can express, with the step that they ask for.
+
+    Keyframes keep the positions of the model's own joints; what an effect adds is at its zero.
+
+    Parameters
+    ----------
+    machine : Machine
+        The nominal model.
+    effects : sequence of Effect
+        What it lacks, fitted nominal figures included, in the order in which they act.
+    values : sequence of ndarray (P,)
+        Of the parameters of each.
+    step : float, optional
+        Another step [s] (`loose_env.gap.output.export_check.exported` tells).
+    """
+    spec = machine.spec.copy()
+    if step is not None:
+        set_step(spec, step)
+    elif machine.step > 0:
+        set_step(spec, step_with(machine, effects))
+    if machine.integrator is not None:
+        spec.option.integrator = machine.integrator
+    for effect, own in zip(effects, values, strict=True):
+        effect.export(spec, own)
+    _keep_keyframes(spec, machine)
+    return spec
+
+
+def _keep_keyframes(spec: mujoco.MjSpec, machine: Machine) -> None:
+    """Lay the keyframes out anew: MuJoCo fills up at the end, whichever joint was added."""
+    nominal = machine.model
+    if not nominal.nkey:
+        return
+    for key in spec.keys:  # as long as the nominal ones, they would not fit
+        key.qpos, key.qvel, key.act = [], [], []
+    model = spec.copy().compile()
+    places = [int(model.joint(name).qposadr[0]) for name in machine.joints]
+    dofs = [int(model.joint(name).dofadr[0]) for name in machine.joints]
+    for k, key in enumerate(spec.keys):
+        position, speed = model.qpos0.copy(), np.zeros(model.nv)
+        position[places], speed[dofs] = nominal.key_qpos[k], nominal.key_qvel[k]
+        key.qpos, key.qvel = position, speed
+        if model.na:
+            key.act = _states_of_actuators(model, nominal, k)
+
+
+def _states_of_actuators(model: mujoco.MjModel, nominal: mujoco.MjModel, key: int) -> Array:
+    """Activations (na,) of a keyframe; of a filter that was added, the keyframe's command."""
+    state = np.zeros(model.na)
+    for number in range(nominal.nu):  # actuators keep their order
+        at, before = model.actuator_actadr[number], nominal.actuator_actadr[number]
+        count = model.actuator_actnum[number]
+        if before >= 0:
+            state[at : at + count] = nominal.key_act[key, before : before + count]
+        elif at >= 0:
+            state[at : at + count] = nominal.key_ctrl[key, number]
+    return state
+
+
+def correction_code(effects: Sequence[Effect], values: Sequence[Array]) -> str:
+    """Python lines that apply to a simulation what MJCF cannot express; "" if nothing.
+
+    Terms on the torque go before each step, and what acts on readings after it. The lines work on
+    ``model`` and ``data`` of MuJoCo. A torque is held over a step, and so taken in its middle:
+    half a step early for an accelerometer.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+        In the order in which they act.
+    values : sequence of ndarray (P,)
+        Of the parameters of each.
+    """
+    pairs = list(zip(effects, values, strict=True))
+    terms = [line for effect, own in pairs if (line := effect.torque_code(own))]
+    readings = [line for effect, own in pairs if (line := effect.code(own))]
+    if not terms:
+        return "\n".join(readings)
+    names = ", ".join(map(repr, effects[0].machine.joints))
+    laid_out = (
+        "# before every mj_step",
+        "import numpy as np",
+        f"joints = [model.joint(name) for name in [{names}]]",
+        "dofs = [int(joint.dofadr[0]) for joint in joints]",
+        "speed, torque = data.qvel[dofs], np.zeros(len(joints))",
+        "position = data.qpos[[int(joint.qposadr[0]) for joint in joints]]",
+        "position = position + 0.5 * model.opt.timestep * speed",
+    )
+    after = ("# after every mj_step", *readings) if readings else ()
+    return "\n".join((*laid_out, *terms, "data.qfrc_applied[dofs] = torque", *after))
+
+
+def write_model(
+    path: Path,
+    machine: Machine,
+    effects: Sequence[Effect],
+    values: Sequence[Array],
+    *,
+    step: float | None = None,
+    source: Path | None = None,
+    notes: Sequence[str] = (),
+) -> list[Path]:
+    """Write the corrected model, with the meshes and textures it needs beside it.
+
+    Parameters
+    ----------
+    path : Path
+        Where the model goes.
+    machine, effects, values, step
+        As in `corrected_spec`.
+    source : Path, optional
+        File of the nominal model; what it refers to is copied.
+    notes : sequence of str
+        Lines that stand at the head of the file.
+
+    Returns
+    -------
+    list of Path
+        The files written, the model first.
+
+    Raises
+    ------
+    InvalidData
+        If the model does not compile from the file, or a column of the recording would no longer
+        name anything in it.
+    """
+    text = corrected_spec(machine, effects, values, step=step)
+    try:
+        text.compile()
+        xml = text.to_xml()
+    except Exception as error:  # MuJoCo raises ValueError and mujoco.FatalError alike
+        raise InvalidData(f"the corrected model does not compile: {error}") from error
+    if notes:
+        said = "\n".join(f"  {_comment(note)}" for note in notes)
+        xml = f"<!--\n{said}\n-->\n{xml}"
+    copied = [] if source is None else _copy_assets(source.resolve(), path.parent, xml)
+
+    def write(beside: Path) -> None:
+        beside.write_text(xml, encoding="utf-8")
+        try:
+            model = mujoco.MjModel.from_xml_path(str(beside))
+        except ValueError as error:
+            raise InvalidData(f"the corrected model does not compile: {error}") from error
+        _check_columns(machine.model, model)
+
+    return [written_beside(path, write), *copied]
+
+
+def _comment(note: str) -> str:
+    """Return a line that may stand in a comment of an XML file."""
+    return " ".join(note.split()).replace("--", "−−")
+
+
+def _copy_assets(source: Path, folder: Path, xml: str) -> list[Path]:
+    """Copy what a model refers to; files it includes only if the new one names them still."""
+    copied = []
+    for file in sorted(files_of(source) - {source}):
+        if file.suffix.lower() in (".xml", ".mjcf") and file.name not in xml:
+            continue
+        target = folder / file.relative_to(source.parent)
+        if target == file:
+            continue
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(file, target)
+        copied.append(target)
+    return copied
+
+
+def _check_columns(nominal: mujoco.MjModel, model: mujoco.MjModel) -> None:
+    """Refuse a model in which a column would name nothing, or something else."""
+    before, after = ModelColumns.of(nominal).known, ModelColumns.of(model).known
+    lost = [column for column, meaning in before.items() if after.get(column) != meaning]
+    if lost:
+        raise InvalidData(
+            f"the corrected model has no {lost[0]!r} any more: an effect has changed its name"
+        )
+
+
+Added = tuple[Effect, Array]
+"""An effect with its values."""
+
+
+def nameless_words(added: Sequence[Added]) -> list[str]:
+    """A sentence on effects that the corrected model has and that are not named; none without.
+
+    Parameters
+    ----------
+    added : sequence of (Effect, ndarray)
+        These effects, with their values.
+    """
+    if not added:
+        return []
+    listed = "; ".join(_added_words(effect, values) for effect, values in added)
+    return [
+        f"the corrected model has, without its being named: {listed}. That lowers the gap on the "
+        "held-out runs, but too much is left for it to be the explanation; the gap after, "
+        "model.xml and the code are with it"
+    ]
+
+
+def model_notes(
+    named: Sequence[NamedEffect], nameless: Sequence[Added], figures: Mapping[str, float]
+) -> list[str]:
+    """Lines at the head of ``model.xml``: all that it has beyond the nominal model.
+
+    Parameters
+    ----------
+    named : sequence of NamedEffect
+        Effects that were named.
+    nameless : sequence of (Effect, ndarray)
+        Effects that were not, with their values.
+    figures : mapping
+        Factors on nominal figures.
+    """
+    notes = ["Corrected by loose gap."]
+    if named:
+        notes.append("On top of the nominal model:")
+        notes += [
+            _words(each.kind, each.where, each.parameters, each.units, each.in_model)
+            for each in named
+        ]
+    if nameless:
+        notes.append(
+            "On top of the nominal model, without being named (it lowers the gap, but too much is "
+            "left for it to be the explanation):"
+        )
+        notes += [_added_words(effect, values) for effect, values in nameless]
+    if not named and not nameless:
+        notes.append("No effect was added to the nominal model.")
+    if figures:
+        off = max(abs(value - 1) for value in figures.values())
+        notes.append(
+            f"nominal figures fitted within the tolerance, off by {100 * off:.1f} % at most"
+        )
+    return notes
+
+
+def _added_words(effect: Effect, values: Array) -> str:
+    """An effect that was added, with its values."""
+    parameters = {p.name: float(v) for p, v in zip(effect.parameters, values, strict=True)}
+    units = {p.name: p.unit for p in effect.parameters}
+    return _words(effect.kind, effect.where, parameters, units, effect.in_model)
+
+
+def _words(
+    kind: str, where: str, values: Mapping[str, float], units: Mapping[str, str], in_model: bool
+) -> str:
+    numbers = ", ".join(
+        f"{name} {value:.4g} {units.get(name, '')}".rstrip() for name, value in values.items()
+    )
+    place = "" if in_model else " (not in model.xml: see result.json, code)"
+    return f"{kind} at {where}: {numbers}{place}"

@@ -1,0 +1,272 @@
+"""What was found, as dataclasses and as the file ``result.json`` of the format ``loose-gap/1``.
+
+What was found as a short table, as notebooks show it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from html import escape
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from loose_env.errors import InvalidData
+from loose_env.gap.diagnostics.experiment_advice import Identifiability
+from loose_env.gap.diagnostics.localisation import Location
+from loose_env.gap.diagnostics.residual_tests import LeftOver
+from loose_env.gap.residuals.physical_units import quantity_words
+from loose_env.io.files import write_text
+from loose_env.io.json_codec import json_text, read_result_file, restored, whole_of
+
+__all__ = [
+    "FORMAT",
+    "UNIT",
+    "Gap",
+    "GapResult",
+    "NamedEffect",
+    "Place",
+    "Ranked",
+    "Verdict",
+    "html_table",
+    "read_result",
+    "result_table",
+]
+
+FORMAT = "loose-gap/1"
+UNIT = "RMS over held-out runs, in noise standard deviations"
+Verdict = Literal["named", "no_gap", "unexplained"]
+"""What a comparison came to."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """A kind of effect at a place."""
+
+    kind: str
+    """Identifier of the catalogue."""
+    where: str
+    """The model's own name of the joint, body, actuator or sensor; "tool", "base" or "all"."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedEffect:
+    """An effect that the model lacks."""
+
+    kind: str
+    """Identifier of the catalogue."""
+    where: str
+    """The model's own name of the joint, body, actuator or sensor; "tool", "base" or "all"."""
+    parameters: Mapping[str, float]
+    """Best values."""
+    interval_95: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Ends of their 95 % intervals."""
+    ambiguous_with: tuple[Place, ...] = ()
+    """What the held-out data cannot tell from it."""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """Unit of each parameter, "" for a ratio."""
+    variant: str = ""
+    """Form of the effect, "" for the usual one."""
+    in_model: bool = True
+    """Whether ``model.xml`` carries it; if not, ``code`` of the result applies it."""
+    powers_explained: float | None = None
+    """Of a part that was found by how hard and how often it strikes its stops: share of that which
+    it explains on held-out runs."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ranked:
+    """A hypothesis that was fitted."""
+
+    kind: str
+    """Of the effect that was added in this step; of the first, where there were several."""
+    where: str
+    """Its place."""
+    held_out: float
+    """Root mean square on held-out runs, in noise standard deviations."""
+    bic: float
+    """Bayesian information criterion over that of the hypothesis without it, rows that hang
+    together in time counted as the independent ones they are worth; negative where the effect pays
+    for its parameters."""
+    step: int = 1
+    """1 for the first effect, 2 for one beside the first, ..."""
+    lead: float = 0.0
+    """Lead on held-out runs over the step before, in standard deviations."""
+    together_with: tuple[Place, ...] = ()
+    """Further effects of the same hypothesis: one kind at several places at once."""
+
+    @property
+    def places(self) -> tuple[Place, ...]:
+        """All effects that it adds."""
+        return (Place(kind=self.kind, where=self.where), *self.together_with)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gap:
+    """The gap on the held-out runs, before and after."""
+
+    before: float
+    """Of the nominal model, fitted within its tolerance."""
+    after: float
+    """Of the corrected model."""
+    by_channel: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Channel -> before and after."""
+    by_horizon_s: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Seconds, such as "0.5" -> error of predictions that run on their own so long."""
+    by_quantity: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Quantity and unit, such as "joint position [rad]" -> error in that unit, before and after."""
+    noise_floor: float = 1.0
+    """What the noise of the sensors alone leaves."""
+    unit: str = UNIT
+    """Of all of these but `by_quantity`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GapResult:
+    """The content of ``result.json``."""
+
+    verdict: Verdict
+    """ "named", "no_gap" or "unexplained"."""
+    gap: Gap
+    """How large it is."""
+    effects: tuple[NamedEffect, ...] = ()
+    """What the model lacks, in the order in which it was found."""
+    held_out_runs: tuple[str, ...] = ()
+    """Files of the runs that judged."""
+    ranking: tuple[Ranked, ...] = ()
+    """What was tried, the best first in every step."""
+    model: str | None = "model.xml"
+    """The corrected model, beside the file."""
+    code: str = ""
+    """Python lines that apply to a simulation what MJCF cannot express; "" if nothing."""
+    nominal_figures: Mapping[str, float] = field(default_factory=dict)
+    """Factors on nominal figures, within the tolerance, that ``model`` carries too."""
+    location: Location = field(default_factory=Location)
+    """Where the disagreement was, before anything was added."""
+    where_it_lives: tuple[str, ...] = ()
+    """The same in sentences; of what is left where the verdict is "unexplained"."""
+    left: tuple[str, ...] = ()
+    """How much is left after the named effects, and where, in sentences; empty where nothing is."""
+    left_location: Location = field(default_factory=Location)
+    """Where that is, with the corrected model, on all runs."""
+    left_over: tuple[LeftOver, ...] = ()
+    """Tests of what is left."""
+    identifiability: Identifiability = field(default_factory=Identifiability)
+    """What the motions that were recorded could not show, or tell apart."""
+    warnings: tuple[str, ...] = ()
+    """What a reader should know before trusting it."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Everything that the result depends on besides the recording."""
+    format: str = FORMAT
+    """Of the file."""
+
+    def __post_init__(self) -> None:
+        """Check."""
+        if self.format != FORMAT:
+            raise InvalidData(f"a result of the format {FORMAT!r} is needed, not {self.format!r}")
+        if self.verdict not in get_args(Verdict):
+            raise InvalidData(
+                f"the verdict is one of {list(get_args(Verdict))}, not {self.verdict!r}"
+            )
+
+    def _repr_html_(self) -> str:
+        """Return a short table, as notebooks show it."""
+        return result_table(self)
+
+    def to_json(self) -> str:
+        """Text of ``result.json``; numbers that are not finite become null."""
+        whole = {"format": self.format, **asdict(self)}
+        return json_text(whole)
+
+    @classmethod
+    def from_json(cls, text: str) -> GapResult:
+        """Read the text of ``result.json``.
+
+        Raises
+        ------
+        InvalidData
+            If it is none of the format ``loose-gap/1``.
+
+        Examples
+        --------
+        >>> GapResult.from_json('{"format": "loose-gap/2"}')
+        Traceback (most recent call last):
+        ...
+        loose_env.errors.InvalidData: a result of the format 'loose-gap/1' is needed, ...
+        """
+        whole = whole_of(text, format=FORMAT, noun="result")
+        return restored(cls, whole, "result")
+
+    def write(self, path: str | Path) -> Path:
+        """Write ``result.json`` beside its place and rename it."""
+        return write_text(Path(path), self.to_json())
+
+
+def read_result(path: str | Path) -> GapResult:
+    """Read a result file, or that of a folder.
+
+    Raises
+    ------
+    InvalidData
+        If there is none, or it is none of the format.
+    """
+    return read_result_file(path, GapResult.from_json, noun="result")
+
+
+_VERDICTS = {
+    "named": "The model lacks:",
+    "no_gap": "No gap: within its tolerance the model explains the held-out runs.",
+    "unexplained": "Unexplained: something is missing that is not in the catalogue.",
+}
+_HEADS = ("effect", "where", "parameter", "value", "95 %", "unit", "may as well be")
+
+
+def html_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Table of plain texts in HTML; "" if it has no rows.
+
+    Examples
+    --------
+    >>> html_table(["a"], [["1 < 2"]])
+    '<table><tr><th>a</th></tr><tr><td>1 &lt; 2</td></tr></table>'
+    """
+    if not rows:
+        return ""
+    lines = ["".join(f"<th>{escape(head)}</th>" for head in heads)]
+    lines += ["".join(f"<td>{escape(cell)}</td>" for cell in row) for row in rows]
+    return "<table>" + "".join(f"<tr>{line}</tr>" for line in lines) + "</table>"
+
+
+def result_table(result: GapResult) -> str:
+    """Verdict, effects and gap of a result in HTML."""
+    rows = [row for effect in result.effects for row in _rows(effect)]
+    gap = result.gap
+    errors = [["all", f"{gap.before:.2f}", f"{gap.after:.2f}"]]
+    errors += [
+        [f"predictions over {seconds} s", f"{before:.2f}", f"{after:.2f}"]
+        for seconds, (before, after) in gap.by_horizon_s.items()
+    ]
+    lives = "".join(f"<li>{escape(words)}</li>" for words in result.where_it_lives)
+    unexplained = result.verdict == "unexplained" and lives
+    return "".join(
+        [
+            f"<p><b>{escape(_VERDICTS[result.verdict])}</b></p>",
+            html_table(_HEADS, rows),
+            f"<ul>{lives}</ul>" if unexplained else "",
+            html_table(["held-out runs, in noise standard deviations", "before", "after"], errors),
+            *(f"<p>{escape(words)}</p>" for words in quantity_words(gap.by_quantity)),
+            *(f"<p>Warning: {escape(words)}</p>" for words in result.warnings),
+        ]
+    )
+
+
+def _rows(effect: NamedEffect) -> list[list[str]]:
+    """One row for each parameter of an effect; the first says which effect it is."""
+    others = ", ".join(f"{o.kind} at {o.where}" for o in effect.ambiguous_with)
+    found: list[list[str]] = []
+    for name, value in effect.parameters.items():
+        ends = effect.interval_95.get(name)
+        between = "" if ends is None else f"{ends[0]:.4g} to {ends[1]:.4g}"
+        known = ["", ""] if found else [effect.kind, effect.where]
+        unit, rivals = effect.units.get(name, ""), "" if found else others
+        found.append([*known, name, f"{value:.4g}", between, unit, rivals])
+    return found

@@ -1,0 +1,155 @@
+"""Which runs of random excitation cannot be compared sample by sample.
+
+After an impact two simulations part ways within milliseconds. Where a machine that strikes its
+stops would draw a run anew if they were a little stiffer, or if it were begun a hair's breadth
+elsewhere, its trajectory means nothing, for nobody knows stops that well; the run is compared by
+features instead. Where it would repeat itself, samples tell more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData
+from loose_env.gap.data.aligned_run import Channel, Trial
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.residuals.random_excitation.features import RandomFeatures
+from loose_env.gap.residuals.random_excitation.frequency_response import FEWEST
+from loose_env.gap.simulation.simulator import Simulator
+
+__all__ = ["parting_runs"]
+
+Array = NDArray[np.float64]
+
+PARTED = 0.3
+"""Share of the incoherent part that is drawn anew from which on trajectories mean nothing."""
+LOUD = 2.0
+"""Incoherent power of a run over that of the nominal model, noise in both, that it shows."""
+NUDGE = 1e-5
+"""Change of where a run begins that does not matter [rad, m]."""
+_OF_STOPS = {"stiffness": 1.3, "damping_ratio": 1.5}
+"""Factors on figures of stops that do not matter: no law of contact is that exact."""
+LOOKED_AT = 2.0
+"""How much of a run is simulated to see whether trajectories part, where it is least like the
+nominal model [s]; at least as much as features need."""
+_NOMINAL = Hypothesis(effects=(), values=())
+
+
+def parting_runs(
+    machine: Machine,
+    trials: Sequence[Trial],
+    channels: tuple[Channel, ...],
+    floors: Array,
+    candidates: Sequence[Effect],
+    *,
+    threads: int = 0,
+) -> frozenset[str]:
+    """Names of the random runs that only features compare.
+
+    Those in which more is incoherent than the nominal model says, if a machine with free play draws
+    any of them anew when its stops are a little different, or when it begins a hair's breadth
+    elsewhere. A run that has no features, since it is too short or its command does not vary, is
+    not among them: it can only be compared sample by sample.
+
+    Parameters
+    ----------
+    machine : Machine
+        The nominal model.
+    trials : sequence of Trial
+        The runs.
+    channels : tuple of Channel
+        What they show.
+    floors : ndarray (C,)
+        Noise standard deviations.
+    candidates : sequence of Effect
+        What may be missing; those that strike stops are looked at.
+    threads : int
+        Threads of the simulation; 0: all processors.
+    """
+    striking = [effect for effect in candidates if effect.has_stops]
+    runs = [trial for trial in trials if _driven(trial, machine)]
+    if not striking or not runs:
+        return frozenset()
+    nominal = Simulator(machine, runs, channels, threads=threads).predict([_NOMINAL])[0]
+    loud: list[tuple[Trial, RandomFeatures]] = []
+    for run, seen in zip(runs, nominal, strict=True):
+        features = _features(run, machine, channels, floors)
+        if features is None or not np.isfinite(seen[:, features.used]).all():
+            continue
+        if features.incoherence(seen) > LOUD:
+            window = _least_like(run, seen, floors)
+            # A window may lie where the command rests or a sensor was lost; the whole run does not.
+            own = _features(window, machine, channels, floors)
+            loud.append((run, features) if own is None else (window, own))
+    if not loud:
+        return frozenset()
+    simulator = Simulator(machine, [run for run, _ in loud], channels, threads=threads)
+    for effect in striking:
+        predicted = simulator.predict(_pairs(effect, len(loud), len(machine.joints)))
+        for first, second in zip(predicted[::2], predicted[1::2], strict=True):
+            for (_, features), one, two in zip(loud, first, second, strict=True):
+                finite = np.isfinite(one).all() and np.isfinite(two).all()
+                if finite and features.redrawn(one, two) > PARTED:
+                    return frozenset(run.name for run, _ in loud)
+    return frozenset()
+
+
+def _features(
+    trial: Trial, machine: Machine, channels: tuple[Channel, ...], floors: Array
+) -> RandomFeatures | None:
+    """Features of a run; None where it is too short for them, or its command does not vary."""
+    try:
+        return RandomFeatures.of_trial(trial, machine, channels, floors)
+    except InvalidData:
+        return None
+
+
+def _least_like(run: Trial, seen: Array, floors: Array) -> Trial:
+    """The window of a run that is least like a simulation of it (T, C)."""
+    size = max(round(LOOKED_AT * run.rate), FEWEST)
+    apart = np.nansum(((run.measured - seen) / floors) ** 2, axis=1)
+    summed = np.concatenate([[0.0], np.cumsum(apart)])
+    if size >= len(apart):
+        return run
+    first = int(np.argmax(summed[size:] - summed[:-size]))
+    return run.between(first, first + size)
+
+
+def _pairs(effect: Effect, runs: int, joints: int) -> list[Hypothesis]:
+    """An effect at each of its starts with the hardest stops, and nearly the same."""
+    nudge = np.full((runs, joints), NUDGE)
+    names = [parameter.name for parameter in effect.parameters]
+    changed = {names.index(n): by for n, by in _OF_STOPS.items() if n in names}
+    found = []
+    for start in _with_hardest_stops(effect.starts, names):
+        values = np.array(start)
+        other = values.copy()
+        for number, factor in changed.items():
+            other[number] *= factor
+        found += [
+            Hypothesis(effects=(effect,), values=(values,)),
+            Hypothesis(effects=(effect,), values=(other,), position=nudge),
+        ]
+    return found
+
+
+def _with_hardest_stops(
+    starts: Sequence[tuple[float, ...]], names: Sequence[str]
+) -> list[tuple[float, ...]]:
+    """Those starts of which the stops are as stiff as any; all where nothing says how stiff."""
+    if "stiffness" not in names:
+        return list(starts)
+    number = names.index("stiffness")
+    hardest = max(start[number] for start in starts)
+    return [start for start in starts if start[number] == hardest]
+
+
+def _driven(trial: Trial, machine: Machine) -> bool:
+    """Whether a run is one of random excitation through an actuator."""
+    joints = {machine.actuated_joint.get(name) for name in machine.actuators}
+    return trial.form == "forward" and bool(joints & set(trial.excited))

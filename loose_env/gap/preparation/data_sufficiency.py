@@ -1,0 +1,67 @@
+"""What a recording is too short or too still to show, and what to record instead."""
+
+from __future__ import annotations
+
+from math import ceil
+
+import numpy as np
+
+from loose_env.gap.data.noise_floor import noise_floor
+from loose_env.gap.residuals.residual_model import LONGEST, SHORTEST, Comparison
+from loose_env.gap.settings import NamingSettings
+
+__all__ = ["shortfalls"]
+
+_MOVES = 30.0
+"""Range of a joint's motion from which on it counts as moved [standard deviations of its noise]."""
+_SPARE = 1.5
+"""Blocks over those without which no lead is sure enough."""
+
+
+def shortfalls(fitted: Comparison, held: Comparison, settings: NamingSettings) -> list[str]:
+    """Sentences on what is missing in the data; none if they will do.
+
+    A lead of k standard deviations over blocks of time needs k² blocks that all agree.
+
+    Parameters
+    ----------
+    fitted, held : Comparison
+        The runs to fit to, and those to judge by.
+    settings : NamingSettings
+        The leads that an effect needs.
+    """
+    found = []
+    for which, comparison, lead in (
+        ("to fit to", fitted, settings.sureness),
+        ("held out", held, settings.held),
+    ):
+        lengths = [float(trial.time[-1]) for trial in comparison.trials]
+        blocks = len(np.unique(comparison.rows.block))
+        needed = ceil(_SPARE * lead**2)
+        if blocks < needed:
+            more = (needed - blocks) * min(max(sum(lengths) / max(blocks, 1), SHORTEST), LONGEST)
+            found.append(
+                f"the runs {which} last {sum(lengths):.2g} s in all, {blocks} blocks that count as "
+                f"independent; to be sure of an effect {needed} are needed: record at least "
+                f"{more:.1g} s more of them"
+            )
+    machine = fitted.machine
+    driven = set(machine.actuated_joint.values()) or set(machine.joints)
+    for joint in machine.joints:
+        ranges = [_range(trial.motion[joint]) for trial in fitted.trials if joint in trial.motion]
+        if joint in driven and ranges and max(ranges) < _MOVES:
+            found.append(
+                f"{joint} hardly moves in the runs to fit to: friction, play, springs and "
+                "inertias there cannot be seen, nor told from those of its neighbours. Record a "
+                "run in which it turns round several times, slowly and fast"
+            )
+    return found
+
+
+def _range(values: np.ndarray) -> float:
+    """How far a joint moves, over the noise of its sensor."""
+    floor = noise_floor(values)
+    if not np.isfinite(floor) or floor <= 0:
+        return float("inf")
+    low, high = np.nanquantile(values, (0.005, 0.995))
+    return float((high - low) / floor)

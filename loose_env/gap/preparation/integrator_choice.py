@@ -1,0 +1,279 @@
+"""How finely a model has to be stepped so that the step is no gap of its own.
+
+A model that is stepped semi-implicitly is late by half a step, which encoders see. A Runge-Kutta
+method of fourth order is exact enough at the sample interval for most arms. Which step will do is
+measured: the nominal model is simulated at a step and at a quarter of it, and the difference is
+held against the noise, at the beginning of a run and where runs are fastest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from loose_env.gap.data.aligned_run import Channel, lay_out
+from loose_env.gap.data.noise_floor import channel_floor
+from loose_env.gap.fitting.gauss_newton import strikes
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.windows import windowed
+from loose_env.gap.simulation.time_step import step_with
+from loose_env.recording import Run
+
+__all__ = ["Integration", "choose_integration", "corrected_step_words"]
+
+_ENOUGH = 0.1
+"""Step error that is sought, in noise standard deviations."""
+_OWN = 0.3
+"""Error that is no matter: up to it the model's own step and integrator are kept, where they are
+cheaper; beyond it a reader is warned."""
+_FAR, _SHARE = 50.0, 0.5
+"""How far the nominal model is off [noise standard deviations] where the noise is no measure any
+more, and the share of that which is one in its place."""
+_LEFT = 0.3
+"""Share of what the corrected model leaves in a channel that counts as a noise where it is more."""
+_SHORT = 2.0
+"""How much of the first run the error is measured on, from its beginning [s]."""
+_FASTEST, _RUNS = 0.75, 4
+"""Length of the fastest window of a run [s], and of how many runs such windows are measured on."""
+_SPEED = 0.02
+"""Time between readings whose difference tells how fast a run is [s]."""
+_CHECKED, _FINER = 15.0, 4
+"""How much of the held-out runs the corrected model's step is checked on [s], and by how many times
+finer steps."""
+_FINEST = 16
+_UNSEEN = 0.01
+"""Error that cannot be seen in as many readings as a recording has [noise standard deviations]: up
+to it hypotheses may take different steps."""
+_RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Integration:
+    """A step and an integrator, with what they cost in exactness."""
+
+    step: float
+    """Longest step [s]."""
+    integrator: int
+    """One of `mujoco.mjtIntegrator`."""
+    error: float
+    """Step error of the worst channel, in noise standard deviations."""
+    nominal_error: float
+    """That of the model's own step and integrator."""
+    matter: float
+    """As `error`; where the nominal model is off by more than 50 noise standard deviations, as a
+    share of half of that: what is a hundred times off need not be simulated to the noise."""
+    nominal_matter: float
+    """That of the model's own step and integrator."""
+
+    @property
+    def joined(self) -> int:
+        """How many steps can be one: a Runge-Kutta step of twice the length errs 16 times."""
+        if self.integrator != _RK4:
+            return 1
+        return max(k for k in (1, 2, 4) if k == 1 or k**4 * self.matter < _UNSEEN)
+
+    @property
+    def cut(self) -> int:
+        """Parts of a step for what is sharp.
+
+        None where the step's own error is seen: a finer step would explain that, too.
+        """
+        return 2 if self.integrator == _RK4 and self.matter < _UNSEEN else 1
+
+    def words(self, *, own: float) -> list[str]:
+        """What a reader should know: that the step was changed, and that it is still too coarse.
+
+        Parameters
+        ----------
+        own : float
+            The model's own step [s].
+        """
+        found = []
+        if self.nominal_matter > _OWN and self.matter < self.nominal_matter:
+            found.append(
+                f"the model's own step of {own:g} s is a gap of its own: {self.nominal_error:.2g} "
+                "noise standard deviations in the worst channel; runs were simulated by a "
+                f"Runge-Kutta method at {self.step:.3g} s instead, and model.xml has that step"
+            )
+        if self.matter > _OWN:
+            found.append(
+                f"the step is still too coarse to judge by: at {self.step:.3g} s its error is "
+                f"{self.error:.2g} noise standard deviations in the worst channel, and what is "
+                "named may stand for it. Give the model a finer step, or soften what is stiffer "
+                "than the recording can show"
+            )
+        return found
+
+
+def choose_integration(
+    machine: Machine, runs: Sequence[Run], channels: tuple[Channel, ...], *, threads: int = 1
+) -> Integration:
+    """Measure the step error on parts of the runs, and choose a step.
+
+    The parts are the beginning of the first run that has commands, and the fastest windows of the
+    fastest runs.
+    """
+    parts = _parts(runs)
+    interval = float(np.median(np.diff(parts[0].time)))
+    own = float(machine.model.opt.timestep)
+    longest = min(interval, 4 * own) if interval > 4 * own else interval
+    floors = _floors(runs, channels)
+
+    def laid_out(on: Machine, step: float) -> Comparison:
+        trials = [lay_out(part, on, channels, step=step) for part in parts]
+        return Comparison(on, trials, channels, floors, threads=threads)
+
+    def residual(step: float, integrator: int) -> np.ndarray:
+        stepped = Machine(machine.spec, step=step, integrator=integrator)
+        found = laid_out(stepped, step).residuals([Hypothesis(effects=(), values=())])[0]
+        return np.asarray(found)
+
+    rows = laid_out(machine, own).rows
+
+    def by_channel(values: np.ndarray) -> np.ndarray:
+        squares = np.bincount(rows.channel, values**2, minlength=len(channels))
+        return np.sqrt(squares / np.maximum(np.bincount(rows.channel, minlength=len(channels)), 1))
+
+    integrator = int(machine.model.opt.integrator)
+    as_given = residual(own, integrator)
+    off = float(np.sqrt(np.mean(as_given**2)))
+    scale = _SHARE * off if off > _FAR else 1.0
+
+    def worst(difference: np.ndarray) -> float:
+        return float(np.max(by_channel(difference)) / scale)
+
+    finer = {k: residual(longest / k, _RK4) for k in (1, 4)}
+    divided = 1
+    while divided < _FINEST and worst(finer[divided] - finer[4 * divided]) > _ENOUGH:
+        divided *= 2
+        for k in (divided, 4 * divided):
+            if k not in finer:
+                finer[k] = residual(longest / k, _RK4)
+    best = finer[4 * divided]
+    given, chosen = as_given - best, finer[divided] - best
+    stages = 4 if integrator == _RK4 else 1
+    cheaper = stages / own < 4 * divided / longest
+    step, kept = longest / divided, _RK4
+    if (worst(given) < _OWN and cheaper) or worst(given) <= worst(chosen):
+        step, kept, chosen = own, integrator, given
+    return Integration(
+        step=step,
+        integrator=kept,
+        error=float(np.max(by_channel(chosen))),
+        nominal_error=float(np.max(by_channel(given))),
+        matter=worst(chosen),
+        nominal_matter=worst(given),
+    )
+
+
+def corrected_step_words(held_out: Comparison, hypothesis: Hypothesis) -> list[str]:
+    """A sentence where the corrected model, too, needs a finer step; none where it does not.
+
+    What was added may be stiffer than the nominal model by which the step was chosen. Runs that
+    are compared by features or backwards are left out.
+
+    Parameters
+    ----------
+    held_out : Comparison
+        The runs that judge.
+    hypothesis : Hypothesis
+        What was added.
+    """
+    if strikes(hypothesis.effects):
+        return []  # after a blow no two simulations agree, however fine their steps
+    machine, chosen = held_out.machine, windowed(held_out, _CHECKED)
+    step = step_with(machine, hypothesis.effects)
+    trials = [t for t in chosen.trials if t.form != "inverse" and t.name not in chosen.parting]
+    if not trials:
+        return []
+    found = []
+    for parts in (1, _FINER):
+        stepped = replace(machine, step=machine.step / parts)
+        own = [trial.finer(parts) for trial in trials]
+        compared = Comparison(stepped, own, chosen.channels, chosen.floors, threads=chosen.threads)
+        found.append(compared.residuals([hypothesis])[0])
+    channel = compared.rows.channel
+    counts = np.maximum(np.bincount(channel), 1)
+    error, left = (
+        np.sqrt(np.bincount(channel, values**2) / counts)
+        for values in (found[0] - found[1], found[1])
+    )
+    worst = int(np.argmax(error / np.maximum(1.0, _LEFT * left)))
+    if error[worst] <= _OWN * max(1.0, _LEFT * left[worst]):
+        return []
+    return [
+        f"the corrected model needs a finer step than {step:.3g} s: its step error is "
+        f"{error[worst]:.2g} noise standard deviations in {chosen.channels[worst].name}. Set a "
+        "smaller timestep in the nominal model and run it again"
+    ]
+
+
+def _floors(runs: Sequence[Run], channels: tuple[Channel, ...]) -> np.ndarray:
+    """Noise of each channel (C,), the median over runs; infinite where it is not known."""
+    floors = np.full(len(channels), np.inf)
+    for k, channel in enumerate(channels):
+        found = [channel_floor(_column(run, channel)) for run in runs]
+        known = [floor for floor in found if np.isfinite(floor)]
+        if known:
+            floors[k] = float(np.median(known))
+    return floors
+
+
+def _parts(runs: Sequence[Run]) -> list[Run]:
+    """The parts of the runs that are simulated."""
+    first = next((run for run in runs if run.comparison == "forward"), runs[0])
+    fastest = sorted(
+        ((*_fastest(run), run) for run in runs), key=lambda found: -found[0]
+    )[:_RUNS]  # fmt: skip
+    begins = max(20, int(np.searchsorted(first.time - first.time[0], _SHORT)))
+    parts = [_between(first, 0, begins)]
+    for _, begin, end, run in fastest:
+        if run is not first or begin > begins // 2:
+            parts.append(_between(run, begin, end))
+    return parts
+
+
+def _fastest(run: Run) -> tuple[float, int, int]:
+    """How fast the fastest window of a run is, and its samples from the first to before the last.
+
+    Readings count by how much they change over a moment, relative to their noise.
+    """
+    interval = float(np.median(np.diff(run.time)))
+    apart = max(1, round(_SPEED / interval))
+    size = min(len(run.time), max(20, round(_FASTEST / interval)))
+    speed = np.zeros(len(run.time))
+    for values in run.sensors.values():
+        for column in np.atleast_2d(values.T):
+            floor = channel_floor(column)
+            if np.isfinite(floor):
+                change = np.nan_to_num(column[apart:] - column[:-apart]) / floor
+                speed[apart:] += change**2
+    summed = np.concatenate([[0.0], np.cumsum(speed)])
+    windows = summed[size:] - summed[:-size]
+    begin = int(np.argmax(windows))
+    return float(windows[begin]) / size, begin, begin + size
+
+
+def _column(run: Run, channel: Channel) -> np.ndarray:
+    """Values of a channel (T,); NaN where the run has none."""
+    prefix, _, name = channel.column.partition(".")
+    values = (run.sensors if prefix == "sensor" else run.torques).get(name)
+    if values is None:
+        return np.full(run.samples, np.nan)
+    return np.asarray(values if channel.axis is None else values[:, channel.axis])
+
+
+def _between(run: Run, begin: int, end: int) -> Run:
+    """Some samples of a run, as a run."""
+    return replace(
+        run,
+        time=run.time[begin:end],
+        controls={k: v[begin:end] for k, v in run.controls.items()},
+        sensors={k: v[begin:end] for k, v in run.sensors.items()},
+        torques={k: v[begin:end] for k, v in run.torques.items()},
+    )

@@ -1,0 +1,282 @@
+"""From a recording to what is compared: runs laid out, split, windowed, with step and noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData
+from loose_env.gap.data.aligned_run import Channel, Trial, channels_of, lay_out
+from loose_env.gap.data.holdout_split import split_runs
+from loose_env.gap.data.noise_floor import channel_floor
+from loose_env.gap.model.effects.catalogue import candidates
+from loose_env.gap.model.effects.link_inertia import payload_words
+from loose_env.gap.model.element_names import naming_words
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.preparation.chaotic_runs import parting_runs
+from loose_env.gap.preparation.data_sufficiency import shortfalls
+from loose_env.gap.preparation.integrator_choice import Integration, choose_integration
+from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.windows import windowed
+from loose_env.gap.settings import GapSettings, NamingSettings
+from loose_env.gap.simulation.simulator import Simulator
+from loose_env.recording import Recording, Run
+
+__all__ = ["Prepared", "prepare"]
+
+Array = NDArray[np.float64]
+
+_FINEST = 1e-5
+"""Share of what channels of a kind show to which one is taken to be read at best. A simulation
+without noise is exacter, and no model of a machine is."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prepared:
+    """A recording, ready to be compared."""
+
+    machine: Machine
+    """The nominal model, with the step and the figures that the recording asks for."""
+    integration: Integration | None
+    """The step that was chosen; None where nothing is simulated."""
+    search: Comparison
+    """The runs to fit to, as far as effects are sought in them."""
+    fit: Comparison
+    """More of the same, which the effects that were found are fitted to in the end."""
+    held: Comparison
+    """The runs to judge by, as far as they do while effects are sought."""
+    whole_held: Comparison
+    """The same at their full length."""
+    warnings: tuple[str, ...] = ()
+    """What a reader should know."""
+
+    def louder(self, factors: Array) -> Prepared:
+        """The same with the noise of every channel that many times as large (C,)."""
+        known: dict[int, Comparison] = {}
+
+        def again(comparison: Comparison) -> Comparison:
+            if id(comparison) not in known:
+                floors = np.asarray(comparison.floors, dtype=float)
+                known[id(comparison)] = comparison.like(floors=floors * factors)
+            return known[id(comparison)]
+
+        return replace(
+            self,
+            search=again(self.search),
+            fit=again(self.fit),
+            held=again(self.held),
+            whole_held=again(self.whole_held),
+        )
+
+
+def prepare(recording: Recording, settings: GapSettings) -> Prepared:
+    """Lay a recording out, choose the step, and estimate the noise.
+
+    Raises
+    ------
+    InvalidData
+        If the recording has too few runs, a run lacks what its comparison needs, or nothing is left
+        to compare in the runs to fit to or in those held out.
+    """
+    recording.check_comparison()
+    runs, warnings = _suspect(recording.runs)
+    fitted, held = split_runs(
+        [run.name for run in runs], share=settings.held_share, held_out=settings.held_out
+    )
+    machine = Machine(recording.spec())
+    channels = channels_of(runs)
+    warnings += naming_words(recording.spec())
+    if not settings.kinds or "payload" in settings.kinds:
+        warnings += payload_words(machine)
+    integration = None
+    simulated = [run for run in runs if run.comparison != "inverse"]
+    step = float(machine.model.opt.timestep)
+    if simulated:
+        integration = choose_integration(machine, simulated, channels, threads=settings.threads)
+        step = integration.step
+        warnings += integration.words(own=float(machine.model.opt.timestep))
+    kept = Machine(
+        machine.spec,
+        step=step,
+        integrator=None if integration is None else integration.integrator,
+        joined=1 if integration is None else integration.joined,
+        cut=1 if integration is None else integration.cut,
+    )
+    trials = [lay_out(run, kept, channels, step=step) for run in runs]
+    unknown, words = _of_changing_gears(kept, channels, trials)
+    trials = [t if t.form == "inverse" else _without(t, unknown) for t in trials]
+    warnings += words
+    floors = _floors(kept, trials, channels)
+    still = np.isnan(floors)
+    if (said := still & ~unknown).any():
+        names = ", ".join(c.name for c, left_out in zip(channels, said, strict=True) if left_out)
+        warnings.append(
+            f"{names}: one value throughout, which does not say how exactly it was read; left out"
+        )
+    trials = [_without(trial, still) for trial in trials]
+    kept = _scaled(kept, runs, trials, channels, floors, settings.threads)
+    parting = parting_runs(
+        kept,
+        trials,
+        channels,
+        floors,
+        candidates(kept, settings.kinds or None),
+        threads=settings.threads,
+    )
+    if parting:
+        warnings.append(
+            f"{', '.join(sorted(parting))}: stops are struck there, after which no simulation "
+            "follows a trajectory; compared by response to the command, covariances, spectra and "
+            "moments instead of sample by sample"
+        )
+
+    def compared(numbers: list[int]) -> Comparison:
+        return Comparison(
+            kept,
+            [trials[k] for k in numbers],
+            channels,
+            floors,
+            threads=settings.threads,
+            parting=parting,
+        )
+
+    ahead, whole = compared(fitted), compared(held)
+    for comparison, role in ((ahead, "to fit to"), (whole, "held out")):
+        if not len(comparison):
+            names = ", ".join(trial.name for trial in comparison.trials)
+            raise InvalidData(
+                f"nothing is left to compare in the runs {role} ({names}): what they are compared "
+                "by shows one value throughout, or was not read. Record motions that are large "
+                "beside the steps in which it is read"
+            )
+    warnings += shortfalls(ahead, whole, NamingSettings())
+    return Prepared(
+        machine=kept,
+        integration=integration,
+        search=_windowed(ahead, settings.search_seconds),
+        fit=_windowed(ahead, settings.fit_seconds),
+        held=_windowed(whole, settings.held_seconds),
+        whole_held=whole,
+        warnings=tuple(warnings),
+    )
+
+
+def _windowed(comparison: Comparison, seconds: float) -> Comparison:
+    """Windows of the runs in which something was read; all of the runs where nothing was."""
+    found = windowed(comparison, seconds)
+    return found if len(found) else comparison
+
+
+def _suspect(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
+    """Runs that are compared: the suspect ones, or all where none is, and what is to be said.
+
+    A healthy run was taken before the fault: what the machine lacks now, it did not lack then.
+    """
+    suspect = [run for run in runs if run.condition == "suspect"]
+    healthy = [run.name for run in runs if run.condition == "healthy"]
+    if not suspect or not healthy:
+        return list(runs), []
+    if len(suspect) == 1:
+        raise InvalidData(
+            f"only {suspect[0].name} is suspect, the other runs are healthy; at least two suspect "
+            "runs are needed, so that one can be held out to judge by. Record another, or compare "
+            "the healthy runs alone in a recording of their own"
+        )
+    listed = ", ".join(healthy[:4]) + (" and others" if len(healthy) > 4 else "")
+    return suspect, [
+        f"{len(healthy)} healthy runs are left out ({listed}): the suspect ones are compared. Put "
+        "the healthy ones into a recording of their own to compare them with the model"
+    ]
+
+
+def _floors(machine: Machine, trials: list[Trial], channels: tuple[Channel, ...]) -> Array:
+    """Noise standard deviation of every channel: the median over runs; NaN if unknown.
+
+    At least `_FINEST` of what the liveliest channel of its kind shows.
+    """
+    found = np.full((len(trials), len(channels)), np.nan)
+    scatter = np.zeros_like(found)
+    for t, trial in enumerate(trials):
+        for k in range(len(channels)):
+            found[t, k] = channel_floor(trial.measured[:, k])
+            if len(read := trial.measured[np.isfinite(trial.measured[:, k]), k]):
+                scatter[t, k] = np.std(read)
+    floors = np.full(len(channels), np.nan)
+    known = np.isfinite(found).any(axis=0)
+    floors[known] = np.nanmedian(found[:, known], axis=0)
+    kinds = [c.column if c.axis is not None else _kind(machine, c) for c in channels]
+    for kind in set(kinds):
+        own = np.array([each == kind for each in kinds])
+        floors[own] = np.maximum(floors[own], _FINEST * np.max(scatter[:, own], initial=0.0))
+    return floors
+
+
+def _kind(machine: Machine, channel: Channel) -> str:
+    """What a scalar channel measures."""
+    prefix, _, name = channel.column.partition(".")
+    return prefix if prefix != "sensor" else str(int(machine.model.sensor(name).type[0]))
+
+
+def _of_changing_gears(
+    machine: Machine, channels: tuple[Channel, ...], trials: list[Trial]
+) -> tuple[NDArray[np.bool_], list[str]]:
+    """Which channels (C,) are torques that a simulation cannot tell, and a sentence on them.
+
+    A simulation knows forces of actuators, and what they are as torques on a joint where that is
+    the same in all poses. Inverse dynamics tell the torque itself.
+    """
+    columns = {f"torque.{joint}" for joint in machine.with_changing_gears}
+    found = np.array([c.column in columns for c in channels], dtype=bool)
+    read = [np.isfinite(t.measured[:, k]).any() for t in trials if t.form != "inverse"
+            for k in np.flatnonzero(found)]  # fmt: skip
+    if not any(read):
+        return found, []
+    names = ", ".join(c.name for c, left_out in zip(channels, found, strict=True) if left_out)
+    return found, [
+        f"{names}: an actuator acts there through a tendon in space, a site, a crank or a body, by "
+        "another lever in every pose; left out of the runs that are simulated. Have the model "
+        "drive the joint itself, or a fixed tendon, to have it compared"
+    ]
+
+
+def _without(trial: Trial, channels: NDArray[np.bool_]) -> Trial:
+    """The run with some channels as if they had not been read."""
+    return replace(trial, measured=np.where(channels, np.nan, trial.measured))
+
+
+def _scaled(
+    machine: Machine,
+    runs: list[Run],
+    trials: list[Trial],
+    channels: tuple[Channel, ...],
+    floors: Array,
+    threads: int,
+) -> Machine:
+    """The machine with typical speeds and torques of the recording."""
+    speeds, loads = np.zeros((2, len(machine.joints)))
+    for k, joint in enumerate(machine.joints):
+        moved = [
+            float(np.nanstd(np.diff(t.motion[joint]) / np.diff(t.time)))
+            for t in trials
+            if joint in t.motion
+        ]
+        speeds[k] = float(np.median(moved)) if moved else 0.0
+        torques = [np.nanstd(run.torques[joint]) for run in runs if joint in run.torques]
+        loads[k] = float(np.median(torques)) if torques else 0.0
+    driven = [t for t in trials if t.form == "forward"][:2]
+    if driven and machine.actuators and not loads.any():
+        columns = tuple(Channel(f"torque.{joint}") for joint in machine.joints)
+        beginnings = [t.until(5.0) for t in driven]
+        simulated = Simulator(machine, beginnings, columns, threads=threads).predict(
+            [Hypothesis(effects=(), values=())]
+        )[0]
+        loads = np.sqrt(np.nanmean(np.concatenate(simulated) ** 2, axis=0))
+    return replace(
+        machine,
+        loads=np.where(loads > 0, loads, machine.load_scales),
+        speeds=np.where(speeds > 0, speeds, 1.0),
+    )

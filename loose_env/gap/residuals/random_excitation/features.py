@@ -1,0 +1,333 @@
+"""Runs of random excitation in a few numbers, stable where trajectories are not.
+
+After an impact two simulations part ways within milliseconds, so a run that strikes stops is
+compared by what is stable: means, the linear response to the command (gain and phase in bands),
+and strength, covariance and shape of what the command does not explain. Measurement and
+simulation are driven by the same command, so the linear response differs by noise alone.
+
+A run of random excitation whose trajectory parts ways with any simulation, as features.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.gap.data.aligned_run import Channel, Trial
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.residuals.random_excitation.frequency_response import CommandResponse
+from loose_env.gap.residuals.random_excitation.frf_features import ResponseFeatures
+from loose_env.gap.residuals.random_excitation.incoherent_features import RestFeatures
+
+__all__ = ["GROUP", "FeatureSettings", "RandomFeatures", "RandomRun"]
+
+Array = NDArray[np.float64]
+
+_BLOCK = 0.2
+"""Length of the blocks from which the features' correlation is estimated [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FeatureSettings:
+    """What is looked at."""
+
+    bands: int = 2
+    """Bands of gain and phase, of channels that clearly respond."""
+    clear: float = 8.0
+    """Response of a channel that clearly responds [standard deviations]."""
+    floor_error: float = 0.04
+    """Standard deviation of a noise floor, as a share of it."""
+    chaos: float = 1.0
+    """Share of the incoherent part, less the noise, that a right simulation draws anew: 1 where
+    stops are struck wildly, 0 where it repeats all of it. `RandomFeatures.redrawn` measures it."""
+
+    def __post_init__(self) -> None:
+        """Check."""
+        if self.bands < 1 or self.clear <= 0 or self.floor_error < 0 or not 0 <= self.chaos <= 1:
+            raise InvalidSetting(
+                "bands must be at least 1, clear above 0, floor_error at least 0 and chaos "
+                f"between 0 and 1; got {self}"
+            )
+
+
+class RandomFeatures:
+    """Features of a run with random excitation.
+
+    They are the same for every hypothesis: templates, bands and units come from the measured run.
+    A template of the linear response in one half of the run is made from the other half, so that
+    a channel's noise does not raise its own gain.
+
+    Parameters
+    ----------
+    values : ndarray (T, C)
+        What the channels showed; NaN where nothing was read. Channels of which less than half was
+        read are left out.
+    rate : float
+        Samples per second, even [1/s].
+    commands : ndarray (T, m)
+        Commands of the excited actuators at the samples, held until the next.
+    floors : ndarray (C,)
+        Noise standard deviation of each channel.
+    channels : sequence of Channel, optional
+        Names, and which channels are axes of one sensor; by default each stands alone.
+    settings : FeatureSettings, optional
+        What is looked at.
+
+    Raises
+    ------
+    InvalidData
+        If shapes do not fit, no channel was read, or the commands do not excite.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(3)
+    >>> command = rng.normal(size=(4000, 1))
+    >>> response = np.convolve(command[:, 0], 0.8 ** np.arange(30))[:4000, None]
+    >>> read = response + rng.normal(size=response.shape)
+    >>> features = RandomFeatures(read, rate=1000.0, commands=command, floors=np.array([1.0]))
+    >>> apart = (features.measured - features.of(response)) / features.scales
+    >>> bool(np.max(np.abs(apart)) < 4)
+    True
+    >>> apart = (features.measured - features.of(1.1 * response)) / features.scales
+    >>> features.names[int(np.argmax(np.abs(apart)))].startswith("gain")
+    True
+    """
+
+    def __init__(
+        self,
+        values: Array,
+        *,
+        rate: float,
+        commands: Array,
+        floors: Array,
+        channels: Sequence[Channel] | None = None,
+        settings: FeatureSettings | None = None,
+    ) -> None:
+        values, floors = np.asarray(values, dtype=float), np.asarray(floors, dtype=float)
+        self.settings = settings or FeatureSettings()
+        if values.ndim != 2 or floors.shape != values.shape[1:] or len(commands) != len(values):
+            raise InvalidData(
+                f"values {values.shape}, floors {floors.shape} and commands {np.shape(commands)} "
+                "do not fit; they must be (T, C), (C,) and (T, m)"
+            )
+        if channels is None:
+            channels = [Channel(f"channel{c}") for c in range(values.shape[1])]
+        read = np.isfinite(values).mean(axis=0) >= 0.5
+        self.used = np.flatnonzero(read & np.isfinite(floors) & (floors > 0))
+        if not len(self.used):
+            raise InvalidData("no channel was read in half of the samples; nothing can be compared")
+        self._missing = ~np.isfinite(values[:, self.used])
+        self._channels = [channels[int(c)] for c in self.used]
+        self._floors = floors[self.used]
+        self.response = CommandResponse(np.asarray(commands, dtype=float), rate)
+        own, chosen = self._own(values), self.settings
+        rest = self.response.incoherent(own)
+        self._linear = ResponseFeatures(
+            own, [channel.name for channel in self._channels], self._floors, self.response, rest,
+            bands=chosen.bands, clear=chosen.clear, chaos=chosen.chaos,
+        )  # fmt: skip
+        self._rest_density = rest.density
+        self._rest = RestFeatures(
+            rest, self._channels, self._floors, self.response,
+            floor_error=chosen.floor_error, chaos=chosen.chaos,
+        )  # fmt: skip
+        self.names = (*self._linear.names, *self._rest.names)
+        """What each feature is (K,)."""
+        self.measured = np.concatenate([self._linear.of(own), self._rest.measured])
+        """Features of the measured run (K,)."""
+        self.scales = np.sqrt(np.concatenate([self._linear.variances, self._rest.variances]))
+        """Standard deviation of measured less simulated features of a right model (K,)."""
+
+    @classmethod
+    def of_trial(
+        cls,
+        trial: Trial,
+        machine: Machine,
+        channels: Sequence[Channel],
+        floors: Array,
+        *,
+        settings: FeatureSettings | None = None,
+    ) -> RandomFeatures:
+        """Features of a measured run whose recording lists excited joints.
+
+        Raises
+        ------
+        InvalidData
+            If none of its joints is excited through an actuator.
+        """
+        driven = [
+            k
+            for k, name in enumerate(machine.actuators)
+            if machine.actuated_joint.get(name) in trial.excited
+        ]
+        if not driven:
+            raise InvalidData(
+                f"run {trial.name} excites {list(trial.excited)}, but no actuator of the model "
+                "drives such a joint"
+            )
+        at = np.minimum((trial.time / trial.step + 1e-6).astype(int), trial.steps - 1)
+        return cls(
+            trial.measured,
+            rate=trial.rate,
+            commands=trial.controls[at][:, driven],
+            floors=floors,
+            channels=channels,
+            settings=settings,
+        )
+
+    @cached_property
+    def about(self) -> NDArray[np.bool_]:
+        """Whether each feature is about each of the `used` channels (K, U)."""
+        found = np.zeros((len(self.names), len(self.used)), dtype=bool)
+        for k, own in enumerate([*self._linear.about, *self._rest.about]):
+            found[k, list(own)] = True
+        return found
+
+    def of(self, values: Array, *, noisy: bool = False) -> Array:
+        """Features of readings (T, C) -> (K,).
+
+        Parameters
+        ----------
+        values : ndarray (T, C)
+            Readings at the samples.
+        noisy : bool
+            Whether they hold the sensors' noise; the noise floor is added to those that do not.
+
+        Returns
+        -------
+        ndarray (K,)
+            NaN where the readings are not finite.
+        """
+        own = np.asarray(values, dtype=float)[:, self.used]
+        if self._missing.any():
+            own = self._own(values)
+        if not np.isfinite(own).all():
+            return np.full(len(self.names), np.nan)
+        rest = self._rest.of(self.response.incoherent(own), noisy=noisy)
+        return np.concatenate([self._linear.of(own), rest])
+
+    def differences(self, values: Array) -> Array:
+        """Measured less simulated features, in standard deviations of a right model (K,)."""
+        return np.asarray((self.measured - self.of(values)) / self.scales)
+
+    def incoherence(self, values: Array) -> float:
+        """Power of what is incoherent in the measured run, over that of simulated readings (T, C).
+
+        The noise is in both. Of the channel where it is largest.
+        """
+        simulated = self.response.incoherent(self._own(values)).density.mean(axis=0)
+        measured = self._rest_density.mean(axis=0)
+        return float(np.max(measured / (simulated + self._floors**2)))
+
+    def redrawn(self, first: Array, second: Array) -> float:
+        """How much of what is incoherent a model draws anew, from two simulations of it.
+
+        Parameters
+        ----------
+        first, second : ndarray (T, C)
+            Simulated readings without noise, of the same model but for a change of its figures, or
+            of its start, that is too small to matter.
+
+        Returns
+        -------
+        float
+            0 where both are the same, so that trajectories may be compared; 1 where both are
+            independent. For `FeatureSettings.chaos`, of the channel where it is largest among
+            those whose incoherent part exceeds the noise.
+        """
+        one, two = (self.response.incoherent(self._own(values)) for values in (first, second))
+        apart = np.mean(np.abs(one.spectra - two.spectra) ** 2, axis=(0, 1))
+        both = one.density.mean(axis=0) + two.density.mean(axis=0)
+        loud = both > 2 * self._floors**2
+        share = apart[loud] / np.maximum(both[loud], 1e-300)
+        return float(np.clip(share.max(initial=0.0), 0.0, 1.0))
+
+    def whitened(self, differences: Array) -> Array:
+        """Differences in standard deviations (..., K), made independent of each other."""
+        return np.asarray(differences @ self._whitener)
+
+    def _own(self, values: Array) -> Array:
+        """Used channels (T, C), gaps of the measured run closed by straight lines."""
+        own = np.array(np.asarray(values, dtype=float)[:, self.used])
+        at = np.arange(len(own))
+        for c in np.flatnonzero(self._missing.any(axis=0)):
+            good = ~self._missing[:, c]
+            own[:, c] = np.interp(at, at[good], own[good, c])
+        return own
+
+    @cached_property
+    def correlation(self) -> Array:
+        """Correlation of the features' differences (K, K), shrunk towards none.
+
+        From sums over blocks; the shrinkage is Ledoit and Wolf's, Journal of Multivariate
+        Analysis 88 (2004).
+        """
+        parts = np.concatenate([self._linear.influences(), self._rest.influences()], axis=1)
+        size = max(1, round(_BLOCK * self.response.rate))
+        blocks = len(parts) // size
+        sums = parts[: blocks * size].reshape(blocks, size, -1).sum(axis=1)
+        sums = sums - sums.mean(axis=0)
+        sums /= np.maximum(np.sqrt(np.mean(sums**2, axis=0)), 1e-300)
+        found = sums.T @ sums / blocks
+        apart = float(np.sum((found - np.eye(len(found))) ** 2))
+        scatter = float(np.sum((sums**2).sum(axis=1) ** 2) / blocks - np.sum(found**2)) / blocks
+        kept = 1.0 - min(1.0, max(0.0, scatter / max(apart, 1e-300)))
+        return np.asarray(kept * found + (1 - kept) * np.eye(len(found)))
+
+    @cached_property
+    def _whitener(self) -> Array:
+        values, vectors = np.linalg.eigh(self.correlation)
+        return np.asarray(vectors / np.sqrt(np.maximum(values, 1e-6)) @ vectors.T)
+
+
+GROUP = 4
+"""Numbers in a block."""
+
+
+@dataclass(frozen=True, eq=False)
+class RandomRun:
+    """One run of random excitation, as numbers of unit variance that are independent.
+
+    The whitened differences of all features are turned by a fixed random rotation, so that what a
+    hypothesis gets wrong, in however few features, shows in every block of them.
+
+    Parameters
+    ----------
+    features : RandomFeatures
+        Of the measured run.
+    """
+
+    features: RandomFeatures
+
+    @classmethod
+    def of_trial(
+        cls, trial: Trial, machine: Machine, channels: Sequence[Channel], floors: Array
+    ) -> RandomRun:
+        """Features of a measured run."""
+        return cls(RandomFeatures.of_trial(trial, machine, channels, floors))
+
+    def __len__(self) -> int:
+        """How many numbers there are."""
+        return len(self.features.names)
+
+    @property
+    def channel(self) -> NDArray[np.intp]:
+        """Number of a channel for each of the numbers: the channels in turn (K,)."""
+        return self.features.used[np.arange(len(self)) % len(self.features.used)]
+
+    @cached_property
+    def rotation(self) -> Array:
+        """Orthogonal matrix, the same for every run with as many features (K, K)."""
+        normal = np.random.default_rng(len(self)).standard_normal((len(self), len(self)))
+        return np.asarray(np.linalg.qr(normal)[0])
+
+    def residual(self, predicted: Array) -> Array:
+        """Measured less predicted (T, C) -> (K,), in standard deviations of a right model."""
+        return np.asarray(
+            self.features.whitened(self.features.differences(predicted)) @ self.rotation
+        )

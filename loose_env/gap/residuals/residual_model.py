@@ -1,0 +1,356 @@
+"""What is compared: measured less predicted, in noise standard deviations, number by number."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.data.aligned_run import Channel, Trial
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.residuals.random_excitation.features import GROUP, RandomFeatures, RandomRun
+from loose_env.gap.simulation.inverse_dynamics import InverseDynamics
+from loose_env.gap.simulation.simulator import Simulator
+
+__all__ = ["Comparison", "Rows"]
+
+Array = NDArray[np.float64]
+
+_ASTRAY = 100.0
+"""Error of a cheaper integrator above which its differences are not taken [noise standard
+deviations], where it is larger than what is to be explained."""
+_WILD = 1e4
+"""Residual where a simulation went wild, and the largest that counts [standard deviations]."""
+_RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
+_IMPLICIT = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+BURN_IN = 0.1
+"""What an unknown start may disturb, at the beginning of a run [s]."""
+BLOCKS = 100
+"""How many blocks, within which residuals hang together, the runs are cut into."""
+SHORTEST, LONGEST = 0.1, 0.5
+"""Lengths of a block, however short or long the runs are [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Where each number of a residual vector comes from (N,)."""
+
+    trial: NDArray[np.intp]
+    """Number of the run."""
+    channel: NDArray[np.intp]
+    """Number of the channel."""
+    sample: NDArray[np.intp]
+    """Sample in the run."""
+    place: NDArray[np.intp]
+    """Number of the sample among those compared: neighbours differ by one."""
+    block: NDArray[np.intp]
+    """Block of time, or of features, numbered through all runs."""
+    white: NDArray[np.bool_]
+    """Whether it is a feature: independent of the others, of unit variance if the model is right.
+    Its channel is one of those that it is made of, its sample stands for none."""
+    shaken: NDArray[np.bool_]
+    """Whether the run is one of random excitation."""
+    inverse: NDArray[np.bool_]
+    """Whether the run is compared backwards."""
+
+
+class Comparison:
+    """Compares runs with hypotheses, each run by its form.
+
+    Forward and free runs are simulated; their sensors are compared. Of inverse runs the torques
+    are compared, in the band of the motion; of random runs whose trajectories part ways, features.
+
+    Parameters
+    ----------
+    machine : Machine
+        The nominal model.
+    trials : sequence of Trial
+        The runs.
+    channels : tuple of Channel
+        What is compared.
+    floors : ndarray (C,)
+        What counts as noise of each channel: its standard deviation.
+    threads : int
+        Threads of the simulation; 0: all processors.
+    inverse : InverseDynamics, optional
+        Of the inverse runs, if there already is one.
+    parting : frozenset of str
+        Names of the random runs that are compared by features
+        (`loose_env.gap.preparation.chaotic_runs.parting_runs`).
+    read : ndarray (C,), optional
+        Noise standard deviation of each channel as it was read, where more counts as noise in
+        ``floors``.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        trials: Sequence[Trial],
+        channels: tuple[Channel, ...],
+        floors: Array,
+        *,
+        threads: int = 0,
+        inverse: InverseDynamics | None = None,
+        parting: frozenset[str] = frozenset(),
+        read: Array | None = None,
+    ) -> None:
+        self.machine, self.trials = machine, list(trials)
+        self.channels, self.floors, self.threads = channels, floors, threads
+        self._lighter: dict[int, Comparison] = {}
+        backwards = [t for t, trial in enumerate(self.trials) if trial.form == "inverse"]
+        self._backwards = np.array(backwards, dtype=np.intp)
+        self._ahead = np.setdiff1d(np.arange(len(self.trials)), self._backwards)
+        forwards = [self.trials[t] for t in self._ahead]
+        self.simulator = Simulator(machine, forwards, channels, threads=threads)
+        if inverse is None and backwards:
+            runs = [self.trials[t] for t in backwards]
+            inverse = InverseDynamics(machine, runs, channels, threads=threads)
+        self.inverse = inverse
+        self.scales = np.repeat(np.asarray(floors, dtype=float)[None], len(self.trials), axis=0)
+        """Noise standard deviation of what is compared (trials, C)."""
+        if inverse is not None:
+            for k, t in enumerate(backwards):
+                self.scales[t] = inverse.floors(k)
+        self.parting = parting
+        self.read = np.asarray(floors if read is None else read, dtype=float)
+        self._random = {
+            t: RandomRun.of_trial(trial, machine, channels, self.read)
+            for t, trial in enumerate(self.trials)
+            if trial.excited and trial.name in parting
+        }
+        self.rows, self.measured = self._rows()
+
+    @property
+    def features(self) -> dict[int, RandomFeatures]:
+        """Number of a run that is compared by features -> these."""
+        return {t: run.features for t, run in self._random.items()}
+
+    def _spacing(self, number: int) -> int:
+        """Samples of a run from one that is compared to the next."""
+        if self.inverse is not None and number in self._backwards:
+            return self.inverse.spacing(int(np.searchsorted(self._backwards, number)))
+        return 1
+
+    def _compared(self, number: int) -> Array:
+        """What was measured in a run, NaN where it is not compared (T, C)."""
+        trial = self.trials[number]
+        if self.inverse is not None and number in self._backwards:
+            return self.inverse.measured(int(np.searchsorted(self._backwards, number)))
+        early = trial.time < min(BURN_IN, 0.2 * trial.time[-1])
+        return np.where(early[:, None], np.nan, trial.measured)
+
+    def _rows(self) -> tuple[Rows, Array]:
+        """Every number that was measured and is not disturbed by the start."""
+        parts: list[list[Array]] = [[], [], [], [], [], [], []]
+        blocks = 0
+        whole = sum(float(trial.time[-1]) for trial in self.trials)
+        length = min(max(whole / BLOCKS, SHORTEST), LONGEST)
+        for t, trial in enumerate(self.trials):
+            if t in self._random:
+                channels = self._random[t].channel
+                place = np.arange(len(channels))
+                samples = place * (len(trial.time) - 1) // len(channels)
+                block = blocks + place // GROUP
+                values = np.zeros(len(channels))
+            else:
+                compared = self._compared(t)
+                samples, channels = np.nonzero(np.isfinite(compared))
+                place = samples // self._spacing(t)
+                block = blocks + (trial.time[samples] // length).astype(int)
+                values = compared[samples, channels] / self.scales[t, channels]
+            blocks = int(block.max()) + 1 if len(block) else blocks
+            run, white = np.full(len(samples), t), np.full(len(samples), t in self._random)
+            found = (run, channels, samples, place, block, white, values)
+            for part, new in zip(parts, found, strict=True):
+                part.append(new)
+        *where, measured = (np.concatenate(part) for part in parts)
+        runs, channel, sample, places, block, white = (part.astype(np.intp) for part in where)
+        excited = np.array([bool(trial.excited) for trial in self.trials])
+        rows = Rows(
+            trial=runs, channel=channel, sample=sample, place=places, block=block,
+            white=white.astype(bool), shaken=excited[runs],
+            inverse=np.isin(runs, self._backwards),
+        )  # fmt: skip
+        return rows, measured
+
+    def follows(self, trial: Trial) -> bool:
+        """Whether a run is simulated with its commands and compared sample by sample."""
+        return trial.form == "forward" and trial.name not in self.parting
+
+    def shows(self, effect: Effect) -> bool:
+        """Whether any run is of a form in which an effect makes a difference.
+
+        A free response has no commands; what an inverse one leaves out says `InverseDynamics`.
+        """
+        forms = {self.trials[t].form for t in self._ahead}
+        if "forward" in forms:
+            return True
+        if "free" in forms and not effect.drives:
+            return True
+        return self.inverse is not None and self.inverse.shows(effect)
+
+    def like(
+        self,
+        *,
+        machine: Machine | None = None,
+        trials: Sequence[Trial] | None = None,
+        floors: Array | None = None,
+    ) -> Comparison:
+        """The same with another machine, other runs, or other noise of the channels (C,).
+
+        Features of random runs are weighed by the noise there is, whatever counts as noise else.
+        """
+        return Comparison(
+            machine or self.machine,
+            self.trials if trials is None else trials,
+            self.channels,
+            self.floors if floors is None else floors,
+            threads=self.threads,
+            inverse=self.inverse if trials is None else None,
+            parting=self.parting,
+            read=self.read,
+        )
+
+    def left_in_channels(self, residual: Array) -> Array:
+        """Root mean square of a residual (N,) by channel (C,), noise standard deviations.
+
+        Of what is simulated and compared sample by sample; 0 where a channel has no such readings.
+        """
+        own = ~(self.rows.white | self.rows.inverse)
+        channel, most = self.rows.channel[own], len(self.channels)
+        count = np.bincount(channel, minlength=most)
+        squares = np.bincount(channel, residual[own] ** 2, minlength=most)
+        return np.asarray(np.sqrt(squares / np.maximum(count, 1)))
+
+    def lighter(self, *, stiff: bool = False) -> Comparison:
+        """The same runs, simulated with one evaluation a step in place of four, if it is four.
+
+        What an effect changes comes out nearly the same, for the error of the step is in both;
+        not so where it adds a stiff spring.
+
+        Parameters
+        ----------
+        stiff : bool
+            Whether there is a stiff spring in either: then both take every step, else several as
+            one where the machine allows it (`Machine.joined`).
+        """
+        if self.machine.integrator != _RUNGE_KUTTA:
+            return self
+        joined = 1 if stiff else self.machine.joined
+        if joined not in self._lighter:
+            self._lighter[joined] = self.like(
+                machine=replace(self.machine, integrator=_IMPLICIT, joined=joined, even=True)
+            )
+        return self._lighter[joined]
+
+    def lightly(
+        self, hypothesis: Hypothesis, residual: Array, *, stiff: bool = False
+    ) -> tuple[Comparison, Array]:
+        """A lighter comparison with what a hypothesis leaves in it (N,).
+
+        Where the cheaper integrator cannot follow, that is this one with the residual given.
+
+        Parameters
+        ----------
+        hypothesis : Hypothesis
+            What differences are taken from.
+        residual : ndarray (N,)
+            What it leaves here.
+        stiff : bool
+            As of `lighter`.
+        """
+        lighter = self.lighter(stiff=stiff)
+        if lighter is self:
+            return self, residual
+        found = np.asarray(lighter.residuals([hypothesis])[0])
+        off = float(np.mean((found - residual) ** 2))
+        astray = off > max(_ASTRAY**2, float(np.mean(residual**2)))
+        return (self, residual) if astray else (lighter, found)
+
+    def __len__(self) -> int:
+        """How many numbers are compared."""
+        return len(self.measured)
+
+    @property
+    def simulated(self) -> int:
+        """Steps simulated and samples evaluated so far."""
+        return self.simulator.simulated + (0 if self.inverse is None else self.inverse.simulated)
+
+    def predict(self, hypotheses: Sequence[Hypothesis]) -> list[list[Array]]:
+        """What every run would show under every hypothesis.
+
+        Returns
+        -------
+        list of list of ndarray (T, C)
+            By hypothesis, by trial; NaN where a simulation went wild, and in an inverse run where
+            nothing is compared.
+        """
+        found: list[list[Array]] = [[np.empty(0)] * len(self.trials) for _ in hypotheses]
+        if len(self._ahead):
+            own = [_for_runs(hypothesis, self._ahead) for hypothesis in hypotheses]
+            for predictions, runs in zip(found, self.simulator.predict(own), strict=True):
+                for t, values in zip(self._ahead, runs, strict=True):
+                    predictions[t] = values
+        if self.inverse is not None:
+            for predictions, runs in zip(found, self.inverse.predict(hypotheses), strict=True):
+                for t, values in zip(self._backwards, runs, strict=True):
+                    predictions[t] = values
+        return found
+
+    def residuals(self, hypotheses: Sequence[Hypothesis]) -> Array:
+        """Measured less predicted, in noise standard deviations (hypotheses, N)."""
+        found = np.empty((len(hypotheses), len(self.measured)))
+        for h, predicted in enumerate(self.predict(hypotheses)):
+            found[h] = self.measured - self.flatten(predicted)
+        found[~np.isfinite(found)] = _WILD
+        return np.clip(found, -_WILD, _WILD)
+
+    def levels(self, hypothesis: Hypothesis) -> Array:
+        """Noise under a hypothesis, over what counts as noise of the rigid arm (N,).
+
+        1 but in inverse runs, where a spring shuts out noise of the motion
+        (`loose_env.gap.simulation.inverse_dynamics.InverseDynamics.levels`).
+        """
+        found = np.ones(len(self.measured))
+        if self.inverse is None or not any(effect.adds_motion for effect in hypothesis.effects):
+            return found
+        for t, level in zip(self._backwards, self.inverse.levels(hypothesis), strict=True):
+            own = self.rows.trial == t
+            found[own] = level[self.rows.channel[own]]
+        return found
+
+    def flatten(self, predicted: Sequence[Array]) -> Array:
+        """Predictions by trial -> one number per row, in noise standard deviations (N,)."""
+        rows, found = self.rows, np.empty(len(self.measured))
+        for t, values in enumerate(predicted):
+            own = rows.trial == t
+            if t in self._random:  # what was measured counts as zero
+                found[own] = -self._random[t].residual(values)
+                continue
+            channel = rows.channel[own]
+            found[own] = values[rows.sample[own], channel] / self.scales[t, channel]
+        return found
+
+    def by_block(self, values: Array) -> Array:
+        """Sums of values (..., N) over blocks (..., B)."""
+        count = int(self.rows.block.max()) + 1
+        flat = values.reshape(-1, values.shape[-1])
+        summed = np.array([np.bincount(self.rows.block, v, minlength=count) for v in flat])
+        return summed.reshape(*values.shape[:-1], count)
+
+
+def _for_runs(hypothesis: Hypothesis, runs: NDArray[np.intp]) -> Hypothesis:
+    """A hypothesis with the starts of some runs only."""
+    position, speed = hypothesis.position, hypothesis.speed
+    if position is None and speed is None:
+        return hypothesis
+    return replace(
+        hypothesis,
+        position=None if position is None else position[runs],
+        speed=None if speed is None else speed[runs],
+    )

@@ -1,0 +1,101 @@
+"""The most telling windows of long runs, for work that cannot simulate all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData
+from loose_env.gap.data.aligned_run import Trial
+from loose_env.gap.residuals.random_excitation.features import RandomFeatures
+from loose_env.gap.residuals.random_excitation.frequency_response import FEWEST
+from loose_env.gap.residuals.residual_model import Comparison
+
+__all__ = ["SHORTEST", "windowed"]
+
+Array = NDArray[np.float64]
+
+SHORTEST = 1.5
+"""Shortest window [s]."""
+LEAD = 0.4
+"""What is simulated before a window and not compared: late commands and the unknown start [s]."""
+INVERSE = 4.0
+"""How many times as much is taken of inverse runs: they cost less, and their band is lower."""
+
+
+def windowed(comparison: Comparison, seconds: float) -> Comparison:
+    """The same on one window of every run, so many seconds in all; itself if it is no longer.
+
+    A window lies where the joints move most for their typical motion, all of them counted. Of
+    inverse runs `INVERSE` times as much is taken. A recording of free responses stays whole, since
+    their starts count. If windows would get shorter than `SHORTEST`, runs are left out evenly; the
+    last one keeps a window as long as that. Of a run that is compared by features a window has as
+    many samples as these need, and the run stays whole where the window has no features.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        What is compared.
+    seconds : float
+        How much of the runs in all [s].
+    """
+    inverse = [t for t in comparison.trials if t.form == "inverse"]
+    others = [t for t in comparison.trials if t.form != "inverse"]
+    whole = any(t.form == "free" for t in others)
+    lengths = _lengths(inverse, INVERSE * seconds, INVERSE * SHORTEST)
+    lengths |= _lengths(others, np.inf if whole else seconds, SHORTEST)
+    if all(lengths.get(id(t)) == np.inf for t in comparison.trials):
+        return comparison
+    kept = [
+        _shortened(comparison, t, lengths[id(t)]) for t in comparison.trials if id(t) in lengths
+    ]
+    return comparison.like(trials=kept)
+
+
+def _lengths(trials: Sequence[Trial], seconds: float, shortest: float) -> dict[int, float]:
+    """Identity of a run that is kept -> how much of it [s], infinite where they are no longer."""
+    if sum(float(t.time[-1]) for t in trials) <= seconds:
+        return {id(t): np.inf for t in trials}
+    count = max(1, min(len(trials), int(seconds / shortest)))
+    taken = np.unique(np.linspace(0, len(trials) - 1, count).round().astype(int))
+    return {id(trials[k]): max(seconds / count, shortest) for k in taken}
+
+
+def _shortened(comparison: Comparison, trial: Trial, length: float) -> Trial:
+    """The window of a run, or all of it where it is compared by features and the window has none.
+
+    Its command may not vary there, or its channels may not have been read.
+    """
+    if trial.form == "inverse":
+        return _window(trial, length, lead=0.0)
+    if not (trial.excited and trial.name in comparison.parting):
+        return _window(trial, length)
+    window = _window(trial, length, fewest=FEWEST)
+    try:
+        RandomFeatures.of_trial(window, comparison.machine, comparison.channels, comparison.read)
+    except InvalidData:
+        return trial
+    return window
+
+
+def _window(trial: Trial, length: float, *, fewest: int = 1, lead: float = LEAD) -> Trial:
+    """The window in which the joints move most, so long [s] and of at least so many samples."""
+    size = max(round(min(length * trial.rate, len(trial.time))), fewest)
+    if size >= len(trial.time):
+        return trial
+    activity = np.zeros(len(trial.time))
+    for values in trial.motion.values():
+        change = np.abs(np.diff(np.nan_to_num(values), prepend=np.nan_to_num(values[:1])))
+        # Square roots: a window in which several joints move tells more than one fast swing.
+        activity += np.sqrt(change / max(float(np.mean(change)), 1e-12))
+    summed = np.concatenate([[0.0], np.cumsum(activity)])
+    starts = np.arange(0, len(trial.time) - size, max(size // 8, 1))
+    first = int(starts[np.argmax(summed[starts + size] - summed[starts])])
+    before = min(first, round(lead * trial.rate))
+    window = trial.between(first - before, first + size)
+    measured = window.measured.copy()
+    measured[:before] = np.nan
+    return replace(window, measured=measured)

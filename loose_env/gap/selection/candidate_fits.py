@@ -1,0 +1,307 @@
+"""Fits candidates: the most promising to windows of the data, the best of those to all of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.fitting.gauss_newton import (
+    Fit,
+    cost_of,
+    fit,
+    hypothesis_of,
+    parameters_of,
+    strikes,
+)
+from loose_env.gap.fitting.holdout_score import Judge, Judged, sureness_of
+from loose_env.gap.fitting.refit import refined
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.mjcf.sensor_columns import of_place_or_speed
+from loose_env.gap.model.parameter import free_of, values_of
+from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.selection.screening.grouping import akin, families
+from loose_env.gap.selection.screening.screening import Screened
+from loose_env.gap.settings import NamingSettings
+
+__all__ = ["Trying"]
+
+Array = NDArray[np.float64]
+
+_WHOLE_FAMILIES = 3
+"""Families that are fitted to all data."""
+_SHIFTS = (
+    *(-4.0, -3.0, -2.0, -1.0, -0.75, -0.5, -0.25, -0.1),
+    *(0.1, 0.25, 0.5, 0.75, 1.0, 2.0, 3.0, 4.0),
+)
+"""Samples by which a delay is moved to see whether that is better."""
+_NEARER = (1.0, 0.5, 0.25)
+"""Shares of the way from nothing to where screening says that are tried as starts."""
+_DEAF = 1e6
+"""Factor on the noise of what shall not count."""
+_NEAR = 1.5
+"""Sum of squares over that of a larger hypothesis from which on it is not tried on all data."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Slow:
+    """Runs of which only positions and speeds count."""
+
+    comparison: Comparison
+    """The same rows; noise of all others is so large that they say nothing."""
+    weights: Array
+    """What that makes of each row (N,)."""
+
+    @classmethod
+    def of(cls, comparison: Comparison) -> Slow | None:
+        """Take the weight off accelerations and forces; None where all or none are such.
+
+        None for runs that are compared by features, too: those stand for no single channel.
+        """
+        machine, channels = comparison.machine, comparison.channels
+        kept = np.array([of_place_or_speed(machine, channel.column) for channel in channels])
+        counted = kept[comparison.rows.channel]
+        if comparison.parting or counted.all() or not counted.any():
+            return None
+        return cls(
+            comparison=comparison.like(
+                floors=np.where(kept, comparison.floors, comparison.floors * _DEAF)
+            ),
+            weights=np.where(counted, 1.0, 1.0 / _DEAF),
+        )
+
+
+class Trying:
+    """Fits candidates on top of what is there.
+
+    Parameters
+    ----------
+    comparison, short : Comparison
+        The runs to fit to, and the windows of them that sort candidates.
+    judge : Judge
+        Judges what was fitted to all data.
+    before : Judged
+        What is there.
+    settings : NamingSettings
+        How many are fitted.
+    """
+
+    def __init__(
+        self,
+        comparison: Comparison,
+        short: Comparison,
+        judge: Judge,
+        before: Judged,
+        settings: NamingSettings,
+    ) -> None:
+        self.comparison, self.short, self.judge = comparison, short, judge
+        self.before, self.settings = before.fitted, settings
+        self.beside_stops = strikes(before.fitted.effects)
+        """Whether a part with stops is there already, which makes everything take longer."""
+        self._best: Fit | None = None
+        """The best fit to the windows so far."""
+
+    @cached_property
+    def short_before(self) -> Fit:
+        """What is there as it looks on the windows, with sensitivities of its own."""
+        residual = self.short.residuals([self.before.hypothesis])[0]
+        cost = cost_of(residual, self.before.free, parameters_of(self.before.effects))
+        return refined(replace(self.before, residual=residual, cost=cost), self.short)
+
+    @cached_property
+    def slow(self) -> Slow | None:
+        """The windows without accelerations; None where there are only such, or none."""
+        return Slow.of(self.short)
+
+    def singles(self, screened: Sequence[Screened], *, further: bool = False) -> list[Judged]:
+        """Fit single candidates, and those that the best one may be mistaken for.
+
+        Parameters
+        ----------
+        screened : sequence of Screened
+            Candidates, the most promising first.
+        further : bool
+            Whether to take those that promise less than the ones that are fitted at first.
+        """
+        settings = self.settings
+        least = settings.promise * screened[0].promise if screened else 0.0
+        first = [each for each in screened[: settings.candidates] if each.promise >= least]
+        # what is small and everywhere promises little beside a law that is a little wrong
+        most = max((each.sureness for each in first), default=0.0)
+        surer = [each for each in screened[len(first) :] if each.sureness > most]
+        first += sorted(surer, key=lambda each: -each.sureness)[: settings.surer]
+        rest = [each for each in screened if not any(each is own for own in first)]
+        taken = rest[: settings.further] if further else first
+        if not taken:
+            return []
+        twice = 0 if self.beside_stops else settings.twice
+        fits = [self._to_windows([each], both=k < twice) for k, each in enumerate(taken)]
+        fits = self._with_hope(fits)
+        if not fits:
+            return []
+        surest = max(fits[settings.finalists :], key=self._sureness, default=None)
+        finalists = fits[: settings.finalists]
+        # a few blocks that nothing explains yet may hide what is small and everywhere
+        if surest is not None and self._sureness(surest) > max(map(self._sureness, finalists)):
+            finalists.append(surest)
+        found = [self._to_all(each) for each in finalists]
+        winner = min(found, key=lambda j: j.total).fitted.effects[-1]
+        others = [f for f in fits if not any(f is g for g in finalists)]
+        kin = [f for f in others if akin(winner, f.effects[-1])][: settings.kin]
+        # what promised too little to be fitted, because its start was far off, may be the true one
+        relatives = [
+            each
+            for each in screened
+            if not any(each is tried for tried in taken) and akin(winner, each.effect)
+        ][: settings.kin - len(kin)]
+        kin += self._with_hope([self._to_windows([each]) for each in relatives])
+        return found + [self._to_all(each) for each in kin]
+
+    def _with_hope(self, fits: Sequence[Fit]) -> list[Fit]:
+        """Those of some fits to the windows that may be the best on all data, the best first.
+
+        Earlier ones are remembered: several effects at once have to be ahead of single ones.
+        """
+        found = sorted(fits, key=lambda f: f.cost)
+        if not found:
+            return []
+        best = found[0]
+        if self._best is not None and self._best.cost < best.cost:
+            best = self._best
+        self._best = best
+        blocks = self.short.by_block(best.residual**2)
+        return [
+            each
+            for each in found
+            if each.cost < self.settings.hopeless * best.cost
+            or sureness_of(self.short.by_block(each.residual**2), blocks) < self.settings.sureness
+        ]
+
+    def _sureness(self, each: Fit) -> float:
+        """How surely a fit to the windows is ahead of what is there."""
+        before, after = (
+            self.short.by_block(fitted.residual**2) for fitted in (self.short_before, each)
+        )
+        return sureness_of(before, after)
+
+    def families(self, screened: Sequence[Screened]) -> list[Judged]:
+        """Fit one kind of effect at several places at once."""
+        return self.together(families(screened, self.settings.families))
+
+    def together(self, groups: Sequence[Sequence[Screened]]) -> list[Judged]:
+        """Fit the members of each group at once; those that are no better than single ones go."""
+        single = np.inf if self._best is None else self._best.cost
+        fits = [self._to_windows(each) for each in groups]
+        better = self._with_hope([each for each in fits if each.cost < single])
+        return [self._to_all(each) for each in better[:_WHOLE_FAMILIES]]
+
+    def alone(self, judged: Judged, base: Fit) -> Judged | None:
+        """The new effects of a hypothesis without the earlier ones; None if they are needed.
+
+        What is named first may only have stood in for what came later, and several springs that
+        stand in for one delay are all missed if they are left out one by one.
+
+        Parameters
+        ----------
+        judged : Judged
+            The hypothesis.
+        base : Fit
+            The nominal model.
+        """
+        fitted, nominal = judged.fitted, len(base.free)
+        effects = (*base.effects, *fitted.effects[len(self.before.effects) :])
+        start = np.concatenate([base.free, fitted.free[len(self.before.free) :]])
+        together = self.short.residuals([fitted.hypothesis])[0]
+        quick = fit(self.short, effects, start)
+        if quick.residual @ quick.residual > _NEAR * float(together @ together):
+            return None
+        start = np.concatenate([base.free, quick.free[nominal:]])
+        return self.judge.judge(fit(self.comparison, effects, start, known=base.jacobian))
+
+    def in_place(self, screened: Sequence[Screened], rival: Fit) -> list[Judged]:
+        """Fit candidates that may do as well as what was there in their place, the best first.
+
+        Parameters
+        ----------
+        screened : sequence of Screened
+            Candidates.
+        rival : Fit
+            What was there, with the effect in whose place they come.
+        """
+        together = self.short.residuals([rival.hypothesis])[0]
+        fits = [self._to_windows([each], both=True) for each in screened]
+        fits.sort(key=lambda f: f.cost)
+        near = [f for f in fits if f.residual @ f.residual < _NEAR * float(together @ together)]
+        found = [self._to_all(each) for each in near[: self.settings.kin]]
+        return sorted(found, key=lambda judged: judged.total)
+
+    def _to_windows(self, members: Sequence[Screened], *, both: bool = False) -> Fit:
+        """Fit candidates together to the windows; one candidate from both its starts."""
+        effects = (*self.before.effects, *(each.effect for each in members))
+        start, residual = self._start(effects, members)
+        known = self.short_before.jacobian
+        found = fit(self.short, effects, start, known=known, residual=residual)
+        if both and members[0].second is not None:
+            other = free_of(members[0].effect.parameters, np.array(members[0].second))
+            other = np.concatenate([self.short_before.free, other])
+            again = fit(self.short, effects, other, known=self.short_before.jacobian)
+            found = min((found, again), key=lambda f: f.cost)
+        if len(members) == 1 and members[0].effect.shifts and self.slow is not None:
+            # what held commands do to accelerations repeats itself from sample to sample, so that
+            # a delay may end samples off; positions and speeds have one best delay
+            known = self.short_before.jacobian * self.slow.weights[:, None]
+            first = fit(self.slow.comparison, effects, start, known=known)
+            again = fit(self.short, effects, first.free, known=self.short_before.jacobian)
+            found = self._shifted(min((found, again), key=lambda f: f.cost))
+        return found
+
+    def _start(self, effects: Sequence[Effect], members: Sequence[Screened]) -> tuple[Array, Array]:
+        """Where screening says, or nearer to nothing if that is better: it looks along tangents."""
+        at = [free_of(each.effect.parameters, np.array(each.values)) for each in members]
+        none = [
+            values if each.effect.nothing is None
+            else free_of(each.effect.parameters, np.array(each.effect.nothing))
+            for each, values in zip(members, at, strict=True)
+        ]  # fmt: skip
+        tried = [
+            np.concatenate(
+                [
+                    self.short_before.free,
+                    *(a + share * (b - a) for a, b in zip(none, at, strict=True)),
+                ]
+            )
+            for share in _NEARER
+        ]
+        residuals = self.short.residuals([hypothesis_of(effects, free) for free in tried])
+        costs = [
+            cost_of(r, f, parameters_of(effects)) for r, f in zip(residuals, tried, strict=True)
+        ]
+        best = int(np.nanargmin(np.nan_to_num(costs, nan=np.inf)))
+        return tried[best], residuals[best]
+
+    def _shifted(self, fitted: Fit) -> Fit:
+        """Move the last effect, a delay, by samples and parts, and fit on where that is better.
+
+        A delay of whole samples is a bend in the sum of squares at which a fit gets stuck, and of
+        accelerations under held commands every sample has a valley of its own.
+        """
+        (parameter,) = fitted.effects[-1].parameters
+        value, tried = values_of((parameter,), fitted.free[-1:])[0], []
+        for shift in _SHIFTS:
+            moved = parameter.clipped(value + shift / self.short.trials[0].rate)
+            tried.append(np.append(fitted.free[:-1], free_of((parameter,), np.array([moved]))))
+        residuals = self.short.residuals([hypothesis_of(fitted.effects, free) for free in tried])
+        best = int(np.argmin(np.sum(residuals**2, axis=1)))
+        if np.sum(residuals[best] ** 2) >= fitted.residual @ fitted.residual:
+            return fitted
+        again = fit(self.short, fitted.effects, tried[best], known=fitted.jacobian)
+        return min((fitted, again), key=lambda f: f.cost)
+
+    def _to_all(self, each: Fit) -> Judged:
+        """Fit to all data what was fitted to the windows."""
+        start = np.concatenate([self.before.free, each.free[len(self.before.free) :]])
+        known = self.before.jacobian
+        return self.judge.judge(fit(self.comparison, each.effects, start, known=known))

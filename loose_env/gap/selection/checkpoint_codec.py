@@ -1,0 +1,111 @@
+"""Judged fits as plain values and back: what a stage of a comparison keeps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from loose_env.errors import UnknownName
+from loose_env.gap.fitting.gauss_newton import Fit
+from loose_env.gap.fitting.holdout_score import Judged
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.output.checkpoints import Stage
+from loose_env.gap.selection.forward_selection import Keep, Step
+
+__all__ = ["KeepInFiles", "judged_of", "plain_judged"]
+
+
+def plain_judged(judged: Judged) -> dict[str, Any]:
+    """Plain values and arrays of a judged fit, for `loose_env.gap.output.checkpoints.Stages`."""
+    fitted = judged.fitted
+    own = {each.name: getattr(fitted, each.name) for each in fields(fitted)}
+    own["effects"] = [[e.kind, e.where, e.variant] for e in fitted.effects]
+    return {each.name: getattr(judged, each.name) for each in fields(judged)} | {"fitted": own}
+
+
+def judged_of(kept: dict[str, Any], machine: Machine, given: Sequence[Effect]) -> Judged:
+    """Restore a judged fit.
+
+    Parameters
+    ----------
+    kept : dict
+        As of `plain_judged`.
+    machine : Machine
+        The nominal model.
+    given : sequence of Effect
+        Those that are not in the catalogue: the nominal figures, the starts of free runs.
+
+    Raises
+    ------
+    UnknownName
+        If the catalogue has an effect no more.
+    """
+    effects = tuple(_effect(machine, given, *each) for each in kept["fitted"]["effects"])
+    fitted = Fit(**(kept["fitted"] | {"effects": effects}))
+    return Judged(**(kept | {"fitted": fitted}))
+
+
+class KeepInFiles(Keep):
+    """Keeps the steps of a search in files.
+
+    Parameters
+    ----------
+    stages : Stage
+        The files.
+    machine : Machine
+        The nominal model.
+    given : sequence of Effect
+        As of `judged_of`.
+    prefix : str
+        Put before the names of stages, so that two searches do not take each other's.
+    """
+
+    def __init__(
+        self, stages: Stage, machine: Machine, given: Sequence[Effect], prefix: str = ""
+    ) -> None:
+        self.stages, self.machine, self.given = stages, machine, tuple(given)
+        self.prefix = prefix
+
+    def judged(self, name: str, make: Callable[[], Judged]) -> Judged:
+        """Return a judged fit, of this run or an earlier one."""
+        kept = self.stages(self.prefix + name, lambda: plain_judged(make()))
+        return judged_of(kept, self.machine, self.given)
+
+    def step(self, name: str, make: Callable[[], Step]) -> Step:
+        """Return a step, of this run or an earlier one."""
+        kept = self.stages(self.prefix + name, lambda: _plain_step(make()))
+        accepted = kept["accepted"]
+        return Step(
+            rivals=[judged_of(each, self.machine, self.given) for each in kept["rivals"]],
+            accepted=None if accepted is None else judged_of(accepted, self.machine, self.given),
+            dropped=[_effect(self.machine, self.given, *each) for each in kept["dropped"]],
+        )
+
+
+def _plain_step(step: Step) -> dict[str, Any]:
+    """Plain values of a step; the sensitivities of rivals are not needed again."""
+    rivals = []
+    for judged in step.rivals:
+        fitted = replace(judged.fitted, jacobian=np.zeros((0, len(judged.fitted.free))))
+        rivals.append(plain_judged(replace(judged, fitted=fitted)))
+    return {
+        "rivals": rivals,
+        "accepted": None if step.accepted is None else plain_judged(step.accepted),
+        "dropped": [[e.kind, e.where, e.variant] for e in step.dropped],
+    }
+
+
+def _effect(
+    machine: Machine, given: Sequence[Effect], kind: str, where: str, variant: str
+) -> Effect:
+    for effect in given:
+        if effect.kind == kind:
+            return effect
+    if kind not in CATALOGUE:
+        raise UnknownName(f"unknown effect {kind!r}; the catalogue has {list(CATALOGUE)}")
+    return CATALOGUE[kind](machine, where, variant)

@@ -1,0 +1,232 @@
+"""Names what a model lacks: screening, fits from several starts, held-out runs as the judge."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from loose_env.gap.fitting.gauss_newton import fit, strikes
+from loose_env.gap.fitting.holdout_score import Judge, Judged, Lead, lead_of
+from loose_env.gap.fitting.refit import fitted_on
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.parameter import free_of
+from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.windows import SHORTEST, windowed
+from loose_env.gap.selection.acceptance import Acceptance
+from loose_env.gap.selection.candidate_fits import Trying
+from loose_env.gap.selection.revision import Exchange
+from loose_env.gap.selection.screening.data_driven_starts import proposals
+from loose_env.gap.selection.screening.grouping import frictions
+from loose_env.gap.selection.screening.screening import screen
+from loose_env.gap.settings import NamingSettings
+
+__all__ = ["Keep", "Named", "NamingSettings", "Step", "name_effects"]
+
+Say = Callable[[str], None]
+
+
+@dataclass(kw_only=True, eq=False)
+class Named:
+    """What was found, step by step."""
+
+    base: Judged
+    """The nominal model, fitted within the tolerance."""
+    steps: list[Judged] = field(default_factory=list)
+    """With one effect, with two, ...: the accepted ones."""
+    rivals: list[list[tuple[Judged, Lead]]] = field(default_factory=list)
+    """At each step, every hypothesis that was fitted, with its lead over the step before; best
+    first."""
+
+    dropped: list[Effect] = field(default_factory=list)
+    """Effects that a later one made idle."""
+    unfinished: bool = False
+    """Whether it stopped after a step because it was asked to."""
+
+    @property
+    def best(self) -> Judged:
+        """The last that was accepted."""
+        return self.steps[-1] if self.steps else self.base
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Step:
+    """What the search for one more effect came to."""
+
+    rivals: list[Judged]
+    """Every hypothesis that was fitted to whole runs, best first."""
+    accepted: Judged | None
+    """The one that was believed, with fresh sensitivities."""
+    dropped: list[Effect] = field(default_factory=list)
+    """Earlier effects that it made idle."""
+
+
+class Keep:
+    """Makes what the search asks for; a subclass may keep it for an interrupted run."""
+
+    def judged(self, name: str, make: Callable[[], Judged]) -> Judged:
+        """Return a judged fit."""
+        return make()
+
+    def step(self, name: str, make: Callable[[], Step]) -> Step:
+        """Return a step of the search."""
+        return make()
+
+
+def name_effects(
+    comparison: Comparison,
+    held_out: Comparison,
+    given: Sequence[Effect],
+    candidates: Sequence[Effect],
+    *,
+    settings: NamingSettings | None = None,
+    say: Say = lambda _: None,
+    keep: Keep | None = None,
+    begun: Named | None = None,
+    pause: Callable[[Judged], bool] = lambda _: False,
+) -> Named:
+    """Add effects to a nominal model as long as held-out runs ask for it.
+
+    Parameters
+    ----------
+    comparison, held_out : Comparison
+        The runs to fit to, and those to judge by.
+    given : sequence of Effect
+        What is fitted with every hypothesis: the nominal figures, known within a tolerance, and the
+        starts of free runs.
+    candidates : sequence of Effect
+        The catalogue at every place.
+    settings : NamingSettings, optional
+        When an effect counts as found.
+    say : callable
+        Told what goes on, line by line.
+    keep : Keep, optional
+        Keeps what was found for a run that is interrupted.
+    begun : Named, optional
+        An earlier search, judged by these runs; what it found is fitted to them, and the search
+        goes on from there.
+    pause : callable
+        Told what is there after a step; the search stops, unfinished, where it says so.
+    """
+    settings, keep = settings or NamingSettings(), keep or Keep()
+    judge = Judge(comparison, held_out)
+    if begun is None:
+        start = np.concatenate([free_of(e.parameters, np.array(e.starts[0])) for e in given])
+        base = keep.judged("nominal", lambda: judge.judge(fit(comparison, given, start)))
+        found = Named(base=base)
+        say(f"nominal model: {base.held_rms:.2f} noise standard deviations on held-out runs")
+    else:
+        there = begun.best.fitted
+        found = Named(base=begun.base, dropped=list(begun.dropped))
+        found.steps.append(keep.judged("begun", lambda: judge.judge(fitted_on(comparison, there))))
+        found.rivals.append([])
+    windows = SHORTEST * min(len(comparison.trials), settings.sorted_runs)
+    short = windowed(comparison, max(settings.sorting, windows))
+    for number in range(1, settings.most + 1):
+        if len(found.best.fitted.named) >= settings.most:
+            break
+        if found.best.structure_sureness < settings.structure and not found.best.loud:
+            say("what is left does not hang together in time: nothing more to explain")
+            break
+        step = keep.step(
+            f"effect-{number}",
+            lambda: _step((comparison, short), judge, candidates, found, settings, say),
+        )
+        found.rivals.append([(j, lead_of(j, found.best)) for j in step.rivals])
+        for judged, lead in found.rivals[-1]:
+            new = judged.fitted.effects[len(found.best.fitted.effects) :]
+            say(
+                f"  {', '.join(map(repr, new))}: held out {judged.held_rms:.3f}, "
+                f"lead {lead.held:.1f} held, {lead.fitted:.1f} fitted, share {lead.share:.2f}"
+            )
+        if step.accepted is None:
+            break
+        for effect in step.dropped:
+            say(f"  {effect!r} is idle now and is left out")
+        found.steps.append(step.accepted)
+        found.dropped += step.dropped
+        if len(found.best.fitted.named) < settings.most and pause(found.best):
+            found.unfinished = True
+            return found
+    if 2 <= len(found.best.fitted.named) <= settings.exchanges:
+        say("whether others do as well in the place of what was found")
+        exchange = Exchange(comparison, short, judge, candidates, found.base, settings)
+        better = keep.judged("exchanged", lambda: exchange.better_than(found.best, say))
+        if _keys(better) != _keys(found.best):
+            found.steps.append(better)
+    return found
+
+
+def _keys(judged: Judged) -> set[tuple[str, str, str]]:
+    return {effect.key for effect in judged.fitted.effects}
+
+
+def _step(
+    comparisons: tuple[Comparison, Comparison],
+    judge: Judge,
+    candidates: Sequence[Effect],
+    found: Named,
+    settings: NamingSettings,
+    say: Say,
+) -> Step:
+    """Look for one more effect."""
+    comparison, short = comparisons
+    best = found.best
+    taken = {(e.kind, e.where) for e in (*best.fitted.effects, *found.dropped)}
+    left = [c for c in candidates if (c.kind, c.where) not in taken]
+    trying = Trying(comparison, short, judge, best, settings)
+    proposed = proposals(comparison, best.fitted.hypothesis, left)
+    screened = screen(short, trying.short_before, left, proposed=proposed)
+    for s in screened[:8]:
+        say(f"  {s.effect!r}: promises {s.promise:.3f}, sureness {s.sureness:.1f}")
+    much = best.structure > settings.much * found.base.structure or best.held_rms > settings.loud
+    much = much and not strikes(best.fitted.effects)  # each more takes minutes there
+
+    def waves() -> Iterator[list[Judged]]:
+        """What is tried, one after the other until something will do."""
+        tried = trying.singles(screened)
+        if much and all(lead_of(j, best).share < settings.alone for j in tried):
+            say("  no single effect explains much: the same one at several places")
+            tried += trying.families(screened)
+        elif much:
+            first = min(tried, key=lambda j: j.total)
+            alike = [s for s in screened if s.effect.kind == first.fitted.effects[-1].kind]
+            if first.structure > settings.much * found.base.structure:
+                say(f"  {first.fitted.effects[-1]!r} leaves much: the same one at other places")
+                found_there = trying.families(alike)
+                everywhere.extend(
+                    j for j in found_there if lead_of(j, best).share >= settings.nearly
+                )
+                tried += everywhere
+        yield tried
+        if much:
+            say("  none of these will do: others that promised less")
+            yield trying.singles(screened, further=True)
+        groups = frictions(screened, best.fitted.named)
+        if groups and best.held_rms > settings.mixed and not strikes(best.fitted.effects):
+            say("  none of these will do: all frictions at one joint")
+            yield trying.together(groups)
+
+    acceptance = Acceptance(comparison, judge, found.base, best, settings)
+    everywhere: list[Judged] = []  # the same as the best single one, at other places too
+    ranked: list[Judged] = []
+    for tried in waves():
+        ranked = acceptance.ranked([*ranked, *tried])
+        for judged in ranked:
+            if not any(judged is each for each in tried) or not acceptance.worth_naming(judged):
+                continue
+            if doubt := acceptance.doubt(judged):
+                say(f"  {judged.fitted.effects[-1]!r}: {doubt}")
+                continue
+            accepted, dropped = acceptance.accept(judged)
+            earlier = list(best.fitted.named)
+            new = len(accepted.fitted.named) + len(dropped) - len(earlier)
+            if any(judged is each for each in everywhere) and new < settings.several:
+                continue  # at one place or two: rather one after the other
+            alone = trying.alone(judged, found.base.fitted) if earlier else None
+            if alone is not None and not acceptance.believed(lead_of(accepted, alone)):
+                acceptance = Acceptance(comparison, judge, found.base, found.base, settings)
+                accepted, dropped = acceptance.accept(alone)[0], earlier
+            return Step(rivals=ranked, accepted=accepted, dropped=dropped)
+    return Step(rivals=ranked, accepted=None)

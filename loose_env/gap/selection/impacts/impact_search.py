@@ -1,0 +1,254 @@
+"""A part that strikes its stops, found by how hard it strikes, not by when.
+
+The search compares sample by sample, in which a loose link that strikes hard leaves more than none
+at all. So where it ends with something unexplained, parts with stops are tried once more, by
+`loose_env.gap.selection.impacts.impact_power.Blows`, on top of what was found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.fitting.confidence_intervals import Intervals, bootstrap, widened
+from loose_env.gap.fitting.gauss_newton import UNNAMED, Fit, FitSettings, fit, sensitivities
+from loose_env.gap.fitting.holdout_score import sureness_of
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.parameter import free_of
+from loose_env.gap.preparation.prepare import Prepared
+from loose_env.gap.residuals.windows import windowed
+from loose_env.gap.selection.impacts.impact_power import Blows
+from loose_env.gap.selection.screening.data_driven_starts import proposals
+from loose_env.gap.settings import NamingSettings
+
+__all__ = ["Struck", "find_striking"]
+
+Array = NDArray[np.float64]
+
+_PROMISES = 0.5
+"""Share of the powers that a candidate has to explain before it is fitted."""
+_FITTED = 2
+"""Candidates that are fitted."""
+_EXPLAINED = 0.85
+"""Share of the powers of held-out runs that the one that is named explains."""
+_BY_CHANCE = 0.5
+"""Mean square of what noise alone leaves: half of it, for less than noise counts as noise."""
+_FROM = 3
+"""Starts from which each of them is fitted."""
+_STEP = 0.05
+_ROUGH, _FINE = (FitSettings(difference=step, iterations=n) for step, n in ((0.2, 8), (_STEP, 4)))
+"""Powers scatter with the moments of blows: sensitivities are taken over long steps first."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Struck:
+    """A part that strikes its stops."""
+
+    fitted: Fit
+    """It alone, on what was known."""
+    intervals: Intervals
+    """Of its parameters."""
+    share: float
+    """Share of the powers of held-out runs that it explains."""
+    stretch: float
+    """Length of the stretches of time that these powers are of [s]."""
+    rivals: tuple[Effect, ...] = ()
+    """What those runs do not tell from it."""
+    idle: tuple[Effect, ...] = ()
+    """What had been found before and only stood in for it."""
+
+    @property
+    def effect(self) -> Effect:
+        """The part."""
+        return self.fitted.effects[0]
+
+    @property
+    def words(self) -> str:
+        """What a reader should know."""
+        return (
+            f"{self.effect.where} strikes its stops at moments that no simulation repeats: it is "
+            f"named by how hard and how often it does in stretches of {self.stretch:.2g} s, of "
+            f"which it explains {100 * self.share:.0f} % on held-out runs; sample by sample the "
+            "gap shrinks less, or grows"
+        )
+
+
+def find_striking(
+    prepared: Prepared,
+    known: Hypothesis,
+    candidates: Sequence[Effect],
+    rng: np.random.Generator,
+    *,
+    settings: NamingSettings,
+    say: Callable[[str], None] = lambda _: None,
+) -> Struck | None:
+    """Find a part that strikes its stops in runs with commands.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        The runs.
+    known : Hypothesis
+        What was found sample by sample, nominal figures included.
+    candidates : sequence of Effect
+        The catalogue at every place; those with stops are tried.
+    rng : numpy.random.Generator
+        Of the intervals.
+    settings : NamingSettings
+        How sure a lead has to be.
+    say : callable
+        Told what goes on, line by line.
+
+    Returns
+    -------
+    Struck or None
+        None where none explains the powers, or the one that does needs no gap for that: powers
+        know nothing of moments, and a spring without play has those of much else.
+    """
+    there = {(e.kind, e.where) for e in known.effects}
+    striking = [c for c in candidates if _plays(c) and (c.kind, c.where) not in there]
+    short = windowed(prepared.search, settings.sorting)
+    if not striking or not all(map(Blows.worth_while, (short, prepared.held))):
+        return None
+    say("whether something strikes its stops, by the power of what is left")
+    proposed, sorting = proposals(prepared.search, known, striking), Blows(short, known)
+    starts = {e.key: proposed.get(e.key) or e.starts for e in striking}
+    promising = [(_sorted(sorting, e, starts[e.key])[0][0], e) for e in striking]
+    promising = sorted((each for each in promising if each[0] > _PROMISES), key=lambda p: -p[0])
+    for promise, effect in promising:
+        say(f"  {effect!r}: promises {promise:.3f}")
+    if not promising:
+        return None
+    searched, held = Blows(prepared.search, known), Blows(prepared.held, known)
+
+    def left(hypothesis: Hypothesis) -> _Left:
+        return _Left.of(hypothesis, searched, held)
+
+    fits = [_fitted(searched, effect, starts[effect.key]) for _, effect in promising[:_FITTED]]
+    tried = sorted(((left(each.hypothesis), each) for each in fits), key=lambda t: t[0].total)
+    best, fitted = tried[0]
+    before = _Left((searched, searched.measured), (held, held.measured))
+    share = _explained(held.measured, best.held[1])
+    say(f"  {fitted.effects[0]!r}: explains {share:.2f} of the powers of held-out runs")
+    if share < _EXPLAINED or not best.ahead_of(before, settings):
+        return None
+    if not best.ahead_of(left(_shut(fitted)), settings):
+        say("  it does so as well without any gap: that is no play")
+        return None
+    numbers = range(len(fitted.free))
+    jacobian = sensitivities(
+        searched, fitted.effects, fitted.free, fitted.residual, numbers, difference=_STEP
+    )
+    fitted = replace(fitted, jacobian=jacobian)
+    return Struck(
+        fitted=fitted,
+        intervals=widened(searched, fitted, bootstrap(searched, fitted, rng)),
+        share=share,
+        stretch=held.stretch,
+        idle=_idle(prepared, known, fitted.hypothesis, settings),
+        rivals=tuple(
+            other.effects[0] for rest, other in tried[1:] if best.lead_of(rest)[1] < settings.tie
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class _Left:
+    """What a hypothesis leaves of the powers of the runs fitted to and of those held out."""
+
+    fitted: tuple[Blows, Array]
+    held: tuple[Blows, Array]
+
+    @classmethod
+    def of(cls, hypothesis: Hypothesis, searched: Blows, held: Blows) -> _Left:
+        return cls(*((blows, blows.residuals([hypothesis])[0]) for blows in (searched, held)))
+
+    @property
+    def total(self) -> float:
+        return sum(float(left @ left) for _, left in (self.fitted, self.held))
+
+    def lead_of(self, behind: _Left) -> tuple[float, float]:
+        """By how much this is ahead, on the runs fitted to and on those held out."""
+        first, second = (
+            sureness_of(blows.by_block(more**2), blows.by_block(less**2))
+            for (blows, less), (_, more) in (
+                (self.fitted, behind.fitted),
+                (self.held, behind.held),
+            )
+        )
+        return first, second
+
+    def ahead_of(self, behind: _Left, settings: NamingSettings) -> bool:
+        """Whether that is to be believed."""
+        leads = self.lead_of(behind)
+        return max(leads) >= settings.sureness and min(leads) >= settings.held
+
+
+def _sorted(
+    blows: Blows, effect: Effect, starts: Sequence[tuple[float, ...]]
+) -> list[tuple[float, tuple[float, ...]]]:
+    """Share of the powers that each start explains by itself, with the start; the best first."""
+    left = blows.residuals(
+        [Hypothesis(effects=(effect,), values=(np.array(start),)) for start in starts]
+    )
+    found = [(_explained(blows.measured, r), tuple(s)) for r, s in zip(left, starts, strict=True)]
+    return sorted(found, key=lambda each: -each[0])
+
+
+def _fitted(blows: Blows, effect: Effect, starts: Sequence[tuple[float, ...]]) -> Fit:
+    """The best of fits from the best starts."""
+    found = []
+    for _, start in _sorted(blows, effect, starts)[:_FROM]:
+        rough = fit(blows, [effect], free_of(effect.parameters, np.array(start)), settings=_ROUGH)
+        found.append(fit(blows, [effect], rough.free, residual=rough.residual, settings=_FINE))
+    return min(found, key=lambda each: each.cost)
+
+
+def _plays(effect: Effect) -> bool:
+    """Whether an effect has stops and a gap between them that can be shut."""
+    return effect.has_stops and any(p.name == "gap" for p in effect.parameters)
+
+
+def _shut(fitted: Fit) -> Hypothesis:
+    """The part with as small a gap as there is."""
+    (effect,), (values,) = fitted.effects, fitted.hypothesis.values
+    shut = values.copy()
+    for number, parameter in enumerate(effect.parameters):
+        if parameter.name == "gap":
+            shut[number] = parameter.low
+    return Hypothesis(effects=(effect,), values=(shut,))
+
+
+def _idle(
+    prepared: Prepared, known: Hypothesis, part: Hypothesis, settings: NamingSettings
+) -> tuple[Effect, ...]:
+    """Effects without which the powers come out as well, once the part is there; the last first."""
+    pairs = list(zip(known.effects, known.values, strict=True))
+    nominal = [pair for pair in pairs if pair[0].kind in UNNAMED]
+    kept = [pair for pair in pairs if pair[0].kind not in UNNAMED]
+    if not kept:
+        return ()
+    own = list(zip(part.effects, part.values, strict=True))
+    searched, held = (Blows(runs, _of(nominal)) for runs in (prepared.search, prepared.held))
+    best, idle = _Left.of(_of([*kept, *own]), searched, held), list[Effect]()
+    for pair in reversed(kept.copy()):
+        without = [each for each in kept if each is not pair]
+        left = _Left.of(_of([*without, *own]), searched, held)
+        if not best.ahead_of(left, settings):
+            idle.append(pair[0])
+            kept, best = without, left
+    return tuple(idle)
+
+
+def _of(pairs: Sequence[tuple[Effect, Array]]) -> Hypothesis:
+    return Hypothesis(effects=tuple(e for e, _ in pairs), values=tuple(v for _, v in pairs))
+
+
+def _explained(before: Array, after: Array) -> float:
+    """Share of what is more than chance that is explained, 1 at most."""
+    more, left = (float(np.sum(each**2 - _BY_CHANCE)) for each in (before, after))
+    return 1.0 - max(left, 0.0) / more if more > 0 else 0.0

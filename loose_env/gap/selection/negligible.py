@@ -1,0 +1,84 @@
+"""Whether an effect is too small to matter, by itself or beside another of its sort."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.selection.screening.grouping import joint_of
+
+__all__ = ["slight"]
+
+Array = NDArray[np.float64]
+
+_LAW = 0.03
+"""Share by which the law of a friction may be off: oil thins as it is sheared, seals warm up."""
+_BAR = 0.1
+"""Share of a link's mass that may lie elsewhere along it than where a link that bends has it."""
+
+
+def slight(hypothesis: Hypothesis, new: int) -> bool:
+    """Whether all effects that were added last are too small to matter, however surely seen.
+
+    A friction is slight beside another at its joint if it resists far less at the joint's usual
+    speed. Where the larger one is seen clearly, what its law is off by is seen clearly, too, and a
+    little of another friction would make up for that. In the same way a little mass at the tool or
+    on a link makes up for what is not known of how the mass of a link that bends lies along it.
+
+    Parameters
+    ----------
+    hypothesis : Hypothesis
+        Effects with their values.
+    new : int
+        How many of them were added last.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> from loose_env.gap.model.effects.catalogue import CATALOGUE
+    >>> from loose_env.gap.model.nominal_model import Machine
+    >>> machine = Machine(planar(3).spec)
+    >>> kinds = CATALOGUE["viscous_friction"], CATALOGUE["coulomb_friction"]
+    >>> oil, seal = (kind(machine, machine.joints[1]) for kind in kinds)
+    >>> def both(torque):
+    ...     return Hypothesis(effects=(oil, seal), values=(np.array([0.9]), np.array([torque])))
+    >>> slight(both(0.002), 1), slight(both(0.2), 1)
+    (True, False)
+    """
+    pairs = list(zip(hypothesis.effects, hypothesis.values, strict=True))
+    earlier, added = pairs[:-new], pairs[-new:]
+    return all(
+        effect.immaterial(values)
+        or _within_the_law(effect, values, earlier)
+        or _within_the_bar(effect, values, earlier)
+        for effect, values in added
+    )
+
+
+def _within_the_law(effect: Effect, values: Array, earlier: list[tuple[Effect, Array]]) -> bool:
+    """Whether a friction is no more than the law of others at its joint may be off by."""
+    own = _resistance(effect, values)
+    if own == 0.0:
+        return False
+    there = (_resistance(e, v) for e, v in earlier if joint_of(e) == joint_of(effect))
+    return own < _LAW * max(there, default=0.0)
+
+
+def _within_the_bar(effect: Effect, values: Array, earlier: list[tuple[Effect, Array]]) -> bool:
+    """Whether a mass is no more than what may lie elsewhere along a link nearby that bends."""
+    own, joint = effect.displaced_mass(values), joint_of(effect)
+    if own == 0.0:
+        return False
+    near = ((e.doubtful_mass, joint_of(e)) for e, _ in earlier)
+    there = (m for m, other in near if joint is None or other is None or abs(joint - other) <= 1)
+    return own < _BAR * max(there, default=0.0)
+
+
+def _resistance(effect: Effect, values: Array) -> float:
+    """Torque or force of a friction at its joint's usual speed; 0 for what is none."""
+    joint = joint_of(effect)
+    if joint is None:
+        return 0.0
+    return abs(effect.resistance(float(effect.machine.speed_scales[joint]), values))

@@ -1,0 +1,184 @@
+"""The search for what is missing; beside stops it goes on with what these leave as noise.
+
+No law of contact is that of the machine, so that a part which strikes its stops leaves
+accelerations many times louder than their noise. What else is missing is slight beside that: it
+would be passed over, or something loud and wrong be named in its place. So the search goes on with
+each channel's noise as large as what is left in it, worked out anew with each effect that is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, count
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.fitting.gauss_newton import cost_of, parameters_of, strikes
+from loose_env.gap.fitting.holdout_score import Judge, Judged
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.output.result import Ranked
+from loose_env.gap.preparation.prepare import Prepared
+from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.selection.forward_selection import Keep, Named, name_effects
+from loose_env.gap.selection.ranking import indistinct, ranking_of
+from loose_env.gap.settings import NamingSettings
+
+__all__ = ["Searched", "beside_stops", "search"]
+
+Array = NDArray[np.float64]
+
+_EVERYWHERE = 5.0
+"""`NamingSettings.everywhere` beside stops: of what these leave nothing slight explains much, and
+what is slight and there shows in nearly every block of time, which what stands in does not."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Searched:
+    """What a search found."""
+
+    prepared: Prepared
+    """The runs."""
+    parts: tuple[tuple[Prepared, Named], ...]
+    """The search, and how it went on beside stops; each with the noise it went by."""
+
+    @property
+    def named(self) -> Named:
+        """The last part."""
+        return self.parts[-1][1]
+
+    @property
+    def heard(self) -> Prepared:
+        """The runs with the noise by which the last part went."""
+        return self.parts[-1][0]
+
+    @property
+    def base(self) -> Judged:
+        """The nominal model, by the noise there is."""
+        return self.parts[0][1].base
+
+    @property
+    def best(self) -> Judged:
+        """What was found, by the noise of `heard`."""
+        return self.named.best
+
+    @property
+    def ranking(self) -> tuple[Ranked, ...]:
+        """What was tried, step by step; what is left of held-out runs is in the noise there is."""
+        found: list[Ranked] = []
+        first = 1
+        for runs, named in self.parts:
+            louder = _times(runs.held, self.prepared.held)
+            found += ranking_of(named, runs.search, runs.held, louder=louder, first=first)
+            first += len(named.steps) - 1
+        return tuple(found)
+
+    def indistinct(self, effect: Effect, named: Sequence[Effect]) -> tuple[Effect, ...]:
+        """What held-out runs cannot tell from one of the named effects, the others left out."""
+        found = chain(*(indistinct(part, effect) for _, part in self.parts))
+        there = {(e.kind, e.where) for e in named}
+        others = {(e.kind, e.where): e for e in found}
+        return tuple(e for place, e in others.items() if place not in there)
+
+    def in_noise(self, best: Judged) -> Judged:
+        """A fit to ``heard.fit`` as the noise there is judges it; nothing is fitted again."""
+        return _judged_by(self.prepared.fit, self.prepared.whole_held, self.heard.fit, best)
+
+
+def search(
+    prepared: Prepared,
+    given: Sequence[Effect],
+    sought: Sequence[Effect],
+    *,
+    settings: NamingSettings,
+    say: Callable[[str], None] = lambda _: None,
+    keep: Callable[[str], Keep] = lambda _: Keep(),
+) -> Searched:
+    """Search for what a model lacks.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        The runs.
+    given, sought, settings, say
+        As of `loose_env.gap.selection.forward_selection.name_effects`, ``sought`` being its
+        candidates.
+    keep : callable
+        Told a prefix, returns what keeps the stages of a part of the search.
+    """
+
+    def left(judged: Judged) -> Array:
+        return prepared.search.left_in_channels(judged.fitted.residual)
+
+    def stops_leave(judged: Judged) -> bool:
+        return strikes(judged.fitted.named) and bool(left(judged).max() > settings.left)
+
+    heard, own, pause, begun = prepared, settings, stops_leave, None
+    parts: list[tuple[Prepared, Named]] = []
+    # ends, for each part that is left unfinished names one more, or drops one for good
+    for number in count(1):
+        named = name_effects(
+            heard.search,
+            heard.held,
+            given,
+            sought,
+            settings=own,
+            say=say,
+            keep=keep(f"part-{number}-" if number > 1 else ""),
+            begun=begun,
+            pause=pause,
+        )
+        parts.append((heard, named))
+        if not named.unfinished:
+            break
+        # in the noise there is, for what was found last may have left less than stops did before
+        best = _judged_by(prepared.search, prepared.held, heard.search, named.best)
+        if stops_leave(best):
+            say("goes on with what its stops leave as noise")
+            heard, own = prepared.louder(np.maximum(left(best), 1.0)), beside_stops(settings)
+        else:
+            heard, own = prepared, settings
+        # whatever comes next, what is left is another then
+        pause = stops_leave if heard is prepared else _always
+        base = parts[0][1].base
+        base, best = (
+            _judged_by(heard.search, heard.held, prepared.search, each) for each in (base, best)
+        )
+        begun = Named(base=base, steps=[best], dropped=named.dropped)
+    return Searched(prepared=prepared, parts=tuple(parts))
+
+
+def beside_stops(settings: NamingSettings) -> NamingSettings:
+    """When an effect counts as found where what stops leave counts as noise."""
+    return replace(settings, everywhere=_EVERYWHERE, exchanges_stops=False)
+
+
+def _always(judged: Judged) -> bool:
+    return True
+
+
+def _judged_by(runs: Comparison, held: Comparison, own: Comparison, judged: Judged) -> Judged:
+    """A fit to its own runs as the noise of the same runs, and of those held out, judges it."""
+    if runs is own:
+        return judged
+    fitted = judged.fitted
+    residual = runs.residuals([fitted.hypothesis])[0]
+    return Judge(runs, held).judge(
+        replace(
+            fitted,
+            residual=residual,
+            jacobian=fitted.jacobian * _times(own, runs)[:, None],
+            cost=cost_of(residual, fitted.free, parameters_of(fitted.effects)),
+        )
+    )
+
+
+def _times(own: Comparison, runs: Comparison) -> Array:
+    """How many times as large noise is in the first for each number of the same runs (N,).
+
+    Features go by their own scatter, however loud the channels that they are made of.
+    """
+    found: Array = (own.scales / runs.scales)[runs.rows.trial, runs.rows.channel]
+    found[runs.rows.white] = 1.0
+    return found

@@ -1,0 +1,221 @@
+"""Starts that the data propose: torques beyond the model's, and accelerations beyond it.
+
+The motion of runs with commands is smoothed and put into the inverse dynamics of the model, and
+that is taken off what the drives gave at the commands and the state that were measured. An effect
+that cannot be tried everywhere, such as a ripple of any period, looks for itself in what is left.
+A loose link looks for its direction in what accelerometers show beyond the model.
+
+Collects what accelerometers show beyond a hypothesis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData
+from loose_env.gap.data.actuator_states import activations
+from loose_env.gap.data.aligned_run import Trial
+from loose_env.gap.data.smoothing import Motion, smooth_motion
+from loose_env.gap.model.effect import Effect, ResidualAccelerations
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.simulation.torque_terms import torque_terms
+
+__all__ = ["missing_torque", "proposals", "residual_accelerations"]
+
+Array = NDArray[np.float64]
+
+_DYNAMICS_SAMPLES = 6000
+"""Samples of all runs that are evaluated, at most."""
+_TURNING = 0.01
+"""Speed below which the direction of friction is in doubt, as a share of the largest."""
+_OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+
+
+def proposals(
+    comparison: Comparison, hypothesis: Hypothesis, candidates: Sequence[Effect]
+) -> dict[tuple[str, str, str], tuple[tuple[float, ...], ...]]:
+    """Starts of the candidates that look for them in data, by key; {} where no run has commands.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        The runs.
+    hypothesis : Hypothesis
+        What is known so far.
+    candidates : sequence of Effect
+        What may be added.
+    """
+    starts: dict[tuple[str, str, str], tuple[tuple[float, ...], ...]] = {}
+    along = [e for e in candidates if type(e).propose_along is not Effect.propose_along]
+    residual = residual_accelerations(comparison, hypothesis) if along else None
+    if residual is not None:
+        starts |= {e.key: own for e in along if (own := e.propose_along(residual))}
+    searching = [effect for effect in candidates if effect.searches]
+    found = missing_torque(comparison, hypothesis) if searching else None
+    if found is None:
+        return starts
+    angle, speed, acceleration, torque = found
+    joints = comparison.machine.joints
+    for effect in searching:
+        k = joints.index(effect.where)
+        if np.ptp(angle[:, k]) > 0:
+            starts[effect.key] = effect.propose(
+                angle[:, k], speed[:, k], acceleration[:, k], torque[:, k]
+            )
+    return starts
+
+
+def missing_torque(
+    comparison: Comparison, hypothesis: Hypothesis
+) -> tuple[Array, Array, Array, Array] | None:
+    """Position, speed, acceleration, and torque beyond the model's, of all runs with commands.
+
+    Returns
+    -------
+    tuple of ndarray (T, joints), or None
+        [rad, m], [rad/s, m/s], [rad/s², m/s²], [N·m, N]; None if no run has commands and is long
+        enough, or what the actuators gave is not known (`loose_env.gap.data.actuator_states`).
+    """
+    machine = comparison.machine
+    rigid = [
+        (effect, values)
+        for effect, values in zip(hypothesis.effects, hypothesis.values, strict=True)
+        if not effect.adds_motion
+    ]
+    known = Hypothesis(effects=tuple(e for e, _ in rigid), values=tuple(v for _, v in rigid))
+    step = machine.step or float(machine.model.opt.timestep)
+    model = known.model(machine, step)
+    model.opt.disableflags |= _OFF
+    runs = [trial for trial in comparison.trials if trial.form == "forward"]
+    parts = []
+    for trial in runs:
+        try:
+            motion = smooth_motion(trial, machine, comparison.channels)
+        except InvalidData:
+            continue
+        found = _missing(model, known, trial, motion, max(1, _DYNAMICS_SAMPLES // len(runs)))
+        if found is None:
+            return None
+        parts.append(found)
+    if not parts:
+        return None
+    position, speed, acceleration, torque = (
+        np.concatenate(part) for part in zip(*parts, strict=True)
+    )
+    return position, speed, acceleration, torque
+
+
+def _missing(
+    model: mujoco.MjModel, known: Hypothesis, trial: Trial, motion: Motion, most: int
+) -> tuple[Array, Array, Array, Array] | None:
+    """The same of one run; None where an actuator's activation is not known."""
+    times = trial.step * np.arange(trial.steps, dtype=np.float64)
+    controls = trial.controls
+    for effect, values in zip(known.effects, known.values, strict=True):
+        controls = effect.command(times, controls, values)
+    own = activations(model, controls, trial.step)
+    if own is None:
+        return None
+    given = _about(controls, trial.step, motion.time)
+    acting = _about(own, trial.step, motion.time)
+    # At the ends of a run the filter has only one side to go by.
+    ends = min(int(motion.band.rate / motion.band.end), len(motion.time) // 4)
+    chosen = np.arange(ends, len(motion.time) - ends, max(1, len(motion.time) // most))
+    joints = len(trial.joints)
+    friction = model.dof_frictionloss[:joints]
+    slow = _TURNING * np.maximum(np.abs(motion.speed).max(axis=0), 1e-9)
+    data = mujoco.MjData(model)
+    torque = np.zeros((len(chosen), joints))
+    for row, k in zip(torque, chosen, strict=True):
+        data.qpos[:joints], data.qvel[:joints] = motion.position[k], motion.speed[k]
+        data.qacc[:joints] = motion.acceleration[k]
+        data.ctrl[: controls.shape[1]] = given[k]
+        data.act[:] = acting[k]
+        mujoco.mj_inverse(model, data)
+        needed = data.qfrc_inverse[:joints].copy()
+        mujoco.mj_fwdActuation(model, data)
+        needed += friction * np.tanh(motion.speed[k] / slow)
+        row[:] = data.qfrc_actuator[:joints] - needed
+    torque += torque_terms(known, motion.position[chosen], motion.speed[chosen])
+    return (
+        motion.position[chosen], motion.speed[chosen], motion.acceleration[chosen], torque,
+    )  # fmt: skip
+
+
+def _about(controls: Array, step: float, times: Array) -> Array:
+    """Commands or activations (T, N) as the smoothed motion knows them, at times on an even grid.
+
+    A command is held from one sample to the next. On the mean over an interval about a sample it
+    comes half an interval late, which behind a stiff servo is a torque like that of friction.
+    """
+    summed = np.concatenate([np.zeros((1, controls.shape[1])), np.cumsum(controls, axis=0)])
+    edges = step * np.arange(len(summed), dtype=np.float64)
+    half = 0.5 * float(times[1] - times[0])
+    begin = np.clip(times - half, 0.0, edges[-1] - 2 * half)
+    found = np.empty((len(times), controls.shape[1]))
+    for k in range(controls.shape[1]):
+        ends = np.interp(begin + 2 * half, edges, summed[:, k])
+        found[:, k] = (ends - np.interp(begin, edges, summed[:, k])) * step / (2 * half)
+    return found
+
+
+_ACCELEROMETER_SAMPLES = 2000
+"""Samples of all runs that are taken, about."""
+
+
+def residual_accelerations(
+    comparison: Comparison, hypothesis: Hypothesis
+) -> ResidualAccelerations | None:
+    """Collect what accelerometers of three axes show beyond a hypothesis in simulated runs.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        The runs.
+    hypothesis : Hypothesis
+        What is known so far.
+
+    Returns
+    -------
+    ResidualAccelerations or None
+        None where there is no such accelerometer.
+    """
+    model, channels = comparison.machine.model, comparison.channels
+    triads = []
+    for column in dict.fromkeys(channel.column for channel in channels):
+        own = [k for k, channel in enumerate(channels) if channel.column == column]
+        kind, _, name = column.partition(".")
+        if kind == "sensor" and len(own) == 3:
+            sensor = model.sensor(name)
+            if int(sensor.type[0]) == int(mujoco.mjtSensor.mjSENS_ACCELEROMETER):
+                triads.append((model.site(int(sensor.objid[0])).name, own))
+    runs = [t for t, trial in enumerate(comparison.trials) if trial.form == "forward"]
+    if not triads or not runs:
+        return None
+    predicted = comparison.predict([hypothesis])[0]
+    poses, sites, found = [], [], []
+    for t in runs:
+        trial = comparison.trials[t]
+        apart = trial.measured - predicted[t]
+        at = np.tile(trial.position, (len(trial.time), 1))
+        for j, joint in enumerate(trial.joints):
+            at[:, j] = trial.motion.get(joint, at[:, j])
+        for site, own in triads:
+            good = np.flatnonzero(np.isfinite(apart[:, own]).all(axis=1))
+            taken = good[:: max(1, len(good) * len(runs) * len(triads) // _ACCELEROMETER_SAMPLES)]
+            poses.append(at[taken])
+            found.append(apart[taken][:, own])
+            sites += [site] * len(taken)
+    if not sites:
+        return None
+    return ResidualAccelerations(
+        joints=comparison.trials[runs[0]].joints,
+        poses=np.concatenate(poses),
+        sites=tuple(sites),
+        accelerations=np.concatenate(found),
+    )

@@ -1,0 +1,137 @@
+"""Several effects at once, where one by one each explains little.
+
+One kind at several places, for servos, gears and bearings of an arm are alike; or all that slows
+one joint down, for oil, seals and air do so together.
+
+Which effects look alike: what a winner has to be compared with before it is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.selection.screening.screening import Screened
+
+__all__ = ["akin", "families", "frictions", "joint_of"]
+
+_ALL = "all"
+_LEAST = 0.02
+"""Promise of a member, as a share of the most promising one of its family."""
+_FRICTIONS = ("viscous_friction", "coulomb_friction", "quadratic_drag")
+"""What grows with no power of the speed, the first and the second. One of them, fitted to all
+three, leaves a little that neither of the others is any good for alone."""
+
+
+def families(screened: Sequence[Screened], most: int) -> list[list[Screened]]:
+    """Groups of candidates of one kind and variant at two places or more.
+
+    A drive that is set otherwise than its model is seldom the only one. Taken one by one, each
+    explains little as long as the others are missing, and something else that explains a little
+    of all of them comes first. A candidate at "all" places is such a group already, and no member.
+
+    Parameters
+    ----------
+    screened : sequence of Screened
+        Candidates, the most promising first.
+    most : int
+        Most groups.
+
+    Returns
+    -------
+    list of list of Screened
+        Groups whose members promise most together, of every kind the best variant.
+    """
+    groups: dict[tuple[str, str], list[Screened]] = {}
+    for each in screened:
+        if each.effect.where == _ALL:
+            continue
+        groups.setdefault((each.effect.kind, each.effect.variant), []).append(each)
+    best: dict[str, tuple[float, list[Screened]]] = {}
+    for (kind, _), group in groups.items():
+        least = _LEAST * group[0].promise
+        members = [each for each in group if each.promise >= least]
+        promise = sum(each.promise for each in members)
+        if len(members) > 1 and promise > best.get(kind, (0.0, []))[0]:
+            best[kind] = promise, members
+    ranked = sorted(best.values(), key=lambda found: -found[0])
+    return [members for _, members in ranked[:most]]
+
+
+def frictions(screened: Sequence[Screened], named: Sequence[Effect]) -> list[list[Screened]]:
+    """Groups of the frictions that are missing at joints at which one was named.
+
+    Parameters
+    ----------
+    screened : sequence of Screened
+        Candidates.
+    named : sequence of Effect
+        What was named.
+
+    Returns
+    -------
+    list of list of Screened
+        One group of two for each such joint, where both are candidates.
+    """
+    joints = dict.fromkeys(effect.where for effect in named if effect.kind in _FRICTIONS)
+    groups = [
+        [s for s in screened if s.effect.where == joint and s.effect.kind in _FRICTIONS]
+        for joint in joints
+    ]
+    return [group for group in groups if len(group) > 1]
+
+
+_ALIKE = (
+    ("command_delay", "actuator_lag", "joint_compliance", "sensor_delay"),
+    ("joint_compliance", "link_flexibility"),
+    ("joint_compliance", "backlash", "structural_looseness"),
+    ("coulomb_friction", "stribeck_friction", "backlash"),
+    ("viscous_friction", "quadratic_drag", "actuator_gain", "actuator_lag"),
+    ("payload", "link_mass", "link_com", "actuator_gain", "joint_spring", "rotor_inertia"),
+    ("base_tilt", "sensor_bias", "encoder_offset"),
+    ("sensor_gain", "actuator_gain", "sensor_misalignment"),
+)
+"""Kinds that a recording may fail to tell apart."""
+
+
+def joint_of(effect: Effect) -> int | None:
+    """Number of the joint that an effect's place belongs to; None: to the whole arm.
+
+    Parts of one name, such as a joint and its motor, are told apart by what the effect acts on.
+    """
+    machine, where, part = effect.machine, effect.where, effect.part
+    if part == "joint" and where in machine.joints:
+        return machine.joint_number(where)
+    if part == "actuator" and where in machine.actuated_joint:
+        return machine.joint_number(machine.actuated_joint[where])
+    if part == "link" and where in machine.links:
+        return machine.joint_number(machine.first_joint(where))
+    if part == "sensor" and where in machine.sensors:
+        sensor = machine.model.sensor(where)
+        if int(sensor.objtype[0]) == mujoco.mjtObj.mjOBJ_JOINT:
+            return int(sensor.objid[0])
+    return None
+
+
+def akin(effect: Effect, other: Effect) -> bool:
+    """Whether two effects may look alike: kinds that do, at the same joint or the next.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> from loose_env.gap.model.effects.catalogue import CATALOGUE
+    >>> from loose_env.gap.model.nominal_model import Machine
+    >>> machine = Machine(planar(3).spec)
+    >>> second = machine.joints[1]
+    >>> spring = CATALOGUE["joint_spring"](machine, second)
+    >>> akin(spring, CATALOGUE["link_mass"](machine, machine.body_of(second)))
+    True
+    >>> akin(spring, CATALOGUE["viscous_friction"](machine, second))
+    False
+    """
+    if not any(effect.kind in group and other.kind in group for group in _ALIKE):
+        return False
+    first, second = joint_of(effect), joint_of(other)
+    return first is None or second is None or abs(first - second) <= 1

@@ -1,0 +1,383 @@
+"""Orders candidates by what each could explain; it never decides.
+
+Every candidate is simulated once from each of its starts, on top of the present fit; those that
+add no spring with a cheaper integrator. What that changes in the residual is its signature. The
+present parameters are free to take up their share of a signature; what is left of it is held
+against what is left of the residual.
+
+What shifts signals in time is looked at twice. An acceleration of many hertz answers a shift in
+proportion over a fraction of a millisecond only, so that a start that is a little off promises
+nothing; positions and speeds answer over a longer one, and say where to try again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from loose_env.gap.fitting.gauss_newton import Fit, hypothesis_of, parameters_of, prior_of, started
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.mjcf.sensor_columns import of_place_or_speed
+from loose_env.gap.model.parameter import Parameter, free_of
+from loose_env.gap.residuals.residual_model import Comparison
+
+__all__ = ["Screened", "along", "screen", "signatures"]
+
+Array = NDArray[np.float64]
+
+_GROUP = 24
+"""Hypotheses simulated at a time."""
+_SMALLEST_SHARE, _LARGEST_SHARE = 1e-6, 4.0
+"""Smallest and largest multiple of a signature that is believed."""
+_SECOND = 0.5
+"""Promise of another start, as a share of the best one's, from which on it is kept."""
+_FAR = 0.5
+"""Distance of a start that is another, in free numbers: some one of them is so far off."""
+_MANY = 4
+"""Starts of one candidate above which only the best are simulated as exactly as a spring needs."""
+_ROOM = 1e-9
+"""Least room between bounds that the solver needs."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Screened:
+    """What one start of one candidate promises."""
+
+    effect: Effect
+    """The candidate."""
+    values: tuple[float, ...]
+    """Where a fit should start."""
+    promise: float
+    """Share of the sum of squares that it would explain, at most 1."""
+    sureness: float
+    """Promise over its own scatter from block to block, in standard deviations."""
+    second: tuple[float, ...] | None = None
+    """Another start, far from the first, that promises at least half as much."""
+
+
+def screen(
+    comparison: Comparison,
+    fitted: Fit,
+    candidates: Sequence[Effect],
+    *,
+    proposed: Mapping[tuple[str, str, str], Sequence[tuple[float, ...]]] = MappingProxyType({}),
+) -> list[Screened]:
+    """Screen candidates; the most promising first, each with its best start, or two.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        What is compared.
+    fitted : Fit
+        The present hypothesis, with its sensitivities.
+    candidates : sequence of Effect
+        What may be added.
+    proposed : mapping
+        Starts that the data propose, by the candidate's key, in place of its own.
+    """
+    known = _Known.of(fitted)
+    slow = _slow_rows(comparison)
+    lens = _Known.of(fitted, slow) if 0 < slow.sum() < len(slow) else None
+    stiff = any(e.adds_motion for e in fitted.effects)
+    lighter, alike = comparison.lightly(fitted.hypothesis, fitted.residual, stiff=stiff)
+    proposed = dict(proposed) | _best_starts(comparison, fitted, known, candidates, proposed)
+    seen: dict[int, list[Screened]] = {}
+    for springs, compared, base in ((True, comparison, fitted.residual), (False, lighter, alike)):
+        own = [effect for effect in candidates if effect.adds_motion == springs]
+        axes = {
+            id(effect): (effect, _axes_of(effect))
+            for effect in own
+            if effect.adds_up and len(effect.parameters) > 1
+        }
+        entries = [
+            (effect, start)
+            for effect in own
+            for start in dict.fromkeys(
+                (
+                    *(proposed.get(effect.key) or _starts(comparison, effect)),
+                    *axes.get(id(effect), (effect, ()))[1],
+                )
+            )
+        ]
+        apart: dict[int, dict[tuple[float, ...], Array]] = {}
+        again: dict[int, tuple[float, Effect, tuple[float, ...]]] = {}
+        for effect, start, signature in signatures(compared, fitted, entries, base):
+            _keep(seen, _weigh(comparison, known, effect, start, signature))
+            if id(effect) in axes:
+                apart.setdefault(id(effect), {})[start] = signature
+            if lens is not None and effect.shifts:
+                found = _proposed(lens, slow, effect, start, signature)
+                if found is not None and found[0] > again.get(id(effect), (0.0,))[0]:
+                    again[id(effect)] = (found[0], effect, found[1])
+        for key, (effect, starts) in axes.items():
+            together = np.stack([apart[key][start] for start in starts], axis=1)
+            _keep(seen, _weigh_together(comparison, known, effect, starts, together))
+        entries = [(effect, start) for _, effect, start in again.values()]
+        for effect, start, signature in signatures(compared, fitted, entries, base):
+            _keep(seen, _weigh(comparison, known, effect, start, signature))
+    return sorted((_best(each) for each in seen.values()), key=lambda s: -s.promise)
+
+
+def _best_starts(
+    comparison: Comparison,
+    fitted: Fit,
+    known: _Known,
+    candidates: Sequence[Effect],
+    proposed: Mapping[tuple[str, str, str], Sequence[tuple[float, ...]]],
+) -> dict[tuple[str, str, str], list[tuple[float, ...]]]:
+    """The best starts of candidates with many, by candidate: those of a loose link go all ways.
+
+    A stiff spring comes out badly in a lighter simulation, but all of its starts alike. Of starts
+    that differ in nuisances alone, such as the stiffness of stops, the best one stands for all.
+    """
+    entries = [
+        (effect, start)
+        for effect in candidates
+        for starts in [proposed.get(effect.key) or _starts(comparison, effect)]
+        for start in starts
+        if effect.adds_motion and len(starts) > _MANY
+    ]
+    if not entries:
+        return {}
+    lighter, base = comparison.lightly(fitted.hypothesis, fitted.residual, stiff=True)
+    if lighter is comparison:
+        return {}
+    found: dict[tuple[str, str, str], dict[tuple[float, ...], tuple[float, tuple[float, ...]]]] = {}
+    for effect, start, signature in signatures(lighter, fitted, entries, base):
+        weighed = _weigh(comparison, known, effect, start, signature)
+        promise = 0.0 if weighed is None else weighed.promise
+        own, alike = found.setdefault(effect.key, {}), _without_nuisances(effect, start)
+        if alike not in own or promise > own[alike][0]:
+            own[alike] = promise, start
+    return {
+        key: [start for _, start in sorted(own.values(), key=lambda each: -each[0])[:_MANY]]
+        for key, own in found.items()
+    }
+
+
+def _starts(comparison: Comparison, effect: Effect) -> tuple[tuple[float, ...], ...]:
+    """Starts of an effect for the runs there are."""
+    return effect.close_starts if comparison.rows.inverse.all() else effect.starts
+
+
+def _without_nuisances(effect: Effect, values: Sequence[float]) -> tuple[float, ...]:
+    """Values of the parameters of which nothing is known beforehand."""
+    return tuple(v for p, v in zip(effect.parameters, values, strict=True) if p.centre is None)
+
+
+def signatures(
+    compared: Comparison,
+    fitted: Fit,
+    entries: Sequence[tuple[Effect, tuple[float, ...]]],
+    base: Array,
+) -> Iterator[tuple[Effect, tuple[float, ...], Array]]:
+    """What each start of each candidate changes in the residual (N,), one after the other.
+
+    Parameters
+    ----------
+    compared : Comparison
+        What they are simulated in.
+    fitted : Fit
+        What they are added to.
+    entries : sequence of (Effect, values)
+        The starts.
+    base : ndarray (N,)
+        What `fitted` leaves in that comparison.
+    """
+    for begin in range(0, len(entries), _GROUP):
+        group = entries[begin : begin + _GROUP]
+        tried = [
+            hypothesis_of((*fitted.effects, effect), started(fitted, effect, start))
+            for effect, start in group
+        ]
+        for (effect, start), residual in zip(group, compared.residuals(tried), strict=True):
+            yield effect, start, residual - base
+
+
+def _keep(seen: dict[int, list[Screened]], found: Screened | None) -> None:
+    """Put what a start promises with the others of its candidate."""
+    if found is not None:
+        seen.setdefault(id(found.effect), []).append(found)
+
+
+def _best(found: list[Screened]) -> Screened:
+    """The start of a candidate that promises most, with another that lies far from it."""
+    first, *others = sorted(found, key=lambda s: -s.promise)
+    at = free_of(first.effect.parameters, np.array(first.values))
+    matter = np.array([p.centre is None for p in first.effect.parameters])
+    for each in others:
+        if each.promise < _SECOND * first.promise:
+            break
+        off = np.abs(free_of(each.effect.parameters, np.array(each.values)) - at)
+        if np.any(off[matter] > _FAR):
+            return replace(first, second=each.values)
+    return first
+
+
+def _slow_rows(comparison: Comparison) -> NDArray[np.bool_]:
+    """Which numbers are readings that answer a shift in time smoothly (N,)."""
+    slow = np.array([of_place_or_speed(comparison.machine, c.column) for c in comparison.channels])
+    return slow[comparison.rows.channel] & ~comparison.rows.white
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """The present fit, as the linear problem of every candidate needs it."""
+
+    jacobian: Array
+    """Change of the residual with the free numbers (N, P)."""
+    residual: Array
+    """Measured less predicted (N,)."""
+    curvature: Array
+    """Of half the cost (P, P)."""
+    slope: Array
+    """Of half the cost (P,)."""
+    room: tuple[Array, Array]
+    """How far every free number may move down and up (P,)."""
+
+    @classmethod
+    def of(cls, fitted: Fit, rows: NDArray[np.bool_] | slice = slice(None)) -> _Known:
+        parameters = parameters_of(fitted.effects)
+        centres, weights = prior_of(parameters)
+        low, high = np.array([p.bounds for p in parameters]).T.reshape(2, -1)
+        jacobian, residual = fitted.jacobian[rows], fitted.residual[rows]
+        return cls(
+            jacobian,
+            residual,
+            jacobian.T @ jacobian + np.diag(weights**2),
+            jacobian.T @ residual + weights**2 * (fitted.free - centres),
+            (np.minimum(low - fitted.free, 0.0), np.maximum(high - fitted.free, 0.0)),
+        )
+
+    def taken_up(self, signatures: Array, least: float, most: float) -> tuple[Array, Array] | None:
+        """Shares of signatures (N, K) that help most (K,), and what they change (N,).
+
+        All else is adjusted. Present parameters move within their bounds: a figure that is known
+        within a tolerance takes up no more of a signature than that.
+        """
+        jacobian, residual, count = self.jacobian, self.residual, signatures.shape[1]
+        across, sizes = jacobian.T @ signatures, signatures.T @ signatures
+        if not np.all(np.isfinite(sizes)) or not sizes.any():
+            return None
+        curvature = np.block([[self.curvature, across], [across.T, sizes]])
+        slope = np.append(self.slope, signatures.T @ residual)
+        diagonal = np.sqrt(np.diag(curvature) + 1e-12)
+        scaled = curvature / np.outer(diagonal, diagonal) + 1e-9 * np.eye(len(slope))
+        root = np.linalg.cholesky(scaled)
+        low = np.append(self.room[0], np.full(count, least))
+        high = np.append(self.room[1], np.full(count, most))
+        found = lsq_linear(
+            root.T,
+            -np.linalg.solve(root, slope / diagonal),
+            bounds=(low * diagonal - _ROOM, high * diagonal + _ROOM),
+        )
+        moved = found.x / diagonal
+        return moved[-count:], signatures @ moved[-count:] + jacobian @ moved[:-count]
+
+
+def _weigh(
+    comparison: Comparison,
+    known: _Known,
+    effect: Effect,
+    start: tuple[float, ...],
+    signature: Array,
+) -> Screened | None:
+    """What a signature promises, once the present parameters have taken up their share."""
+    linear = effect.nothing is not None
+    most = _LARGEST_SHARE if linear or effect.proportional is not None else 1.0
+    taken = known.taken_up(signature[:, None], -_LARGEST_SHARE if linear else 0.0, most)
+    if taken is None or abs(taken[0][0]) < _SMALLEST_SHARE:
+        return None
+    share, values = float(taken[0][0]), start
+    if effect.nothing is not None:
+        values = along(effect, start, effect.nothing, share)
+    elif effect.proportional is not None:
+        values = along(effect, start, (0.0,) * len(start), share)
+    return _screened(comparison, known, effect, values, taken[1])
+
+
+def _weigh_together(
+    comparison: Comparison,
+    known: _Known,
+    effect: Effect,
+    axes: Sequence[tuple[float, ...]],
+    signatures: Array,
+) -> Screened | None:
+    """What the signatures of an effect's axes (N, K) promise, as much of each as is best."""
+    taken = known.taken_up(signatures, -_LARGEST_SHARE, _LARGEST_SHARE)
+    if taken is None or effect.nothing is None:
+        return None
+    values = np.array(effect.nothing) + taken[0] @ (np.array(axes) - np.array(effect.nothing))
+    within = tuple(p.clipped(float(v)) for p, v in zip(effect.parameters, values, strict=True))
+    return _screened(comparison, known, effect, within, taken[1])
+
+
+def _axes_of(effect: Effect) -> list[tuple[float, ...]]:
+    """Starts of an effect along one of its parameters each, as far out as its own starts lie."""
+    none = np.array(effect.nothing)
+    sizes = np.max(np.array(effect.starts) - none, axis=0)
+    return [tuple(float(v) for v in none + row) for row in np.diag(sizes)]
+
+
+def _screened(
+    comparison: Comparison,
+    known: _Known,
+    effect: Effect,
+    values: tuple[float, ...],
+    change: Array,
+) -> Screened | None:
+    """What a change of the residual (N,) promises; None if it is no better for it."""
+    residual = known.residual
+    gains = comparison.by_block(-change * (2 * residual + change))
+    if gains.sum() <= 0:
+        return None
+    return Screened(
+        effect=effect,
+        values=values,
+        promise=float(gains.sum() / (residual @ residual)),
+        sureness=float(gains.sum() / np.sqrt(np.sum(gains**2))),
+    )
+
+
+def _proposed(
+    lens: _Known,
+    rows: NDArray[np.bool_],
+    effect: Effect,
+    start: tuple[float, ...],
+    signature: Array,
+) -> tuple[float, tuple[float, ...]] | None:
+    """Share that some of the rows would explain, and the values at which they would."""
+    taken = lens.taken_up(signature[rows, None], 0.0, _LARGEST_SHARE)
+    if taken is None or effect.nothing is None:
+        return None
+    share, change = float(taken[0][0]), taken[1]
+    gain = -float(change @ (2 * lens.residual + change))
+    if gain <= 0 or share < _SMALLEST_SHARE:
+        return None
+    return gain / float(lens.residual @ lens.residual), along(effect, start, effect.nothing, share)
+
+
+def along(
+    effect: Effect, start: Sequence[float], nothing: Sequence[float], share: float
+) -> tuple[float, ...]:
+    """Values at a share of the way from nothing to the start, within the bounds.
+
+    All parameters go that way, or only the one that what the effect changes is proportional to.
+    Where ratios count they are what goes on: twice from a whole gain to a half of it is a quarter.
+    """
+    return tuple(
+        p.clipped(_between(p, none, value, share)) if effect.proportional in (None, k) else value
+        for k, (p, none, value) in enumerate(zip(effect.parameters, nothing, start, strict=True))
+    )
+
+
+def _between(parameter: Parameter, none: float, value: float, share: float) -> float:
+    """Value at a share of the way from nothing to a value."""
+    if parameter.log and none > 0:
+        return float(none * (value / none) ** share)
+    return none + share * (value - none)

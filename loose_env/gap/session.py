@@ -1,0 +1,388 @@
+"""The search taken step by step: one tries effects, those of one's own too, and adds what helps.
+
+Each step does what the search as a whole does: the nominal figures are fitted along within their
+tolerance, an effect is fitted from its most promising start, and runs that were held out judge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.gap.diagnostics.residual_spectra import Series, series_of
+from loose_env.gap.fitting.confidence_intervals import bootstrap, widened
+from loose_env.gap.fitting.gauss_newton import UNNAMED, fit, slices_of
+from loose_env.gap.fitting.holdout_score import Judge, Judged, Lead, lead_of, machine_part
+from loose_env.gap.fitting.initial_state import StartState
+from loose_env.gap.fitting.refit import polished, refined
+from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.parameter import free_of, values_of
+from loose_env.gap.output.export_check import exported
+from loose_env.gap.output.export_mjcf import correction_code, write_model
+from loose_env.gap.output.result import NamedEffect, html_table
+from loose_env.gap.preparation.prepare import Prepared, prepare
+from loose_env.gap.residuals.windows import windowed
+from loose_env.gap.selection.acceptance import Acceptance
+from loose_env.gap.selection.candidate_fits import Trying
+from loose_env.gap.selection.screening.data_driven_starts import missing_torque, proposals
+from loose_env.gap.selection.screening.screening import Screened, screen
+from loose_env.gap.settings import GapSettings, NamingSettings
+from loose_env.recording import Recording
+from loose_env.rig.quiet import quiet
+
+__all__ = ["GapSteps", "MissingTorque", "Tried"]
+
+Array = NDArray[np.float64]
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tried:
+    """One effect, fitted beside what was there, and judged by the held-out runs."""
+
+    effect: Effect
+    """What was tried."""
+    parameters: dict[str, float]
+    """Best values."""
+    held_out: float
+    """What is left of the held-out runs, root mean square in noise standard deviations."""
+    before: float
+    """The same without the effect."""
+    lead: Lead
+    """By how much it is ahead of the model without it, in standard deviations; and its share."""
+    believed: bool
+    """Whether the search would name it: surely ahead, by enough, and not by a limit or by noise.
+    Beside a part that strikes its stops the search takes what these leave as noise, and may name
+    what is hidden by that here."""
+    judged: Judged = field(repr=False)
+    """The fit itself."""
+
+    def __str__(self) -> str:
+        """All of it in one line."""
+        units = {p.name: p.unit for p in self.effect.parameters}
+        values = ", ".join(f"{k} {v:.4g} {units[k]}".rstrip() for k, v in self.parameters.items())
+        return (
+            f"{self.effect!r}: {values}; held-out runs {self.before:.2f} before, "
+            f"{self.held_out:.2f} with it; lead {self.lead.held:.1f} there, {self.lead.fitted:.1f} "
+            f"on the runs fitted to; {'' if self.believed else 'not '}believed"
+        )
+
+    def _repr_html_(self) -> str:
+        """Return a short table, as notebooks show it."""
+        units = {p.name: p.unit for p in self.effect.parameters}
+        rows = [[k, f"{v:.4g}", units[k]] for k, v in self.parameters.items()]
+        rows += [
+            ["held-out runs, before", f"{self.before:.2f}", "noise standard deviations"],
+            ["held-out runs, with it", f"{self.held_out:.2f}", "noise standard deviations"],
+            ["lead there", f"{self.lead.held:.1f}", "standard deviations"],
+            ["lead on the runs fitted to", f"{self.lead.fitted:.1f}", "standard deviations"],
+            ["believed", "yes" if self.believed else "no", ""],
+        ]
+        return html_table([repr(self.effect), "", ""], rows)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MissingTorque:
+    """What one joint needed beyond the model, at samples of all runs with commands."""
+
+    position: Array
+    """[rad, m] (N,)."""
+    speed: Array
+    """[rad/s, m/s] (N,)."""
+    acceleration: Array
+    """[rad/s², m/s²] (N,)."""
+    torque: Array
+    """What the drive gave beyond what the model needs for the motion [N·m, N] (N,)."""
+
+
+class GapSteps:
+    """The comparison of a recording with its model, step by step.
+
+    Parameters
+    ----------
+    recording : Recording
+        Measured runs and the nominal model.
+    settings : GapSettings, optional
+        How they are compared.
+    say : callable
+        Told what goes on, line by line.
+
+    Attributes
+    ----------
+    prepared : Prepared
+        Runs laid out and split, the step that was chosen, the noise.
+    nominal : Judged
+        The nominal model, fitted within the tolerance.
+    best : Judged
+        With what was added since.
+
+    Raises
+    ------
+    InvalidData
+        If the recording has too few runs, or a run lacks what its comparison needs.
+
+    Examples
+    --------
+    A pendulum is let go, and has more friction than its model:
+
+    >>> import tempfile
+    >>> import mujoco
+    >>> from loose_env.recording import Run, write_recording
+    >>> xml = '''<mujoco><option timestep="0.01" integrator="RK4"/><worldbody><body name="rod">
+    ...   <joint name="pivot" axis="0 1 0" damping="{}"/><inertial pos="0 0 -0.3" mass="0.5"
+    ...   diaginertia="0.01 0.01 0.001"/></body></worldbody>
+    ...   <sensor><jointpos name="encoder" joint="pivot"/></sensor></mujoco>'''
+    >>> model, rng = mujoco.MjModel.from_xml_string(xml.format(0.03)), np.random.default_rng(1)
+    >>> runs = []
+    >>> for number, begin in enumerate((0.5, 0.8, 1.1)):
+    ...     data, shown = mujoco.MjData(model), np.zeros(300)
+    ...     data.qpos[0] = begin
+    ...     for k in range(300):
+    ...         mujoco.mj_step(model, data)
+    ...         shown[k] = data.sensordata[0] + 1e-4 * rng.normal()
+    ...     runs.append(
+    ...         Run(
+    ...             name=f"run-{number}.csv", time=0.01 * np.arange(300), sensors={"encoder": shown}
+    ...         )
+    ...     )
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     recording = write_recording(
+    ...         f"{folder}/rod", model_xml=xml.format(0.01), runs=runs, file_format="csv"
+    ...     )
+    ...     steps = GapSteps(recording, GapSettings(threads=1))
+    >>> tried = steps.try_effect("viscous_friction", "pivot")
+    >>> round(tried.parameters["damping"], 2), tried.held_out < 0.01 * tried.before, tried.believed
+    (0.02, True, True)
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        settings: GapSettings | None = None,
+        *,
+        say: Say = lambda _: None,
+    ) -> None:
+        self.settings, self.say = settings or GapSettings(), say
+        self._recording, self._naming = recording, NamingSettings()
+        with quiet():  # simulations that go wild are part of a fit
+            self.prepared: Prepared = prepare(recording, self.settings)
+            search = self.prepared.search
+            start = StartState(self.machine, search.trials, search.channels)
+            nominal = NominalFigures(self.machine, tolerance=self.settings.tolerance)
+            given: list[Effect] = [start, nominal] if start.moving else [nominal]
+            free = [free_of(e.parameters, np.array(e.starts[0])) for e in given]
+            self._judge = Judge(search, self.prepared.whole_held)
+            self.nominal = self._judge.judge(fit(search, given, np.concatenate(free)))
+        self.best = self.nominal
+        say(f"nominal model: {self.nominal.held_rms:.2f} noise standard deviations held out")
+
+    @property
+    def machine(self) -> Machine:
+        """The nominal model, with the step and the figures that the recording asks for."""
+        return self.prepared.machine
+
+    @property
+    def added(self) -> tuple[Effect, ...]:
+        """What was added so far."""
+        return self.best.fitted.named
+
+    def try_effect(
+        self,
+        effect: Effect | type[Effect] | str,
+        where: str | None = None,
+        *,
+        start: Sequence[float] | None = None,
+    ) -> Tried:
+        """Fit an effect beside what was added, and judge it by the held-out runs.
+
+        Parameters
+        ----------
+        effect : Effect, type of Effect or str
+            One of `machine`, or a class, or the identifier of one in the catalogue; it need not be
+            registered.
+        where : str, optional
+            Place of a class or an identifier: one of its `places`.
+        start : sequence of float, optional
+            Values from which the fit begins; by default the most promising of its own.
+
+        Raises
+        ------
+        InvalidSetting
+            If the place is missing, or stands beside an effect that has one; or if a spring or a
+            gap was added there already.
+        InvalidData
+            If the effect changes nothing that was measured.
+        UnknownName
+            If it cannot be there, or the catalogue has no such effect.
+        """
+        found, search = self._not_added(self._effects(effect, where)), self.prepared.search
+        with quiet():
+            short = windowed(search, self._naming.sorting)
+            trying = Trying(search, short, self._judge, self.best, self._naming)
+            screened: list[Screened]
+            if start is not None:
+                values = tuple(float(v) for v in start)
+                screened = [Screened(effect=found[0], values=values, promise=1.0, sureness=1.0)]
+            else:
+                proposed = proposals(search, self.best.fitted.hypothesis, found)
+                screened = screen(short, trying.short_before, found, proposed=proposed)[:1]
+            fits = trying.singles(screened)
+            if not fits:
+                raise InvalidData(f"{found[0]!r} changes nothing that was measured, from any start")
+            tried = self._tried(self._judge.judge(polished(search, fits[0].fitted)))
+        self.say(str(tried))
+        return tried
+
+    def add(self, tried: Tried) -> None:
+        """Keep an effect: all that is tried from now on stands beside it.
+
+        Raises
+        ------
+        InvalidSetting
+            If another effect was added since it was tried.
+        """
+        count = len(self.best.fitted.effects)
+        if tried.judged.fitted.effects[:count] != self.best.fitted.effects:
+            raise InvalidSetting(
+                f"{tried.effect!r} was tried before {self.added[-1]!r} was added; try it again"
+            )
+        self.best = tried.judged
+        self.say(f"{tried.effect!r} added: {self.best.held_rms:.2f} held out")
+
+    def residuals(self) -> tuple[Series, ...]:
+        """What is left of each channel in each held-out run, in noise standard deviations."""
+        held = self.prepared.whole_held
+        found = series_of(self.best.held_residual, held.rows, held.trials, held.channels)
+        return tuple(found)
+
+    def missing_torque(self, joint: str) -> MissingTorque:
+        """What a joint needed beyond the model in the runs with commands, to be plotted.
+
+        Against position it shows springs and cogging, against speed friction. It is smoothed as
+        the measured motion has to be, and rough where drives are stiff.
+
+        Raises
+        ------
+        InvalidData
+            If no run has commands and is long enough.
+        UnknownName
+            If the model has no such joint.
+        """
+        if joint not in self.machine.joints:
+            raise UnknownName(f"the model has no joint {joint!r}; it has {self.machine.joints}")
+        number = self.machine.joint_number(joint)
+        found = missing_torque(self.prepared.search, self.best.fitted.hypothesis)
+        if found is None:
+            raise InvalidData("no run has commands and is long enough for a torque that is missing")
+        position, speed, acceleration, torque = (part[:, number] for part in found)
+        return MissingTorque(
+            position=position, speed=speed, acceleration=acceleration, torque=torque
+        )
+
+    def named(self) -> tuple[NamedEffect, ...]:
+        """What was added, with 95 % intervals, as a result has it."""
+        search = self.prepared.search
+        with quiet():
+            fitted = refined(self.best.fitted, search)
+            rng = np.random.default_rng(self.settings.seed)
+            intervals = widened(search, fitted, bootstrap(search, fitted, rng))
+        found = []
+        for effect, own in zip(fitted.effects, slices_of(fitted.effects), strict=True):
+            if effect.kind in UNNAMED:
+                continue
+            names = [p.name for p in effect.parameters]
+            ends = zip(intervals.low[own].tolist(), intervals.high[own].tolist(), strict=True)
+            found.append(
+                NamedEffect(
+                    kind=effect.kind,
+                    where=effect.where,
+                    parameters=_by_name(effect, values_of(effect.parameters, fitted.free[own])),
+                    interval_95=dict(zip(names, ends, strict=True)),
+                    units={p.name: p.unit for p in effect.parameters},
+                    variant=effect.variant,
+                    in_model=effect.in_model,
+                )
+            )
+        return tuple(found)
+
+    @property
+    def code(self) -> str:
+        """Python lines that apply to a simulation what MJCF cannot express; "" if nothing."""
+        machine = machine_part(self.best)
+        return correction_code(machine.effects, machine.values)
+
+    def write_model(self, path: str | Path) -> list[Path]:
+        """Write the model with what was added, and the files it needs beside it.
+
+        Raises
+        ------
+        InvalidData
+            If it does not compile.
+        """
+        machine = machine_part(self.best)
+        own = exported(self.prepared.whole_held, machine, self.best.held_residual)
+        for words in own.words():
+            self.say(f"warning: {words}")
+        return write_model(
+            Path(path),
+            self.machine,
+            machine.effects,
+            machine.values,
+            step=own.step,
+            source=self._recording.model_path,
+        )
+
+    def _effects(self, effect: Effect | type[Effect] | str, where: str | None) -> list[Effect]:
+        """The effect at its place, in every form."""
+        if isinstance(effect, Effect):
+            if where is not None:
+                raise InvalidSetting(f"{effect!r} has its place; leave {where!r} out")
+            return [effect]
+        if isinstance(effect, str):
+            if effect not in CATALOGUE:
+                raise UnknownName(f"unknown effect {effect!r}; the catalogue has {list(CATALOGUE)}")
+            effect = CATALOGUE[effect]
+        if where is None:
+            places = list(effect.places(self.machine))
+            raise InvalidSetting(f"{effect.kind} needs a place, one of {places}")
+        effect(self.machine, where)  # refuses other places
+        forms = effect.forms(self.machine, where)
+        return [effect(self.machine, where, variant) for variant in forms]
+
+    def _not_added(self, effects: list[Effect]) -> list[Effect]:
+        """Those for which there is room: nothing lies between two springs or gaps on one axis."""
+        added = {effect.key for effect in self.added if effect.adds_motion}
+        left = [effect for effect in effects if effect.key not in added]
+        if not left:
+            raise InvalidSetting(
+                f"{effects[0]!r} was added already, and there is room for one of it only; try "
+                "another effect or another place"
+            )
+        return left
+
+    def _tried(self, judged: Judged) -> Tried:
+        fitted, search = judged.fitted, self.prepared.search
+        acceptance = Acceptance(search, self._judge, self.nominal, self.best, self._naming)
+        effect, own = fitted.effects[-1], slices_of(fitted.effects)[-1]
+        return Tried(
+            effect=effect,
+            parameters=_by_name(effect, values_of(effect.parameters, fitted.free[own])),
+            held_out=judged.held_rms,
+            before=self.best.held_rms,
+            lead=lead_of(judged, self.best),
+            believed=acceptance.worth_naming(judged) and not acceptance.doubt(judged),
+            judged=judged,
+        )
+
+
+def _by_name(effect: Effect, values: Array) -> dict[str, float]:
+    """Values (P,) by the names of the parameters."""
+    return {p.name: float(v) for p, v in zip(effect.parameters, values, strict=True)}

@@ -1,0 +1,390 @@
+"""The torque that a model needs for a measured motion, against the torque that was measured.
+
+The motion is smoothed (`loose_env.gap.data.smoothing`), and the model of each hypothesis evaluated
+on it: M(q) a + bias - passive forces, for all samples at once on MuJoCo's thread pool. Dry
+friction is a law of the smoothed speed, not MuJoCo's constraint, whose force at rest says what
+holds the joint and not what the drive gives. The measured torque passes the same filter as the
+motion.
+
+What an inverse comparison cannot show: commands, accelerometers, contacts and joint stops. Samples
+around the reversals of a joint are left out for that joint, since the direction of its friction is
+not known there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from loose_env.gap.data.aligned_run import Channel, Trial
+from loose_env.gap.data.noise_floor import noise_floor
+from loose_env.gap.data.smoothing import Motion, filled, smooth_motion
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.simulation.simulator import _layout
+from loose_env.gap.simulation.torque_terms import has_terms, torque_terms
+from loose_env.gap.simulation.unmeasured_dofs import Drive
+
+__all__ = ["InverseDynamics"]
+
+Array = NDArray[np.float64]
+
+_TURNING = 3.0
+"""Speed below which the direction of motion is in doubt [standard deviations of its noise]."""
+_MOVES = 10.0
+"""Largest speed of a joint that counts as moving [standard deviations of its noise]."""
+_REPEATS = 12
+"""Steps in which a reading is followed back to what was there."""
+_SEED = 20
+"""Of the noise that is added to see what becomes of it."""
+_OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Run:
+    """What is measured of a run, as it is compared."""
+
+    motion: Motion
+    measured: Array
+    """Torques after the filter, NaN where they are not compared (T, C)."""
+    floors: Array
+    """Standard deviation of the difference (C,)."""
+    torque: Array
+    """Its part that is the noise of the measured torque (C,)."""
+
+
+class InverseDynamics:
+    """Predicts the torques of inverse runs; takes the place of a `Simulator`.
+
+    Parameters
+    ----------
+    machine : Machine
+        The nominal model.
+    trials : sequence of Trial
+        The runs, of inverse form.
+    channels : tuple of Channel
+        The recording's columns; torques are predicted.
+    threads : int
+        Threads of the pool; 0: all processors.
+
+    Raises
+    ------
+    InvalidData
+        If a run is too short to be smoothed.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        trials: Sequence[Trial],
+        channels: tuple[Channel, ...],
+        *,
+        threads: int = 0,
+    ) -> None:
+        self.machine, self.trials, self.channels = machine, list(trials), channels
+        self.threads = threads
+        self.simulated = 0
+        self._batches: dict[tuple[object, ...], tuple[Batch, list[Array]]] = {}
+        self._motions = [smooth_motion(trial, machine, channels) for trial in self.trials]
+        self._corrected: dict[object, list[Motion]] = {}
+        self._drive = Drive(machine, threads=threads)
+
+    @cached_property
+    def _torques(self) -> dict[int, int]:
+        """Channel -> joint, of the torques."""
+        pairs = ((k, c.column.partition(".")) for k, c in enumerate(self.channels))
+        return {k: self.machine.joint_number(n) for k, (kind, _, n) in pairs if kind == "torque"}
+
+    @cached_property
+    def _runs(self) -> list[_Run]:
+        """What is compared, with its noise."""
+        spread = self._propagated()
+        return [self._run(t, spread[t]) for t in range(len(self.trials))]
+
+    def measured(self, trial: int) -> Array:
+        """Torques of a run as compared, NaN elsewhere (T, C)."""
+        return self._runs[trial].measured
+
+    def floors(self, trial: int) -> Array:
+        """Noise of what is compared, of the torque and of the motion (C,); NaN if not compared."""
+        return self._runs[trial].floors
+
+    def levels(self, hypothesis: Hypothesis) -> list[Array]:
+        """Noise of each run's torques under a hypothesis, over that of the rigid arm (C,).
+
+        The torque that a motion needs carries the noise of the measured acceleration. Behind a
+        spring there is less of it, or more near a resonance. How much is seen by adding noise once
+        more, the same for every hypothesis.
+        """
+        model = hypothesis.model(self.machine, self.machine.step or self.machine.model.opt.timestep)
+        if model.nv <= self.machine.model.nv:
+            return [np.ones(len(self.channels)) for _ in self.trials]
+        changed = self._change(hypothesis)
+        found = []
+        for run, own, rigid in zip(self._runs, changed, self._rigid_change, strict=True):
+            level = np.ones(len(self.channels))
+            for channel, joint in self._torques.items():
+                compared = np.isfinite(run.measured[run.motion.chosen, channel])
+                if compared.any():
+                    noise = run.torque[channel] ** 2
+                    now, then = (float(np.mean(c[compared, joint] ** 2)) for c in (own, rigid))
+                    if np.isfinite(now):  # a simulation that went wild says nothing
+                        level[channel] = np.sqrt((noise + now) / (noise + then))
+            found.append(level)
+        return found
+
+    def _change(self, hypothesis: Hypothesis) -> list[Array]:
+        """What more noise of the motion changes in the torques (E, joints) of each run."""
+        pair = (self._needed(hypothesis, motions) for motions in (self._noisier, self._motions))
+        return [one - other for one, other in zip(*pair, strict=True)]
+
+    @cached_property
+    def _rigid_change(self) -> list[Array]:
+        """The same of the nominal model."""
+        return self._change(Hypothesis(effects=(), values=()))
+
+    @cached_property
+    def _noisier(self) -> list[Motion]:
+        """The motions with as much noise again as their sensors have."""
+        found = []
+        for number, (run, motion) in enumerate(zip(self.trials, self._motions, strict=True)):
+            rng = np.random.default_rng([_SEED, number])
+            readings = {
+                c.column: run.measured[:, k]
+                + noise_floor(filled(run.time, run.measured[:, k], motion.time))
+                * rng.standard_normal(len(run.time))
+                for k, c in enumerate(self.channels)
+                if self._motion_sensor(c.column) and np.isfinite(run.measured[:, k]).any()
+            }
+            found.append(smooth_motion(run, self.machine, self.channels, readings, motion.band))
+        return found
+
+    def spacing(self, trial: int) -> int:
+        """Samples from one that is compared to the next."""
+        return int(self._motions[trial].chosen[1])
+
+    def shows(self, effect: Effect) -> bool:
+        """Whether an effect makes a difference to the torque that a motion needs.
+
+        Of a sensor only those of joint positions and speeds do. A bias of a position is the same
+        as an offset of the encoder, which stands for both.
+        """
+        if effect.drives:
+            start, lone = np.array(effect.starts[0]), np.ones(1)
+            return any(effect.sensed_torque(j, lone, start)[0] != 1.0 for j in self.machine.joints)
+        if effect.moves:
+            return True
+        column = column_of(effect.where)
+        used = {c.column for c in self.channels if self._motion_sensor(c.column)}
+        return column in used and effect.kind != "sensor_bias"
+
+    def _motion_sensor(self, column: str) -> bool:
+        prefix, _, name = column.partition(".")
+        if prefix != "sensor" or name not in self.machine.sensors:
+            return False
+        kind = int(self.machine.model.sensor(name).type[0])
+        return kind in (
+            int(mujoco.mjtSensor.mjSENS_JOINTPOS),
+            int(mujoco.mjtSensor.mjSENS_JOINTVEL),
+        )
+
+    def predict(self, hypotheses: Sequence[Hypothesis]) -> list[list[Array]]:
+        """Torques of every run under every hypothesis.
+
+        Returns
+        -------
+        list of list of ndarray (T, C)
+            By hypothesis, by trial; NaN where nothing is compared.
+        """
+        return [self._columns(hypothesis) for hypothesis in hypotheses]
+
+    def _columns(self, hypothesis: Hypothesis) -> list[Array]:
+        needed = self._needed(hypothesis, self._motions_for(hypothesis))
+        found = []
+        for trial, motion, torque in zip(self.trials, self._motions, needed, strict=True):
+            columns = np.full((len(trial.time), len(self.channels)), np.nan)
+            kept = motion.chosen
+            for channel, joint in self._torques.items():
+                columns[kept, channel] = torque[:, joint]
+            found.append(columns)
+        return found
+
+    def _needed(self, hypothesis: Hypothesis, motions: list[Motion]) -> list[Array]:
+        """What the drives give (E, joints) in each run."""
+        model = hypothesis.model(self.machine, self.machine.step or self.machine.model.opt.timestep)
+        self.simulated += sum(len(m.chosen) for m in motions)
+        if model.nv > self.machine.model.nv:
+            found = [m.band.smooth(self._drive.torque(hypothesis, m))[m.chosen] for m in motions]
+        else:
+            rigid = self._rigid(model, motions)
+            extra = [self._dry(hypothesis, model, m) for m in motions]
+            found = [r + e for r, e in zip(rigid, extra, strict=True)]
+        for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
+            if type(effect).sensed_torque is Effect.sensed_torque:
+                continue
+            for torque in found:
+                for joint, name in enumerate(self.machine.joints):
+                    torque[:, joint] = effect.sensed_torque(name, torque[:, joint], own)
+        return found
+
+    def _rigid(self, model: mujoco.MjModel, motions: list[Motion]) -> list[Array]:
+        """M a + bias - passive of all runs at once (E, joints) each."""
+        states = [m.states for m in motions]
+        position, speed, acceleration = (np.concatenate(part) for part in zip(*states, strict=True))
+        model.opt.disableflags |= _OFF
+        batch, fields = self._batch(model, len(position))
+        batch.set_models(model)
+        batch.qpos[:], batch.qvel[:] = position, speed
+        batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
+        mass, bias, passive = fields
+        torque = _times(model, mass, acceleration) + bias - passive
+        return np.split(torque, np.cumsum([len(s[0]) for s in states])[:-1])
+
+    def _batch(self, model: mujoco.MjModel, count: int) -> tuple[Batch, list[Array]]:
+        """Batch with room for all samples, and its mass matrices and forces."""
+        key = (*_layout(model), count)
+        if key not in self._batches:
+            if len(self._batches) > 6:
+                self._batches.clear()
+            batch = Batch(model, count, self.threads)
+            fields = [batch.bind(name) for name in ("M", "qfrc_bias", "qfrc_passive")]
+            self._batches[key] = batch, fields
+        return self._batches[key]
+
+    def _dry(self, hypothesis: Hypothesis, model: mujoco.MjModel, motion: Motion) -> Array:
+        """What friction by direction, unseen drives and torque terms take (E, joints)."""
+        direction = np.tanh(motion.speed / np.maximum(motion.noise[1], 1e-12))
+        found: Array = np.asarray(model.dof_frictionloss * direction)
+        for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
+            if type(effect).unseen_torque is not Effect.unseen_torque:
+                joint = self.machine.joint_number(effect.where)
+                found[:, joint] += effect.unseen_torque(
+                    motion.position[:, joint], motion.speed[:, joint], own
+                )
+        if has_terms(hypothesis):
+            found -= torque_terms(hypothesis, motion.position, motion.speed)
+        if not found.any():
+            return found[motion.chosen]
+        return motion.band.smooth(found)[motion.chosen]
+
+    def _motions_for(self, hypothesis: Hypothesis) -> list[Motion]:
+        """The motions, corrected for what a hypothesis says of the sensors that show them."""
+        reading = [
+            (effect, values)
+            for effect, values in zip(hypothesis.effects, hypothesis.values, strict=True)
+            if type(effect).read is not Effect.read and self._motion_sensor(column_of(effect.where))
+        ]
+        if not reading:
+            return self._motions
+        key = tuple((id(effect), values.tobytes()) for effect, values in reading)
+        if key not in self._corrected:
+            if len(self._corrected) > 32:
+                self._corrected.clear()
+            self._corrected[key] = [
+                self._corrected_motion(t, reading) for t in range(len(self.trials))
+            ]
+        return self._corrected[key]
+
+    def _corrected_motion(self, trial: int, reading: list[tuple[Effect, Array]]) -> Motion:
+        """Follow the readings back to what was there, by repeated correction."""
+        run, motion = self.trials[trial], self._motions[trial]
+        shown = {
+            c.column: motion.band.smooth(filled(run.time, run.measured[:, k], motion.time))
+            for k, c in enumerate(self.channels)
+            if self._motion_sensor(c.column) and np.isfinite(run.measured[:, k]).any()
+        }
+        there = shown
+        for _ in range(_REPEATS):
+            read = there
+            for effect, values in reading:
+                read = effect.read(motion.time, read, values)
+            there = {name: there[name] + shown[name] - read[name] for name in shown}
+        raw = {
+            c.column: filled(run.time, run.measured[:, k], motion.time)
+            + there[c.column]
+            - shown[c.column]
+            for k, c in enumerate(self.channels)
+            if c.column in shown
+        }
+        return smooth_motion(run, self.machine, self.channels, raw, motion.band)
+
+    def _propagated(self) -> list[Array]:
+        """Variance of the torque that comes from the motion's noise (joints,), run by run.
+
+        Differences of the nominal model's torque, over all samples: what a standard deviation of
+        each joint's position, speed and acceleration changes, root mean square.
+        """
+        nominal = Hypothesis(effects=(), values=())
+        model = nominal.model(self.machine, self.machine.step or self.machine.model.opt.timestep)
+        base = self._rigid(model, self._motions)
+        found = [np.zeros(len(self.machine.joints)) for _ in self._motions]
+        for kind in range(3):
+            for joint in range(len(self.machine.joints)):
+                moved = [_moved(motion, kind, joint) for motion in self._motions]
+                for total, one, other in zip(found, self._rigid(model, moved), base, strict=True):
+                    total += np.mean((one - other) ** 2, axis=0)
+        return found
+
+    def _run(self, number: int, propagated: Array) -> _Run:
+        trial, motion = self.trials[number], self._motions[number]
+        measured = np.full(trial.measured.shape, np.nan)
+        floors, own = np.full((2, len(self.channels)), np.nan)
+        kept = motion.chosen
+        edge = min(2.0 / motion.band.end, 0.1 * float(motion.time[-1]))
+        inside = (motion.time[kept] >= edge) & (motion.time[kept] <= motion.time[-1] - edge)
+        passed = _share_passed(motion)
+        for channel, joint in self._torques.items():
+            raw = trial.measured[:, channel]
+            if not np.isfinite(raw).any():
+                continue
+            torque = filled(trial.time, raw, motion.time)
+            good = inside & np.isfinite(raw[kept]) & _directed(motion, joint)[kept]
+            measured[kept[good], channel] = motion.band.smooth(torque)[kept[good]]
+            own[channel] = np.sqrt(passed) * noise_floor(torque)
+            floors[channel] = np.hypot(own[channel], np.sqrt(propagated[joint]))
+        return _Run(motion=motion, measured=measured, floors=floors, torque=own)
+
+
+def _times(model: mujoco.MjModel, mass: Array, acceleration: Array) -> Array:
+    """Mass matrices as MuJoCo stores them, lower triangles by row (E, nC), times (E, nv)."""
+    found = np.zeros_like(acceleration)
+    rows = np.repeat(np.arange(model.nv), model.M_rownnz)
+    for k, (row, column) in enumerate(zip(rows, model.M_colind, strict=True)):
+        found[:, row] += mass[:, k] * acceleration[:, column]
+        if row != column:
+            found[:, column] += mass[:, k] * acceleration[:, row]
+    return found
+
+
+def _moved(motion: Motion, kind: int, joint: int) -> Motion:
+    """The motion with one joint's position, speed or acceleration off by its noise."""
+    parts = [motion.position, motion.speed, motion.acceleration]
+    parts[kind] = parts[kind].copy()
+    parts[kind][:, joint] += motion.noise[kind, joint]
+    return Motion(
+        band=motion.band, time=motion.time, position=parts[0], speed=parts[1],
+        acceleration=parts[2], noise=motion.noise, chosen=motion.chosen,
+    )  # fmt: skip
+
+
+def _share_passed(motion: Motion) -> float:
+    """Share of white noise's power that the filter passes."""
+    impulse = np.zeros(min(len(motion.time), 4096))
+    impulse[len(impulse) // 2] = 1.0
+    return float(np.sum(motion.band.smooth(impulse) ** 2))
+
+
+def _directed(motion: Motion, joint: int) -> NDArray[np.bool_]:
+    """Where the direction of a joint's motion is known (G,); everywhere if it never moves."""
+    speed, noise = np.abs(motion.speed[:, joint]), motion.noise[1, joint]
+    if float(speed.max()) < _MOVES * noise:
+        return np.ones(len(speed), dtype=bool)
+    return np.asarray(speed > _TURNING * noise)

@@ -1,0 +1,162 @@
+"""What sensors read at a moment, where commands change within a step, or a sensor is late.
+
+A step is simulated with the mean of a command over it. An accelerometer reads what is there at its
+moment: a servo's acceleration jumps with every command that it is given. One that is late reads
+what was there at its moment, between two steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from loose_env.gap.data.aligned_run import Channel
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.mjcf.sensor_columns import column_of, of_place_or_speed
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.simulation.torque_terms import has_terms, torque_terms
+
+__all__ = [
+    "PARTS",
+    "STATES",
+    "changes_within",
+    "commands_at",
+    "late_sensors",
+    "readings_at",
+    "states_before",
+]
+
+Array = NDArray[np.float64]
+
+PARTS = 2
+"""Parts of a step where commands change within it: a mean moves the speed rightly, and the place
+only as far as the change lies in the middle."""
+STATES = ("qpos", "qvel", "act")
+"""What the state of a simulation consists of."""
+_AT_A_TIME = 1024
+"""States at which sensors are worked out at a time."""
+
+
+def changes_within(machine: Machine, hypothesis: Hypothesis, channels: Sequence[Channel]) -> bool:
+    """Whether commands may change within a step, and a channel shows it.
+
+    Positions and speeds follow the mean of a command.
+    """
+    if all(of_place_or_speed(machine, channel.column) for channel in channels):
+        return False
+    return any(type(effect).command_at is not Effect.command_at for effect in hypothesis.effects)
+
+
+def late_sensors(hypothesis: Hypothesis, channels: Sequence[Channel]) -> dict[str, float]:
+    """Sensors among the channels that show what was, each with its delay [s]."""
+    shown = {channel.column for channel in channels}
+    found: dict[str, float] = {}
+    for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
+        late = effect.lateness(own)
+        if late is not None and late[1] > 0 and column_of(late[0]) in shown:
+            found[late[0]] = found.get(late[0], 0.0) + late[1]
+    return found
+
+
+def states_before(states: Mapping[str, Array], at: Array, step: float) -> dict[str, Array]:
+    """States between those of a simulation, of joints that turn or slide.
+
+    Places follow cubics through the places and speeds at both ends of a step, within which
+    commands are constant, and speeds their slopes; activations follow straight lines.
+
+    Parameters
+    ----------
+    states : mapping
+        Of `STATES`, at every step (S, ...).
+    at : ndarray (T,)
+        When [s]; before the first state it holds.
+    step : float
+        Step [s].
+
+    Examples
+    --------
+    >>> fallen = {"qpos": np.array([[0.0], [1.0]]), "qvel": np.array([[0.0], [2.0]])}
+    >>> {name: float(v[0, 0]) for name, v in states_before(fallen, np.array([0.5]), 1.0).items()}
+    {'qpos': 0.25, 'qvel': 1.0}
+    """
+    count = len(states["qpos"])
+    steps = np.clip(at / step, 0.0, count - 1.0)
+    low = np.minimum(np.floor(steps + 1e-9).astype(int), max(count - 2, 0))
+    high = np.minimum(low + 1, count - 1)
+    s = np.clip(steps - low, 0.0, 1.0)[:, None]
+    found = {name: v[low] * (1 - s) + v[high] * s for name, v in states.items()}
+    place, speed = states["qpos"], states["qvel"]
+    if place.shape == speed.shape:
+        way = place[high] - place[low]
+        one, two = step * speed[low] - way, step * speed[high] - way
+        found["qpos"] += s * (1 - s) * ((1 - s) * one - s * two)
+        found["qvel"] = (way + one * (1 - s) * (1 - 3 * s) - two * s * (2 - 3 * s)) / step
+    return found
+
+
+def commands_at(hypothesis: Hypothesis, clock: Array, controls: Array) -> Array:
+    """What is at the actuators at each step itself.
+
+    Parameters
+    ----------
+    hypothesis : Hypothesis
+        Effects with their values.
+    clock : ndarray (T,)
+        Steps [s].
+    controls : ndarray (T, actuators)
+        Commands that were given, held from their step to the next.
+    """
+    for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
+        controls = effect.command_at(clock, controls, own)
+    return controls
+
+
+def readings_at(
+    machine: Machine,
+    hypothesis: Hypothesis,
+    model: mujoco.MjModel,
+    states: Mapping[str, Array],
+    controls: Array,
+    threads: int,
+) -> Array:
+    """Sensors, with commands as they are at the moment (T, sensors).
+
+    Parameters
+    ----------
+    machine : Machine
+        The nominal model.
+    hypothesis : Hypothesis
+        What is simulated.
+    model : mujoco.MjModel
+        The same, compiled.
+    states : mapping
+        Of `STATES`, (T, ...) each.
+    controls : ndarray (T, actuators)
+        Commands there.
+    threads : int
+        Threads of the simulation; 0: all processors.
+    """
+    batch = Batch(model, min(_AT_A_TIME, len(controls)), threads)
+    batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+    sensed = batch.bind("sensordata")
+    joints = [model.joint(name) for name in machine.joints]
+    places = [int(joint.qposadr[0]) for joint in joints]
+    dofs = [int(joint.dofadr[0]) for joint in joints]
+    found = np.empty((len(controls), model.nsensordata))
+    for first in range(0, len(controls), _AT_A_TIME):
+        count = min(_AT_A_TIME, len(controls) - first)
+        part = slice(first, first + count)
+        for name, values in states.items():
+            getattr(batch, name)[:count] = values[part]
+        batch.ctrl[:count, : controls.shape[1]] = controls[part]
+        if has_terms(hypothesis):
+            at = states["qpos"][part][:, places], states["qvel"][part][:, dofs]
+            batch.qfrc_applied[:count, dofs] = torque_terms(hypothesis, *at)
+        batch.forward()
+        found[part] = sensed[:count]
+    return found

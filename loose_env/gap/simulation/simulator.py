@@ -1,0 +1,305 @@
+"""Simulates measured runs under many hypotheses at once, on MuJoCo's thread pool.
+
+A hypothesis is a list of effects with their values. What it predicts stands at the samples of the
+run, channel by channel, as the sensors would show it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch, SimulationError
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData
+from loose_env.gap.data.aligned_run import Channel, Trial
+from loose_env.gap.data.initial_rest import SETTLE
+from loose_env.gap.model.effect import Readings
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.simulation.sensor_timing import (
+    PARTS,
+    STATES,
+    changes_within,
+    commands_at,
+    late_sensors,
+    readings_at,
+    states_before,
+)
+from loose_env.gap.simulation.time_step import stepped
+from loose_env.gap.simulation.torque_terms import BatchWithTerms, has_terms, with_terms
+from loose_env.rig.quiet import quiet
+
+__all__ = ["Simulator"]
+
+Array = NDArray[np.float64]
+
+_CHUNK = 2_000_000
+"""Numbers recorded at a time."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Slot:
+    """One simulation: a run under a hypothesis."""
+
+    key: object
+    hypothesis: Hypothesis
+    model: mujoco.MjModel
+    number: int
+    """Number of the run."""
+    trial: Trial
+    """The run on the steps that are taken."""
+    parts: int
+    """In how many parts each step of the run is simulated."""
+
+
+class Simulator:
+    """Simulates the runs of a recording.
+
+    Parameters
+    ----------
+    machine : Machine
+        The nominal model.
+    trials : sequence of Trial
+        The runs, forward or free.
+    channels : tuple of Channel
+        What is predicted.
+    threads : int
+        Threads of the pool; 0: all processors.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        trials: Sequence[Trial],
+        channels: tuple[Channel, ...],
+        *,
+        threads: int = 0,
+    ) -> None:
+        self.machine, self.trials, self.channels = machine, list(trials), channels
+        self.threads = threads
+        self._batches: dict[tuple[object, ...], Batch] = {}
+        self.simulated = 0
+
+    def predict(self, hypotheses: Sequence[Hypothesis]) -> list[list[Array]]:
+        """Simulate every run under every hypothesis.
+
+        Returns
+        -------
+        list of list of ndarray (T, C)
+            By hypothesis, by trial; NaN where the simulation went wild.
+        """
+        motions = {self._motion(hypothesis): hypothesis for hypothesis in hypotheses}
+        alike: dict[tuple[object, ...], list[_Slot]] = {}
+        for key, hypothesis in motions.items():
+            parts = PARTS if changes_within(self.machine, hypothesis, self.channels) else 1
+            models: dict[tuple[float, bool], mujoco.MjModel] = {}
+            for t, laid_out in enumerate(self.trials):
+                trial = stepped(laid_out, self.machine, hypothesis.effects)
+                which = trial.step, trial.form == "free"
+                if which not in models:
+                    step = trial.step / parts
+                    models[which] = hypothesis.model(self.machine, step, released=which[1])
+                model = models[which]
+                group = (_layout(model), which, trial.steps, parts, has_terms(hypothesis))
+                slot = _Slot(
+                    key=key, hypothesis=hypothesis, model=model, number=t, trial=trial, parts=parts
+                )
+                alike.setdefault(group, []).append(slot)
+        seen: dict[tuple[object, int], tuple[mujoco.MjModel, Array]] = {}
+        with quiet():
+            for slots in alike.values():
+                for slot, whole in zip(slots, self._simulate(slots), strict=True):
+                    seen[slot.key, slot.number] = slot.model, whole
+        return [
+            [
+                self._columns(hypothesis, *seen[self._motion(hypothesis), t], trial)
+                for t, trial in enumerate(self.trials)
+            ]
+            for hypothesis in hypotheses
+        ]
+
+    @staticmethod
+    def _motion(hypothesis: Hypothesis) -> object:
+        """What the motion depends on: hypotheses that differ in readings alone share it."""
+        effects = zip(hypothesis.effects, hypothesis.values, strict=True)
+        starts = (hypothesis.position, hypothesis.speed)
+        return (
+            *(
+                (id(effect), values.tobytes())
+                for effect, values in effects
+                if effect.moves or effect.lateness(values) is not None
+            ),
+            *(None if start is None else start.tobytes() for start in starts),
+        )
+
+    def _simulate(self, slots: list[_Slot]) -> list[Array]:
+        """Sensors at the samples (T, sensors), by slot."""
+        batch = self._batch(slots)
+        moved = with_terms(batch, self.machine, [slot.hypothesis for slot in slots])
+        parts = slots[0].parts
+        first = slots[0].trial.finer(parts)
+        steps, settle = first.steps, round(SETTLE / first.step)
+        self._set_start(batch, slots)
+        controls = np.zeros((len(slots), steps, slots[0].model.nu))
+        clock: Array = np.arange(steps, dtype=float) * first.step
+        for k, slot in enumerate(slots):
+            values, hypothesis = slot.trial.finer(parts).controls, slot.hypothesis
+            for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
+                values = effect.command(clock, values, own)
+            controls[k, :, : values.shape[1]] = values
+        wild = np.zeros(len(slots), dtype=bool)
+        resting = np.array([slot.trial.resting for slot in slots])
+        if resting.any() and settle:  # the clock runs on, for delayed commands are kept by time
+            held = np.repeat(controls[resting, :1], settle, axis=1)
+            wild |= _advance(moved, settle, held, np.flatnonzero(resting), None)
+        self.simulated += len(slots) * steps
+        width = slots[0].model.nsensordata
+        # where a command changes within a step, or a sensor is late, sensors are worked out again
+        late = [late_sensors(slot.hypothesis, self.channels) for slot in slots]
+        names = STATES if parts > 1 or any(late) else ()
+        states: dict[str, list[Array]] = {name: [] for name in names}
+        size = max(1, min(steps, _CHUNK // max(1, len(slots) * width)))
+        kept = np.empty((len(slots), steps, width))
+        for start in range(0, steps, size):
+            count = min(size, steps - start)
+            records: dict[str, Array] = {}
+            chunk = slice(start, start + count)
+            before = {name: np.array(getattr(batch, name)) for name in names}
+            wild |= _advance(
+                moved, count, controls[:, chunk], np.arange(len(slots)), records, names
+            )
+            for name, found in states.items():
+                found += [before[name][:, None], records[name][:, :-1]]
+            kept[:, chunk] = records["sensordata"]
+        kept = kept[:, ::parts]
+        begun = {name: np.concatenate(found, axis=1) for name, found in states.items()}
+        for k in np.flatnonzero(~wild).tolist():
+            passed = {name: found[k] for name, found in begun.items()}
+            if parts > 1:
+                at_steps = {name: found[::parts] for name, found in passed.items()}
+                commands = commands_at(slots[k].hypothesis, clock[::parts], slots[k].trial.controls)
+                kept[k] = self._readings(slots[k], at_steps, commands)
+            for name, delay in late[k].items():
+                sensor = slots[k].model.sensor(name)
+                columns = slice(int(sensor.adr[0]), int(sensor.adr[0]) + int(sensor.dim[0]))
+                kept[k][:, columns] = self._late(slots[k], passed, delay)[:, columns]
+        kept[wild] = np.nan
+        return [slot.trial.at_samples(k) for slot, k in zip(slots, kept, strict=True)]
+
+    def _readings(self, slot: _Slot, states: Mapping[str, Array], commands: Array) -> Array:
+        return readings_at(
+            self.machine, slot.hypothesis, slot.model, states, commands, self.threads
+        )
+
+    def _late(self, slot: _Slot, states: Mapping[str, Array], delay: float) -> Array:
+        """Sensors as they were so long before every step of a trial (T, sensors)."""
+        trial = slot.trial
+        clock: Array = np.arange(trial.steps, dtype=float) * trial.step
+        then = states_before(states, clock - delay, trial.step / slot.parts)
+        commands = commands_at(slot.hypothesis, clock, trial.controls)
+        held = np.floor((clock - delay) / trial.step + 1e-9).astype(int)
+        return self._readings(slot, then, commands[np.maximum(held, 0)])
+
+    def _batch(self, slots: list[_Slot]) -> Batch:
+        """Batch of as many slots, with these models."""
+        key = (*_layout(slots[0].model), has_terms(slots[0].hypothesis), len(slots))
+        if key not in self._batches:
+            if len(self._batches) > 6:
+                self._batches.clear()
+            self._batches[key] = Batch(slots[0].model, len(slots), self.threads)
+        batch = self._batches[key]
+        batch.set_models([slot.model for slot in slots])
+        return batch
+
+    def _set_start(self, batch: Batch, slots: list[_Slot]) -> None:
+        """Put every slot where its run began."""
+        batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+        qpos, qvel = batch.qpos, batch.qvel
+        for k, slot in enumerate(slots):
+            trial, hypothesis = slot.trial, slot.hypothesis
+            at = [slot.model.joint(name) for name in self.machine.joints]
+            places = [int(j.qposadr[0]) for j in at]
+            dofs = [int(j.dofadr[0]) for j in at]
+            position, speed = trial.position, trial.speed
+            if hypothesis.position is not None:
+                position = position + hypothesis.position[slot.number]
+            if hypothesis.speed is not None:
+                speed = speed + hypothesis.speed[slot.number]
+            qpos[k] = slot.model.qpos0
+            qpos[k, places] = position
+            qvel[k] = 0.0
+            qvel[k, dofs] = speed
+
+    def _columns(
+        self, hypothesis: Hypothesis, model: mujoco.MjModel, whole: Array, trial: Trial
+    ) -> Array:
+        """What the channels show (T, C)."""
+        readings: Readings = {}
+        for column in dict.fromkeys(channel.column for channel in self.channels):
+            prefix, _, name = column.partition(".")
+            if prefix == "sensor":
+                sensor = model.sensor(name)
+                start, size = int(sensor.adr[0]), int(sensor.dim[0])
+                values = whole[:, start : start + size]
+                readings[column] = values[:, 0] if size == 1 else values
+            else:
+                forces = whole[:, model.nsensordata - len(self.machine.actuators) :]
+                readings[column] = forces @ self.machine.gears(name)
+        for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
+            readings = effect.read(trial.time, readings, own)
+        return np.stack(
+            [
+                readings[c.column] if c.axis is None else readings[c.column][:, c.axis]
+                for c in self.channels
+            ],
+            axis=1,
+        )
+
+
+def _layout(model: mujoco.MjModel) -> tuple[object, ...]:
+    """What two models must share to lie in one batch."""
+    sizes = (
+        "nq", "nv", "nu", "na", "nbody", "njnt", "nsite", "nsensor", "nsensordata", "neq",
+        "nhistory", "nM", "ngeom", "ntendon", "nJmom", "nC",
+    )  # fmt: skip
+    return (
+        *(int(getattr(model, name, 0)) for name in sizes),
+        tuple(model.jnt_bodyid),
+        tuple(model.body_parentid),
+        tuple(model.jnt_limited),
+        tuple(model.dof_frictionloss > 0),
+    )
+
+
+def _advance(
+    batch: Batch | BatchWithTerms,
+    count: int,
+    controls: Array,
+    ids: NDArray[np.intp],
+    records: dict[str, Array] | None,
+    more: Sequence[str] = (),
+) -> NDArray[np.bool_]:
+    """Advance some slots; return which of all slots went wild."""
+    names = ("sensordata", *more) if records is not None else ("qpos",)
+    wild = np.zeros(batch.nsim, dtype=bool)
+    try:
+        out = batch.rollout(
+            count,
+            np.ascontiguousarray(controls),
+            control_spec=int(mujoco.mjtState.mjSTATE_CTRL),
+            record=names,
+            ids=ids,
+        )
+    except SimulationError as error:
+        raise InvalidData(f"MuJoCo cannot simulate the model: {error}") from error
+    if records is not None:
+        records.update(out)
+    bad = ~np.isfinite(out[names[0]][:, -1]).all(axis=-1) | (
+        np.abs(out[names[0]]).max(axis=(1, 2)) > 1e9
+    )
+    wild[ids[bad]] = True
+    return wild

@@ -1,0 +1,229 @@
+"""Terms on the joints' torque that an effect states as a function of position and speed.
+
+MJCF has no means for them, so that Python adds them to a simulation step by step. A torque that is
+held over a step and taken from its beginning is late by half a step, so that a spring drives what
+it should hold. Under a Runge-Kutta method the mean of the term along the step is held instead, over
+positions and speeds that the acceleration at its beginning predicts; by how much that mean was off,
+the step shows, and the next one makes up for it. What sensors read at the beginning of a step is
+worked out with the term as it is there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+
+__all__ = ["BatchWithTerms", "has_terms", "torque_terms", "with_terms"]
+
+Array = NDArray[np.float64]
+State = tuple[Array, Array]
+"""Positions and speeds of the machine's joints, (sims, joints) or (states, sims, joints) each."""
+
+_NODES = (0.5 + 0.5 / np.sqrt(3.0) * np.array([-1.0, 1.0]))[:, None, None]
+"""Parts of a step at which a term is taken: Gauss's two nodes, whose mean is exact for a cubic."""
+_RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
+_STATE = ("qpos", "qvel", "act")
+
+
+def has_terms(hypothesis: Hypothesis) -> bool:
+    """Whether any of its effects is a term on the torque."""
+    return any(type(effect).torque is not Effect.torque for effect in hypothesis.effects)
+
+
+def torque_terms(hypothesis: Hypothesis, position: Array, speed: Array) -> Array:
+    """What the terms of a hypothesis give together (..., joints) [N·m, N].
+
+    Parameters
+    ----------
+    hypothesis : Hypothesis
+        Effects with their values.
+    position, speed : ndarray (..., joints)
+        Of the machine's joints [rad, m], [rad/s, m/s].
+
+    Raises
+    ------
+    InvalidData
+        If a term is not one number per joint.
+    """
+    found = np.zeros(position.shape)
+    with np.errstate(all="ignore"):  # a simulation that goes wild is told from its state
+        for effect, values in zip(hypothesis.effects, hypothesis.values, strict=True):
+            if type(effect).torque is Effect.torque:
+                continue
+            given = np.asarray(effect.torque(position, speed, values))
+            if given.shape != position.shape:
+                raise InvalidData(
+                    f"{effect!r}: torque gives an array of the shape {given.shape}; one number for "
+                    f"each joint is needed, {position.shape} as its position"
+                )
+            found += given
+    return found
+
+
+def with_terms(
+    batch: Batch, machine: Machine, hypotheses: Sequence[Hypothesis]
+) -> Batch | BatchWithTerms:
+    """Return the batch itself, or where a hypothesis has terms, one that adds them.
+
+    Parameters
+    ----------
+    batch : mujoco.batch.Batch
+        The simulations.
+    machine : Machine
+        Whose joints the terms know.
+    hypotheses : sequence of Hypothesis
+        That of each simulation.
+    """
+    if not any(map(has_terms, hypotheses)):
+        return batch
+    return BatchWithTerms(batch, machine, hypotheses)
+
+
+class BatchWithTerms:
+    """Simulations of a batch on which torque terms act.
+
+    Parameters
+    ----------
+    batch, machine, hypotheses
+        As of `with_terms`.
+    """
+
+    def __init__(self, batch: Batch, machine: Machine, hypotheses: Sequence[Hypothesis]) -> None:
+        self.batch, self.hypotheses = batch, tuple(hypotheses)
+        joints = [batch.model.joint(name) for name in machine.joints]
+        self._places = np.array([int(joint.qposadr[0]) for joint in joints])
+        self._dofs = np.array([int(joint.dofadr[0]) for joint in joints])
+
+    @property
+    def nsim(self) -> int:
+        """How many simulations there are."""
+        return int(self.batch.nsim)
+
+    def bind(self, name: str) -> Array:
+        """Live values of a field (sims, ...)."""
+        return np.asarray(self.batch.bind(name))
+
+    def rollout(
+        self,
+        count: int,
+        control: Array,
+        control_spec: int,
+        record: Sequence[str],
+        ids: NDArray[np.intp],
+    ) -> dict[str, Array]:
+        """Advance some simulations, as `mujoco.batch.Batch.rollout` does.
+
+        Readings and forces are those at the beginning of each step, under its own command. What
+        MuJoCo warns of is NaN from the beginning, for a term may drive a simulation wild.
+
+        Parameters
+        ----------
+        count : int
+            Steps.
+        control : ndarray (ids, count, actuators)
+            Commands of each step.
+        control_spec : int
+            What they are: `mujoco.mjtState.mjSTATE_CTRL`.
+        record : sequence of str
+            Fields to be recorded, each after its step.
+        ids : ndarray (ids,)
+            Numbers of the simulations, rising.
+
+        Returns
+        -------
+        dict of str to ndarray (ids, count, ...)
+            By field.
+        """
+        batch = self.batch
+        # asked for first: a field is worked out from the call after that on
+        fields = {name: batch.bind(name) for name in (*record, "qpos", "qvel", "qacc")}
+        commands, applied = batch.bind("ctrl"), batch.bind("qfrc_applied")
+        found = {name: np.empty((len(ids), count, *fields[name].shape[1:])) for name in record}
+        read = [name for name in record if name not in _STATE]
+        every = len(ids) == batch.nsim
+        own, called = (slice(None), None) if every else (ids, ids)
+        acting = (own, self._dofs) if every else (ids[:, None], self._dofs)
+        rows, warned = self._rows(ids), np.array(batch.warning[ids])
+        models = batch.models if isinstance(batch.models, tuple) else (batch.model,)
+        step = float(models[0].opt.timestep)
+        looks_ahead = int(models[0].opt.integrator) == _RUNGE_KUTTA
+        owed = mean = np.zeros((len(ids), len(self._dofs)))
+        before: State | None = None
+        for k in range(count):
+            commands[own] = control[:, k]
+            now = fields["qpos"][own][:, self._places], fields["qvel"][own][:, self._dofs]
+            passed = [] if before is None else [_nodes_between(before, now, step)]
+            here, *along = self._terms(rows, [(now[0][None], now[1][None]), *passed])
+            applied[acting] = here
+            if looks_ahead:
+                batch.forward(called)
+                for name in read:
+                    found[name][:, k] = fields[name][own]
+                if along:
+                    owed = 0.5 * (along[0] + along[1]) - mean
+                rate = fields["qacc"][own][:, self._dofs]
+                first, second = self._terms(rows, [_nodes_ahead(now, rate, step)])
+                mean = 0.5 * (first + second)
+                applied[acting] = mean + owed
+                before = now
+            batch.step(called)
+            for name in record:
+                if not (looks_ahead and name in read):
+                    found[name][:, k] = fields[name][own]
+        applied[own] = 0.0
+        wild = (batch.warning[ids] != warned).any(axis=(1, 2))
+        for values in found.values():
+            values[wild] = np.nan
+        return found
+
+    def _rows(self, ids: NDArray[np.intp]) -> list[tuple[Hypothesis, slice | NDArray[np.intp]]]:
+        """Hypotheses with terms, and which of the simulations are theirs."""
+        known = {id(self.hypotheses[i]): self.hypotheses[i] for i in ids}
+        if len(known) == 1:
+            return [(hypothesis, slice(None)) for hypothesis in known.values()]
+        return [
+            (hypothesis, np.flatnonzero([self.hypotheses[i] is hypothesis for i in ids]))
+            for hypothesis in known.values()
+            if has_terms(hypothesis)
+        ]
+
+    @staticmethod
+    def _terms(
+        rows: Sequence[tuple[Hypothesis, slice | NDArray[np.intp]]], states: Sequence[State]
+    ) -> Array:
+        """What the terms give in some states, one after the other (states, sims, joints)."""
+        position, speed = states[0]
+        if len(states) > 1:
+            position = np.concatenate([one for one, _ in states])
+            speed = np.concatenate([one for _, one in states])
+        found = np.zeros(position.shape)
+        for hypothesis, own in rows:
+            found[:, own] = torque_terms(hypothesis, position[:, own], speed[:, own])
+        return found
+
+
+def _nodes_ahead(now: State, rate: Array, step: float) -> State:
+    """Positions and speeds at the nodes of a step that begins, at an even acceleration."""
+    position, speed = now
+    time = step * _NODES
+    return position + time * (speed + 0.5 * time * rate), speed + time * rate
+
+
+def _nodes_between(before: State, now: State, step: float) -> State:
+    """Positions and speeds at the nodes of a step that has passed, by Hermite's cubic."""
+    (first, start), (last, end) = before, now
+    slope = (last - first) / step
+    bend, twist = 3 * slope - 2 * start - end, start + end - 2 * slope
+    return (
+        first + step * _NODES * (start + _NODES * (bend + _NODES * twist)),
+        start + _NODES * (2 * bend + 3 * _NODES * twist),
+    )
