@@ -18,7 +18,7 @@ from agents.place_figures import PlaceFigures, figures_of
 from agents.record_bank import BANK_SEED, BankSettings, RecordBank, play_episodes
 from agents.shard_store import ArrayCodec, ShardStore
 from agents.shards import Shard, run_shards, shard_of
-from loose_env.diagnosis.seat_features import PLACE_FEATURES, RECORD_FEATURES, SeatFeatures
+from loose_env.diagnosis.learned.features import PLACE_FEATURES, RECORD_FEATURES, SeatFeatures
 from loose_env.envs.difficulty import difficulty_named
 
 __all__ = ["BankPlan", "build_bank", "build_figures", "read_bank", "read_figures", "seat_features"]

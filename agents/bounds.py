@@ -1,7 +1,8 @@
 """How few records could do: a bound for the agents of a comparison, from their own episodes.
 
-The bounds of `loose_env.diagnosis.record_bound` need the most that a record says and the most
-arms that k records allow to get right. Neither is known. Both are taken from whoever plays:
+The bounds of `loose_env.diagnosis.experiment_design.record_bound` need the most that a record says
+and the most arms that k records allow to get right. Neither is known. Both are taken from whoever
+plays:
 
 - Information: for each player and each record, the mean rise of the log probability of the truth
   over the arms still measured; the largest, at the upper end of its interval.
@@ -27,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from agents.base import Problem
-from loose_env.diagnosis.record_bound import least_records
+from loose_env.diagnosis.experiment_design.record_bound import least_records
 from loose_env.envs.difficulty import difficulty_named
 from loose_env.report.standings import Row, by_agent, standings, wilson
 

@@ -25,7 +25,7 @@ def _posterior(problem: Problem) -> Estimator:
 def _amortised(problem: Problem) -> Estimator:
     from agents.belief import Tracker
     from agents.policies import WEIGHTS, setting_name
-    from loose_env.diagnosis.amortised import AmortisedPosterior
+    from loose_env.diagnosis.learned.amortised_posterior import AmortisedPosterior
 
     difficulty = difficulty_named(problem.settings.difficulty)
     posterior = AmortisedPosterior.load(

@@ -11,7 +11,7 @@ from agents.base import Problem
 from agents.belief import belief_of
 from agents.belief_agent import Situation
 from agents.candidates import Candidate, candidate_at, excitations, poses
-from loose_env.diagnosis.information import ImaginedFaults, RecordInformation
+from loose_env.diagnosis.experiment_design.information_gain import ImaginedFaults, RecordInformation
 
 __all__ = ["GreedyPolicy", "GreedySettings", "ranked"]
 

@@ -16,8 +16,11 @@ from scipy.optimize import least_squares
 from agents.base import Problem
 from agents.belief import record_from
 from agents.record_bank import RecordBank
-from loose_env.diagnosis.amortised import AmortisedPosterior
-from loose_env.diagnosis.information import InformationFactors, RecordInformation
+from loose_env.diagnosis.experiment_design.information_gain import (
+    InformationFactors,
+    RecordInformation,
+)
+from loose_env.diagnosis.learned.amortised_posterior import AmortisedPosterior
 
 __all__ = ["Transitions", "fit_factors", "transitions_of"]
 

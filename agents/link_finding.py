@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.base import EpisodeAgent, Problem
-from loose_env.diagnosis.link_finding import (
+from loose_env.diagnosis.link_finding.planar import (
     LinkFindingSettings,
     Sighting,
     backlash_joint,

@@ -12,7 +12,7 @@ from agents.belief import belief_of
 from agents.belief_agent import Situation
 from agents.candidates import Candidate, candidate_at, excitations, poses
 from agents.greedy import GreedySettings, ranked
-from loose_env.diagnosis.information import ImaginedFaults, RecordInformation
+from loose_env.diagnosis.experiment_design.information_gain import ImaginedFaults, RecordInformation
 
 __all__ = ["LookAheadPolicy", "LookAheadSettings"]
 

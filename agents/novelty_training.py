@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from agents.base import Problem
 from agents.belief import record_from
 from agents.record_bank import RecordBank
-from loose_env.diagnosis.amortised import REFERENCE, AmortisedBelief
-from loose_env.diagnosis.novelty import FIGURES, NoveltyReference, Seen, used_columns
-from loose_env.diagnosis.seat_features import SeatFeatures
-from loose_env.diagnosis.seat_network import SeatNetwork
+from loose_env.diagnosis.learned.amortised_posterior import REFERENCE, AmortisedBelief
+from loose_env.diagnosis.learned.features import SeatFeatures
+from loose_env.diagnosis.learned.network import SeatNetwork
+from loose_env.diagnosis.learned.novelty import FIGURES, NoveltyReference, Seen, used_columns
 from loose_env.errors import InvalidData
 from loose_env.statistics.gaussian_mixture import fit_gaussian_mixture
 
@@ -101,7 +101,7 @@ def episode_sights(
     Returns
     -------
     list of ndarray (records, columns)
-        For each number, what `loose_env.diagnosis.novelty.sights` gives.
+        For each number, what `loose_env.diagnosis.learned.novelty.sights` gives.
     """
     n = (len(prior) - 1) // 2
     hypothesis = np.concatenate([np.repeat(np.arange(n), len(directions)), n + np.arange(n)])

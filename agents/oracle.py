@@ -24,8 +24,8 @@ from agents.belief import Tracker
 from agents.belief_agent import BeliefAgent, Policy, StoppingRule, Sure
 from agents.estimators import make_estimator
 from agents.policies import make_policy, tuned
-from loose_env.diagnosis.posterior import Belief
-from loose_env.diagnosis.record import RecordStatistics
+from loose_env.diagnosis.likelihood.posterior import Belief
+from loose_env.diagnosis.records.record_statistics import RecordStatistics
 from loose_env.envs.difficulty import FaultSampler, difficulty_named
 from loose_env.errors import InvalidSetting
 from loose_env.faults import Backlash, Fault, StructuralLooseness

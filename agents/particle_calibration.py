@@ -23,8 +23,12 @@ from agents.base import Problem
 from agents.belief import Posterior
 from agents.particle_check import Played, probabilities_of
 from agents.particles import ParticlePosterior, SimulatedRecords
-from loose_env.diagnosis.record import RecordStatistics
-from loose_env.diagnosis.synthetic_likelihood import Repeated, SyntheticLikelihood, summaries_of
+from loose_env.diagnosis.records.record_statistics import RecordStatistics
+from loose_env.diagnosis.research.particles.synthetic_likelihood import (
+    Repeated,
+    SyntheticLikelihood,
+    summaries_of,
+)
 from loose_env.envs.difficulty import FaultSampler
 from loose_env.errors import InvalidData
 

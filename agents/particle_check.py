@@ -16,8 +16,8 @@ from agents.belief import Posterior, record_from
 from agents.belief_agent import Situation
 from agents.particles import ParticlePosterior
 from agents.random_agent import RandomPolicy
-from loose_env.diagnosis.particles import ParticleSettings, probabilities_from
-from loose_env.diagnosis.record import RecordStatistics, statistics_of
+from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
+from loose_env.diagnosis.research.particles.evidence import ParticleSettings, probabilities_from
 from loose_env.envs.difficulty import FaultSampler
 from loose_env.envs.episode import EpisodeBatch
 from loose_env.report.calibration import expected_calibration_error

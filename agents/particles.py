@@ -1,9 +1,9 @@
 """The posterior by particles on records of the environment: arms drawn as it draws them.
 
 It is no agent's estimator, being slow, but the yardstick for those that are fast: it asks nothing
-of the physics but the simulation itself (see `loose_env.diagnosis.particles`). A particle is one
-fault; the mismatch belongs to a realisation, with excitation and noise. It has some fifty numbers
-of which each does little, so that it is averaged over, and not searched.
+of the physics but the simulation itself (see `loose_env.diagnosis.research.particles.evidence`). A
+particle is one fault; the mismatch belongs to a realisation, with excitation and noise. It has
+some fifty numbers of which each does little, so that it is averaged over, and not searched.
 """
 
 from __future__ import annotations
@@ -19,9 +19,13 @@ from scipy.special import ndtr
 
 from agents.base import Problem
 from loose_env.arms.mismatch import MismatchDraw
-from loose_env.diagnosis.particles import Evidence, ParticleSettings, evidence_by_particles
-from loose_env.diagnosis.record import RecordStatistics, statistics_of
-from loose_env.diagnosis.synthetic_likelihood import summaries_of
+from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
+from loose_env.diagnosis.research.particles.evidence import (
+    Evidence,
+    ParticleSettings,
+    evidence_by_particles,
+)
+from loose_env.diagnosis.research.particles.synthetic_likelihood import summaries_of
 from loose_env.envs.difficulty import FaultSampler, difficulty_named
 from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation

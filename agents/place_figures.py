@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from agents.base import Problem
 from agents.belief import record_from
 from agents.record_bank import RecordBank
-from loose_env.diagnosis.seat_features import PLACE_FEATURES, RECORD_FEATURES, SeatFeatures
+from loose_env.diagnosis.learned.features import PLACE_FEATURES, RECORD_FEATURES, SeatFeatures
 
 __all__ = ["PlaceFigures", "figures_of"]
 

@@ -9,10 +9,13 @@ from typing import Any
 
 from agents.base import Problem
 from agents.belief_agent import Estimator, Policy
-from loose_env.diagnosis.amortised import AmortisedPosterior
-from loose_env.diagnosis.information import InformationFactors, RecordInformation
-from loose_env.diagnosis.posterior import FaultPosterior
-from loose_env.diagnosis.seat_features import SeatFeatures
+from loose_env.diagnosis.experiment_design.information_gain import (
+    InformationFactors,
+    RecordInformation,
+)
+from loose_env.diagnosis.learned.amortised_posterior import AmortisedPosterior
+from loose_env.diagnosis.learned.features import SeatFeatures
+from loose_env.diagnosis.likelihood.posterior import FaultPosterior
 from loose_env.envs.difficulty import difficulty_named
 from loose_env.errors import InvalidSetting, UnknownName
 

@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from agents.base import Agent, Problem
 from agents.belief_agent import Situation
-from loose_env.diagnosis.direction_images import ToolFrames, places
-from loose_env.diagnosis.link_moves import candidate_poses
-from loose_env.diagnosis.seat_opening import choose_open_move
-from loose_env.diagnosis.space_link_finding import LinkPosterior
+from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places
+from loose_env.diagnosis.link_finding.moves import candidate_poses
+from loose_env.diagnosis.link_finding.opening_moves import choose_open_move
+from loose_env.diagnosis.link_finding.spatial import LinkPosterior
 from loose_env.errors import InvalidSetting
 
 __all__ = [

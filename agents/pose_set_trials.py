@@ -22,12 +22,16 @@ from agents.pose_set import Excited, GreedySeparation, MovesOf, PoseSetPolicy
 from agents.registry import make_agent
 from loose_env.arms import planar, six_axis
 from loose_env.arms.arm import Arm
-from loose_env.diagnosis.axial_likelihood import log_mean_bingham
-from loose_env.diagnosis.link_moves import candidate_poses, choose_move
-from loose_env.diagnosis.pose_set_limits import bingham_width, direction_limit, scattered_axes
-from loose_env.diagnosis.pose_sets import PLANNED, PoseSets
-from loose_env.diagnosis.posterior import Belief, FaultPosterior
-from loose_env.diagnosis.space_link_finding import DirectionSighting, link_posterior
+from loose_env.diagnosis.likelihood.axial_likelihood import log_mean_bingham
+from loose_env.diagnosis.likelihood.posterior import Belief, FaultPosterior
+from loose_env.diagnosis.link_finding.moves import candidate_poses, choose_move
+from loose_env.diagnosis.link_finding.spatial import DirectionSighting, link_posterior
+from loose_env.diagnosis.research.pose_sets.limits import (
+    bingham_width,
+    direction_limit,
+    scattered_axes,
+)
+from loose_env.diagnosis.research.pose_sets.pose_sets import PLANNED, PoseSets
 from loose_env.envs.episode import EpisodeBatch
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.faults import StructuralLooseness

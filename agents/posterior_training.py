@@ -20,7 +20,7 @@ from torch import Tensor, nn
 
 from agents.place_figures import PlaceFigures
 from agents.progress_line import ProgressLine
-from loose_env.diagnosis.seat_network import SeatNetwork
+from loose_env.diagnosis.learned.network import SeatNetwork
 from loose_env.errors import InvalidData
 
 __all__ = ["PosteriorTraining", "TrainingSettings"]

@@ -17,7 +17,7 @@ from agents.link_finding import LinkFindingAgent
 from agents.oracle import oracle_agent
 from agents.policies import POLICIES, WEIGHTS, make_policy, setting_name, tuned
 from agents.space_link_finding import SpaceLinkFindingAgent, SpaceLinkFindingSettings
-from loose_env.diagnosis.link_finding import LinkFindingSettings, Order
+from loose_env.diagnosis.link_finding.planar import LinkFindingSettings, Order
 from loose_env.errors import UnknownName
 
 __all__ = ["AGENTS", "WEIGHTS", "belief_agent", "describe", "make_agent"]

@@ -16,19 +16,23 @@ from numpy.typing import NDArray
 
 from agents.base import EpisodeAgent, Problem
 from agents.belief import record_from
-from loose_env.diagnosis.bending_errors import stiffness_errors
-from loose_env.diagnosis.change_sighting import ChangeModel, ChangeSighting, sight_change
-from loose_env.diagnosis.direction_images import ToolFrames, places
-from loose_env.diagnosis.link_finding import LinkFindingSettings
-from loose_env.diagnosis.link_moves import candidate_poses
-from loose_env.diagnosis.prediction import SensorFloor, predict
-from loose_env.diagnosis.seat_opening import choose_open_move
-from loose_env.diagnosis.space_link_finding import (
+from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places
+from loose_env.diagnosis.link_finding.measured_direction import (
+    ChangeModel,
+    ChangeSighting,
+    sight_change,
+)
+from loose_env.diagnosis.link_finding.moves import candidate_poses
+from loose_env.diagnosis.link_finding.opening_moves import choose_open_move
+from loose_env.diagnosis.link_finding.planar import LinkFindingSettings
+from loose_env.diagnosis.link_finding.search import TurnSearch
+from loose_env.diagnosis.link_finding.spatial import (
     LinkPosterior,
     link_posterior,
     look_alikes,
 )
-from loose_env.diagnosis.turn_search import TurnSearch
+from loose_env.diagnosis.records.model_uncertainty import stiffness_errors
+from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.envs.difficulty import difficulty_named
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation

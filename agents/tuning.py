@@ -331,7 +331,7 @@ def write_tuned(
     constant : sequence of int, optional
         Best levels of one joint.
     information : mapping, optional
-        Fields of `loose_env.diagnosis.information.InformationFactors`.
+        Fields of `loose_env.diagnosis.experiment_design.information_gain.InformationFactors`.
     """
     known = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     known["stop"] = dict(sorted({**known.get("stop", {}), **stop}.items()))

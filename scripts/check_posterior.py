@@ -3,8 +3,9 @@
 Episodes of random actions, 1 to 3 records each, are played on simulated arms with hidden faults.
 Hundreds of arms drawn from the same ranges are then simulated in the same poses under the same
 excitation; those that show what was measured say how probable each hypothesis is (see
-`loose_env.diagnosis.particles`), twice over with other draws: how far the two runs are apart is
-the noise of the particles. The probabilities of the fast posteriors are set against theirs.
+`loose_env.diagnosis.research.particles.evidence`), twice over with other draws: how far the two
+runs are apart is the noise of the particles. The probabilities of the fast posteriors are set
+against theirs.
 
 The episodes come from the ranges that the particles are drawn from, so the particles' own
 probabilities must be calibrated, and on average nobody's log score can be better than that of
@@ -47,9 +48,9 @@ from agents.particle_check import (
 from agents.policies import WEIGHTS, setting_name
 from agents.progress_line import ProgressLine
 from loose_env.arms import planar, six_axis, vera
-from loose_env.diagnosis.amortised import AmortisedPosterior
-from loose_env.diagnosis.particles import ParticleSettings
-from loose_env.diagnosis.record import RecordStatistics
+from loose_env.diagnosis.learned.amortised_posterior import AmortisedPosterior
+from loose_env.diagnosis.records.record_statistics import RecordStatistics
+from loose_env.diagnosis.research.particles.evidence import ParticleSettings
 from loose_env.envs.difficulty import difficulty_named
 from loose_env.envs.episode import EpisodeBatch
 from loose_env.envs.settings import DiagnosisSettings

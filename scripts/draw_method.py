@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms import Arm, planar
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.prediction import SensorFloor, predict
+from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.envs.drawing.arm import ArmDrawing
 from loose_env.envs.drawing.ink import EDGE, FAINT, INK, MEASURED, MUTED, TRUTH
 from loose_env.envs.drawing.loop import Loop, measured_loop, predicted_loop

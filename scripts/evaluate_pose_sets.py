@@ -45,8 +45,8 @@ from agents.pose_set_trials import (
 from agents.progress_line import ProgressLine
 from agents.registry import make_agent
 from agents.shards import map_shards
-from loose_env.diagnosis.pose_set_limits import one_by_one_share
-from loose_env.diagnosis.pose_sets import PLANNED
+from loose_env.diagnosis.research.pose_sets.limits import one_by_one_share
+from loose_env.diagnosis.research.pose_sets.pose_sets import PLANNED
 from loose_env.errors import LooseEnvError
 from loose_env.report.colours import AGENTS as PALETTE
 from loose_env.report.standings import wilson

@@ -22,11 +22,11 @@ import numpy as np
 import loose_env
 from loose_env.arms import Arm, planar, scara, six_axis, vera
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.likelihood import LOOSE, OPENINGS, SHUT, fit_record
-from loose_env.diagnosis.opening import PRESSES, RATIOS, shipped_table
-from loose_env.diagnosis.posterior import variants
-from loose_env.diagnosis.prediction import SensorFloor
-from loose_env.diagnosis.record import statistics_of
+from loose_env.diagnosis.likelihood.opening_table import PRESSES, RATIOS, shipped_table
+from loose_env.diagnosis.likelihood.posterior import variants
+from loose_env.diagnosis.likelihood.record_likelihood import LOOSE, OPENINGS, SHUT, fit_record
+from loose_env.diagnosis.records.prediction import SensorFloor
+from loose_env.diagnosis.records.record_statistics import statistics_of
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, StructuralLooseness, hypotheses

@@ -34,7 +34,7 @@ import loose_env
 from loose_env.arms import Arm
 from loose_env.arms.linear import LinearArm
 from loose_env.cli.main import main as loose
-from loose_env.diagnosis.dynamic_direction import direction_by_dynamics
+from loose_env.diagnosis.research.line_spectrum.direction import direction_by_dynamics
 from loose_env.envs.diagnosis import DiagnosisEnv
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.faults import UNSURE

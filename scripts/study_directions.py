@@ -26,9 +26,13 @@ import loose_env
 from loose_env.arms import Arm, cylindrical, planar, scara, six_axis, vera
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch
-from loose_env.diagnosis.proposal import Proposal, propose_excitation
-from loose_env.diagnosis.stopping import Ending, StoppingRule, measure_direction
-from loose_env.diagnosis.transmission_change import change_of_transmission
+from loose_env.diagnosis.records.excitation_design import Proposal, propose_excitation
+from loose_env.diagnosis.research.sequential.stopping_rule import (
+    Ending,
+    StoppingRule,
+    measure_direction,
+)
+from loose_env.diagnosis.research.sequential.transmission_change import change_of_transmission
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.errors import LooseEnvError
 from loose_env.faults import (

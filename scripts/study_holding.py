@@ -30,10 +30,13 @@ from numpy.typing import NDArray
 import loose_env
 from loose_env.arms import Arm, planar, six_axis
 from loose_env.arms.linear import LinearArm, LinearPose
-from loose_env.diagnosis.direction_images import ToolFrames
-from loose_env.diagnosis.dynamic_direction import DynamicDirection, direction_by_dynamics
-from loose_env.diagnosis.prediction import SensorFloor, predict
-from loose_env.diagnosis.record import RecordStatistics, statistics_of
+from loose_env.diagnosis.link_finding.direction_images import ToolFrames
+from loose_env.diagnosis.records.prediction import SensorFloor, predict
+from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
+from loose_env.diagnosis.research.line_spectrum.direction import (
+    DynamicDirection,
+    direction_by_dynamics,
+)
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import Healthy, StructuralLooseness

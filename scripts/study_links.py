@@ -24,19 +24,23 @@ from loose_env.arms import planar, scara, six_axis
 from loose_env.arms.arm import Arm
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch
-from loose_env.diagnosis.change_sighting import ChangeModel, ChangeSighting, sight_change
-from loose_env.diagnosis.direction_images import ToolFrames, places
-from loose_env.diagnosis.link_finding import LinkFindingSettings
-from loose_env.diagnosis.link_moves import candidate_poses, choose_move
-from loose_env.diagnosis.prediction import SensorFloor, predict
-from loose_env.diagnosis.record import statistics_of
-from loose_env.diagnosis.seat_opening import choose_open_move
-from loose_env.diagnosis.space_link_finding import (
+from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places
+from loose_env.diagnosis.link_finding.measured_direction import (
+    ChangeModel,
+    ChangeSighting,
+    sight_change,
+)
+from loose_env.diagnosis.link_finding.moves import candidate_poses, choose_move
+from loose_env.diagnosis.link_finding.opening_moves import choose_open_move
+from loose_env.diagnosis.link_finding.planar import LinkFindingSettings
+from loose_env.diagnosis.link_finding.search import TurnSearch
+from loose_env.diagnosis.link_finding.spatial import (
     DirectionSighting,
     link_posterior,
     look_alikes,
 )
-from loose_env.diagnosis.turn_search import TurnSearch
+from loose_env.diagnosis.records.prediction import SensorFloor, predict
+from loose_env.diagnosis.records.record_statistics import statistics_of
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.errors import InvalidData
 from loose_env.excitation import at_levels

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 import loose_env
 from loose_env.arms import Arm, planar
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.record import statistics_of
+from loose_env.diagnosis.records.record_statistics import statistics_of
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Healthy, StructuralLooseness

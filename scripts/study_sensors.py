@@ -40,15 +40,15 @@ from scipy.special import logsumexp
 import loose_env
 from loose_env.arms import Arm, planar, scara, six_axis, vera
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.sensed_arm import SensedArm
-from loose_env.diagnosis.sensor_rows import (
+from loose_env.diagnosis.multi_sensor.link_evidence import SensorVerdict, weigh_links
+from loose_env.diagnosis.multi_sensor.sensed_arm import SensedArm
+from loose_env.diagnosis.multi_sensor.sensor_rows import (
     SensorRows,
     StackedRecord,
     rows_of,
     splitting_order,
     stack,
 )
-from loose_env.diagnosis.several_sensors import SensorVerdict, weigh_links
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Fault, Healthy, StructuralLooseness

@@ -40,8 +40,8 @@ from agents.one_line_errors import errors_in_one_line
 from agents.policies import WEIGHTS, setting_name
 from agents.posterior_training import PosteriorTraining, TrainingSettings
 from agents.shards import Shard
-from loose_env.diagnosis.amortised import read_network, write_network
-from loose_env.diagnosis.novelty import NoveltyReference, Seen
+from loose_env.diagnosis.learned.amortised_posterior import read_network, write_network
+from loose_env.diagnosis.learned.novelty import NoveltyReference, Seen
 from loose_env.envs.difficulty import difficulty_named
 from loose_env.errors import InvalidSetting
 from loose_env.faults import DEFAULT_KINDS, hypotheses

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from loose_env.arms.arm import Arm
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import MismatchDraw
-from loose_env.diagnosis.prediction import SensorFloor, predict
-from loose_env.diagnosis.record import statistics_of
+from loose_env.diagnosis.records.prediction import SensorFloor, predict
+from loose_env.diagnosis.records.record_statistics import statistics_of
 from loose_env.envs.actions import Action, ActionLayout
 from loose_env.envs.difficulty import FaultSampler, difficulty_named
 from loose_env.envs.observation import ObservationLayout

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.arms.parts import held_inertia
-from loose_env.diagnosis.prediction import Prediction
-from loose_env.diagnosis.record import RecordStatistics
+from loose_env.diagnosis.records.prediction import Prediction
+from loose_env.diagnosis.records.record_statistics import RecordStatistics
 from loose_env.envs.joint_pose import JointPose
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import UnknownName

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.prediction import SensorFloor
+from loose_env.diagnosis.records.prediction import SensorFloor
 from loose_env.envs.drawing.planar_scene import PlanarScene
 from loose_env.envs.drawing.space_scene import SpaceScene
 from loose_env.envs.drawing.view import moves_in_a_plane

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.diagnosis.direction_images import ToolFrames
+from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.instrument.judging import Judged
 from loose_env.instrument.lines import Lines
 from loose_env.instrument.result import HEALTHY, Vector

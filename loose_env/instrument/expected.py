@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.direction_images import ToolFrames
+from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.instrument.known import Known
 from loose_env.instrument.model_arm import ModelArm
 from loose_env.instrument.next_pose import seat_features

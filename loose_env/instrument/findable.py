@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.direction_images import ToolFrames, places
-from loose_env.diagnosis.space_link_finding import look_alikes
+from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places
+from loose_env.diagnosis.link_finding.spatial import look_alikes
 from loose_env.instrument.model_arm import ModelArm
 from loose_env.instrument.next_pose import seat_features
 from loose_env.instrument.next_settings import NextSettings
@@ -36,7 +36,7 @@ _SHARP = np.radians(3.0)
 """Standard deviation of a direction that a record is to leave [rad]."""
 _ACROSS = 0.03
 """Power of a rattling seat's motion across its direction, over that along it [1]; as in
-`loose_env.diagnosis.likelihood`."""
+`loose_env.diagnosis.likelihood.record_likelihood`."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.proposal import Proposal, holding_modes
+from loose_env.diagnosis.records.excitation_design import Proposal, holding_modes
 from loose_env.instrument.candidates import candidate_poses
 from loose_env.instrument.findable import Findable, best_seen, findable_faults
 from loose_env.instrument.ground import Ground

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.diagnosis.direction_images import ToolFrames
-from loose_env.diagnosis.posterior import Belief
+from loose_env.diagnosis.likelihood.posterior import Belief
+from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.errors import InvalidData
 from loose_env.instrument.result import HEALTHY, Diagnosis
 from loose_env.recording.columns import nearest

@@ -3,9 +3,9 @@
 `next_measurement` serves the plan and the diagnosis alike. What is known is spread over places,
 directions and frictions; a few dozen imagined faults are drawn from it; and for each candidate the
 nominal arm says what its record would show of each of them
-(`loose_env.diagnosis.information.RecordInformation`): gravity that keeps seats shut, torque that
-is left beside it, noise and errors of the model all count. Among the candidates that are about as
-good the one that moves the arm least is taken.
+(`loose_env.diagnosis.experiment_design.information_gain.RecordInformation`): gravity that keeps
+seats shut, torque that is left beside it, noise and errors of the model all count. Among the
+candidates that are about as good the one that moves the arm least is taken.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 from loose_env.arms.arm import Arm
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch
-from loose_env.diagnosis.information import ImaginedFaults, RecordInformation
-from loose_env.diagnosis.proposal import Proposal
-from loose_env.diagnosis.seat_features import SeatFeatures
+from loose_env.diagnosis.experiment_design.information_gain import ImaginedFaults, RecordInformation
+from loose_env.diagnosis.learned.features import SeatFeatures
+from loose_env.diagnosis.records.excitation_design import Proposal
 from loose_env.errors import InvalidData, UnknownName
 from loose_env.excitation import at_levels
 from loose_env.instrument.candidates import Allowed, candidate_poses

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.proposal import propose_excitation
+from loose_env.diagnosis.records.excitation_design import propose_excitation
 from loose_env.errors import InvalidSetting
 from loose_env.instrument.candidates import pose_range
 from loose_env.instrument.expected import Expected, expected_of

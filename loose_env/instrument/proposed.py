@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.proposal import Proposal, propose_excitation
+from loose_env.diagnosis.records.excitation_design import Proposal, propose_excitation
 from loose_env.instrument.next_settings import NextSettings
 
 __all__ = ["limited", "proposed", "torque_of"]

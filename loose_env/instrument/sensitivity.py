@@ -2,8 +2,8 @@
 
 A seat that a record drives with the rms force F, that gravity loads with W and that would move by
 x rms if it floated, loses about min(1, (F / 0.6 W)²) · min(1, gap / 4 x) of its transmission (as
-in `loose_env.diagnosis.proposal`). What that changes of the tool's motion, in standard deviations
-of what sensors, record length and model leave open, says whether it is seen.
+in `loose_env.diagnosis.records.excitation_design`). What that changes of the tool's motion, in
+standard deviations of what sensors, record length and model leave open, says whether it is seen.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.linear import LinearPose
-from loose_env.diagnosis.seat_features import SeatFeatures
-from loose_env.diagnosis.seat_prediction import predict_seats
+from loose_env.diagnosis.learned.features import SeatFeatures
+from loose_env.diagnosis.likelihood.seat_response import predict_seats
 
 __all__ = ["OVERCOME", "REPEATS", "SEEN", "Sensitivity", "sensitivity", "tool_noise"]
 

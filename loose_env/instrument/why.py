@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.diagnosis.axial_likelihood import precision_of
-from loose_env.diagnosis.direction_images import ToolFrames
-from loose_env.diagnosis.space_link_finding import DirectionSighting, link_posterior
+from loose_env.diagnosis.likelihood.axial_likelihood import precision_of
+from loose_env.diagnosis.link_finding.direction_images import ToolFrames
+from loose_env.diagnosis.link_finding.spatial import DirectionSighting, link_posterior
 from loose_env.instrument.known import Known, names_of
 from loose_env.instrument.result import HEALTHY
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.seat_prediction import predict_seats
+from loose_env.diagnosis.likelihood.seat_response import predict_seats
 from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, Fault, StructuralLooseness
 

@@ -8,19 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm, vera
-from loose_env.diagnosis.alternatives import (
+from loose_env.excitation import Excitation, torque_signals
+from loose_env.faults import StructuralLooseness
+from loose_env.kinematics.chain import Chain
+from loose_env.kinematics.jacobian import geometric_jacobian
+from loose_env.thesis.methods.looseness.docked_simulation import simulate_docked
+from loose_env.thesis.methods.looseness.modelling_alternatives import (
     ALTERNATIVES,
     MEASURES,
     AlternativeSettings,
     Weighing,
     weigh_alternatives,
 )
-from loose_env.diagnosis.chain import Chain
-from loose_env.diagnosis.docked import simulate_docked
-from loose_env.diagnosis.jacobian import geometric_jacobian
-from loose_env.diagnosis.static_force import joint_torques
-from loose_env.excitation import Excitation, torque_signals
-from loose_env.faults import StructuralLooseness
+from loose_env.thesis.methods.looseness.static_force_test import joint_torques
 from loose_env.thesis.section import Table
 
 __all__ = [

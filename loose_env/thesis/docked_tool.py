@@ -9,12 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm, planar
-from loose_env.diagnosis.chain import Chain
-from loose_env.diagnosis.docked import Jig, simulate_docked
-from loose_env.diagnosis.inertia import seated_inertia
-from loose_env.diagnosis.jacobian import geometric_jacobian
-from loose_env.diagnosis.looseness_joint import insert_looseness
-from loose_env.diagnosis.static_force import (
+from loose_env.envs.drawing.ink import FAINT, INK, MEASURED, MUTED, TRUTH
+from loose_env.excitation import Excitation, torque_signals
+from loose_env.faults import Backlash, Fault, Healthy, StructuralLooseness
+from loose_env.kinematics.chain import Chain
+from loose_env.kinematics.jacobian import geometric_jacobian
+from loose_env.report.figures import WIDTH, new_figure
+from loose_env.report.plate import Plate
+from loose_env.sensors import Encoder, read_encoder
+from loose_env.thesis.methods.looseness.docked_simulation import Jig, simulate_docked
+from loose_env.thesis.methods.looseness.inertia_condition import seated_inertia
+from loose_env.thesis.methods.looseness.looseness_joint import insert_looseness
+from loose_env.thesis.methods.looseness.static_force_test import (
     compatible_links,
     docked_acceleration,
     link_frames,
@@ -22,12 +28,6 @@ from loose_env.diagnosis.static_force import (
     remaining_motions,
     seat_twist,
 )
-from loose_env.envs.drawing.ink import FAINT, INK, MEASURED, MUTED, TRUTH
-from loose_env.excitation import Excitation, torque_signals
-from loose_env.faults import Backlash, Fault, Healthy, StructuralLooseness
-from loose_env.report.figures import WIDTH, new_figure
-from loose_env.report.plate import Plate
-from loose_env.sensors import Encoder, read_encoder
 from loose_env.thesis.section import Table
 
 if TYPE_CHECKING:

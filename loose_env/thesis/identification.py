@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from loose_env.arms import planar
-from loose_env.diagnosis.chain import Chain
-from loose_env.diagnosis.jacobian import geometric_jacobian
-from loose_env.diagnosis.looseness_joint import insert_looseness
-from loose_env.diagnosis.recursion import (
+from loose_env.errors import InvalidData
+from loose_env.kinematics.chain import Chain
+from loose_env.kinematics.jacobian import geometric_jacobian
+from loose_env.thesis.docked_tool import GAP, SLOPE, loose_links, motion_counts
+from loose_env.thesis.methods.looseness.looseness_joint import insert_looseness
+from loose_env.thesis.methods.looseness.parameter_recursion import (
     distended_angles,
     identify_planar,
     parameter_deviations,
     velocity_components,
 )
-from loose_env.diagnosis.static_force import link_frames
-from loose_env.errors import InvalidData
-from loose_env.thesis.docked_tool import GAP, SLOPE, loose_links, motion_counts
+from loose_env.thesis.methods.looseness.static_force_test import link_frames
 from loose_env.thesis.printed import printed
 from loose_env.thesis.section import Section, Table
 
@@ -25,16 +25,21 @@ __all__ = ["EQUATIONS", "section"]
 EQUATIONS: dict[str, str] = {
     **dict.fromkeys(
         ("3.49", "3.50", "3.61", "3.62", "3.63", "3.64", "3.66", "3.67"),
-        "loose_env.diagnosis.recursion.identify_planar",
-    ),
-    **dict.fromkeys(("3.51", "3.52", "3.53"), "loose_env.diagnosis.recursion.velocity_components"),
-    **dict.fromkeys(
-        ("3.54", "3.56", "3.58", "3.59", "3.60"), "loose_env.diagnosis.recursion.rotation_arms"
+        "loose_env.thesis.methods.looseness.parameter_recursion.identify_planar",
     ),
     **dict.fromkeys(
-        ("3.55", "3.57", "3.68", "3.69"), "loose_env.diagnosis.recursion.slide_direction"
+        ("3.51", "3.52", "3.53"),
+        "loose_env.thesis.methods.looseness.parameter_recursion.velocity_components",
     ),
-    "3.65": "loose_env.diagnosis.recursion.distended_angles",
+    **dict.fromkeys(
+        ("3.54", "3.56", "3.58", "3.59", "3.60"),
+        "loose_env.thesis.methods.looseness.parameter_recursion.rotation_arms",
+    ),
+    **dict.fromkeys(
+        ("3.55", "3.57", "3.68", "3.69"),
+        "loose_env.thesis.methods.looseness.parameter_recursion.slide_direction",
+    ),
+    "3.65": "loose_env.thesis.methods.looseness.parameter_recursion.distended_angles",
 }
 """Function of each equation."""
 

@@ -12,14 +12,14 @@ from scipy.stats import binomtest
 from loose_env.arms import planar
 from loose_env.arms.arm import Arm
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.link_finding import (
+from loose_env.diagnosis.link_finding.planar import (
     LinkFindingSettings,
     Order,
     Sighting,
     judge_turn,
     next_joint,
 )
-from loose_env.diagnosis.record import statistics_of
+from loose_env.diagnosis.records.record_statistics import statistics_of
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Healthy
@@ -36,11 +36,11 @@ __all__ = ["EQUATIONS", "Search", "search", "section"]
 
 # In the plane every joint's axis is the same.
 EQUATIONS: dict[str, str] = {
-    "4.27": "loose_env.diagnosis.link_finding.judge_turn",
-    "4.28": "loose_env.diagnosis.link_finding.judge_turn",
-    "4.29": "loose_env.diagnosis.link_finding.judge_turn",
-    "4.30": "loose_env.diagnosis.link_finding.judge_turn",
-    "4.31": "loose_env.diagnosis.link_finding.judge_turn",
+    "4.27": "loose_env.diagnosis.link_finding.planar.judge_turn",
+    "4.28": "loose_env.diagnosis.link_finding.planar.judge_turn",
+    "4.29": "loose_env.diagnosis.link_finding.planar.judge_turn",
+    "4.30": "loose_env.diagnosis.link_finding.planar.judge_turn",
+    "4.31": "loose_env.diagnosis.link_finding.planar.judge_turn",
 }
 """Function of each equation."""
 

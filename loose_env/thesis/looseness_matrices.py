@@ -7,18 +7,22 @@ from collections.abc import Sequence
 import numpy as np
 
 from loose_env.arms import planar, vera
-from loose_env.diagnosis.chain import Chain
-from loose_env.diagnosis.inertia import backlash_condition, condition_of, seated_inertia
-from loose_env.diagnosis.jacobian import (
+from loose_env.faults import Backlash, Healthy, StructuralLooseness
+from loose_env.kinematics.chain import Chain
+from loose_env.kinematics.jacobian import (
     Frame,
     changed_columns,
     geometric_jacobian,
     link_of_changed_columns,
 )
-from loose_env.diagnosis.looseness_joint import displaced, insert_looseness
-from loose_env.faults import Backlash, Healthy, StructuralLooseness
 from loose_env.report.plate import Plate
 from loose_env.thesis.alternatives_weighed import GAP, POSES, loose_seat
+from loose_env.thesis.methods.looseness.inertia_condition import (
+    backlash_condition,
+    condition_of,
+    seated_inertia,
+)
+from loose_env.thesis.methods.looseness.looseness_joint import displaced, insert_looseness
 from loose_env.thesis.modelling_figures import condition_figure
 from loose_env.thesis.section import Table
 

@@ -25,30 +25,32 @@ __all__ = ["EQUATIONS", "section"]
 
 EQUATIONS: dict[str, str] = {
     **dict.fromkeys(
-        ("3.2", "3.28", "3.29", "3.32"), "loose_env.diagnosis.jacobian.geometric_jacobian"
+        ("3.2", "3.28", "3.29", "3.32"), "loose_env.kinematics.jacobian.geometric_jacobian"
     ),
-    **dict.fromkeys(("3.3", "3.30"), "loose_env.diagnosis.jacobian.tool_velocity"),
-    "3.1": "loose_env.diagnosis.chain.Chain",
-    "3.26": "loose_env.diagnosis.looseness_joint.looseness_transform",
-    "3.27": "loose_env.diagnosis.looseness_joint.slot_direction",
-    "3.31": "loose_env.diagnosis.looseness_joint.insert_looseness",
-    "3.33": "loose_env.diagnosis.jacobian.changed_columns",
-    "3.34": "loose_env.diagnosis.jacobian.velocity_error",
+    **dict.fromkeys(("3.3", "3.30"), "loose_env.kinematics.jacobian.tool_velocity"),
+    "3.1": "loose_env.kinematics.chain.Chain",
+    "3.26": "loose_env.thesis.methods.looseness.looseness_joint.looseness_transform",
+    "3.27": "loose_env.thesis.methods.looseness.looseness_joint.slot_direction",
+    "3.31": "loose_env.thesis.methods.looseness.looseness_joint.insert_looseness",
+    "3.33": "loose_env.kinematics.jacobian.changed_columns",
+    "3.34": "loose_env.kinematics.jacobian.velocity_error",
     **dict.fromkeys(
         ("3.9", "3.14", "3.15", "3.16", "3.17", "3.20", "3.21", "3.23", "3.24"),
-        "loose_env.diagnosis.static_force.tool_acceleration",
+        "loose_env.thesis.methods.looseness.static_force_test.tool_acceleration",
     ),
-    "3.10": "loose_env.diagnosis.static_force.joint_torques",
-    "3.11": "loose_env.diagnosis.inertia.seated_inertia",
-    **dict.fromkeys(("3.18", "3.19"), "loose_env.diagnosis.docked.simulate_docked"),
-    "3.22": "loose_env.diagnosis.static_force.docked_acceleration",
-    "3.25": "loose_env.diagnosis.static_force.dock_force",
+    "3.10": "loose_env.thesis.methods.looseness.static_force_test.joint_torques",
+    "3.11": "loose_env.thesis.methods.looseness.inertia_condition.seated_inertia",
+    **dict.fromkeys(
+        ("3.18", "3.19"), "loose_env.thesis.methods.looseness.docked_simulation.simulate_docked"
+    ),
+    "3.22": "loose_env.thesis.methods.looseness.static_force_test.docked_acceleration",
+    "3.25": "loose_env.thesis.methods.looseness.static_force_test.dock_force",
     **dict.fromkeys(("3.35", "3.36"), "loose_env.faults.set_seat"),
     # The seated arm as MuJoCo has it; the tests integrate the equations beside it.
     **dict.fromkeys([f"3.{k}" for k in range(37, 41)], "loose_env.faults.seated_spec"),
     **dict.fromkeys([f"3.{k}" for k in range(42, 49)], "loose_env.faults.seated_spec"),
-    "4.21": "loose_env.diagnosis.jacobian.tool_velocity",
-    "4.24": "loose_env.diagnosis.static_force.tool_acceleration",
+    "4.21": "loose_env.kinematics.jacobian.tool_velocity",
+    "4.24": "loose_env.thesis.methods.looseness.static_force_test.tool_acceleration",
 }
 """Function of each equation."""
 
@@ -58,7 +60,7 @@ def section(seed: int) -> Section:
 
     Examples
     --------
-    >>> from loose_env.diagnosis.alternatives import ALTERNATIVES
+    >>> from loose_env.thesis.methods.looseness.modelling_alternatives import ALTERNATIVES
     >>> from loose_env.thesis.printed import printed
     >>> len(ALTERNATIVES) == printed("modelling")["alternatives_count"]
     True

@@ -10,24 +10,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.diagnosis.loose_planar import (
-    LoosePlanarArm,
-    looseness_direction,
-    tool_acceleration,
-    tool_velocity,
-)
-from loose_env.diagnosis.monte_carlo import (
-    MonteCarlo,
-    draw_tool_acceleration,
-    draw_tool_displacement,
-    draw_tool_velocity,
-)
-from loose_env.diagnosis.seat_motion import region_probabilities
 from loose_env.envs.drawing.ink import INK, MEASURED, MUTED, TRUTH
 from loose_env.report.figures import new_figure
 from loose_env.report.plate import Plate
 from loose_env.statistics import kurtosis
 from loose_env.statistics.histogram import contour_levels, histogram
+from loose_env.thesis.methods.motion.loose_planar_arm import (
+    LoosePlanarArm,
+    looseness_direction,
+    tool_acceleration,
+    tool_velocity,
+)
+from loose_env.thesis.methods.motion.monte_carlo import (
+    MonteCarlo,
+    draw_tool_acceleration,
+    draw_tool_displacement,
+    draw_tool_velocity,
+)
+from loose_env.thesis.methods.motion.seat_motion import region_probabilities
 from loose_env.thesis.section import Table
 
 if TYPE_CHECKING:

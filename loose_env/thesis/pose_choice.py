@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm, planar, vera
-from loose_env.diagnosis.chain import Chain
-from loose_env.diagnosis.jacobian import geometric_jacobian
-from loose_env.diagnosis.manipulability import (
+from loose_env.kinematics.chain import Chain
+from loose_env.kinematics.jacobian import geometric_jacobian
+from loose_env.kinematics.manipulability import (
     axis_difference_deg,
     direction_deg,
     ellipsoid,
     rotation_line,
 )
-from loose_env.diagnosis.reactions import reactions, reciprocal_product, wrench_rank
+from loose_env.kinematics.seat_loads import reactions, reciprocal_product, wrench_rank
 from loose_env.report.plate import Plate
 from loose_env.thesis.pose_figures import (
     EllipsoidPanel,
@@ -38,8 +38,8 @@ from loose_env.thesis.section import Section, Table
 __all__ = ["EQUATIONS", "section"]
 
 EQUATIONS: dict[str, str] = {
-    "4.2.3": "loose_env.diagnosis.reactions.reactions",
-    "8.2.3": "loose_env.diagnosis.manipulability.submanipulator",
+    "4.2.3": "loose_env.kinematics.seat_loads.reactions",
+    "8.2.3": "loose_env.kinematics.manipulability.submanipulator",
 }
 """Function of each equation."""
 
@@ -98,7 +98,7 @@ def section(seed: int) -> Section:
         equations=EQUATIONS,
         left_out=[
             "The gravity wrench of 4.2.3: VERA and the planar arm move across gravity, which so "
-            "never loads a seat along the plane. arm_loads in loose_env.diagnosis.joint_loads has "
+            "never loads a seat along the plane. arm_loads in loose_env.kinematics.joint_loads has "
             "it for other arms.",
             "Three independent wrenches: in the plane there are two directions of looseness, so "
             "two are wanted. The functions take spatial arms.",

@@ -11,15 +11,15 @@ from scipy.stats import spearmanr
 
 from loose_env.arms import Arm
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.manipulability import submanipulator
-from loose_env.diagnosis.pose_choice import (
+from loose_env.kinematics.manipulability import submanipulator
+from loose_env.kinematics.pose_choice import (
     Drive,
     chebyshev_poses,
     choose_poses,
     seat_drive,
     worst_push,
 )
-from loose_env.diagnosis.reactions import reactions
+from loose_env.kinematics.seat_loads import reactions
 from loose_env.thesis.pose_figures import Comparison
 from loose_env.thesis.section import Table
 

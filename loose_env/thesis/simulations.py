@@ -7,12 +7,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.diagnosis.seat_motion import (
-    SeatMotion,
-    displacement_chain,
-    regions,
-    transition_table,
-)
 from loose_env.report.plate import Plate
 from loose_env.statistics.distribution_matching import MatchSettings
 from loose_env.thesis.matching_study import (
@@ -29,6 +23,12 @@ from loose_env.thesis.matching_study import (
     planar_study,
     spatial_study,
 )
+from loose_env.thesis.methods.motion.seat_motion import (
+    SeatMotion,
+    displacement_chain,
+    regions,
+    transition_table,
+)
 from loose_env.thesis.motion_study import (
     KINDS,
     STEPS,
@@ -43,8 +43,8 @@ from loose_env.thesis.section import Section, Table
 
 __all__ = ["EQUATIONS", "section"]
 
-_PLANAR = "loose_env.diagnosis.loose_planar"
-_SEAT = "loose_env.diagnosis.seat_motion"
+_PLANAR = "loose_env.thesis.methods.motion.loose_planar_arm"
+_SEAT = "loose_env.thesis.methods.motion.seat_motion"
 _RIDGE = "loose_env.statistics.gaussian_ridge"
 _TRIAL = "loose_env.statistics.ridge_trial"
 EQUATIONS: dict[str, str] = {

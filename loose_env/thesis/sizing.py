@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms import vera
 from loose_env.arms.vera import LINK_LENGTH
-from loose_env.diagnosis.joint_loads import (
+from loose_env.kinematics.joint_loads import (
     JointLoads,
     PeakForce,
     TwoLinks,
@@ -27,12 +27,12 @@ from loose_env.thesis.sizing_structures import structures
 __all__ = ["EQUATIONS", "demand", "section"]
 
 EQUATIONS: dict[str, str] = {
-    "3.41": "loose_env.diagnosis.joint_loads.two_link_loads",
-    "6.1": "loose_env.diagnosis.chain.Chain.of",
-    "6.2": "loose_env.diagnosis.joint_loads.two_link_loads",
-    "6.3": "loose_env.diagnosis.joint_loads.two_link_loads",
-    "6.4": "loose_env.diagnosis.joint_loads.two_link_loads",
-    "6.5": "loose_env.diagnosis.joint_loads.two_link_loads",
+    "3.41": "loose_env.kinematics.joint_loads.two_link_loads",
+    "6.1": "loose_env.kinematics.chain.Chain.of",
+    "6.2": "loose_env.kinematics.joint_loads.two_link_loads",
+    "6.3": "loose_env.kinematics.joint_loads.two_link_loads",
+    "6.4": "loose_env.kinematics.joint_loads.two_link_loads",
+    "6.5": "loose_env.kinematics.joint_loads.two_link_loads",
     "6.6": "loose_env.arms.beams.beam_frequency",
     "6.11": "loose_env.arms.beams.stinger_frequency",
     "6.12": "loose_env.arms.beams.rod_stiffness",

@@ -210,7 +210,7 @@ def _policy(home: Path) -> Any:
 
 
 def _posterior(home: Path) -> Any:
-    from loose_env.diagnosis.amortised import AmortisedPosterior
+    from loose_env.diagnosis.learned.amortised_posterior import AmortisedPosterior
     from loose_env.envs.difficulty import difficulty_named
 
     problem = _problem()

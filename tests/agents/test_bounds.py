@@ -10,7 +10,11 @@ import pytest
 from agents.base import Problem
 from agents.bounds import bound_line, record_bound
 from loose_env.arms import planar
-from loose_env.diagnosis.record_bound import entropy, least_records, needed_information
+from loose_env.diagnosis.experiment_design.record_bound import (
+    entropy,
+    least_records,
+    needed_information,
+)
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidData, InvalidSetting
 

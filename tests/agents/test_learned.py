@@ -19,7 +19,7 @@ from agents.policies import setting_name
 from agents.random_agent import RandomPolicy
 from agents.registry import make_agent
 from loose_env.arms import planar, scara, vera
-from loose_env.diagnosis.record import statistics_of
+from loose_env.diagnosis.records.record_statistics import statistics_of
 from loose_env.envs.diagnosis import DiagnosisEnv
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidData, InvalidSetting

@@ -16,9 +16,9 @@ from agents.particles import ParticlePosterior, SimulatedRecords
 from loose_env.arms import planar, vera
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch
-from loose_env.diagnosis.particles import ParticleSettings
-from loose_env.diagnosis.record import RecordStatistics, statistics_of
-from loose_env.diagnosis.synthetic_likelihood import summaries_of
+from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
+from loose_env.diagnosis.research.particles.evidence import ParticleSettings
+from loose_env.diagnosis.research.particles.synthetic_likelihood import summaries_of
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.envs.episode import EpisodeBatch
 from loose_env.envs.settings import DiagnosisSettings

@@ -15,9 +15,9 @@ from agents.posterior_training import PosteriorTraining, TrainingSettings
 from agents.record_bank import BankSettings, play_episodes
 from loose_env.arms import planar
 from loose_env.arms.mismatch import Mismatch
-from loose_env.diagnosis.amortised import AmortisedPosterior
-from loose_env.diagnosis.seat_features import SeatFeatures
-from loose_env.diagnosis.seat_network import SeatNetwork
+from loose_env.diagnosis.learned.amortised_posterior import AmortisedPosterior
+from loose_env.diagnosis.learned.features import SeatFeatures
+from loose_env.diagnosis.learned.network import SeatNetwork
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid

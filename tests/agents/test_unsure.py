@@ -19,11 +19,15 @@ from agents.shard_store import ArrayCodec, ShardStore
 from agents.unlike_arms import OFF, OtherArmRig, UnlikeTask
 from loose_env.arms import planar
 from loose_env.arms.mismatch import Mismatch, MismatchDraw
-from loose_env.diagnosis.amortised import AmortisedPosterior, read_network, write_network
-from loose_env.diagnosis.novelty import NoveltyReference, Seen
-from loose_env.diagnosis.record import RecordStatistics
-from loose_env.diagnosis.seat_features import PLACE_FEATURES, RECORD_FEATURES, TransmissionChange
-from loose_env.diagnosis.seat_network import SeatNetwork
+from loose_env.diagnosis.learned.amortised_posterior import (
+    AmortisedPosterior,
+    read_network,
+    write_network,
+)
+from loose_env.diagnosis.learned.features import PLACE_FEATURES, RECORD_FEATURES, TransmissionChange
+from loose_env.diagnosis.learned.network import SeatNetwork
+from loose_env.diagnosis.learned.novelty import NoveltyReference, Seen
+from loose_env.diagnosis.records.record_statistics import RecordStatistics
 from loose_env.envs.episode import EpisodeBatch
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName

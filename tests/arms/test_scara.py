@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from loose_env.arms import Arm, scara
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.scara import INNER, OUTER, STROKE
-from loose_env.diagnosis.prediction import SensorFloor, predict
-from loose_env.diagnosis.record import statistics_of
+from loose_env.diagnosis.records.prediction import SensorFloor, predict
+from loose_env.diagnosis.records.record_statistics import statistics_of
 from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, Fault, StructuralLooseness
 from loose_env.rig import Job, SimulatedRig

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from loose_env.arms import Arm, six_axis
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.six_axis import TOOL
-from loose_env.diagnosis.prediction import SensorFloor, predict
-from loose_env.diagnosis.record import statistics_of
+from loose_env.diagnosis.records.prediction import SensorFloor, predict
+from loose_env.diagnosis.records.record_statistics import statistics_of
 from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, Fault, StructuralLooseness
 from loose_env.rig import Job, SimulatedRig

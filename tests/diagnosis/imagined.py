@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.prediction import SensorFloor
-from loose_env.diagnosis.record import RecordStatistics
-from loose_env.diagnosis.seat_prediction import predict_seats
+from loose_env.diagnosis.likelihood.seat_response import predict_seats
+from loose_env.diagnosis.records.prediction import SensorFloor
+from loose_env.diagnosis.records.record_statistics import RecordStatistics
 from loose_env.excitation import at_levels
 from loose_env.sensors import SensorSuite
 

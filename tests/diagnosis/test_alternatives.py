@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from loose_env.arms import planar, vera
-from loose_env.diagnosis.alternatives import (
+from loose_env.errors import InvalidSetting
+from loose_env.faults import StructuralLooseness
+from loose_env.thesis.methods.looseness.modelling_alternatives import (
     ALTERNATIVES,
     AlternativeSettings,
     Weighing,
     weigh_alternatives,
 )
-from loose_env.errors import InvalidSetting
-from loose_env.faults import StructuralLooseness
 
 POSE = np.array([0.3, 1.2])
 SHORT = AlternativeSettings(duration=0.5, slow_band=(2.0, 14.0))

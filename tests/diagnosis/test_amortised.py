@@ -10,10 +10,14 @@ import pytest
 from loose_env.arms import planar
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch
-from loose_env.diagnosis.amortised import AmortisedPosterior, read_network, write_network
-from loose_env.diagnosis.record import statistics_of
-from loose_env.diagnosis.seat_features import PLACE_FEATURES, RECORD_FEATURES, SeatFeatures
-from loose_env.diagnosis.seat_network import SeatNetwork
+from loose_env.diagnosis.learned.amortised_posterior import (
+    AmortisedPosterior,
+    read_network,
+    write_network,
+)
+from loose_env.diagnosis.learned.features import PLACE_FEATURES, RECORD_FEATURES, SeatFeatures
+from loose_env.diagnosis.learned.network import SeatNetwork
+from loose_env.diagnosis.records.record_statistics import statistics_of
 from loose_env.errors import InvalidData
 from loose_env.excitation import at_levels
 from loose_env.faults import StructuralLooseness

@@ -11,8 +11,8 @@ import pytest
 from loose_env.arms import planar, scara, six_axis, vera
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch
-from loose_env.diagnosis.bending_errors import bent_by_seats, stiffness_errors
-from loose_env.diagnosis.transmission_change import change_of_transmission
+from loose_env.diagnosis.records.model_uncertainty import bent_by_seats, stiffness_errors
+from loose_env.diagnosis.research.sequential.transmission_change import change_of_transmission
 from loose_env.excitation import at_levels
 from loose_env.faults import Healthy, StructuralLooseness
 from loose_env.rig import SimulatedRig

@@ -8,11 +8,15 @@ import pytest
 from loose_env.arms import planar, scara, six_axis, vera
 from loose_env.arms.arm import Arm
 from loose_env.arms.mismatch import Mismatch
-from loose_env.diagnosis.bending_errors import stiffness_errors
-from loose_env.diagnosis.change_sighting import ChangeModel, ChangeSighting, sight_change
-from loose_env.diagnosis.direction_images import ToolFrames
-from loose_env.diagnosis.prediction import SensorFloor, predict
-from loose_env.diagnosis.record import statistics_of
+from loose_env.diagnosis.link_finding.direction_images import ToolFrames
+from loose_env.diagnosis.link_finding.measured_direction import (
+    ChangeModel,
+    ChangeSighting,
+    sight_change,
+)
+from loose_env.diagnosis.records.model_uncertainty import stiffness_errors
+from loose_env.diagnosis.records.prediction import SensorFloor, predict
+from loose_env.diagnosis.records.record_statistics import statistics_of
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import at_levels

@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 from loose_env.arms import Arm, planar, six_axis
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch
-from loose_env.diagnosis.direction_images import ToolFrames
-from loose_env.diagnosis.dynamic_direction import DynamicDirection, direction_by_dynamics
-from loose_env.diagnosis.uncertain_arm import UncertainArm
+from loose_env.diagnosis.link_finding.direction_images import ToolFrames
+from loose_env.diagnosis.research.line_spectrum.direction import (
+    DynamicDirection,
+    direction_by_dynamics,
+)
+from loose_env.diagnosis.research.line_spectrum.uncertain_arm import UncertainArm
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import Healthy, StructuralLooseness

@@ -4,9 +4,13 @@ import numpy as np
 import pytest
 
 from loose_env.arms import planar
-from loose_env.diagnosis.inertia import backlash_condition, condition_of, seated_inertia
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.faults import Backlash, Healthy, StructuralLooseness
+from loose_env.thesis.methods.looseness.inertia_condition import (
+    backlash_condition,
+    condition_of,
+    seated_inertia,
+)
 
 POSE = np.array([0.2, 0.8])
 

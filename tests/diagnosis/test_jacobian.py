@@ -5,21 +5,21 @@ import numpy as np
 import pytest
 
 from loose_env.arms import planar, vera
-from loose_env.diagnosis.chain import Chain
-from loose_env.diagnosis.jacobian import (
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.kinematics.chain import Chain
+from loose_env.kinematics.jacobian import (
     changed_columns,
     geometric_jacobian,
     link_of_changed_columns,
     tool_velocity,
     velocity_error,
 )
-from loose_env.diagnosis.looseness_joint import (
+from loose_env.thesis.methods.looseness.looseness_joint import (
     displaced,
     insert_looseness,
     looseness_transform,
     slot_direction,
 )
-from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 
 
 def spatial(seed: int = 3) -> tuple[mujoco.MjModel, mujoco.MjData]:

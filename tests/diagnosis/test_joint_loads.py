@@ -7,13 +7,13 @@ import pytest
 
 from loose_env.arms import planar, vera
 from loose_env.arms.cylindrical import cylindrical
-from loose_env.diagnosis.joint_loads import (
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.kinematics.joint_loads import (
     TwoLinks,
     arm_loads,
     peak_force,
     two_link_loads,
 )
-from loose_env.errors import InvalidData, InvalidSetting
 from tests.faults.thesis_equations import Figures, healthy_torques, thesis_arm
 
 

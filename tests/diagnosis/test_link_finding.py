@@ -7,7 +7,7 @@ import pytest
 
 from loose_env.arms import planar
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.link_finding import (
+from loose_env.diagnosis.link_finding.planar import (
     LinkFindingSettings,
     Sighting,
     backlash_joint,

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from loose_env.arms import planar, vera
-from loose_env.diagnosis.chain import Chain
-from loose_env.diagnosis.jacobian import geometric_jacobian
-from loose_env.diagnosis.manipulability import (
+from loose_env.errors import InvalidData, UnknownName
+from loose_env.kinematics.chain import Chain
+from loose_env.kinematics.jacobian import geometric_jacobian
+from loose_env.kinematics.manipulability import (
     axis_difference_deg,
     direction_deg,
     ellipsoid,
@@ -17,7 +18,6 @@ from loose_env.diagnosis.manipulability import (
     submanipulator,
     submanipulator_jacobian,
 )
-from loose_env.errors import InvalidData, UnknownName
 
 
 @pytest.mark.parametrize(

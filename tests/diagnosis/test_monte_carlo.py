@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loose_env.diagnosis.loose_planar import (
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.statistics import kurtosis
+from loose_env.thesis.methods.motion.loose_planar_arm import (
     LoosePlanarArm,
     link_rate,
     looseness_direction,
@@ -17,13 +19,13 @@ from loose_env.diagnosis.loose_planar import (
     tool_position,
     tool_velocity,
 )
-from loose_env.diagnosis.monte_carlo import (
+from loose_env.thesis.methods.motion.monte_carlo import (
     MonteCarlo,
     draw_tool_acceleration,
     draw_tool_displacement,
     draw_tool_velocity,
 )
-from loose_env.diagnosis.seat_motion import (
+from loose_env.thesis.methods.motion.seat_motion import (
     DISTAL,
     FREE,
     PROXIMAL,
@@ -36,8 +38,6 @@ from loose_env.diagnosis.seat_motion import (
     regions,
     transition_table,
 )
-from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.statistics import kurtosis
 
 ARM = LoosePlanarArm(length1=0.5, length2=0.3, beta=0.7)
 SPEED = np.array([[1.3], [-0.8]])

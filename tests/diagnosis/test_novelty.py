@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loose_env.diagnosis.novelty import (
+from loose_env.diagnosis.learned.features import PLACE_FEATURES, RECORD_FEATURES, TransmissionChange
+from loose_env.diagnosis.learned.novelty import (
     COLUMNS,
     CONTEXT,
     FIGURES,
@@ -17,7 +18,6 @@ from loose_env.diagnosis.novelty import (
     sights,
     used_columns,
 )
-from loose_env.diagnosis.seat_features import PLACE_FEATURES, RECORD_FEATURES, TransmissionChange
 from loose_env.errors import InvalidData
 from loose_env.statistics.gaussian_mixture import fit_gaussian_mixture
 

@@ -7,8 +7,16 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 
-from loose_env.diagnosis.particles import Evidence, ParticleSettings, evidence_by_particles
-from loose_env.diagnosis.synthetic_likelihood import Repeated, SyntheticLikelihood, nearness
+from loose_env.diagnosis.research.particles.evidence import (
+    Evidence,
+    ParticleSettings,
+    evidence_by_particles,
+)
+from loose_env.diagnosis.research.particles.synthetic_likelihood import (
+    Repeated,
+    SyntheticLikelihood,
+    nearness,
+)
 from loose_env.errors import InvalidData, InvalidSetting
 
 Array = NDArray[np.float64]

@@ -9,15 +9,15 @@ import pytest
 from loose_env.arms import Arm, planar, vera
 from loose_env.arms.cylindrical import cylindrical
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.pose_choice import (
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.kinematics.pose_choice import (
     chebyshev_nodes,
     chebyshev_poses,
     choose_poses,
     seat_drive,
     worst_push,
 )
-from loose_env.diagnosis.reactions import reactions, reciprocal_product, wrench_rank
-from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.kinematics.seat_loads import reactions, reciprocal_product, wrench_rank
 
 
 def by_inverse_dynamics(

@@ -7,10 +7,15 @@ import pytest
 
 from loose_env.arms import Arm, planar, vera
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.likelihood import LOOSE, OPENINGS
-from loose_env.diagnosis.opening import PRESSES, RATIOS, OpeningTable, shipped_table
-from loose_env.diagnosis.posterior import FaultPosterior, PosteriorSettings
-from loose_env.diagnosis.record import RecordStatistics, statistics_of
+from loose_env.diagnosis.likelihood.opening_table import (
+    PRESSES,
+    RATIOS,
+    OpeningTable,
+    shipped_table,
+)
+from loose_env.diagnosis.likelihood.posterior import FaultPosterior, PosteriorSettings
+from loose_env.diagnosis.likelihood.record_likelihood import LOOSE, OPENINGS
+from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import at_levels

@@ -10,10 +10,19 @@ import pytest
 
 from loose_env.arms import Arm, planar, scara, six_axis
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.likelihood import OPENINGS
-from loose_env.diagnosis.opening import PRESSES, RATIOS, OpeningTable, shipped_table
-from loose_env.diagnosis.posterior import FaultPosterior, PosteriorSettings, slide_directions
-from loose_env.diagnosis.record import RecordStatistics, statistics_of
+from loose_env.diagnosis.likelihood.opening_table import (
+    PRESSES,
+    RATIOS,
+    OpeningTable,
+    shipped_table,
+)
+from loose_env.diagnosis.likelihood.posterior import (
+    FaultPosterior,
+    PosteriorSettings,
+    slide_directions,
+)
+from loose_env.diagnosis.likelihood.record_likelihood import OPENINGS
+from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import at_levels

@@ -7,9 +7,9 @@ import pytest
 
 from loose_env.arms import Arm, planar, vera
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.prediction import SensorFloor, predict
-from loose_env.diagnosis.record import statistics_of
-from loose_env.diagnosis.seat_prediction import predict_seats
+from loose_env.diagnosis.likelihood.seat_response import predict_seats
+from loose_env.diagnosis.records.prediction import SensorFloor, predict
+from loose_env.diagnosis.records.record_statistics import statistics_of
 from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, StructuralLooseness
 from loose_env.rig import SimulatedRig

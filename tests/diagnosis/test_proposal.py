@@ -7,7 +7,11 @@ import pytest
 
 from loose_env.arms import planar, scara, six_axis, vera
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.proposal import holding_modes, propose_band, propose_excitation
+from loose_env.diagnosis.records.excitation_design import (
+    holding_modes,
+    propose_band,
+    propose_excitation,
+)
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import CREST_FACTOR
 

@@ -10,7 +10,7 @@ import pytest
 
 from loose_env.arms import scara, six_axis
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.record import RecordStatistics, statistics_of
+from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
 from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation, at_levels
 from loose_env.rig import SimulatedRig

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from loose_env.arms import planar
-from loose_env.diagnosis.chain import Chain
-from loose_env.diagnosis.jacobian import geometric_jacobian
-from loose_env.diagnosis.recursion import (
+from loose_env.errors import InvalidData
+from loose_env.kinematics.chain import Chain
+from loose_env.kinematics.jacobian import geometric_jacobian
+from loose_env.thesis.methods.looseness.parameter_recursion import (
     distended_angles,
     identify_planar,
     parameter_deviations,
@@ -14,7 +15,6 @@ from loose_env.diagnosis.recursion import (
     slide_direction,
     velocity_components,
 )
-from loose_env.errors import InvalidData
 
 LENGTHS = np.array([0.5, 0.35, 0.4, 0.2, 0.15])
 OFFSETS = np.array([0.0, 0.3, -1.0, 0.7, 2.5])

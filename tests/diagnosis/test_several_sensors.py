@@ -13,16 +13,16 @@ from scipy.special import logsumexp
 from loose_env.arms import Arm, planar, scara, six_axis, vera
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch, MismatchDraw
-from loose_env.diagnosis import several_sensors
-from loose_env.diagnosis.sensed_arm import SensedArm
-from loose_env.diagnosis.sensor_rows import (
+from loose_env.diagnosis.multi_sensor import link_evidence as several_sensors
+from loose_env.diagnosis.multi_sensor.link_evidence import OpeningPrior, SensorVerdict, weigh_links
+from loose_env.diagnosis.multi_sensor.sensed_arm import SensedArm
+from loose_env.diagnosis.multi_sensor.sensor_rows import (
     SensorRows,
     StackedRecord,
     rows_of,
     splitting_order,
     stack,
 )
-from loose_env.diagnosis.several_sensors import OpeningPrior, SensorVerdict, weigh_links
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import Fault, Healthy, StructuralLooseness

@@ -9,24 +9,24 @@ import pytest
 from loose_env.arms import cylindrical, planar, scara, six_axis, vera
 from loose_env.arms.arm import Arm
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.axial_likelihood import log_mean_bingham, precision_of
-from loose_env.diagnosis.direction_images import ToolFrames, places, predicted_images
-from loose_env.diagnosis.link_finding import LinkFindingSettings, Order
-from loose_env.diagnosis.link_moves import (
+from loose_env.diagnosis.likelihood.axial_likelihood import log_mean_bingham, precision_of
+from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places, predicted_images
+from loose_env.diagnosis.link_finding.moves import (
     blind_joints,
     candidate_poses,
     choose_move,
     next_seeing_joint,
 )
-from loose_env.diagnosis.seat_opening import choose_open_move, expected_openness
-from loose_env.diagnosis.space_link_finding import (
+from loose_env.diagnosis.link_finding.opening_moves import choose_open_move, expected_openness
+from loose_env.diagnosis.link_finding.planar import LinkFindingSettings, Order
+from loose_env.diagnosis.link_finding.search import TurnSearch
+from loose_env.diagnosis.link_finding.spatial import (
     DirectionSighting,
     axis_from_turn,
     judge_turn_in_space,
     link_posterior,
     look_alikes,
 )
-from loose_env.diagnosis.turn_search import TurnSearch
 from loose_env.errors import InvalidData, InvalidSetting
 
 ARMS = [six_axis(), scara(), cylindrical(), planar(4), vera()]

@@ -4,12 +4,15 @@ import numpy as np
 import pytest
 
 from loose_env.arms import planar
-from loose_env.diagnosis.chain import Chain
-from loose_env.diagnosis.docked import simulate_docked
-from loose_env.diagnosis.inertia import seated_inertia
-from loose_env.diagnosis.jacobian import geometric_jacobian
-from loose_env.diagnosis.looseness_joint import insert_looseness
-from loose_env.diagnosis.static_force import (
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.excitation import Excitation, torque_signals
+from loose_env.faults import Backlash, Healthy, StructuralLooseness
+from loose_env.kinematics.chain import Chain
+from loose_env.kinematics.jacobian import geometric_jacobian
+from loose_env.thesis.methods.looseness.docked_simulation import simulate_docked
+from loose_env.thesis.methods.looseness.inertia_condition import seated_inertia
+from loose_env.thesis.methods.looseness.looseness_joint import insert_looseness
+from loose_env.thesis.methods.looseness.static_force_test import (
     compatible_links,
     dock_force,
     docked_acceleration,
@@ -22,9 +25,6 @@ from loose_env.diagnosis.static_force import (
     seat_twist,
     tool_acceleration,
 )
-from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.excitation import Excitation, torque_signals
-from loose_env.faults import Backlash, Healthy, StructuralLooseness
 
 PLANE = [0, 1, 5]
 POSE = np.array([0.3, 0.9, -0.7])

@@ -11,9 +11,20 @@ import pytest
 from loose_env.arms import Arm, planar, six_axis
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch, MismatchDraw
-from loose_env.diagnosis.model_errors import calibrate_sensor, kinematic_errors, sensor_errors
-from loose_env.diagnosis.stopping import Ending, StoppingRule, measure_direction
-from loose_env.diagnosis.transmission_change import change_of_transmission, measured_transmission
+from loose_env.diagnosis.records.model_uncertainty import (
+    calibrate_sensor,
+    kinematic_errors,
+    sensor_errors,
+)
+from loose_env.diagnosis.research.sequential.stopping_rule import (
+    Ending,
+    StoppingRule,
+    measure_direction,
+)
+from loose_env.diagnosis.research.sequential.transmission_change import (
+    change_of_transmission,
+    measured_transmission,
+)
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import Healthy, StructuralLooseness

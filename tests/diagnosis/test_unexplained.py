@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loose_env.diagnosis.seat_features import TransmissionChange
-from loose_env.diagnosis.unexplained import MODEL_SHARE, SEAT_SHARE, unexplained
+from loose_env.diagnosis.learned.features import TransmissionChange
+from loose_env.diagnosis.learned.residual_change import MODEL_SHARE, SEAT_SHARE, unexplained
 
 SIZE, PLACES = 8, 6
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import wishart
 
-from loose_env.diagnosis.wishart import wishart_fit
+from loose_env.diagnosis.likelihood.record_likelihood import wishart_fit
 from loose_env.errors import InvalidData
 
 AMOUNTS = np.array([0.0, 0.01, 0.5, 3.0, 200.0])

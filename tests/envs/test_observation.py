@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from loose_env.arms import Arm, planar, scara, six_axis, vera
 from loose_env.arms.linear import inertance_rate
 from loose_env.arms.mismatch import Mismatch, MismatchDraw
-from loose_env.diagnosis.record import RecordStatistics, statistics_of
+from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
 from loose_env.envs.diagnosis import DiagnosisEnv
 from loose_env.envs.difficulty import Difficulty
 from loose_env.envs.observation import Element, ObservationLayout

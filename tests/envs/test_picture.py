@@ -13,7 +13,7 @@ pytest.importorskip("matplotlib")
 
 from loose_env.arms import Arm, planar, scara, vera
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.prediction import SensorFloor, predict
+from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.envs.diagnosis import DiagnosisEnv
 from loose_env.envs.drawing.loop import measured_loop, predicted_loop
 from loose_env.envs.drawing.view import PlanarView

@@ -218,7 +218,7 @@ def test_a_tool_axis_that_stands_still_leaves_the_cuts_finite() -> None:
 
 
 def test_the_healthy_arm_s_surface_is_that_of_the_prediction() -> None:
-    from loose_env.diagnosis.prediction import SensorFloor, predict
+    from loose_env.diagnosis.records.prediction import SensorFloor, predict
     from loose_env.excitation import at_levels
     from loose_env.sensors import SensorSuite
 

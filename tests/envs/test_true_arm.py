@@ -16,7 +16,7 @@ from agents.registry import belief_agent
 from loose_env.arms import Arm, planar
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch
-from loose_env.diagnosis.prediction import predict
+from loose_env.diagnosis.records.prediction import predict
 from loose_env.envs.diagnosis import DiagnosisEnv
 from loose_env.envs.difficulty import Difficulty
 from loose_env.envs.settings import DiagnosisSettings

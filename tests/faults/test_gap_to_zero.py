@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from loose_env.arms import Arm, planar, vera
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch, MismatchDraw
-from loose_env.diagnosis.posterior import FaultPosterior
-from loose_env.diagnosis.record import RecordStatistics, statistics_of
+from loose_env.diagnosis.likelihood.posterior import FaultPosterior
+from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import (

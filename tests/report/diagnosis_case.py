@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from loose_env.arms import DESK_ARM, Arm, planar
-from loose_env.diagnosis.direction_images import ToolFrames
+from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.envs.drawing.surface import Surface
 from loose_env.instrument.result import Diagnosis, Fault, Loop, NextMeasurement, RecordSeen
 

@@ -7,8 +7,8 @@ import pytest
 
 from loose_env.arms import planar, scara
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.prediction import SensorFloor, predict
-from loose_env.diagnosis.record import statistics_of
+from loose_env.diagnosis.records.prediction import SensorFloor, predict
+from loose_env.diagnosis.records.record_statistics import statistics_of
 from loose_env.excitation import Excitation, at_levels
 from loose_env.rig import SimulatedRig
 from loose_env.sensors import Encoder, SensorSuite, read_encoder

@@ -7,7 +7,7 @@ import pytest
 
 from loose_env.arms import planar, scara, six_axis, vera
 from loose_env.arms.mismatch import Mismatch, MismatchDraw
-from loose_env.diagnosis.record import statistics_of
+from loose_env.diagnosis.records.record_statistics import statistics_of
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.envs.episode import EpisodeBatch
 from loose_env.envs.settings import DiagnosisSettings

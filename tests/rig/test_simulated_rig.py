@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from loose_env.arms import Arm, planar, vera
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch, MismatchDraw
-from loose_env.diagnosis.prediction import SensorFloor, predict
-from loose_env.diagnosis.record import statistics_of
+from loose_env.diagnosis.records.prediction import SensorFloor, predict
+from loose_env.diagnosis.records.record_statistics import statistics_of
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import (

@@ -17,7 +17,7 @@ pytest.importorskip("matplotlib")
 import loose_env
 from loose_env.arms import planar, six_axis
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.prediction import SensorFloor, predict
+from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import StructuralLooseness
 from loose_env.report.stored_study import stored_rows, study_head, write_study

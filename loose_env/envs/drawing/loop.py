@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.diagnosis.prediction import Prediction
+from loose_env.diagnosis.records.prediction import Prediction
 from loose_env.rig.measurement import Measurement
 from loose_env.statistics import (
     Covariances,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.prediction import SensorFloor, predict
+from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.envs.drawing.arm import ArmDrawing
 from loose_env.envs.drawing.caption import (
     header_height,

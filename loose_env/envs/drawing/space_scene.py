@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.linear import LinearArm
-from loose_env.diagnosis.prediction import SensorFloor, predict
+from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.envs.drawing.caption import (
     header_height,
     header_lines,

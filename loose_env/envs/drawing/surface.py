@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from loose_env.diagnosis.prediction import Prediction
+from loose_env.diagnosis.records.prediction import Prediction
 from loose_env.envs.drawing.loop import record_of
 from loose_env.rig.measurement import Measurement
 from loose_env.statistics import Covariances, covariances

@@ -1,0 +1,259 @@
+"""How much a record not yet taken is expected to say about the hypotheses.
+
+The belief is thinned to a few dozen imagined faults. For each of them the nominal arm says what
+the record would show: how far the seat opens under that drive, friction and load, and what that
+changes of the transmission, of the joints' inertias and of the motion that follows nothing. Faults
+whose records lie many standard deviations apart will be told from each other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.diagnosis.learned.features import SeatFeatures
+from loose_env.diagnosis.likelihood.opening_table import OpeningTable, shipped_table
+from loose_env.diagnosis.likelihood.posterior import Belief
+from loose_env.diagnosis.likelihood.record_likelihood import LOOSE, OPENINGS
+from loose_env.diagnosis.likelihood.seat_response import predict_seats
+
+__all__ = [
+    "USUAL_FACTORS",
+    "Expectation",
+    "ImaginedFaults",
+    "InformationFactors",
+    "InformationSettings",
+    "RecordInformation",
+]
+
+Array = NDArray[np.float64]
+
+_INERTIA_ERROR = 0.03
+_POWER_ERROR = 0.35
+_LINEAR_ERROR = 0.003
+
+
+@dataclass(frozen=True, kw_only=True)
+class InformationSettings:
+    """How records are imagined."""
+
+    faults: int = 96
+    """Imagined faults that stand for the belief."""
+    blur: float = 16.0
+    """Variance of everything predicted, over what errors and sampling leave [1]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class InformationFactors:
+    """Which share of the expected information comes true, by kind of record."""
+
+    length: float = 0.0
+    """Exponent of the record's length over a second."""
+    together: float = 0.0
+    """Logarithm of the factor where all joints are shaken, none where one is."""
+    joints: tuple[float, ...] = ()
+    """Logarithm of the factor of each joint; of several that are shaken, their mean. None: 0."""
+
+    def of(self, excited: NDArray[np.bool_], seconds: float) -> float:
+        """Factor of a record that shakes some joints (n,) for some seconds.
+
+        Examples
+        --------
+        >>> InformationFactors(joints=(0.0, 0.7)).of(np.array([False, True]), 1.0)
+        2.01...
+        """
+        alone = 1 / len(excited)
+        share = (float(np.mean(excited)) - alone) / max(1 - alone, alone)
+        own = float(np.mean(np.array(self.joints)[excited])) if self.joints else 0.0
+        return float(seconds**self.length * np.exp(self.together * share + own))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImaginedFaults:
+    """A thinned belief: M imagined faults."""
+
+    weight: Array
+    """Probability of each (M,)."""
+    hypothesis: NDArray[np.intp]
+    """0 for healthy, else 1 + the hypothesis with a fault (M,)."""
+    place: NDArray[np.intp]
+    """Place of the seat; any for healthy (M,)."""
+    friction: Array
+    """Friction over the seat drive of the top level (M,)."""
+    chance: Array
+    """A uniform number each, which decides how its seat opens (M,)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Expectation:
+    """What a record is expected to bring."""
+
+    information: float
+    """Expected fall of the log score [nat]."""
+    sure: float
+    """Expected probability of the most probable hypothesis after it [1]."""
+
+
+USUAL_FACTORS = InformationFactors(length=0.06, together=-0.46)
+"""Fitted on records of planar4; `agents.information_fit` fits those of other arms."""
+
+
+class RecordInformation:
+    """Weighs records that could be taken next.
+
+    Parameters
+    ----------
+    features : SeatFeatures
+        The nominal arm and its places.
+    frictions : ndarray (F,)
+        Nodes of friction of the beliefs, over the seat drive of the top level [1].
+    settings : InformationSettings, optional
+        How records are imagined.
+    factors : InformationFactors, optional
+        Which share of the information comes true; the usual one by default.
+    table : OpeningTable, optional
+        How seats open; the shipped one by default.
+    """
+
+    def __init__(
+        self,
+        features: SeatFeatures,
+        frictions: Array,
+        settings: InformationSettings | None = None,
+        *,
+        factors: InformationFactors | None = None,
+        table: OpeningTable | None = None,
+    ) -> None:
+        self.features, self.frictions = features, frictions
+        self.factors = USUAL_FACTORS if factors is None else factors
+        self.settings = InformationSettings() if settings is None else settings
+        self.table = shipped_table() if table is None else table
+        shape = (-1, len(OPENINGS) * len(LOOSE))
+        self._cumulative = {
+            "slide": np.cumsum(self.table.slide.reshape(shape), axis=1),
+            "hinge": np.cumsum(self.table.hinge.reshape(shape), axis=1),
+        }
+
+    def imagine(self, belief: Belief, rng: np.random.Generator) -> ImaginedFaults:
+        """Thin a belief by systematic resampling."""
+        nodes = belief.loose.shape[2]
+        top = max(float(belief.healthy.max()), float(belief.loose.max()))
+        healthy = np.exp(belief.healthy - top).sum()
+        weight = np.concatenate([[healthy], np.exp(belief.loose - top).sum(0).ravel()])
+        weight = weight / weight.sum()
+        count = self.settings.faults
+        ticks = (np.arange(count) + rng.random()) / count
+        drawn, times = np.unique(
+            np.minimum(np.searchsorted(np.cumsum(weight), ticks), len(weight) - 1),
+            return_counts=True,
+        )
+        # A fault that is drawn often may still open in many ways.
+        copies = np.repeat(drawn, np.minimum(times, 6))
+        share = np.repeat(times / np.minimum(times, 6), np.minimum(times, 6)) / count
+        loose = np.maximum(copies - 1, 0)
+        place = np.where(copies > 0, loose // nodes, 0)
+        return ImaginedFaults(
+            weight=share,
+            hypothesis=np.where(copies > 0, 1 + self.features.hypothesis[place], 0),
+            place=place,
+            friction=self.frictions[loose % nodes],
+            chance=rng.random(len(copies)),
+        )
+
+    def of(
+        self, faults: ImaginedFaults, pose: Array, torque: Array, duration: float
+    ) -> Expectation:
+        """Say what a record is expected to bring.
+
+        Parameters
+        ----------
+        faults : ImaginedFaults
+            The belief, thinned.
+        pose : ndarray (n,)
+            Where it is taken [rad or m].
+        torque : ndarray (n,)
+            Rms torque of every joint [N·m]; at least one is on.
+        duration : float
+            Its length [s].
+        """
+        near = faults.weight * self.likelihood(faults, pose, torque, duration)
+        labels = np.zeros((len(faults.weight), int(faults.hypothesis.max()) + 1))
+        labels[np.arange(len(labels)), faults.hypothesis] = 1.0
+        after = near @ labels
+        after /= after.sum(1, keepdims=True)
+        before = faults.weight @ labels
+        kept = after[np.arange(len(labels)), faults.hypothesis]
+        score = float(faults.weight @ np.log(np.maximum(kept, 1e-12)))
+        score_now = float(faults.weight @ np.log(before[faults.hypothesis]))
+        factor = self.factors.of(torque > 0, duration)
+        return Expectation(
+            information=factor * (score - score_now),
+            sure=float(faults.weight @ after.max(1)),
+        )
+
+    def likelihood(
+        self, faults: ImaginedFaults, pose: Array, torque: Array, duration: float
+    ) -> Array:
+        """How likely the record of each imagined fault is under each other one (M, M).
+
+        Row k is for a record of fault k; 1 where the other one would show the same.
+        """
+        shown = self.outcomes(faults, pose, torque, duration)
+        square = (shown**2).sum(1)
+        apart = square[:, None] + square[None] - 2 * shown @ shown.T
+        # Two records of one fault differ too: each has its own errors.
+        return np.asarray(np.exp(-np.maximum(apart, 0.0) / (4 * self.settings.blur)))
+
+    def outcomes(
+        self, faults: ImaginedFaults, pose: Array, torque: Array, duration: float
+    ) -> Array:
+        """What each imagined fault would show, in standard deviations (M, features)."""
+        features = self.features
+        linear, floor = features.linear, features.floor
+        arm = linear.arm
+        excited = torque > 0
+        on = np.flatnonzero(excited)
+        m, d = len(on), len(arm.axes)
+        noise = np.concatenate([floor.joints(arm)[on], np.full(d, floor.tool)]) ** 2
+        asked, at = np.unique(faults.place, return_inverse=True)
+        seats = predict_seats(linear.at(pose), torque, features.directions, noise, places=asked)
+        x = seats.in_step[:m]
+        b = seats.in_step[m:] @ np.linalg.inv(x)
+        away = np.concatenate([-b, np.eye(d)], axis=1)
+        total = float(np.trace(seats.in_step[m:] @ seats.in_step[m:].T))
+        residual = away @ seats.rest @ away.T + _LINEAR_ERROR**2 * total * np.eye(d)
+        white = features.whitening(pose, excited, b, residual, x, duration)
+        samples = 2 * (arm.band[1] - arm.band[0]) * duration
+
+        opening, loose = self._openings(faults, seats.force[at], seats.load[at])
+        change = opening[:, None] * (features.open_change(seats)[at] @ white.T)
+        nominal = np.diag(x)
+        opened = np.diagonal(seats.in_step_open[:, :m], axis1=1, axis2=2)[at] / nominal
+        error = np.sqrt(_INERTIA_ERROR**2 + 1 / samples)
+        inertia = np.clip(opening[:, None] * opened / error, -10.0, 10.0)
+        free = np.diagonal(away @ seats.loose[at] @ away.T, axis1=1, axis2=2)
+        rest = np.diag(residual)
+        error = np.sqrt(_POWER_ERROR**2 + 2 / samples)
+        motion = np.log1p(loose[:, None] * np.maximum(free, 0.0) / rest) / error
+        return np.concatenate([np.clip(change, -60.0, 60.0), inertia, motion], axis=1)
+
+    def _openings(self, faults: ImaginedFaults, force: Array, load: Array) -> tuple[Array, Array]:
+        """Opening and loose motion of every imagined fault's seat (M,) each.
+
+        Force and gravity's load are those on the shut seats (M,) [N or N·m].
+        """
+        at = faults.place
+        slides = self.features.places - self.features.linear.arm.n
+        friction = faults.friction * self.features.top[at]
+        nodes = self.table.nodes(force, friction, load)
+        pick = np.zeros(len(at), dtype=np.intp)
+        for kind, chosen in (("slide", at < slides), ("hinge", at >= slides)):
+            mixed = sum(weight[:, None] * self._cumulative[kind][node] for node, weight in nodes)
+            cell = (np.asarray(mixed) < faults.chance[:, None]).sum(1)
+            pick = np.where(chosen, cell, pick)
+        pick = np.minimum(pick, len(OPENINGS) * len(LOOSE) - 1)
+        loose = np.where(faults.hypothesis > 0, LOOSE[pick % len(LOOSE)], 0.0)
+        opening = np.where(faults.hypothesis > 0, OPENINGS[pick // len(LOOSE)], 0.0)
+        return opening, loose

@@ -1,0 +1,338 @@
+"""The posterior over faults with a learned likelihood.
+
+It keeps the shape of `loose_env.diagnosis.likelihood.posterior`: log-weights over places (sliding
+directions of every link, plays of every joint) and nodes of friction, summed over records, with
+direction and friction summed out for the hypotheses. Only what one record says is learned, from
+simulated arms whose gap, friction, direction and mismatch are drawn as the environment draws
+them. Mismatch, which all records of an arm share, enters as a temper by the number of records.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from loose_env.arms.linear import LinearArm
+from loose_env.arms.mismatch import Mismatch
+from loose_env.diagnosis.learned.features import PLACE_FEATURES, RECORD_FEATURES, SeatFeatures
+from loose_env.diagnosis.learned.network import SeatNetwork
+from loose_env.diagnosis.learned.novelty import FIGURES, NoveltyReference, Seen, sights
+from loose_env.diagnosis.likelihood.posterior import Belief
+from loose_env.diagnosis.records.record_statistics import RecordStatistics
+from loose_env.errors import InvalidData
+from loose_env.faults import DEFAULT_KINDS, hypotheses
+from loose_env.sensors import SensorSuite
+
+__all__ = [
+    "FORMAT",
+    "REFERENCE",
+    "AmortisedBelief",
+    "AmortisedPosterior",
+    "read_network",
+    "write_network",
+]
+
+Array = NDArray[np.float64]
+
+FORMAT = "loose-posterior/1"
+"""Format of a stored network's configuration."""
+REFERENCE = "reference."
+"""How the names of the tensors of a `NoveltyReference` begin."""
+CONFIGURATION, WEIGHTS = "configuration.json", "posterior.safetensors"
+
+_MOST_DIRECTIONS = 10_000
+_MOST_FRICTION = 1e6  # over the seat drive of the top level
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AmortisedBelief:
+    """What the records so far say."""
+
+    total: Array
+    """Log-likelihood over that of a sound arm, by place and friction (P, F)."""
+    records: int
+    """Number of records taken in."""
+    temper: float
+    """Exponent on the likelihood at that number."""
+    prior: Array
+    """Log-probability of the hypotheses beforehand, the healthy one first (1 + 2 n,)."""
+    directions: Array
+    """Sliding directions in a link's frame (A, axes)."""
+    hypothesis: NDArray[np.intp]
+    """Which hypothesis with a fault each place belongs to (P,)."""
+    seen: tuple[Seen, ...] = ()
+    """What each record showed."""
+    reference: NoveltyReference | None = None
+    """How that is on arms of the trained kind, if it is known."""
+
+    @cached_property
+    def belief(self) -> Belief:
+        """The same as log-weights of everything in question."""
+        n = (len(self.prior) - 1) // 2
+        slides = n * len(self.directions)
+        loose = self.temper * self.total - np.log(self.total.shape[1])
+        share = np.concatenate(
+            [
+                np.repeat(self.prior[1 : n + 1] - np.log(len(self.directions)), slides // n),
+                self.prior[n + 1 :],
+            ]
+        )
+        return Belief(
+            healthy=self.prior[:1],
+            loose=(loose + share[:, None])[None],
+            links=n,
+            directions=self.directions,
+        )
+
+    @property
+    def probabilities(self) -> Array:
+        """Probability of each hypothesis: healthy, slides, plays (1 + 2 n,)."""
+        return self.belief.probabilities
+
+    @cached_property
+    def sights(self) -> Array:
+        """What may give an arm of another kind away, by record (R, columns).
+
+        Under the belief after all of them; see `loose_env.diagnosis.learned.novelty.sights`.
+        """
+        log = np.asarray(logsumexp(self.belief.loose[0], axis=1))
+        loose = float(logsumexp(log))
+        return sights(self.seen, np.exp(log - loose), float(self.prior[0]) - loose, self.hypothesis)
+
+    @cached_property
+    def novelty(self) -> Array:
+        """By how much more of each figure there is than is usual, by record [1] (R, figures).
+
+        In standard deviations of a normal variable; empty without a reference or records.
+        """
+        if self.reference is None or not self.seen:
+            return np.zeros((0, len(FIGURES)))
+        return self.reference.novelty(self.sights)
+
+    @property
+    def surprise(self) -> float:
+        """p-value of the episode among those of the trained kind; one where none are known."""
+        return 1.0 if self.reference is None else self.reference.surprise(self.novelty)
+
+
+class AmortisedPosterior:
+    """Bayes' rule over faults, with a learned likelihood.
+
+    Parameters
+    ----------
+    linear : LinearArm
+        The nominal arm.
+    sensors : SensorSuite
+        Figures of the sensors.
+    mismatch : Mismatch
+        How far the nominal model may be off; as in training.
+    network : SeatNetwork
+        The trained network.
+    directions : int
+        Sliding directions of a link; as in training.
+    friction : (float, float)
+        Range of guide friction over the seat drive of the top level that the nodes divide [1].
+    kinds : mapping of str to float, optional
+        Prior probability of each kind of fault; a third each by default.
+    reference : NoveltyReference, optional
+        How records are on arms like those of its training, for the novelty.
+
+    Raises
+    ------
+    InvalidData
+        If the network was made for another number of figures or joints.
+    """
+
+    def __init__(
+        self,
+        linear: LinearArm,
+        sensors: SensorSuite,
+        mismatch: Mismatch,
+        network: SeatNetwork,
+        *,
+        directions: int,
+        friction: tuple[float, float] = (0.02, 1.0),
+        kinds: Mapping[str, float] | None = None,
+        reference: NoveltyReference | None = None,
+    ) -> None:
+        self.linear, self.network, self.friction = linear, network, friction
+        self.hypotheses = hypotheses(linear.arm, DEFAULT_KINDS)
+        self.features = SeatFeatures(linear, sensors, mismatch, directions=directions)
+        self.reference = reference
+        wanted = (len(PLACE_FEATURES), len(RECORD_FEATURES), 2 * linear.arm.n)
+        sizes = tuple(network.sizes[x] for x in "CQH")
+        if sizes != wanted:
+            raise InvalidData(
+                f"the network takes {sizes[0]} figures of a place, {sizes[1]} of a record and "
+                f"{sizes[2]} faults; arm {linear.arm.name!r} has {wanted}"
+            )
+        shares = dict.fromkeys(DEFAULT_KINDS, 1 / 3) if kinds is None else dict(kinds)
+        n = linear.arm.n
+        with np.errstate(divide="ignore"):
+            self._prior = np.log(
+                np.concatenate(
+                    [
+                        [shares.get("healthy", 0.0)],
+                        np.full(n, shares.get("structural_looseness", 0.0) / n),
+                        np.full(n, shares.get("backlash", 0.0) / n),
+                    ]
+                )
+            )
+
+    def start(self) -> AmortisedBelief:
+        """Return the prior."""
+        return AmortisedBelief(
+            total=np.zeros((self.features.places, self.network.frictions)),
+            records=0,
+            temper=1.0,
+            prior=self._prior,
+            directions=self.features.directions,
+            hypothesis=self.features.hypothesis,
+            reference=self.reference,
+        )
+
+    def update(self, belief: AmortisedBelief, record: RecordStatistics) -> AmortisedBelief:
+        """Take in one record; the order of records does not matter."""
+        seen = Seen(*self.features.with_change(record))
+        likelihood = self.network.likelihood(seen.place, seen.record, belief.hypothesis)
+        records = belief.records + 1
+        return AmortisedBelief(
+            total=belief.total + likelihood,
+            records=records,
+            temper=self.network.temper(records),
+            prior=self._prior,
+            directions=belief.directions,
+            hypothesis=belief.hypothesis,
+            seen=(*belief.seen, seen),
+            reference=self.reference,
+        )
+
+    @property
+    def frictions(self) -> Array:
+        """Nodes of friction over the seat drive of the top level [1] (F,)."""
+        low, high = np.log(self.friction)
+        nodes = (np.arange(self.network.frictions) + 0.5) / self.network.frictions
+        return np.asarray(np.exp(low + (high - low) * nodes))
+
+    @classmethod
+    def load(
+        cls,
+        folder: str | Path,
+        linear: LinearArm,
+        sensors: SensorSuite,
+        mismatch: Mismatch,
+        *,
+        kinds: Mapping[str, float] | None = None,
+    ) -> AmortisedPosterior:
+        """Load a trained network; nothing is unpickled.
+
+        Raises
+        ------
+        InvalidData
+            If there is none in the folder, or it was trained for another arm.
+        """
+        configuration, tensors = read_network(folder)
+        if configuration["arm"] != linear.arm.name:
+            raise InvalidData(
+                f"the posterior in {folder} was trained for arm {configuration['arm']!r:.60}, not "
+                f"{linear.arm.name!r}; train one with scripts/train_posterior.py"
+            )
+        start = len(REFERENCE)
+        known = {k[start:]: v for k, v in tensors.items() if k.startswith(REFERENCE)}
+        directions, friction = _figures(configuration, Path(folder) / CONFIGURATION)
+        try:
+            return cls(
+                linear,
+                sensors,
+                mismatch,
+                SeatNetwork(tensors),
+                directions=directions,
+                friction=friction,
+                kinds=kinds,
+                reference=NoveltyReference.of(known) if known else None,
+            )
+        except (InvalidData, KeyError, TypeError, ValueError, IndexError) as error:
+            raise InvalidData(f"{Path(folder) / WEIGHTS}: {error}") from error
+
+
+def _figures(configuration: Mapping[str, Any], file: Path) -> tuple[int, tuple[float, float]]:
+    """Directions of a link, and range of the friction."""
+    directions, friction = configuration["directions"], configuration["friction"]
+    if type(directions) is not int or not 1 <= directions <= _MOST_DIRECTIONS:
+        raise InvalidData(
+            f"{file}: directions is a whole number, 1 to {_MOST_DIRECTIONS}, got {directions!r:.60}"
+        )
+    if (
+        not isinstance(friction, list)
+        or len(friction) != 2
+        or not all(type(f) in (int, float) for f in friction)
+        or not 0 < friction[0] <= friction[1] < _MOST_FRICTION
+    ):
+        raise InvalidData(
+            f"{file}: friction is a range [low, high] above zero, got {friction!r:.60}"
+        )
+    return directions, (float(friction[0]), float(friction[1]))
+
+
+def read_network(folder: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Read the configuration and the tensors of a trained network.
+
+    Raises
+    ------
+    InvalidData
+        If they are missing, broken or of another format.
+    """
+    from safetensors import SafetensorError
+    from safetensors.numpy import load_file
+
+    where = Path(folder)
+    try:
+        configuration = json.loads((where / CONFIGURATION).read_text(encoding="utf-8"))
+        tensors = load_file(str(where / WEIGHTS))
+    except FileNotFoundError as error:
+        raise InvalidData(
+            f"no trained posterior in {where}: {CONFIGURATION} and {WEIGHTS} are needed; train one "
+            "with scripts/train_posterior.py"
+        ) from error
+    except (ValueError, RecursionError, OSError, SafetensorError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise InvalidData(f"the trained posterior in {where} cannot be read: {reason}") from error
+    found = configuration.get("format") if isinstance(configuration, dict) else None
+    if found != FORMAT:
+        raise InvalidData(
+            f"the posterior in {where} has format {found!r:.60}, not {FORMAT!r}; train it again "
+            "with scripts/train_posterior.py"
+        )
+    missing = [name for name in ("arm", "directions", "friction") if name not in configuration]
+    if missing:
+        raise InvalidData(
+            f"{where / CONFIGURATION} says nothing of {missing}; train the posterior again with "
+            "scripts/train_posterior.py"
+        )
+    return configuration, tensors
+
+
+def write_network(
+    folder: str | Path, configuration: Mapping[str, Any], tensors: Mapping[str, Any]
+) -> None:
+    """Write a network and its configuration, beside first, then renamed."""
+    from safetensors.numpy import save_file
+
+    where = Path(folder)
+    where.mkdir(parents=True, exist_ok=True)
+    beside = where / (WEIGHTS + ".part")
+    save_file({k: np.ascontiguousarray(v) for k, v in tensors.items()}, str(beside))
+    beside.chmod(0o644)  # safetensors leaves it to its owner alone
+    described = where / (CONFIGURATION + ".part")
+    text = json.dumps({"format": FORMAT, **configuration}, indent=1)
+    described.write_text(text + "\n", encoding="utf-8")
+    beside.replace(where / WEIGHTS)
+    described.replace(where / CONFIGURATION)

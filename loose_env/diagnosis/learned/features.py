@@ -1,0 +1,354 @@
+"""How one record looks under every place a seat could be loose: figures a network can weigh.
+
+For every place (a sliding direction of a link, or the play of a joint) the nominal arm says how
+the record would have changed had that seat floated. The measured change is set against it in
+units of what model and sampling leave open, beside what drives and loads the seat.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.linear import LinearArm
+from loose_env.arms.mismatch import Mismatch
+from loose_env.diagnosis.likelihood.record_likelihood import joint_covariance, transmission_errors
+from loose_env.diagnosis.likelihood.seat_response import SeatPrediction, predict_seats
+from loose_env.diagnosis.records.model_uncertainty import stiffness_errors
+from loose_env.diagnosis.records.prediction import SensorFloor
+from loose_env.diagnosis.records.record_statistics import RecordStatistics
+from loose_env.excitation import SeatDrive
+from loose_env.sensors import SensorSuite
+from loose_env.statistics import axes_grid
+
+__all__ = ["PLACE_FEATURES", "RECORD_FEATURES", "SeatFeatures", "TransmissionChange"]
+
+Array = NDArray[np.float64]
+
+PLACE_FEATURES = (
+    "opening",  # how far the seat would have to float, 1: freely
+    "gain",  # log(1 + what that explains of the change, chi²)
+    "left",  # log(1 + what it leaves, chi²)
+    "visible",  # log(1 + chi² of a freely floating seat)
+    "alike",  # cosine between measured and predicted change
+    "drive",  # log force on the shut seat over that of the top level
+    "load",  # log(1 + gravity over that force)
+    "inertia_gain",  # log(1 + what that opening explains of the inertias' change)
+    "inertia_left",  # log(1 + what it leaves)
+    "inertia_visible",  # log(1 + change of the inertias if it floats)
+    "loose",  # log of unexplained motion along the seat's, over all motion of the tool
+    "loose_expected",  # log of a floating seat's motion over all motion of the tool
+    "loose_share",  # share of the unexplained motion that lies along the seat's
+    "lowest",  # squared cosine between the seat's motion and the lowest coherence
+    "kurtosis",  # kurtosis of the axes along which the seat moves the tool
+)
+"""Figures of every place, in order."""
+
+RECORD_FEATURES = (
+    "change",  # log(1 + chi² of the change of transmission)
+    "numbers",  # log of the number of its elements
+    "inertia_change",  # log(1 + chi² of the inertias' change)
+    "rest",  # log of unexplained motion over all motion of the tool
+    "tool",  # log of the tool's motion over what was predicted
+    "duration",  # log of the record's length over 1 s
+    "excited",  # share of joints excited
+    "level",  # log of the predicted tool motion over the top level
+    "kurtosis",  # largest of the axes
+    "lowest_kurtosis",  # along the lowest coherence
+    "skewness",  # largest of the axes
+    "coherence",  # lowest coherence
+)
+"""Figures of the record as a whole, in order."""
+
+_INERTIA_ERROR = 0.03
+_TINY = 1e-12
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TransmissionChange:
+    """Change of the tool's in-step motion per command, as far as the transmission makes it."""
+
+    measured: Array
+    """As measured [m/s²] (d m,)."""
+    open: Array
+    """As each seat would make it by floating [m/s²] (P, d m)."""
+    nominal: Array
+    """The motion itself in the nominal arm [m/s²] (d m,)."""
+    covariance: Array
+    """What model and sampling leave open, to first order [m²/s⁴] (d m, d m)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Change:
+    """The same in standard deviations, beside the change itself."""
+
+    measured: Array
+    open: Array
+    change: TransmissionChange
+
+
+class SeatFeatures:
+    """Works out the figures of records of one arm.
+
+    Places are the sliding directions of link 1, those of link 2, ..., then the joints' plays:
+    P = n A + n of them.
+
+    Parameters
+    ----------
+    linear : LinearArm
+        The nominal arm.
+    sensors : SensorSuite
+        Figures of the sensors.
+    mismatch : Mismatch
+        How far the nominal model may be off.
+    directions : int
+        Sliding directions of each link, A.
+    points : int, optional
+        Frequencies across the band; by default 6, or 40 where modes lie within the band.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.linear import LinearArm
+    >>> features = SeatFeatures(LinearArm(planar(2)), SensorSuite(), Mismatch(), directions=8)
+    >>> features.places, len(features.hypothesis)
+    (18, 18)
+    """
+
+    def __init__(
+        self,
+        linear: LinearArm,
+        sensors: SensorSuite,
+        mismatch: Mismatch,
+        *,
+        directions: int,
+        points: int | None = None,
+    ) -> None:
+        arm = linear.arm
+        self.bends = bool(len(linear.flexible_dofs)) or arm.hold != "brake"
+        count = points if points is not None else (40 if self.bends else 6)
+        self.linear = LinearArm(arm, points=count, remember=64)
+        self.mismatch = mismatch
+        self.floor = SensorFloor.of(sensors, arm.band)
+        self.directions = axes_grid(directions, len(arm.axes))
+        """Sliding directions in a link's frame, unit vectors (A, axes)."""
+        drive = SeatDrive(linear)
+        top = [drive.slide(link, tuple(u)) for link in range(1, arm.n + 1) for u in self.directions]
+        top += [drive.hinge(joint) for joint in range(1, arm.n + 1)]
+        self.top = np.maximum(top, 1e-9 * max(top))
+        """Rms force of the top level across every seat (P,)."""
+        self.hypothesis = np.concatenate(
+            [np.repeat(np.arange(arm.n), directions), arm.n + np.arange(arm.n)]
+        )
+        """Which hypothesis each place belongs to: slides 0 to n - 1, plays n to 2 n - 1 (P,)."""
+
+    @property
+    def places(self) -> int:
+        """Number of places."""
+        return len(self.top)
+
+    def of(self, record: RecordStatistics) -> tuple[Array, Array]:
+        """Work out the figures of one record.
+
+        Parameters
+        ----------
+        record : RecordStatistics
+            What was measured, with at least one joint excited.
+
+        Returns
+        -------
+        ndarray (P, 15)
+            By place, `PLACE_FEATURES`.
+        ndarray (12,)
+            Of the record, `RECORD_FEATURES`.
+        """
+        place, whole, _ = self.with_change(record)
+        return place, whole
+
+    def with_change(self, record: RecordStatistics) -> tuple[Array, Array, TransmissionChange]:
+        """Work out the figures of one record, and give the change behind them too.
+
+        Parameters
+        ----------
+        record : RecordStatistics
+            What was measured, with at least one joint excited.
+        """
+        arm = self.linear.arm
+        on = np.flatnonzero(record.excited)
+        m, d = len(on), len(record.tool_covariance)
+        noise = np.concatenate([self.floor.joints(arm)[on], np.full(d, self.floor.tool)]) ** 2
+        pose = self.linear.at(record.pose)
+        seats = predict_seats(pose, record.torque, self.directions, noise)
+        b = record.transmission_by_instrument[:, on]
+        joint = joint_covariance(record.joint_rms[on], seats.in_step[:m], seats.rest[:m, :m])
+        mixed = joint @ record.transmission[:, on].T
+        residual = record.tool_covariance - b @ mixed - mixed.T @ b.T + b @ joint @ b.T
+        size, along = np.linalg.eigh(residual)
+        residual = along @ np.diag(np.maximum(size, 1e-3 * self.floor.tool**2)) @ along.T
+        change = self._change(record, on, b, residual, seats)
+        power = (change.open**2).sum(-1)
+        inner = change.open @ change.measured
+        chi = float(change.measured @ change.measured)
+        opening = inner / (power + 1.0)
+        gain = inner**2 / (power + 1.0)
+        inertia, inertia_open = self._inertias(record, on, seats)
+        s = np.clip(opening, 0.0, 1.2)[:, None]
+        inertia_left = ((inertia - s * inertia_open) ** 2).sum(-1)
+        inertia_chi = float(inertia @ inertia)
+
+        away = np.concatenate([-b, np.eye(d)], axis=1)
+        loose = away @ seats.loose @ away.T
+        size = np.trace(loose, axis1=1, axis2=2)
+        total = float(np.trace(record.tool_covariance))
+        axes = loose / np.maximum(size, _TINY)[:, None, None]
+        unexplained = np.einsum("pij,ij->p", axes, residual)
+        rest = float(np.trace(residual))
+        expected = float(np.trace(seats.in_step[m:] @ seats.in_step[m:].T))
+        place = np.stack(
+            [
+                np.clip(opening, -1.5, 2.5),
+                np.log1p(gain),
+                np.log1p(np.maximum(chi - gain, 0.0)),
+                np.log1p(power),
+                inner / np.sqrt((power + _TINY) * (chi + _TINY)),
+                np.log(np.maximum(seats.force / self.top, 1e-4)),
+                np.log1p(seats.load / np.maximum(seats.force, 1e-9 * self.top)),
+                np.log1p(np.maximum(inertia_chi - inertia_left, 0.0)),
+                np.log1p(inertia_left),
+                np.log1p((inertia_open**2).sum(-1)),
+                np.log((unexplained + _TINY) / (total + _TINY)),
+                np.log((size + _TINY) / (total + _TINY)),
+                unexplained / max(rest, _TINY),
+                np.einsum("pij,i,j->p", axes, record.lowest_direction, record.lowest_direction),
+                np.arcsinh(np.einsum("pii,i->p", axes, record.kurtosis)),
+            ],
+            axis=1,
+        )
+        whole = np.array(
+            [
+                np.log1p(chi),
+                np.log(d * m),
+                np.log1p(inertia_chi),
+                np.log((rest + _TINY) / (total + _TINY)),
+                0.5 * np.log((total + _TINY) / (expected + _TINY)),
+                np.log(record.duration),
+                m / arm.n,
+                0.5 * np.log((expected + _TINY) / arm.levels[-1] ** 2),
+                np.arcsinh(record.kurtosis.max()),
+                np.arcsinh(record.lowest_kurtosis),
+                np.arcsinh(np.abs(record.skewness).max()),
+                record.lowest_coherence,
+            ]
+        )
+        return place, whole, change.change
+
+    def _change(
+        self,
+        record: RecordStatistics,
+        on: NDArray[np.intp],
+        b: Array,
+        residual: Array,
+        seats: SeatPrediction,
+    ) -> _Change:
+        """Change of transmission, in standard deviations."""
+        m = len(on)
+        x = seats.in_step[:m]
+        nominal = seats.in_step[m:] @ np.linalg.inv(x)
+        change = TransmissionChange(
+            measured=((b - nominal) @ x).ravel(),
+            open=self.open_change(seats),
+            nominal=(nominal @ x).ravel(),
+            covariance=self.covariance(
+                record.pose, record.excited, b, residual, x, record.duration
+            ),
+        )
+        white = _whitening(change.covariance)
+        return _Change(measured=white @ change.measured, open=change.open @ white.T, change=change)
+
+    def open_change(self, seats: SeatPrediction) -> Array:
+        """Change of the tool's in-step motion if each seat floats, per command (P, d m).
+
+        That part of it which the change of transmission makes; the joints move as before.
+        """
+        p, m = seats.in_step.shape
+        x = seats.in_step[:m]
+        nominal = seats.in_step[m:] @ np.linalg.inv(x)
+        opened = seats.in_step + seats.in_step_open
+        floating = opened[:, m:] @ np.linalg.inv(opened[:, :m])
+        return np.asarray(((floating - nominal) @ x).reshape(-1, (p - m) * m))
+
+    def whitening(
+        self,
+        pose: Array,
+        excited: NDArray[np.bool_],
+        b: Array,
+        residual: Array,
+        x: Array,
+        duration: float,
+    ) -> Array:
+        """Matrix that brings changes of in-step motion to standard deviations (d m, d m).
+
+        Its parameters are those of `covariance`.
+        """
+        return _whitening(self.covariance(pose, excited, b, residual, x, duration))
+
+    def covariance(
+        self,
+        pose: Array,
+        excited: NDArray[np.bool_],
+        b: Array,
+        residual: Array,
+        x: Array,
+        duration: float,
+    ) -> Array:
+        """What model and sampling leave open of in-step motion [m²/s⁴] (d m, d m).
+
+        Parameters
+        ----------
+        pose : ndarray (n,)
+            Pose of the record [rad or m].
+        excited : ndarray of bool (n,)
+            Joints that are excited.
+        b : ndarray (d, m)
+            Transmission [m].
+        residual : ndarray (d, d)
+            Covariance of the tool's motion that does not follow the joints [m²/s⁴].
+        x : ndarray (m, m)
+            In-step motion of the excited joints per command [rad/s²].
+        duration : float
+            Length of the record [s].
+        """
+        d, m = b.shape
+        on = np.flatnonzero(excited)
+        errors = transmission_errors(self.linear, pose, on, b, self.mismatch)
+        if self.bends:
+            springs = stiffness_errors(self.linear, pose, excited, self.mismatch)
+            errors = np.concatenate([errors, springs])
+        # In units of the tool's motion per command, in which sampling errors are even.
+        uncertain = (errors @ x).reshape(len(errors), d * m)
+        samples = 2 * (self.linear.arm.band[1] - self.linear.arm.band[0]) * duration
+        covariance = uncertain.T @ uncertain + np.kron(residual, np.eye(m)) / samples
+        covariance += 1e-6 * np.trace(covariance) / (d * m) * np.eye(d * m)
+        return np.asarray(covariance)
+
+    def _inertias(
+        self, record: RecordStatistics, on: NDArray[np.intp], seats: SeatPrediction
+    ) -> tuple[Array, Array]:
+        """Change of the joints' motion per torque: measured, and if each seat floats (P, m)."""
+        m = len(on)
+        nominal = np.diag(seats.in_step[:m])
+        samples = 2 * (self.linear.arm.band[1] - self.linear.arm.band[0]) * record.duration
+        error = np.sqrt(_INERTIA_ERROR**2 + 1 / samples)
+        # Inertia is torque over in-step motion of the joint itself; motion adds where inertia
+        # does not.
+        inertia = record.inertia[on]
+        found = record.torque[on] / np.where(np.abs(inertia) < _TINY, _TINY, inertia)
+        measured = np.clip(found / nominal - 1, -3.0, 3.0) / error
+        opened = np.diagonal(seats.in_step_open[:, :m], axis1=1, axis2=2) / nominal / error
+        return measured, np.clip(opened, -100.0, 100.0)
+
+
+def _whitening(covariance: Array) -> Array:
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))

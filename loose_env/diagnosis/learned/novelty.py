@@ -1,0 +1,289 @@
+"""Whether an episode's records look like those that a learned likelihood was trained on.
+
+Every posterior adds up to one, also where none of its hypotheses is true: two faults at once, an
+arm that is no draw of the nominal one. Three figures can give such an arm away: the change of
+motion that even the favoured places leave unexplained, how much of that one second seat would
+explain in all records alike, and motion that is heavier on one side than on the other, as that
+of a seat which a load presses on one of its stops. How large each is on arms of the trained
+kind, given what was excited, how hard and what is believed, is learned as a Gaussian mixture;
+nothing else is shown to it. The whole episode is then ranked among held-out episodes of the
+trained kind by the figure that stands out most (conformal prediction: Vovk, Gammerman and Shafer,
+Algorithmic Learning in a Random World, 2005, 4.1). One rank of the largest needs no correction
+for there being several, and is a p-value whatever the mixtures get wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit, ndtri_exp
+
+from loose_env.diagnosis.learned.features import (
+    PLACE_FEATURES,
+    RECORD_FEATURES,
+    TransmissionChange,
+)
+from loose_env.diagnosis.learned.residual_change import Unexplained, unexplained
+from loose_env.errors import InvalidData
+from loose_env.statistics.gaussian_mixture import GaussianMixture
+
+__all__ = [
+    "COLUMNS",
+    "CONTEXT",
+    "FIGURES",
+    "NoveltyReference",
+    "Seen",
+    "conformal_p",
+    "sights",
+    "used_columns",
+]
+
+Array = NDArray[np.float64]
+
+FIGURES = ("left", "second", "one_sided")
+"""What may be unusual: log of the chi² left, what a second seat takes off it, skewness."""
+_PLACE = ("visible", "inertia_visible", "drive", "load", "loose_expected")
+_RECORD = ("numbers", "level", "excited", "duration")
+CONTEXT = (*_PLACE, *_RECORD, "healthy", "records", "explained", "opening")
+"""What the figures are judged by: figures of the favoured places and of the record, log-odds of
+a sound arm, log of the number of records, what the places explain and how far they open for it."""
+_SHAPE = ("kurtosis", "lowest_kurtosis")
+COLUMNS = (*FIGURES, *CONTEXT, *_SHAPE)
+"""Columns that `sights` gives."""
+
+_PLACE_AT = [PLACE_FEATURES.index(name) for name in _PLACE]
+_RECORD_AT = [RECORD_FEATURES.index(name) for name in _RECORD]
+_SHAPE_AT = [RECORD_FEATURES.index(name) for name in _SHAPE]
+_SKEW = RECORD_FEATURES.index("skewness")
+_CONTEXT_AT = [COLUMNS.index(name) for name in CONTEXT]
+_USED = {
+    "left": [COLUMNS.index("left"), *_CONTEXT_AT],
+    "second": [COLUMNS.index("second"), *_CONTEXT_AT],
+    # Impacts make a record heavy-tailed, and what is heavy-tailed is skew by chance.
+    "one_sided": [COLUMNS.index(x) for x in ("one_sided", *CONTEXT, *_SHAPE)],
+}
+"""Columns of each figure's mixture, the figure first."""
+_FINEST = 0.1  # chi² below which a change is no change at all
+_SUREST = 10.0  # log-odds beyond which a posterior says no more
+_LARGEST = 30.0  # standard deviations beyond which all is alike
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What one record showed."""
+
+    place: Array
+    """Figures of the places, `PLACE_FEATURES` (P, C)."""
+    record: Array
+    """Figures of the record, `RECORD_FEATURES` (Q,)."""
+    change: TransmissionChange
+    """The change of motion behind them."""
+
+    @cached_property
+    def unexplained(self) -> Unexplained:
+        """The change under every place; worked out when it is asked for."""
+        return unexplained(self.change)
+
+
+def sights(
+    seen: Sequence[Seen], weights: Array, healthy: float, hypothesis: NDArray[np.intp]
+) -> Array:
+    """Figures that may give an arm of another kind away, and what they are to be judged by.
+
+    Parameters
+    ----------
+    seen : sequence of Seen
+        R records, one or more.
+    weights : ndarray (P,)
+        Probability of each place after all of these records, if one of them is loose; they add
+        up to one.
+    healthy : float
+        Log-odds of a sound arm.
+    hypothesis : ndarray of int (P,)
+        Which hypothesis each place belongs to.
+
+    Returns
+    -------
+    ndarray (R, len(COLUMNS))
+        `COLUMNS`.
+    """
+    found = [each.unexplained for each in seen]
+    record = np.stack([each.record for each in seen])
+    places = np.stack([weights @ each.place for each in seen])
+    loose, sound = expit(-healthy), expit(healthy)
+    left = np.stack([loose * (weights @ np.log(f.left + _FINEST)) for f in found])
+    left = left + sound * np.log(np.array([f.sound for f in found]) + _FINEST)
+    first = int(np.argmax(weights))
+    second = np.mean([f.second(first) for f in found], axis=0)
+    second = float(second[hypothesis != hypothesis[first]].max(initial=0.0))
+    explained = loose * np.array([weights @ np.log1p(f.explained) for f in found])
+    opening = loose * np.array([weights @ f.opening for f in found])
+    count = len(found)
+    return np.column_stack(
+        [
+            left,
+            np.full(count, second),
+            record[:, _SKEW],
+            places[:, _PLACE_AT],
+            record[:, _RECORD_AT],
+            np.full(count, np.clip(healthy, -_SUREST, _SUREST)),
+            np.full(count, np.log(count)),
+            explained,
+            opening,
+            record[:, _SHAPE_AT],
+        ]
+    )
+
+
+def conformal_p(score: float, scores: Array) -> float:
+    """Share of held-out scores that are as large, the new one counted among them.
+
+    Uniform, or larger, where the new one comes from where they do.
+
+    Parameters
+    ----------
+    score : float
+        The new one.
+    scores : ndarray (N,)
+        Of held-out episodes, in increasing order.
+
+    Examples
+    --------
+    >>> conformal_p(2.5, np.array([1.0, 2.0, 3.0])), conformal_p(9.0, np.array([1.0, 2.0, 3.0]))
+    (0.5, 0.25)
+    """
+    larger = len(scores) - int(np.searchsorted(scores, score, side="left"))
+    return (1 + larger) / (1 + len(scores))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NoveltyReference:
+    """How the figures are on arms of the trained kind.
+
+    Tables are by number of records: 1, 2, ...; the last serves longer episodes too.
+    """
+
+    mean: Array
+    """Centre of the columns that `sights` gives (D,)."""
+    scale: Array
+    """Their scale (D,)."""
+    mixtures: tuple[GaussianMixture, ...]
+    """Density of each figure and its context, centred and scaled; in the order of `FIGURES`."""
+    usual: Array
+    """Median of an episode's mean novelty in each figure, by number of records (K, figures)."""
+    spread: Array
+    """By how much it is exceeded by one episode in a hundred (K, figures)."""
+    scores: tuple[Array, ...] = ()
+    """Scores of held-out episodes, each in increasing order, by number of records."""
+
+    def novelty(self, columns: Array) -> Array:
+        """By how much more there is of each figure than is usual.
+
+        Parameters
+        ----------
+        columns : ndarray (N, D)
+            What `sights` gives.
+
+        Returns
+        -------
+        ndarray (N, figures)
+            Normal deviate of the chance of more, given the context.
+        """
+        scaled = (columns - self.mean) / self.scale
+        tails = [
+            mixture.log_upper_tail(scaled[:, _USED[name]])
+            for name, mixture in zip(FIGURES, self.mixtures, strict=True)
+        ]
+        deviates = -ndtri_exp(np.minimum(np.column_stack(tails), 0.0))
+        return np.asarray(np.clip(deviates, -_LARGEST, _LARGEST))
+
+    def score(self, novelty: Array) -> float:
+        """How far an episode stands out, in the figure in which it does most.
+
+        Parameters
+        ----------
+        novelty : ndarray (R, figures)
+            Of all of its records, one or more.
+        """
+        at = min(len(novelty), len(self.usual)) - 1
+        return float(((novelty.mean(0) - self.usual[at]) / self.spread[at]).max())
+
+    def surprise(self, novelty: Array) -> float:
+        """p-value of an episode among those of the trained kind; one without records.
+
+        Parameters
+        ----------
+        novelty : ndarray (R, figures)
+            Of all of its records.
+        """
+        if not len(novelty):
+            return 1.0
+        return conformal_p(
+            self.score(novelty), self.scores[min(len(novelty), len(self.scores)) - 1]
+        )
+
+    def tensors(self) -> dict[str, NDArray[Any]]:
+        """As it is stored beside a network, names without their prefix."""
+        stored = {name: getattr(self, name) for name in ("mean", "scale", "usual", "spread")}
+        for name, mixture in zip(FIGURES, self.mixtures, strict=True):
+            for part in _MIXTURE:
+                stored[f"{name}.{part}"] = getattr(mixture, part)
+        return stored | {f"scores.{k}": each for k, each in enumerate(self.scores, start=1)}
+
+    @classmethod
+    def of(cls, tensors: Mapping[str, NDArray[Any]]) -> NoveltyReference:
+        """Read what `tensors` gave.
+
+        Raises
+        ------
+        InvalidData
+            If a tensor is missing or of another shape.
+        """
+        wanted = ["mean", "scale", "usual", "spread", "scores.1"]
+        wanted += [f"{name}.{part}" for name in FIGURES for part in _MIXTURE]
+        missing = [name for name in wanted if name not in tensors]
+        if missing:
+            raise InvalidData(
+                f"the reference of the trained kind lacks {missing}; work it out again with "
+                "scripts/train_posterior.py --reference-only"
+            )
+        found = {name: np.asarray(values, dtype=float) for name, values in tensors.items()}
+        count = sum(name.startswith("scores.") for name in found)
+        expected: dict[str, tuple[int, ...]] = {x: (len(COLUMNS),) for x in ("mean", "scale")}
+        expected |= {name: (count, len(FIGURES)) for name in ("usual", "spread")}
+        expected |= {
+            f"{name}.means": (len(found[f"{name}.weights"]), len(used))
+            for name, used in _USED.items()
+        }
+        wrong = [name for name, shape in expected.items() if found[name].shape != shape]
+        if wrong:
+            raise InvalidData(
+                f"the reference of the trained kind has {wrong[0]!r} of shape "
+                f"{found[wrong[0]].shape}, not {expected[wrong[0]]}: it belongs to another "
+                "version; work it out again with scripts/train_posterior.py --reference-only"
+            )
+        return cls(
+            **{name: found[name] for name in ("mean", "scale", "usual", "spread")},
+            mixtures=tuple(_mixture(found, name) for name in FIGURES),
+            scores=tuple(np.sort(found[f"scores.{k}"]) for k in range(1, count + 1)),
+        )
+
+
+_MIXTURE = ("weights", "means", "covariances")
+
+
+def _mixture(tensors: Mapping[str, Array], name: str) -> GaussianMixture:
+    weights, means, covariances = (tensors[f"{name}.{part}"] for part in _MIXTURE)
+    if not (np.isfinite(weights).all() and weights.sum() > 0):
+        raise InvalidData(f"{name}.weights has to be finite with a positive sum")
+    return GaussianMixture(weights=weights / weights.sum(), means=means, covariances=covariances)
+
+
+def used_columns(name: str) -> list[int]:
+    """Columns of a figure's mixture, the figure first."""
+    return list(_USED[name])

@@ -1,0 +1,273 @@
+"""Link lengths and joint offsets of a planar arm from tool velocities (thesis 3.3.1).
+
+One joint after the other is turned; each time the tool's velocity tells where that joint lies.
+The links are the differences between neighbouring joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from loose_env.errors import InvalidData
+from loose_env.kinematics.chain import JointKind
+
+__all__ = [
+    "PlanarParameters",
+    "distended_angles",
+    "identify_planar",
+    "parameter_deviations",
+    "rotation_arms",
+    "slide_direction",
+    "velocity_components",
+]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlanarParameters:
+    """Geometry of a planar serial arm, as the recursion finds it."""
+
+    lengths: Array
+    """Length of each link, base first [m] (n,); the last one ends at the tool."""
+    directions: Array
+    """Direction of each link in the frame of the velocities [rad] (n,)."""
+    offsets: Array
+    """Offsets of joints 2 to n: angle between the links less the joint's reading [rad] (n-1,).
+
+    In (-pi, pi]. Joint 1's offset and place need a base frame and stay unknown.
+    """
+
+
+def velocity_components(jacobian: ArrayLike, rates: ArrayLike) -> Array:
+    """Tool velocity from each joint alone (3.51, 3.52); they add up to the whole (3.53).
+
+    Parameters
+    ----------
+    jacobian : array (d, n)
+        Rows of the Jacobian.
+    rates : array (n,)
+        Joint velocities.
+
+    Returns
+    -------
+    ndarray (n, d)
+        Component of joint i in row i.
+
+    Examples
+    --------
+    >>> velocity_components([[0.0, 0.0], [0.6, 0.3]], [1.0, 2.0])
+    array([[0. , 0.6],
+           [0. , 0.6]])
+    """
+    j, q = np.asarray(jacobian, dtype=float), np.asarray(rates, dtype=float)
+    if j.ndim != 2 or q.shape != (j.shape[1],):
+        raise InvalidData(
+            f"a Jacobian of shape {j.shape} needs one rate for every column, got {q.shape}"
+        )
+    if not (np.isfinite(j).all() and np.isfinite(q).all()):
+        raise InvalidData("Jacobian and rates must be finite")
+    return np.asarray((j * q).T)
+
+
+def rotation_arms(velocities: ArrayLike, rates: ArrayLike) -> Array:
+    """Vector from each revolute joint to the tool (3.58-3.60).
+
+    Parameters
+    ----------
+    velocities : array (n, 2)
+        Tool velocity while joint i alone turns [m/s], all in one frame.
+    rates : array (n,)
+        Velocity of that joint [rad/s].
+
+    Returns
+    -------
+    ndarray (n, 2)
+        Vectors [m].
+
+    Raises
+    ------
+    InvalidData
+        If shapes do not match, a value is not finite or a joint did not turn.
+
+    Examples
+    --------
+    >>> rotation_arms([[0.0, 0.5]], [2.0])
+    array([[ 0.25, -0.  ]])
+    """
+    v, w = np.asarray(velocities, dtype=float), np.asarray(rates, dtype=float)
+    if v.ndim != 2 or v.shape[1] != 2 or w.shape != v.shape[:1] or len(v) < 1:
+        raise InvalidData(
+            "velocities are (n, 2), one row for each joint turned alone, and rates (n,); got "
+            f"shapes {v.shape} and {w.shape}"
+        )
+    if not (np.isfinite(v).all() and np.isfinite(w).all()):
+        raise InvalidData("velocities and rates must be finite")
+    if (w == 0).any():
+        raise InvalidData(
+            f"joint {int(np.flatnonzero(w == 0)[0]) + 1} has a rate of zero: turn every joint"
+        )
+    return np.asarray(np.column_stack([v[:, 1], -v[:, 0]]) / w[:, None])
+
+
+def identify_planar(
+    velocities: ArrayLike,
+    rates: ArrayLike,
+    angles: ArrayLike,
+    *,
+    kinds: Sequence[JointKind] | None = None,
+) -> PlanarParameters:
+    """Find lengths and offsets by going from the tool to the base (3.50, 3.61-3.64, 3.66, 3.67).
+
+    The joint angle is taken as the angle between link i and link i-1. The thesis prints
+    (3.65) instead, the angle between link i and the vector from its end to the tool, which
+    changes with the joints beyond; see `distended_angles`.
+
+    Parameters
+    ----------
+    velocities : array (n, 2)
+        Tool velocity while joint i alone turns [m/s], in the world's or the tool's frame.
+    rates : array (n,)
+        Velocity of that joint [rad/s].
+    angles : array (n,)
+        Joint readings in the pose [rad].
+    kinds : sequence of {"revolute", "prismatic"}, optional
+        Kind of each joint; all revolute by default.
+
+    Raises
+    ------
+    InvalidData
+        If a joint is prismatic, two neighbours coincide, or shapes do not match.
+
+    Examples
+    --------
+    >>> found = identify_planar([[0.0, 0.7], [0.0, 0.3]], [1.0, 1.0], [0.0, 0.1])
+    >>> found.lengths, found.offsets
+    (array([0.4, 0.3]), array([-0.1]))
+    """
+    arms = rotation_arms(velocities, rates)
+    n = len(arms)
+    q = np.asarray(angles, dtype=float)
+    if q.shape != (n,) or not np.isfinite(q).all():
+        raise InvalidData(f"angles must be {n} finite numbers [rad], got {angles!r}")
+    if kinds is not None:
+        if len(kinds) != n:
+            raise InvalidData(f"kinds must name {n} joints, got {len(kinds)}")
+        sliding = [i for i, kind in enumerate(kinds, start=1) if kind == "prismatic"]
+        if sliding:
+            raise InvalidData(
+                f"joint {sliding[0]} is prismatic: its velocity is a free vector, the same "
+                "wherever the slide lies, so it has no rotation arm and the recursion ends. "
+                "Take its direction from slide_direction and find its link from several poses"
+            )
+    links = arms - np.vstack([arms[1:], np.zeros((1, 2))])
+    # The law of cosines (3.63) is the norm of this difference.
+    lengths = np.linalg.norm(links, axis=1)
+    if (lengths <= 1e-12 * np.linalg.norm(arms, axis=1).max()).any():
+        raise InvalidData(
+            f"link {int(np.argmin(lengths)) + 1} has no length, so it has no direction: two "
+            "joints, or the last joint and the tool, lie on one point"
+        )
+    directions = np.arctan2(links[:, 1], links[:, 0])
+    return PlanarParameters(
+        lengths=lengths, directions=directions, offsets=_wrap(np.diff(directions) - q[1:])
+    )
+
+
+def distended_angles(velocities: ArrayLike, rates: ArrayLike) -> Array:
+    """Angles of links 1 to n-1 as printed in (3.65): to the arm R of the next joint.
+
+    Only the last of them is a joint angle, that of joint n; the others turn with every joint
+    beyond.
+
+    Returns
+    -------
+    ndarray (n-1,)
+        Angles in (-pi, pi] [rad].
+
+    Examples
+    --------
+    >>> distended_angles([[0.0, 0.7], [0.0, 0.3]], [1.0, 1.0])
+    array([0.])
+    """
+    arms = rotation_arms(velocities, rates)
+    links = arms[:-1] - arms[1:]
+    to_tool = np.arctan2(arms[1:, 1], arms[1:, 0])
+    return _wrap(to_tool - np.arctan2(links[:, 1], links[:, 0]))
+
+
+def parameter_deviations(
+    velocities: ArrayLike, rates: ArrayLike, noise: float
+) -> tuple[Array, Array]:
+    """Propagate white velocity noise to lengths and offsets, to first order.
+
+    Parameters
+    ----------
+    velocities, rates : array (n, 2), array (n,)
+        As for `identify_planar`.
+    noise : float
+        Standard deviation of every velocity component [m/s], independent of each other.
+
+    Returns
+    -------
+    lengths : ndarray (n,)
+        Standard deviations of the lengths [m].
+    offsets : ndarray (n-1,)
+        Standard deviations of the offsets [rad].
+
+    Examples
+    --------
+    >>> lengths, _ = parameter_deviations([[0.0, 0.7], [0.0, 0.3]], [1.0, 1.0], 0.003)
+    >>> float(lengths[1])
+    0.003
+    """
+    if not (np.isfinite(noise) and noise >= 0):
+        raise InvalidData(f"noise must be finite, zero or more m/s; got {noise!r}")
+    arms = rotation_arms(velocities, rates)
+    n = len(arms)
+    place = noise / np.abs(np.asarray(rates, dtype=float))  # sd of a joint's place [m]
+    links = arms - np.vstack([arms[1:], np.zeros((1, 2))])
+    size = np.linalg.norm(links, axis=1)
+    if (size == 0).any():
+        raise InvalidData("a link has no length, so that its direction is not determined")
+    lengths = np.sqrt(place**2 + np.append(place[1:], 0.0) ** 2)
+    across = np.column_stack([-links[:, 1], links[:, 0]]) / size[:, None] ** 2
+    gradient = np.zeros((n, n, 2))  # of each link's direction in each joint's place
+    gradient[np.arange(n), np.arange(n)] = across
+    gradient[np.arange(n - 1), np.arange(1, n)] = -across[:-1]
+    offset = np.diff(gradient, axis=0)
+    return lengths, np.sqrt(np.einsum("kja,j->k", offset**2, place**2))
+
+
+def slide_direction(velocity: ArrayLike) -> Array:
+    """Direction of a slide from the tool velocity it causes (3.55, 3.57, 3.68, 3.69).
+
+    The direction is all there is: its sign is that of an unknown rate.
+
+    Parameters
+    ----------
+    velocity : array (2,) or (3,)
+        Velocity of the tool [m/s].
+
+    Returns
+    -------
+    ndarray, same shape
+        Unit vector.
+
+    Examples
+    --------
+    >>> slide_direction([0.0, 0.02])
+    array([0., 1.])
+    """
+    v = np.asarray(velocity, dtype=float)
+    if v.shape not in ((2,), (3,)) or not np.isfinite(v).all() or not np.linalg.norm(v) > 0:
+        raise InvalidData(f"a velocity is 2 or 3 finite numbers, not all zero; got {velocity!r}")
+    return np.asarray(v / np.linalg.norm(v))
+
+
+def _wrap(angle: Array) -> Array:
+    return np.asarray(np.pi - (np.pi - angle) % (2 * np.pi))
