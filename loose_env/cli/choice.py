@@ -9,8 +9,8 @@ from dataclasses import asdict, fields
 from typing import Any
 
 from loose_env.cli.options import add_settings
-from loose_env.instrument.next_settings import NextSettings
-from loose_env.instrument.option_words import option_words, unlike
+from loose_env.instrument.settings.command_line import option_words, unlike
+from loose_env.instrument.settings.measurement import NextSettings
 
 __all__ = ["add_choice", "add_kept", "take_over"]
 

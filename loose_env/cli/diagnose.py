@@ -21,11 +21,11 @@ from loose_env.cli.options import add_settings, settings_of
 from loose_env.cli.recorded import Said, add_recording_options, folder_of
 from loose_env.errors import InvalidData, InvalidSetting, MissingExtra
 from loose_env.instrument.diagnose import diagnose
-from loose_env.instrument.machine import Machine
-from loose_env.instrument.next_settings import NextSettings
+from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.planning.session_settings import session_beside
 from loose_env.instrument.result import HEALTHY, Diagnosis
-from loose_env.instrument.session_settings import session_beside
-from loose_env.instrument.settings import DiagnoseSettings
+from loose_env.instrument.settings.diagnosis import DiagnoseSettings
+from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.recording import read_recording
 
 __all__ = ["add_options", "run", "summary"]

@@ -14,10 +14,9 @@ import argparse
 from pathlib import Path
 
 from loose_env.cli.options import add_settings, settings_of
-from loose_env.instrument.inspect import inspect_model
-from loose_env.instrument.inspect_words import screen
-from loose_env.instrument.next_settings import NextSettings
-from loose_env.instrument.plan_settings import ModelSettings
+from loose_env.instrument.inspect import inspect_model, screen
+from loose_env.instrument.settings.arm_and_plan import ModelSettings
+from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.io.files import write_text
 
 __all__ = ["add_options", "run"]

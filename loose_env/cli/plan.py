@@ -21,12 +21,12 @@ from pathlib import Path
 from loose_env.cli.choice import add_choice, add_kept, take_over
 from loose_env.cli.options import settings_of
 from loose_env.errors import MissingExtra
-from loose_env.instrument.next_settings import NextSettings
-from loose_env.instrument.plan import plan
-from loose_env.instrument.plan_files import PAGE, RECORDING, PlanFiles, write_plan
-from loose_env.instrument.plan_settings import ModelSettings, PlanSettings
+from loose_env.instrument.planning.plan import plan
+from loose_env.instrument.planning.plan_files import PAGE, RECORDING, PlanFiles, write_plan
+from loose_env.instrument.planning.session_settings import KEPT, session_beside
 from loose_env.instrument.result import read_diagnosis
-from loose_env.instrument.session_settings import KEPT, session_beside
+from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettings
+from loose_env.instrument.settings.measurement import NextSettings
 
 __all__ = ["add_options", "run"]
 

@@ -10,18 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.instrument.cautions import warnings_of
-from loose_env.instrument.correlation_loops import loops_of
-from loose_env.instrument.directions import cone, seen_in_tool
-from loose_env.instrument.held_poses import Held, held_in
-from loose_env.instrument.judging import Judged, judge
-from loose_env.instrument.lines import Lines, lines_of
-from loose_env.instrument.machine import Machine
-from loose_env.instrument.model_arm import ModelArm, load_model_arm
-from loose_env.instrument.pauses import unbroken
-from loose_env.instrument.plan import next_for
-from loose_env.instrument.recorded_sensors import columns_in, readings_in
-from loose_env.instrument.response import with_leakage
+from loose_env.instrument.data.dropouts import unbroken
+from loose_env.instrument.data.held_pose import Held, held_in
+from loose_env.instrument.data.sensor_selection import columns_in, readings_in
+from loose_env.instrument.data.spectral_lines import Lines, lines_of
+from loose_env.instrument.inference.correlation_loops import loops_of
+from loose_env.instrument.inference.direction_cones import cone, seen_in_tool
+from loose_env.instrument.inference.free_travel import Travel, travel_of
+from loose_env.instrument.inference.frequency_response import with_leakage
+from loose_env.instrument.inference.posterior import Judged, judge
+from loose_env.instrument.inference.uncertain_linear_arm import UncertainMachine
+from loose_env.instrument.inference.warnings import warnings_of
+from loose_env.instrument.model.planned_arm import ModelArm, load_model_arm
+from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.planning.plan import next_for
 from loose_env.instrument.result import (
     HEALTHY,
     Diagnosis,
@@ -31,9 +33,7 @@ from loose_env.instrument.result import (
     SlideDirection,
     Vector,
 )
-from loose_env.instrument.seat_travel import Travel, travel_of
-from loose_env.instrument.settings import DiagnoseSettings
-from loose_env.instrument.uncertain import UncertainMachine
+from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import Recording, Run
 
 __all__ = ["Workbench", "diagnose"]

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from loose_env.errors import InvalidData
-from loose_env.instrument.next_settings import NextSettings
-from loose_env.instrument.setting_types import settings_within
+from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.instrument.settings.validation import settings_within
 from loose_env.io.files import write_text
 from loose_env.io.json_codec import json_text, read_result_file, restored, whole_of
 
@@ -148,8 +148,8 @@ class NextMeasurement:
     """Information that is expected of it about what is loose [bits]."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Settings with which it was chosen, those of
-    `loose_env.instrument.next_settings.NextSettings`; empty in files of versions that did not
-    say."""
+    `loose_env.instrument.settings.measurement.NextSettings`; empty in files of versions that did
+    not say."""
 
     def __post_init__(self) -> None:
         """Check.

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import Excitation
 from loose_env.instrument.diagnose import Workbench
-from loose_env.instrument.machine import Machine
+from loose_env.instrument.model.recorded_arm import Machine
 from loose_env.instrument.result import Diagnosis, NextMeasurement
-from loose_env.instrument.settings import DiagnoseSettings
+from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import Run
 from loose_env.rig.measurement import Measurement
 

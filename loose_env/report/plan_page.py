@@ -11,8 +11,8 @@ import numpy as np
 from scipy.signal import welch
 
 from loose_env.envs.drawing.ink import INK, MEASURED, MUTED
-from loose_env.instrument.plan import Plan
-from loose_env.instrument.signals import Signal
+from loose_env.instrument.planning.plan import Plan
+from loose_env.instrument.planning.signals import Signal
 from loose_env.io.text import sentence
 from loose_env.report.diagnosis_arm import arm_figure
 from loose_env.report.diagnosis_words import percent, with_plain_names

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from loose_env.instrument.drives import JointDrive
-from loose_env.instrument.next_settings import NextSettings
-from loose_env.instrument.option_words import option_words, path_word
-from loose_env.instrument.plan import Plan
-from loose_env.instrument.plan_files import RECORDING, run_columns, signal_stems
-from loose_env.instrument.signals import Signal
+from loose_env.instrument.model.actuators import JointDrive
+from loose_env.instrument.planning.plan import Plan
+from loose_env.instrument.planning.plan_files import RECORDING, run_columns, signal_stems
+from loose_env.instrument.planning.signals import Signal
+from loose_env.instrument.settings.command_line import option_words, path_word
+from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.report.diagnosis_words import percent, place_value, short_name
 
 __all__ = ["commands_after", "plain_names", "pose_rows", "starts", "steps", "summary"]

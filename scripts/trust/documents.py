@@ -161,8 +161,8 @@ def gap_result() -> bytes:
 @functools.cache
 def _planned() -> Any:
     """A plan for the small arm."""
-    from loose_env.instrument.next_settings import NextSettings
-    from loose_env.instrument.plan import plan as planned
+    from loose_env.instrument.planning.plan import plan as planned
+    from loose_env.instrument.settings.measurement import NextSettings
 
     with tempfile.TemporaryDirectory() as place, warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -174,7 +174,7 @@ def _planned() -> Any:
 @functools.cache
 def plan() -> bytes:
     """Content of a plan's file."""
-    from loose_env.instrument.plan_files import plan_json
+    from loose_env.instrument.planning.plan_files import plan_json
 
     return json.dumps(plan_json(_planned(), ["run-01.csv"])).encode()
 

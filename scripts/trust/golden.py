@@ -136,10 +136,10 @@ def gap(threads: int = 1) -> dict[str, Any]:
 def instrument() -> dict[str, Any]:
     """What `loose diagnose` says of a small recording, and what `loose plan` asks for."""
     from loose_env.instrument.diagnose import diagnose
-    from loose_env.instrument.model_arm import load_model_arm
-    from loose_env.instrument.next_settings import NextSettings
-    from loose_env.instrument.plan import next_for, plan
-    from loose_env.instrument.settings import DiagnoseSettings
+    from loose_env.instrument.model.planned_arm import load_model_arm
+    from loose_env.instrument.planning.plan import next_for, plan
+    from loose_env.instrument.settings.diagnosis import DiagnoseSettings
+    from loose_env.instrument.settings.measurement import NextSettings
     from loose_env.recording import read_recording
     from scripts.trust.commands import make_shaken_recording
 

@@ -13,9 +13,9 @@ pytest.importorskip("matplotlib")
 from loose_env.arms import vera
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.gap.summary import gather, result_of
-from loose_env.instrument.next_settings import NextSettings
-from loose_env.instrument.plan import plan
-from loose_env.instrument.plan_settings import PlanSettings
+from loose_env.instrument.planning.plan import plan
+from loose_env.instrument.settings.arm_and_plan import PlanSettings
+from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.report.comparison import write_comparison
 from loose_env.report.diagnosis_page import write_page
 from loose_env.report.figures import success_bars

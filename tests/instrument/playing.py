@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from loose_env.instrument.plan import Plan
+from loose_env.instrument.planning.plan import Plan
 
 _SETTLE = 1.5
 """Time for which the arm is left under the first commands before the signal begins [s]."""

@@ -12,7 +12,7 @@ from loose_env.cli.main import main
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.instrument.diagnose import Workbench, diagnose
 from loose_env.instrument.result import Diagnosis, read_diagnosis
-from loose_env.instrument.settings import DiagnoseSettings
+from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import Run, read_recording, write_recording
 from tests.instrument.blind_arm import SLIDE, runs, write_model
 

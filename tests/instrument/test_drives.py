@@ -9,11 +9,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.instrument.collisions import Collisions
-from loose_env.instrument.drives import drives_of
-from loose_env.instrument.ground import Ground
-from loose_env.instrument.plan import load
-from loose_env.instrument.signals import holding_commands
+from loose_env.instrument.model.actuators import drives_of
+from loose_env.instrument.model.clearance import Collisions, Ground
+from loose_env.instrument.planning.plan import load
+from loose_env.instrument.planning.signals import holding_commands
 from tests.instrument.plan_arms import SERVOED, written
 
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from loose_env.errors import InvalidData
+from loose_env.instrument.data.held_pose import held_in
 from loose_env.instrument.diagnose import Workbench
-from loose_env.instrument.held_poses import held_in
-from loose_env.instrument.known import known_of
-from loose_env.instrument.machine import Machine
-from loose_env.instrument.settings import DiagnoseSettings
+from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.planning.prior_knowledge import known_of
+from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import Run
 from tests.instrument.blind_arm import runs, write_model
 

@@ -10,12 +10,11 @@ import pytest
 
 from loose_env.arms.linear import LinearArm
 from loose_env.errors import InvalidSetting
-from loose_env.instrument.inspect import Inspection, inspect_model
-from loose_env.instrument.inspect_words import screen
-from loose_env.instrument.next_pose import NextSettings, seat_features
-from loose_env.instrument.plan import load
-from loose_env.instrument.plan_settings import ModelSettings
-from loose_env.instrument.sensitivity import SEEN, sensitivity
+from loose_env.instrument.inspect import Inspection, inspect_model, screen
+from loose_env.instrument.planning.excitation import SEEN, sensitivity
+from loose_env.instrument.planning.next_measurement import NextSettings, seat_features
+from loose_env.instrument.planning.plan import load
+from loose_env.instrument.settings.arm_and_plan import ModelSettings
 from tests.instrument.plan_arms import MOTORS, SERVOED, written
 
 FEW = NextSettings(poses=6)

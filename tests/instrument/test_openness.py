@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from loose_env.instrument import openness
-from loose_env.instrument.openness import open_probability
+from loose_env.instrument.inference import opening_probability as openness
+from loose_env.instrument.inference.opening_probability import open_probability
 
 N = 2
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData
+from loose_env.instrument.data.dropouts import unbroken
 from loose_env.instrument.diagnose import Workbench
-from loose_env.instrument.pauses import unbroken
-from loose_env.instrument.settings import DiagnoseSettings
+from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import Run
 from tests.instrument.blind_arm import runs, write_model
 

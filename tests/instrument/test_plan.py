@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
-from loose_env.instrument import plan_files
-from loose_env.instrument.next_pose import NextSettings
-from loose_env.instrument.plan import Plan, load, next_for, plan
-from loose_env.instrument.plan_files import PlanFiles, write_plan
-from loose_env.instrument.plan_settings import ModelSettings, PlanSettings
+from loose_env.instrument.planning import plan_files
+from loose_env.instrument.planning.next_measurement import NextSettings
+from loose_env.instrument.planning.plan import Plan, load, next_for, plan
+from loose_env.instrument.planning.plan_files import PlanFiles, write_plan
 from loose_env.instrument.result import Diagnosis, Fault, RecordSeen
+from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettings
 from loose_env.recording import read_recording
 from loose_env.recording.csv_file import write_csv
 from loose_env.recording.parquet_file import read_parquet

@@ -11,12 +11,12 @@ import pytest
 
 from loose_env.errors import InvalidData
 from loose_env.importing.resampling import resampled
+from loose_env.instrument.data.held_pose import held_in
+from loose_env.instrument.data.sensor_selection import readings_in
+from loose_env.instrument.data.spectral_lines import Lines, lines_of
 from loose_env.instrument.diagnose import Workbench
-from loose_env.instrument.held_poses import held_in
-from loose_env.instrument.lines import Lines, lines_of
-from loose_env.instrument.machine import Machine
-from loose_env.instrument.recorded_sensors import readings_in
-from loose_env.instrument.settings import DiagnoseSettings
+from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import Run
 from tests.instrument.blind_arm import runs, write_model
 

@@ -10,7 +10,7 @@ from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import Excitation
 from loose_env.instrument.result import NextMeasurement
 from loose_env.instrument.session import Session, find_fault
-from loose_env.instrument.settings import DiagnoseSettings
+from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import read_recording, write_recording
 from loose_env.rig.recorded import RecordedRig
 from scripts.diagnosis_suite.measuring import BlindArm

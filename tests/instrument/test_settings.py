@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidSetting
-from loose_env.instrument.next_settings import NextSettings
-from loose_env.instrument.plan_settings import ModelSettings, PlanSettings
-from loose_env.instrument.settings import DiagnoseSettings
-from loose_env.instrument.tolerances import Tolerances
+from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettings
+from loose_env.instrument.settings.diagnosis import DiagnoseSettings
+from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.instrument.settings.tolerances import Tolerances
 
 KINDS: tuple[Any, ...] = (
     NextSettings,

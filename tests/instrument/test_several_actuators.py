@@ -8,12 +8,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.instrument.drives import drives_of
-from loose_env.instrument.machine import Machine
-from loose_env.instrument.next_pose import NextSettings
-from loose_env.instrument.plan import load, plan
-from loose_env.instrument.plan_settings import PlanSettings
-from loose_env.instrument.signals import holding_commands
+from loose_env.instrument.model.actuators import drives_of
+from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.planning.next_measurement import NextSettings
+from loose_env.instrument.planning.plan import load, plan
+from loose_env.instrument.planning.signals import holding_commands
+from loose_env.instrument.settings.arm_and_plan import PlanSettings
 from tests.instrument.plan_arms import doubled, written
 from tests.instrument.playing import play
 

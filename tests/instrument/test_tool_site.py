@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loose_env.instrument.machine import Machine
-from loose_env.instrument.plan import load
-from loose_env.instrument.plan_settings import ModelSettings
+from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.planning.plan import load
+from loose_env.instrument.settings.arm_and_plan import ModelSettings
 from tests.instrument.plan_arms import SERVOED, written
 
 _SENSORS = '<sensor><accelerometer name="outer" site="tool"/></sensor></mujoco>'

@@ -18,14 +18,13 @@ from hypothesis import strategies as st
 from loose_env.arms import DESK_ARM, Arm, planar, scara
 from loose_env.errors import LooseEnvError
 from loose_env.instrument.diagnose import diagnose
-from loose_env.instrument.inspect import inspect_model
-from loose_env.instrument.inspect_words import screen
-from loose_env.instrument.next_settings import NextSettings
-from loose_env.instrument.plan import load, plan
-from loose_env.instrument.plan_files import plan_json
-from loose_env.instrument.plan_settings import ModelSettings, PlanSettings
+from loose_env.instrument.inspect import inspect_model, screen
+from loose_env.instrument.planning.plan import load, plan
+from loose_env.instrument.planning.plan_files import plan_json
 from loose_env.instrument.result import Diagnosis
-from loose_env.instrument.settings import DiagnoseSettings
+from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettings
+from loose_env.instrument.settings.diagnosis import DiagnoseSettings
+from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.recording import Run, read_recording, write_recording
 from tests.trust.test_properties import chains
 

@@ -1,0 +1,141 @@
+"""The pose that a run holds and the joints that it excites, noted or derived from the data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from loose_env.errors import InvalidData
+from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.recording import Run
+
+__all__ = ["Held", "held_in"]
+
+Array = NDArray[np.float64]
+
+_SHARE = 0.1
+"""Power of a joint's command, over that of the one most shaken, from which it counts as excited."""
+_STILL = 0.2
+"""Rms motion below which a joint counts as holding its pose [rad or m]."""
+_OFF = 0.05
+"""Distance from the noted position at which the measured one is another [rad or m]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Held:
+    """How a run was taken."""
+
+    pose: Array
+    """Position of each joint, as its sensors have it where there are any (n,) [rad or m]."""
+    excited: NDArray[np.intp]
+    """Joints that were excited, from 0."""
+    notes: tuple[str, ...]
+    """What had to be derived."""
+
+    def shown(self, machine: Machine, noted: Mapping[str, float] | None) -> dict[str, float]:
+        """The pose by joint, as it was noted where that is what was measured."""
+        found = machine.named(self.pose)
+        for joint, q in (noted or {}).items():
+            if joint in found and abs(found[joint] - q) <= _OFF:
+                found[joint] = float(q)
+        return found
+
+
+def held_in(machine: Machine, run: Run) -> Held:
+    """Say which pose a run holds and which joints it excites.
+
+    Raises
+    ------
+    InvalidData
+        If the run does not say and its data do not either, or if it moves through poses.
+    """
+    measured = _positions(machine, run)
+    noted = run.pose
+    notes = []
+    missing = [
+        joint
+        for joint, q in zip(machine.joints, measured, strict=True)
+        if q is None and (noted is None or joint not in noted)
+    ]
+    if missing:
+        has = "no 'pose'" if noted is None else "a 'pose' of some joints alone"
+        raise InvalidData(
+            f"{run.name}: the pose is not known: recording.json has {has} for this run, and no "
+            f"position of {', '.join(missing)} was recorded; add "
+            f'"pose": {{"{missing[0]}": 0.0, ...}}'
+        )
+    if noted is None:
+        notes.append(f"{run.name}: no 'pose' is noted; taken from the joints' positions")
+    base = machine.pose_of({} if noted is None else noted)
+    pose = np.array(
+        [b if q is None else float(np.nanmean(q)) for b, q in zip(base, measured, strict=True)]
+    )
+    for joint, q in zip(machine.joints, measured, strict=True):
+        if q is not None and float(np.nanstd(q)) > _STILL:
+            raise InvalidData(
+                f"{run.name}: joint {joint} moves by {float(np.nanstd(q)):.2g} rms; a diagnosis "
+                "needs runs that hold a pose and shake one joint about it with small noise. For "
+                "other motion use 'loose gap'"
+            )
+    if noted is not None:
+        off = [
+            f"{joint} by {q - b:.3g}"
+            for joint, q, b in zip(machine.joints, pose, base, strict=True)
+            if joint in noted and abs(q - b) > _OFF
+        ]
+        if off:
+            notes.append(
+                f"{run.name}: the noted pose is not the measured one ({', '.join(off)}); the "
+                "measured one is used"
+            )
+    known = [joint for joint in run.excited if joint in machine.joints]
+    if run.excited and not known:
+        raise InvalidData(
+            f"{run.name}: excited are {list(run.excited)}, none of which lies between base and "
+            f"tool; those are {list(machine.joints)}"
+        )
+    if not known:
+        known = _shaken(machine, run)
+        notes.append(f"{run.name}: no 'excited' is noted; taken from the commands: {known}")
+    excited = np.array(sorted(machine.joints.index(joint) for joint in known), dtype=np.intp)
+    return Held(pose=pose, excited=excited, notes=tuple(notes))
+
+
+def _positions(machine: Machine, run: Run) -> list[Array | None]:
+    found: list[Array | None] = [None] * machine.n
+    for reading in machine.readings:
+        if reading.kind == "position" and reading.sensor in run.sensors:
+            found[reading.at] = run.sensors[reading.sensor]
+    return found
+
+
+def _shaken(machine: Machine, run: Run) -> list[str]:
+    """Joints whose drives are given noise."""
+    power = np.zeros(machine.n)
+    drives = machine.drives
+    for a, name in enumerate(drives.names):
+        if name in run.controls:
+            j = machine.driven_joint(name)
+            power[j] += float(drives.force[j, a]) ** 2 * _wobble(run.controls[name])
+    if not power.any():
+        for j, joint in enumerate(machine.joints):
+            if joint in run.torques:
+                power[j] = _wobble(run.torques[joint])
+    if not power.any():
+        for j, q in enumerate(_positions(machine, run)):
+            power[j] = 0.0 if q is None else _wobble(q)
+    if not power.any():
+        raise InvalidData(
+            f'{run.name}: nothing says which joint was excited: note "excited" in '
+            "recording.json, or record the commands"
+        )
+    return [machine.joints[j] for j in np.flatnonzero(power > _SHARE * power.max())]
+
+
+def _wobble(values: Array) -> float:
+    there = values[np.isfinite(values)]
+    return float(np.var(signal.detrend(there))) if len(there) > 1 else 0.0

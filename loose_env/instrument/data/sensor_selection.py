@@ -1,0 +1,80 @@
+"""Which sensors of a run a diagnosis uses, and why it leaves the others out."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData
+from loose_env.instrument.model.recorded_arm import Machine, Reading
+from loose_env.recording import Run
+
+__all__ = ["columns_in", "readings_in"]
+
+_MOST_READ = 1e6
+"""Largest reading that is taken for one [m/s², rad/s, rad, m]."""
+
+
+def readings_in(machine: Machine, run: Run) -> tuple[tuple[Reading, ...], tuple[str, ...]]:
+    """Sensors of a run that are used, in the order of `Machine.readings`, and notes on the rest.
+
+    A sensor that never changes tells nothing; missing samples (NaN) of one that does are no reason
+    to leave it out.
+
+    Returns
+    -------
+    tuple of Reading
+        Those that are used.
+    tuple of str
+        A sentence for every recorded sensor that is not.
+
+    Raises
+    ------
+    InvalidData
+        If a sensor shows numbers that no arm makes.
+    """
+    used, notes = [], []
+    for reading in machine.readings:
+        if reading.sensor not in run.sensors:
+            continue
+        if why := _dead(run, reading.sensor):
+            notes.append(f"{run.name}: sensor {reading.sensor} is not used: {why}")
+        else:
+            used.append(reading)
+    known = {reading.sensor for reading in machine.readings}
+    others = [name for name in run.sensors if name not in known]
+    if others:
+        notes.append(
+            f"recorded and not used: {', '.join(others)}; a diagnosis takes accelerometers and "
+            "gyroscopes on the arm, and positions and velocities of its joints"
+        )
+    return tuple(used), tuple(notes)
+
+
+def columns_in(machine: Machine, run: Run) -> dict[str, NDArray[np.float64]]:
+    """Columns (T,) of a run that are used, by the names that a file has."""
+    found: dict[str, NDArray[np.float64]] = {}
+    for reading in readings_in(machine, run)[0]:
+        values = np.atleast_2d(run.sensors[reading.sensor].T)
+        axes = [f".{axis}" for axis in "xyz"] if len(values) == 3 else [""]
+        found |= {f"sensor.{reading.sensor}{a}": v for a, v in zip(axes, values, strict=True)}
+    found |= {f"ctrl.{a}": run.controls[a] for a in machine.drives.names if a in run.controls}
+    found |= {f"torque.{j}": run.torques[j] for j in machine.joints if j in run.torques}
+    return found
+
+
+def _dead(run: Run, sensor: str) -> str:
+    """Why a sensor tells nothing; "" if it does."""
+    values = run.sensors[sensor]
+    columns = [column[np.isfinite(column)] for column in np.atleast_2d(values.T)]
+    largest = max(float(np.abs(column).max(initial=0.0)) for column in columns)
+    if largest > _MOST_READ:
+        raise InvalidData(
+            f"{run.name}: column 'sensor.{sensor}' reaches {largest:.3g}; no arm does: is it in SI "
+            "units?"
+        )
+    if not any(column.size for column in columns):
+        return "none of its samples is a number"
+    if not any(column.size and np.ptp(column) > 0 for column in columns):
+        return "it stands still"
+    return ""

@@ -1,0 +1,337 @@
+"""A run as Fourier lines of the band that was excited, with the noise of every reading.
+
+The commands of a real recorder do not repeat after the record, so records are tapered (Hann)
+before they are transformed; what a linear arm answers then holds line by line wherever the taper
+is long against the arm's memory.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from loose_env.errors import InvalidData
+from loose_env.instrument.data.sensor_noise import sensor_noise
+from loose_env.instrument.data.sensor_selection import readings_in
+from loose_env.instrument.model.recorded_arm import Machine, Reading
+from loose_env.recording import Run
+
+__all__ = ["Lines", "lines_of", "thinned", "uniform"]
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_WEAK = 0.02
+"""Power of a line's command over that of the strongest part of the band below which it is left."""
+_LOWEST = 2.0
+"""Lowest frequency that is used [Hz]: slower motion is gravity's and friction's."""
+_HIGHEST = 0.45
+"""Highest frequency that is used, over the sampling rate."""
+_MOST = 20_000
+"""Most lines of a run that are kept, evenly spread."""
+_SLOWEST = 0.5
+"""Lowest line that is kept for a seat's path, over the lowest that was excited."""
+_MOST_PLAYED = 1e9
+"""Largest command or torque that is taken for one [its own unit]."""
+_SMOOTH = 3.0
+"""Width over which powers are averaged [Hz]."""
+_WORTH = 0.1
+"""Least information of a position beside that of the same joint's velocity."""
+_INDEPENDENT = 1.5
+"""Lines of a tapered record that are worth one."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lines:
+    """Lines of one run: K lines, A commands, c readings."""
+
+    run: str
+    """File of the run."""
+    number: int
+    """Of the run among all that are weighed together, from 0."""
+    pose: Array
+    """Pose held (n,) [rad or m]."""
+    healthy: bool
+    """Whether the run is a reference of the sound arm."""
+    excited: NDArray[np.intp]
+    """Joints that were excited, from 0."""
+    frequency: Array
+    """Frequencies (K,) [Hz]."""
+    command: Complex
+    """Commands of the drives' actuators (K, A); zero where none was recorded."""
+    force: Complex
+    """Measured forces of the joints that stand for their drives (K, n)."""
+    lean: tuple[Complex, Complex]
+    """Commands (K, A) and forces (K, n) that the taper leaks in from the next lines: what they do
+    goes with the difference between the arm's answers there and here."""
+    leaked: Complex
+    """Readings that this makes (K, c); zero until
+    `loose_env.instrument.inference.frequency_response.with_leakage`."""
+    measured: NDArray[np.bool_]
+    """Joints whose force was measured and stands for their drives (n,)."""
+    blind: NDArray[np.bool_]
+    """Joints of whose drive nothing is known (n,)."""
+    readings: Complex
+    """All readings (K, c)."""
+    row: tuple[tuple[Reading, int], ...]
+    """Sensor and axis of each reading (c,)."""
+    noise: Array
+    """Variance of what the sensors add (K, c)."""
+    read: NDArray[np.bool_]
+    """Whether the sensor says anything at the line (K, c): a slow one does not at high ones."""
+    power: Array
+    """Smoothed power against which errors of the model are measured (K, c)."""
+    independent: float
+    """Independent values per line [1]."""
+    next: float
+    """Frequency from a line of the whole transform to the next one [Hz]."""
+    folded: float
+    """How much of what is faster than the samples is to be expected in the band, 0 to 1."""
+    sampled: float
+    """How much the sensors see of a command's step: 0 where filters smooth it, 1 where they are
+    read just after it."""
+    period: float
+    """Time for which a command is held [s]."""
+    seconds: float
+    """Length of the run [s]."""
+
+    @property
+    def spacing(self) -> float:
+        """Between lines [Hz]."""
+        return float(np.median(np.diff(self.frequency)))
+
+
+def thinned(lines: Lines, most: int) -> Lines:
+    """Fewer lines of a run, evenly spread."""
+    if len(lines.frequency) <= most:
+        return lines
+    kept = np.linspace(0, len(lines.frequency) - 1, most).round().astype(int)
+    names = ("frequency", "command", "force", "leaked", "readings", "noise", "read", "power")
+    fewer = {name: getattr(lines, name)[kept] for name in names}
+    return replace(lines, **fewer, lean=(lines.lean[0][kept], lines.lean[1][kept]))
+
+
+def uniform(time: Array, values: Array) -> tuple[float, Array]:
+    """Samples at an even rate, along straight lines between those that are there.
+
+    Made for runs without pauses, see `loose_env.instrument.data.dropouts`: the number of even
+    samples is that of the time.
+
+    Parameters
+    ----------
+    time : ndarray (T,)
+        [s], increasing.
+    values : ndarray (T, c)
+        NaN where nothing was read.
+
+    Returns
+    -------
+    float
+        Rate [Hz].
+    ndarray (N, c)
+        Values at that rate.
+
+    Examples
+    --------
+    >>> time, values = np.array([0.0, 0.1, 0.2, 0.4]), np.array([[0.0], [np.nan], [2.0], [4.0]])
+    >>> rate, even = uniform(time, values)
+    >>> round(rate, 6), even.ravel().round(6).tolist()
+    (10.0, [0.0, 1.0, 2.0, 3.0, 4.0])
+    """
+    step = float(np.median(np.diff(time)))
+    count = int(np.floor((time[-1] - time[0]) / step + 1e-6)) + 1
+    even = time[0] + step * np.arange(count)
+    out = np.empty((count, values.shape[1]))
+    for k, column in enumerate(values.T):
+        there = np.isfinite(column)
+        if not there.any():
+            out[:, k] = 0.0
+        elif there.all() and len(time) == count and np.abs(even - time).max() < 0.02 * step:
+            out[:, k] = column
+        else:
+            out[:, k] = np.interp(even, time[there], column[there])
+    return 1 / step, out
+
+
+def lines_of(
+    machine: Machine,
+    run: Run,
+    pose: Array,
+    excited: NDArray[np.intp],
+    *,
+    number: int = 0,
+    whole: bool = False,
+) -> Lines:
+    """Transform a run.
+
+    Parameters
+    ----------
+    machine : Machine
+        The machine.
+    run : Run
+        The run, without pauses, with commands or joint torques.
+    pose : ndarray (n,)
+        Pose held.
+    excited : ndarray of int
+        Joints that were excited, from 0.
+    number : int
+        Of the run among all that are weighed together, from 0: names need not differ.
+    whole : bool
+        Whether lines that were not excited are kept too: a seat moves at all of them.
+
+    Returns
+    -------
+    Lines
+
+    Raises
+    ------
+    InvalidData
+        If the run has no accelerometer of the arm, or nothing in it that moves.
+    """
+    rows = tuple((r, axis) for r in readings_in(machine, run)[0] for axis in range(r.axes))
+    if not any(r.kind == "acceleration" for r, _ in rows):
+        names = [r.sensor for r in machine.readings if r.kind == "acceleration"]
+        raise InvalidData(
+            f"{run.name}: no accelerometer of the arm was recorded, or it stands still; the model "
+            f"has {names}: record 'sensor.{names[0]}.x', '.y' and '.z'"
+        )
+    drives, n = machine.drives, machine.n
+    columns = [
+        run.sensors[r.sensor] if r.axes == 1 else run.sensors[r.sensor][:, axis] for r, axis in rows
+    ]
+    commands = [run.controls.get(a, np.zeros(run.samples)) for a in drives.names]
+    forces = [run.torques.get(j, np.zeros(run.samples)) for j in machine.joints]
+    rate, even = uniform(run.time, np.stack([*columns, *commands, *forces], axis=1))
+    c, a = len(rows), len(commands)
+    if not np.abs(even[:, c:]).max(initial=0.0) < _MOST_PLAYED:
+        raise InvalidData(f"{run.name}: commands or torques beyond {_MOST_PLAYED:g} are no arm's")
+    driven = np.zeros(n, dtype=bool)
+    for name in drives.names:
+        if name in run.controls:
+            driven[machine.driven_joint(name)] = True
+    recorded = np.array([j in run.torques for j in machine.joints])
+    measured = recorded & ~driven
+    has_servo = drives.stiffness > 0
+    # A joint without a command on record is held by its servo, if it has one and rests.
+    resting = has_servo & ~driven & ~measured
+    resting[excited] = False
+    blind = ~driven & ~measured & ~resting
+    return _lines(
+        machine, run, rate, even, rows, c, a,
+        number=number, pose=pose, excited=excited, measured=measured, blind=blind, whole=whole,
+    )  # fmt: skip
+
+
+def _lines(
+    machine: Machine,
+    run: Run,
+    rate: float,
+    even: Array,
+    rows: tuple[tuple[Reading, int], ...],
+    c: int,
+    a: int,
+    *,
+    number: int,
+    pose: Array,
+    excited: NDArray[np.intp],
+    measured: NDArray[np.bool_],
+    blind: NDArray[np.bool_],
+    whole: bool,
+) -> Lines:
+    count = len(even)
+    taper = signal.windows.hann(count, sym=False)
+    taper /= np.sqrt(np.mean(taper**2))
+    even = signal.detrend(even, axis=0)
+    spectrum = np.fft.rfft(even * taper[:, None], axis=0)
+    plain = np.fft.rfft(even[:, c:], axis=0)
+    lean = 0.5 * float(taper.mean()) * (np.roll(plain, 1, axis=0) - np.roll(plain, -1, axis=0))
+    frequency = np.asarray(np.fft.rfftfreq(count, 1 / rate), dtype=float)
+    inputs = np.abs(spectrum[:, c:]) ** 2
+    if blind[excited].any() or not inputs.any():
+        inputs = np.abs(spectrum[:, :3]) ** 2
+    width = max(1, round(_SMOOTH * count / rate))
+    total = _smoothed(inputs, width).sum(axis=1)
+    inside = (frequency >= _LOWEST) & (frequency <= _HIGHEST * rate)
+    if not inside.any() or total[inside].max() <= 0:
+        raise InvalidData(f"{run.name}: nothing moves between {_LOWEST:g} Hz and half the rate")
+    kept = np.flatnonzero(inside & (total > _WEAK * total[inside].max()))
+    if len(kept) < 8:
+        raise InvalidData(
+            f"{run.name}: only {len(kept)} Fourier lines of {count / rate:.2g} s are excited; "
+            "take a longer record or a wider band"
+        )
+    power = _power(spectrum[:, :c], rows, width)
+    noise, read = sensor_noise(
+        np.abs(spectrum[:, :c]) ** 2, power, rows, frequency, kept,
+        lowest=_LOWEST, highest=_HIGHEST * rate,
+    )  # fmt: skip
+    if whole:  # slower still, errors of gravity and servos look like a drift of the seat
+        kept = np.flatnonzero(inside & (frequency >= _SLOWEST * frequency[kept[0]]))
+    if len(kept) > _MOST:
+        kept = kept[np.linspace(0, len(kept) - 1, _MOST).round().astype(int)]
+    readings = spectrum[kept, :c]
+    noise, read, power = noise[kept], read[kept], power[kept]
+    measured_force = np.where(measured, spectrum[kept, c + a :], 0.0)
+    told = _telling(rows, frequency[kept], noise)
+    rows = tuple(rows[k] for k in told)
+    readings, power = readings[:, told], power[:, told]
+    noise, read = noise[:, told], read[:, told]
+    return Lines(
+        run=run.name,
+        number=number,
+        pose=pose,
+        healthy=run.condition == "healthy",
+        excited=excited,
+        frequency=frequency[kept],
+        command=spectrum[kept, c : c + a],
+        force=measured_force,
+        lean=(lean[kept, :a], np.where(measured, lean[kept, a:], 0.0)),
+        leaked=np.zeros_like(readings),
+        measured=measured,
+        blind=blind,
+        readings=readings,
+        row=rows,
+        noise=noise,
+        read=read,
+        power=power,
+        independent=min(1.0, float(np.median(np.diff(kept))) / _INDEPENDENT),
+        next=rate / count,
+        folded=0.0,
+        sampled=0.0,
+        period=1 / rate,
+        seconds=count / rate,
+    )
+
+
+def _telling(rows: tuple[tuple[Reading, int], ...], frequency: Array, noise: Array) -> list[int]:
+    """Readings that add something: not a position where the same joint's velocity is far better."""
+    omega2 = (2 * np.pi * frequency) ** 2
+    by_velocity: dict[int, float] = {}
+    for k, (r, _) in enumerate(rows):
+        if r.kind == "velocity":
+            told = float(np.mean(omega2 / noise[:, k]))
+            by_velocity[r.at] = max(told, by_velocity.get(r.at, 0.0))
+    return [
+        k
+        for k, (r, _) in enumerate(rows)
+        if r.kind != "position"
+        or float(np.mean(1 / noise[:, k])) > _WORTH * by_velocity.get(r.at, 0.0)
+    ]
+
+
+def _smoothed(power: Array, width: int) -> Array:
+    kernel = np.ones(width) / width
+    return np.stack([np.convolve(column, kernel, mode="same") for column in power.T], axis=1)
+
+
+def _power(spectrum: Complex, rows: tuple[tuple[Reading, int], ...], width: int) -> Array:
+    """Power of each reading, smoothed; the axes of a sensor count together."""
+    power = _smoothed(np.abs(spectrum) ** 2, width)
+    out = power.copy()
+    for sensor in {r.sensor for r, _ in rows}:
+        own = [k for k, (r, _) in enumerate(rows) if r.sensor == sensor]
+        out[:, own] = power[:, own].mean(axis=1, keepdims=True)
+    return out

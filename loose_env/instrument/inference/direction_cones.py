@@ -1,0 +1,73 @@
+"""Directions for the reader: of the seat in its link, and as the tool sees it in a pose."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.diagnosis.link_finding.direction_images import ToolFrames
+from loose_env.instrument.data.spectral_lines import Lines
+from loose_env.instrument.inference.laplace_fit import Fit
+from loose_env.instrument.inference.posterior import Judged
+from loose_env.instrument.inference.uncertain_linear_arm import UncertainMachine
+from loose_env.instrument.result import HEALTHY, Vector
+
+__all__ = ["cone", "seen_in_tool"]
+
+Array = NDArray[np.float64]
+
+_CONE = 2.45
+"""Half opening of a cone that holds a direction with 95 %, in standard deviations (Rayleigh)."""
+_LEAST = np.radians(0.7)
+"""Standard deviation that readings of real sensors do not fall below [rad]."""
+_FACTOR = 2.0
+"""How far the curvature of the likelihood underrates it: what is not in the model."""
+_VAGUE = np.radians(60.0)
+"""Half opening above which a direction is not worth naming [rad]."""
+
+
+def cone(fit: Fit) -> tuple[Vector | None, float | None]:
+    """Direction of a seat in its link's frame, and half the opening of its 95 % cone [degrees]."""
+    if fit.axis is None or fit.covariance is None:
+        return None, None
+    half = _half(fit.covariance)
+    if half > _VAGUE:
+        return None, None
+    return _vector(_signed(fit.axis)), float(np.degrees(half))
+
+
+def seen_in_tool(
+    machine: UncertainMachine, judged: Judged, lines: Lines
+) -> tuple[Vector | None, float | None]:
+    """Direction in which the most likely fault moves the tool in a run, and its cone [degrees]."""
+    loose = {name: p for name, p in judged.posterior.items() if name != HEALTHY}
+    best = max(loose, key=lambda name: loose[name])
+    if judged.posterior[HEALTHY] > 0.5:
+        return None, None
+    fit, arm = judged.fits[best], machine.machine.arm
+    frames, where = ToolFrames(arm), machine.machine.hypotheses.index(best) - 1
+    pose = lines.pose[None]
+    if where >= arm.n:
+        line = np.zeros(3)
+        line[list(arm.axes)] = frames.unit_lines(pose)[0, where - arm.n]
+        return (_vector(_signed(line)), 3.0) if np.linalg.norm(line) > 0.5 else (None, None)
+    direction, angle = cone(fit)
+    if direction is None:
+        return None, None
+    image = frames.images(pose)[0, where] @ np.array(direction)
+    return _vector(_signed(image / np.linalg.norm(image))), angle
+
+
+def _half(covariance: Array) -> float:
+    widest = float(np.linalg.eigvalsh(covariance)[-1])
+    return float(_CONE * np.hypot(_FACTOR * np.sqrt(max(widest, 0.0)), _LEAST))
+
+
+def _signed(axis: Array) -> Array:
+    """The one of an axis's two directions whose largest component is positive."""
+    return np.asarray(axis if axis[int(np.argmax(np.abs(axis)))] > 0 else -axis)
+
+
+def _vector(values: Array) -> Vector:
+    x, y, z = (float(v) for v in values)
+    return x, y, z

@@ -1,0 +1,303 @@
+"""How well one hypothesis explains all runs: the seat's motion and the model's errors summed out.
+
+At every line of a run the seat's acceleration is an unknown of its own, for gap, friction and stops
+make of it what they like. What is known is its direction, and how strongly a seat that floats would
+move: the power of its motion is that, times a share that varies over bands of the run and that
+friction, gravity and stops decide. Model errors are normal; Gauss-Newton steps find the most likely
+ones together with the direction, and the curvature there stands for all others (Laplace).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.instrument.data.spectral_lines import Lines
+from loose_env.instrument.inference.frequency_response import Response, respond
+from loose_env.instrument.inference.opening_probability import open_probability
+from loose_env.instrument.inference.uncertain_linear_arm import UncertainMachine
+
+__all__ = [
+    "SHARES",
+    "Evidence",
+    "Piece",
+    "Seat",
+    "band_terms",
+    "explained",
+    "seat_powers",
+    "seat_products",
+]
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Products = tuple[Array, Array, Complex, Complex, Complex]
+
+SHARES = np.geomspace(1e-3, 4.0, 14)
+"""Shares of a floating seat's motion that are tried [1]."""
+_FOLDED = 0.2
+"""Share of a seat's motion that is too fast for the samples and folded back into the band [1]."""
+_FOLDS = 0.05
+"""Frequency over the sampling rate at which sampling without a filter doubles the error."""
+_STUCK = 0.03
+"""Share of a floating seat's motion below which it does not follow a sudden force either [1]."""
+_OPEN = SHARES > 0.1
+"""Those that an open seat is expected to have."""
+_SPREAD = 1.0
+"""How far the shares of a run's bands lie about that of the run (standard deviation of the log)."""
+_BANDS = 8
+"""Bands of a run."""
+_DRIVE = 3.0
+"""Relative error of a drive's force over that of a reading."""
+_BLIND = 1e4
+"""The same of a drive of which nothing is known."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Seat:
+    """A place that may be loose."""
+
+    hypothesis: str
+    columns: NDArray[np.intp]
+    """Its columns among those of all seats (s',): three slides, or one play."""
+
+    @property
+    def slides(self) -> bool:
+        """Whether it is a slide, whose direction is unknown."""
+        return len(self.columns) > 1
+
+
+@dataclass(kw_only=True, eq=False)
+class Piece:
+    """A piece of a run with the machine's answer and the weights of its residual."""
+
+    response: Response
+    weight: Complex
+    """Inverse covariance of the sound arm's residual (K, c, c)."""
+    base: float
+    """Log-likelihood of the sound arm."""
+    temper: float
+    """Independent values that a line is worth [1]."""
+    bands: NDArray[np.intp]
+    """Band of each line (K,)."""
+
+    @property
+    def lines(self) -> Lines:
+        """The piece itself."""
+        return self.response.lines
+
+
+@dataclass(kw_only=True, eq=False)
+class Evidence:
+    """Weighs hypotheses by the pieces of all runs.
+
+    Parameters
+    ----------
+    machine : UncertainMachine
+        The machine.
+    lines : sequence of Lines
+        Pieces of all runs.
+    correlation : float
+        Width over which the model's remaining errors are alike [Hz]: lines closer than that
+        count together as one.
+    """
+
+    machine: UncertainMachine
+    lines: Sequence[Lines]
+    correlation: float = 4.0
+    _drive: list[Array] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Take the drives' forces of the nominal arm as the measure of their errors."""
+        none = np.zeros(len(self.machine.names))
+        for one in self.lines:
+            force = respond(self.machine.at(one.pose), one, none).drive_force()
+            power = np.abs(force) ** 2
+            width = max(1, round(3.0 / one.spacing))
+            kernel = np.ones(width) / width
+            smooth = np.stack([np.convolve(p, kernel, mode="same") for p in power.T], axis=1)
+            smooth = np.maximum(smooth, 0.01 * smooth.max(axis=1, keepdims=True))
+            self._drive.append(smooth)
+
+    @property
+    def count(self) -> int:
+        """Number of errors: of the machine, and of every run's delays."""
+        return self.machine.count(1 + max((one.number for one in self.lines), default=-1))
+
+    def pieces(self, errors: Array, model_error: float) -> list[Piece]:
+        """Answers and weights with some errors of the model."""
+        found = []
+        for one, drive in zip(self.lines, self._drive, strict=True):
+            response = respond(self.machine.at(one.pose), one, errors)
+            # Readings of what is faster than the samples fold back; more of it the higher the line.
+            folded = one.folded * (one.frequency * one.period / _FOLDS) ** 2
+            allowed = model_error * (1 + folded)[:, None]
+            size = np.where(one.blind, _BLIND, _DRIVE * model_error)
+            joints = response.joint_columns() * (size * np.sqrt(drive))[:, None, :]
+            covariance = joints @ joints.conj().swapaxes(1, 2)
+            index = np.arange(covariance.shape[1])
+            covariance[:, index, index] += one.noise + allowed**2 * one.power
+            weight = np.linalg.inv(covariance)
+            residual = response.residual
+            weighted = (weight @ residual[:, :, None])[:, :, 0]
+            misfit = np.sum(residual.conj() * weighted, axis=1).real
+            # Readings have units: the determinant is taken against their noise.
+            scaled = covariance / np.sqrt(one.noise[:, :, None] * one.noise[:, None, :])
+            size_of = np.linalg.slogdet(scaled)[1]
+            temper = min(one.independent / 1.1, one.spacing / self.correlation)
+            count = len(one.frequency)
+            found.append(
+                Piece(
+                    response=response,
+                    weight=weight,
+                    base=-temper * float(np.sum(misfit + size_of)),
+                    temper=temper,
+                    bands=(np.arange(count) * _BANDS // count).astype(np.intp),
+                )
+            )
+        return found
+
+    def seat_terms(self, pieces: Sequence[Piece], seat: Seat, axes: Array) -> Array:
+        """Log-likelihood of a seat against none, by axis.
+
+        Parameters
+        ----------
+        pieces : sequence of Piece
+            From `pieces`.
+        seat : Seat
+            The seat.
+        axes : ndarray (U, s')
+            Unit vectors in the link's frame; [[1]] for play.
+
+        Returns
+        -------
+        ndarray (U,)
+            Log-likelihood, shares and openness summed out.
+        """
+        by_run: dict[int, list[Array]] = {}
+        opening: dict[int, Array] = {}
+        for piece in pieces:
+            if piece.lines.healthy:
+                continue
+            term = band_terms(piece, seat, axes)
+            by_run.setdefault(piece.lines.number, []).append(term)
+            opening[piece.lines.number] = open_probability(piece.response, seat.columns, axes)
+        gap = np.log(SHARES[:, None] / SHARES)
+        near = np.exp(-0.5 * (gap / _SPREAD) ** 2)
+        near /= near.sum(axis=1, keepdims=True)
+        open_weight = _OPEN / _OPEN.sum()
+        shut_weight = np.where(SHARES <= 1.0, 1.0, 0.0)
+        shut_weight /= shut_weight.sum()
+        total = np.zeros((len(axes), len(SHARES)))  # by the share of shut seats
+        for run, found in by_run.items():
+            level = np.zeros((len(axes), len(SHARES)))
+            for term in found:
+                most = term.max(axis=2, keepdims=True)
+                inside = np.exp(term - most) @ near.T
+                level += (np.log(inside) + most).sum(axis=1)
+            top = level.max(axis=1, keepdims=True)
+            opened = np.log(np.exp(level - top) @ open_weight) + top[:, 0]
+            p = opening[run]
+            total += np.logaddexp((np.log(p) + opened)[:, None], np.log(1 - p)[:, None] + level)
+        if not by_run:
+            return np.zeros(len(axes))
+        top = total.max(axis=1, keepdims=True)
+        return np.asarray(np.log(np.exp(total - top) @ shut_weight) + top[:, 0])
+
+
+def band_terms(piece: Piece, seat: Seat, axes: Array) -> Array:
+    """Log-likelihood against none of every axis, band and share (U, bands, shares)."""
+    response = piece.response
+    terms = seat_products(piece, seat, axes)
+    floating = _smooth(response.floating(seat.columns, axes) ** 2)
+    first, second = seat_powers(response, SHARES[:, None, None], floating)  # (shares, U, K)
+    gain = piece.temper * np.subtract(*explained(terms, first, second))
+    edges = np.flatnonzero(np.diff(piece.bands, prepend=-1))
+    return np.asarray(np.add.reduceat(gain, edges, axis=2).transpose(1, 2, 0))
+
+
+def seat_products(piece: Piece, seat: Seat, axes: Array) -> Products:
+    """Products of a seat's patterns with each other and with the residual, weighted.
+
+    A seat that strikes its stops moves faster than samples follow. What of that is folded back
+    into the band shows as inertia alone answers it: a second pattern beside the first.
+
+    Returns
+    -------
+    tuple of ndarray (U, K)
+        First with first, second with second, first with second, then either with the residual.
+    """
+    response = piece.response
+    first = response.columns[:, :, seat.columns]
+    second = response.sudden[:, seat.columns]
+    weighted = piece.weight @ first
+    other = piece.weight @ second
+    residual = response.residual
+
+    pairs = (axes[:, :, None] * axes[:, None, :]).reshape(len(axes), -1)
+
+    def form(left: Any, right: Complex) -> Complex:
+        gram = left.conj().swapaxes(-2, -1) @ right
+        return np.asarray(pairs @ gram.reshape(len(gram), -1).T)
+
+    return (
+        form(first, weighted).real,
+        form(second, other).real,
+        form(first, other),
+        axes @ (weighted.conj().swapaxes(1, 2) @ residual[:, :, None])[:, :, 0].T,
+        axes @ (other.conj().swapaxes(1, 2) @ residual[:, :, None])[:, :, 0].T,
+    )
+
+
+def seat_powers(response: Response, share: Array, floating: Array) -> tuple[Array, Array]:
+    """Power of a seat's acceleration that samples follow, and of that which they fold back.
+
+    A sensor that is read just after a command has stepped also sees the seat follow that step by
+    inertia alone, whatever the stops do to it later.
+
+    Parameters
+    ----------
+    response : Response
+        The machine's answer to a run.
+    share : ndarray
+        Of a floating seat's motion; its shape goes with that of ``floating``.
+    floating : ndarray (..., K)
+        Power of a floating seat's acceleration.
+    """
+    omega, period = 2 * np.pi * response.lines.frequency, response.lines.period
+    late = np.abs(np.exp(0.5j * omega * period) / np.sinc(omega * period / (2 * np.pi)) - 1)
+    stepped = (late * response.lines.sampled) ** 2 * share**2 / (share**2 + _STUCK**2)
+    first = share**2 * floating
+    return first, _FOLDED**2 * first + stepped * floating
+
+
+def explained(terms: Products, first: Array, second: Array) -> tuple[Array, Array]:
+    """Misfit that a seat's motion of some powers takes away, and the logarithm of its spread.
+
+    Parameters
+    ----------
+    terms : tuple of ndarray (U, K)
+        From `seat_products`.
+    first, second : ndarray (..., U, K)
+        Powers from `seat_powers`.
+    """
+    g11, g22, g12, b1, b2 = terms
+    a, b = first, second
+    d1, d2 = 1 + a * g11, 1 + b * g22
+    cross = np.abs(g12) ** 2
+    determinant = d1 * d2 - a * b * cross
+    # b^H (P^-1 + G)^-1 b with P = diag(a, b)
+    mixed = (b1.conj() * g12 * b2).real
+    found = (a * d2 * np.abs(b1) ** 2 + b * d1 * np.abs(b2) ** 2 - 2 * a * b * mixed) / determinant
+    return found, np.log(determinant)
+
+
+def _smooth(power: Array) -> Array:
+    """Mean over some lines (U, K)."""
+    width = min(9, power.shape[1])
+    padded = np.pad(power, ((0, 0), (width // 2, width - 1 - width // 2)), mode="edge")
+    sums = np.cumsum(np.pad(padded, ((0, 0), (1, 0))), axis=1)
+    return np.asarray((sums[:, width:] - sums[:, :-width]) / width)

@@ -1,0 +1,357 @@
+"""What the uncertain machine answers to the commands of a run and to its seats, line by line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.instrument.data.spectral_lines import Lines
+from loose_env.instrument.inference.uncertain_linear_arm import PoseModel
+
+__all__ = ["Response", "respond", "with_leakage"]
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Response:
+    """The machine with some errors; m moving coordinates, s = 4 n seats, c readings."""
+
+    at: PoseModel
+    lines: Lines
+    errors: Array
+    compliance: Complex
+    """Displacement per force (K, m, m)."""
+    rows: Complex
+    """Readings per displacement (K, c, m), the sensors' errors in them."""
+    columns: Complex
+    """Readings per acceleration of each seat (K, c, s)."""
+    sudden: Array
+    """Readings of accelerometers per acceleration of each seat that is faster than the samples
+    can follow: inertia alone answers (c, s)."""
+    by_seat: Complex
+    """Displacement per acceleration of each seat (K, m, s)."""
+    force: Complex
+    """Force of the commands on the moving coordinates (K, m)."""
+    motion: Complex
+    """Displacement that it makes (K, m)."""
+    jump: Complex
+    """Acceleration just after the commands have stepped, less what held commands make on average
+    (K, m)."""
+    step: Complex
+    """Readings of accelerometers that are sampled just then, for it (K, c)."""
+    mean: Complex
+    """Readings of the sound arm (K, c)."""
+
+    @property
+    def residual(self) -> Complex:
+        """What the sound arm leaves of the readings (K, c)."""
+        return np.asarray(self.lines.readings - self.mean)
+
+    def joint_columns(self) -> Complex:
+        """Readings per force on each joint (K, c, n)."""
+        n = self.at.of.machine.n
+        return np.asarray(self.rows @ self.compliance[:, :, :n])
+
+    def drive_force(self) -> Complex:
+        """Force of each joint's drive on the sound arm (K, n)."""
+        n = self.at.of.machine.n
+        s = 2j * np.pi * self.lines.frequency[:, None]
+        drives = self.at.of.machine.drives
+        servo = drives.stiffness + s * drives.damping
+        return np.asarray(self.force[:, :n] - servo * self.motion[:, :n])
+
+    def floating(self, seats: NDArray[np.intp], axes: Array) -> Array:
+        """Acceleration that a seat would have if it floated, by axis (U, K) [m/s² or rad/s²]."""
+        load, mass = self.across_seat(seats)
+        drive = axes @ load.T
+        pairs = (axes[:, :, None] * axes[:, None, :]).reshape(len(axes), -1)
+        heavy = pairs @ mass.reshape(len(mass), -1).T
+        return np.asarray(np.abs(drive) / np.maximum(np.abs(heavy), 1e-12))
+
+    def across(self, seats: NDArray[np.intp], axes: Array) -> Complex:
+        """Force that the shut seat transmits, by axis (U, K)."""
+        return np.asarray(axes @ self.across_seat(seats)[0].T)
+
+    def across_seat(self, seats: NDArray[np.intp]) -> tuple[Complex, Complex]:
+        """Force that a shut seat transmits (K, s'), and the apparent mass behind it (K, s', s')."""
+        m = self.at.size
+        inertia, _ = self.at.parts(self.errors)
+        omega2 = ((2 * np.pi * self.lines.frequency) ** 2)[:, None]
+        coupling = inertia[m:, :m][seats]
+        force = -omega2 * self.motion @ coupling.T
+        own = inertia[m:, m:][np.ix_(seats, seats)]
+        moved = -omega2[:, :, None] * (coupling @ self.by_seat[:, :, seats])
+        return force, own + moved
+
+    def slopes(self, seat: Complex) -> Complex:
+        """Change of the readings by each error (K, c, P).
+
+        Parameters
+        ----------
+        seat : ndarray (K, s)
+            Accelerations of the seats.
+        """
+        at, lines, of = self.at, self.lines, self.at.of
+        machine, t = of.machine, of.tolerances
+        n, m = machine.n, at.size
+        omega = 2 * np.pi * lines.frequency
+        s = 1j * omega
+        motion = self.motion + np.einsum("kms,ks->km", self.by_seat, seat)
+        whole = np.concatenate([-(omega**2)[:, None] * motion, seat], axis=1)  # accelerations
+        slopes = np.zeros((*lines.readings.shape, len(self.errors)), dtype=complex)
+        push = self.rows @ self.compliance  # readings per force (K, c, m)
+        sampled = lines.sampled
+        inertia, jacobian = at.parts(self.errors)
+        force = -_each(at.inertia[:, :m], whole)
+        eased = -_each(at.inertia[:, :m, :m], sampled * self.jump)
+        stepped = np.linalg.solve(inertia[:m, :m], eased[..., None])[..., 0]
+        slopes[:, :, of.bodies] = push @ force.swapaxes(1, 2)
+        sensing = _sensing(self)
+        for k, (reading, axis) in enumerate(lines.row):
+            if reading.kind == "acceleration":
+                along = sensing.get(reading.sensor, np.eye(3))[axis] @ at.jacobian[:, reading.at]
+                slopes[:, k, of.bodies] += whole @ along.T
+                slopes[:, k, of.bodies] += sampled * (self.jump @ along[:, :m].T)
+                own = sensing.get(reading.sensor, np.eye(3))[axis] @ jacobian[reading.at, :, :m]
+                slopes[:, k, of.bodies] += stepped @ own
+        drives = machine.drives
+        of_drive = ~(lines.measured | lines.blind)
+        kept = [
+            -s[:, None] * _own_damping(at, n) * motion[:, :n] * t.damping,
+            -drives.stiffness * of_drive * motion[:, :n] * t.figures
+            + np.where((drives.stiffness > 0) & of_drive, t.figures, 0.0) * self.force[:, :n],
+            -s[:, None] * drives.damping * of_drive * motion[:, :n] * t.figures,
+            self.force[:, :n] * _gain_error(at),
+        ]
+        for j in range(n):
+            for part, values in enumerate(kept):
+                slopes[:, :, of.springs.start + part * n + j] = push[:, :, j] * values[:, j, None]
+        # Gains and delays act on what steps as on what is held.
+        ease = np.asarray(np.linalg.inv(inertia[:m, :m]))
+        per_force = _stepping(self, jacobian, sensing, ease)
+        hold = _held(omega, lines.period)
+        noted = lines.force * _late(self.at, lines, self.errors)[0][:, None]
+        unheld = sampled * (self.force[:, :n] - noted) * (1 / hold - 1)[:, None]
+        unheld[:, ~of_drive] = 0.0
+        for part, size in (
+            (1, np.where((drives.stiffness > 0) & of_drive, t.figures, 0.0)),
+            (3, _gain_error(at)),
+        ):
+            for j in range(n):
+                slopes[:, :, of.springs.start + part * n + j] += (
+                    per_force[:, :, j] * (unheld[:, j] * size[j])[:, None]
+                )
+        late = np.einsum("kcm,km->kc", push, -s[:, None] * self.force)
+        late = late + sampled * -s[:, None] * self.step
+        delays = of.delays(lines.number)
+        slopes[:, :, delays.start] = t.command_delay * late
+        readings = self.mean + np.einsum("kcs,ks->kc", self.columns, seat)
+        on_sites = np.array([r.kind in ("acceleration", "turning") for r, _ in lines.row])
+        slopes[:, on_sites, delays.start + 1] = -t.sensor_delay * s[:, None] * readings[:, on_sites]
+        for at_sensor, k in enumerate(of.sensors):
+            sensor = machine.readings[k].sensor
+            own = [i for i, (r, _) in enumerate(lines.row) if r.sensor == sensor]
+            if len(own) != 3:
+                continue
+            for i in range(3):
+                for j in range(3):
+                    spread = t.sensor_gain if i == j else t.cross_axis
+                    column = of.sensing.start + 9 * at_sensor + 3 * i + j
+                    slopes[:, own[i], column] = spread * readings[:, own[j]]
+        return slopes
+
+
+def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
+    """Answer of the machine with some errors, in standard deviations (P,)."""
+    of = at.of
+    machine, t = of.machine, of.tolerances
+    n, m = machine.n, at.size
+    omega = 2 * np.pi * lines.frequency
+    s = np.asarray(1j * omega, dtype=complex)
+    inertia, jacobian = at.parts(errors)
+    stiffness, damping = at.springs(errors)
+    drives = machine.drives
+    held, slow = np.split(errors[of.springs], 3)[1:]
+    free = lines.measured | lines.blind
+    stiffness[:n] -= np.where(free, drives.stiffness * (1 + t.figures * held), 0.0)
+    damping[:n] -= np.where(free, drives.damping * (1 + t.figures * slow), 0.0)
+    # Gravity's stiffness is all of the load's change but for what the servo's target takes.
+    dynamic = -(omega**2)[:, None, None] * inertia[:m, :m] + at.weight[:m]
+    dynamic = dynamic.astype(complex)
+    dynamic[:, np.arange(m), np.arange(m)] += stiffness + s[:, None] * damping
+    compliance: Complex = np.asarray(np.linalg.inv(dynamic), dtype=complex)
+    hold = _held(omega, lines.period)
+    late, late_site = _late(at, lines, errors)
+    command = lines.command * (hold * late)[:, None] / (1 + s[:, None] * drives.lag)
+    noted = lines.force * late[:, None]
+    force = np.zeros((len(omega), m), dtype=complex)
+    factor = (1 + t.figures * held * (drives.stiffness > 0)) * (
+        1 + _gain_error(at) * errors[of.gains]
+    )
+    force[:, :n] = np.where(free, 0.0, factor * (command @ drives.force.T)) + noted
+    coupling = inertia[:m, m:] - at.weight[m:].T / (omega**2)[:, None, None]
+    by_seat = np.asarray(-compliance @ coupling, dtype=complex)
+    motion = np.asarray((compliance @ force[:, :, None])[:, :, 0], dtype=complex)
+    rows, own = _rows(at, lines, jacobian, s)
+    made = Response(
+        at=at, lines=lines, errors=errors, compliance=compliance, rows=rows, columns=own,
+        sudden=np.zeros(own.shape[1:]),
+        by_seat=by_seat, force=force, motion=motion,
+        jump=force, step=np.zeros_like(lines.readings), mean=np.zeros_like(lines.readings),
+    )  # fmt: skip
+    sensing = _sensing(made)
+    for sensor, matrix in sensing.items():
+        k = [i for i, (r, _) in enumerate(lines.row) if r.sensor == sensor]
+        rows[:, k] = late_site[:, None, None] * (matrix @ rows[:, k])
+        own[:, k] = late_site[:, None, None] * (matrix @ own[:, k])
+    columns = own + rows @ by_seat
+    jump = np.zeros_like(force)
+    jump[:, :n] = np.where(free, 0.0, force[:, :n] - noted) * (1 / hold - 1)[:, None]
+    jump = np.asarray(np.linalg.solve(inertia[:m, :m], jump.T).T, dtype=complex)
+    step = _stepped(at, lines, jacobian, jump, motion)
+    for sensor, matrix in sensing.items():
+        k = [i for i, (r, _) in enumerate(lines.row) if r.sensor == sensor]
+        step[:, k] = late_site[:, None] * (step[:, k] @ matrix.T)
+    mean = (rows @ motion[:, :, None])[:, :, 0] + lines.sampled * step + lines.leaked
+    return Response(
+        at=at, lines=lines, errors=errors, compliance=compliance, rows=rows, columns=columns,
+        sudden=_sudden(made, inertia, jacobian, sensing),
+        by_seat=by_seat, force=force, motion=motion, jump=jump, step=step, mean=mean,
+    )  # fmt: skip
+
+
+def _late(at: PoseModel, lines: Lines, errors: Array) -> tuple[Complex, Complex]:
+    """Factors of a run's late commands, and of its late accelerometers (K,) each."""
+    of, t = at.of, at.of.tolerances
+    own = errors[of.delays(lines.number)]
+    command, sensor = own if len(own) else (0.0, 0.0)  # errors may be those of the machine alone
+    s = 2j * np.pi * lines.frequency
+    return np.exp(-s * t.command_delay * command), np.exp(-s * t.sensor_delay * sensor)
+
+
+def _each(matrices: Array, rows: Complex) -> Complex:
+    """Every matrix (G, i, j) times every row (K, j): (K, G, i)."""
+    flat = rows @ matrices.reshape(-1, matrices.shape[-1]).T
+    return np.asarray(flat.reshape(len(rows), *matrices.shape[:2]))
+
+
+def with_leakage(at: PoseModel, lines: Lines) -> Lines:
+    """Lines with the readings that the taper leaks from line to line.
+
+    The taper mixes every line with its two neighbours. Where the arm's answer changes from line to
+    line, what comes from the neighbours was answered a little otherwise; to first order that is
+    the slope of the answer times what the neighbours differ by. The nominal arm is good enough.
+    """
+    none = np.zeros(len(at.of.names))
+    command, force = lines.lean
+    here = replace(lines, command=command, force=force, leaked=np.zeros_like(lines.readings))
+    there = replace(here, frequency=lines.frequency + lines.next)
+    leaked = respond(at, there, none).mean - respond(at, here, none).mean
+    return replace(lines, leaked=leaked)
+
+
+def _held(omega: Array, period: float) -> Complex:
+    """A command that is held from sample to sample, against one that follows it at once."""
+    half = 0.5j * omega * period
+    return np.asarray(np.exp(-half) * np.sinc(omega * period / (2 * np.pi)))
+
+
+def _sudden(
+    response: Response, inertia: Array, jacobian: Array, sensing: dict[str, Array]
+) -> Array:
+    lines, m = response.lines, response.at.size
+    whole = np.vstack(
+        [-np.linalg.solve(inertia[:m, :m], inertia[:m, m:]), np.eye(len(inertia) - m)]
+    )
+    found = np.zeros((len(lines.row), whole.shape[1]))
+    for k, (reading, axis) in enumerate(lines.row):
+        if reading.kind == "acceleration":
+            along = sensing.get(reading.sensor, np.eye(3))[axis]
+            found[k] = along @ jacobian[reading.at] @ whole
+    return found
+
+
+def _stepping(response: Response, jacobian: Array, sensing: dict[str, Array], ease: Array) -> Array:
+    """Readings of accelerometers per sudden force on the moving coordinates (1, c, m)."""
+    lines, m = response.lines, response.at.size
+    rows = np.zeros((1, len(lines.row), m))
+    for k, (reading, axis) in enumerate(lines.row):
+        if reading.kind == "acceleration":
+            along = sensing.get(reading.sensor, np.eye(3))[axis]
+            rows[0, k] = along @ jacobian[reading.at, :, :m] @ ease
+    return rows
+
+
+def _stepped(
+    at: PoseModel, lines: Lines, jacobian: Array, jump: Complex, moved: Complex
+) -> Complex:
+    """Readings just after commands have stepped, less what a held command makes on average (K, c).
+
+    ``jump`` is the sudden acceleration of the moving coordinates, ``moved`` their motion (K, m).
+    """
+    step = np.zeros_like(lines.readings)
+    half = np.pi * lines.frequency * lines.period
+    for k, (reading, axis) in enumerate(lines.row):
+        if reading.kind == "acceleration":
+            step[:, k] = jump @ jacobian[reading.at, axis, : at.size]
+        elif reading.kind == "velocity":
+            # Of a path of parabolas from sample to sample, as a held force makes it.
+            step[:, k] = 2j * half / lines.period * (np.tan(half) / half - 1) * moved[:, reading.at]
+    return step
+
+
+def _rows(at: PoseModel, lines: Lines, jacobian: Array, s: Complex) -> tuple[Complex, Complex]:
+    """Readings per displacement (K, c, m), and directly per acceleration of the seats (K, c, s)."""
+    n, m = at.of.machine.n, at.size
+    seats = at.nominal.inertia.shape[0] - m
+    rows = np.zeros((len(s), len(lines.row), m), dtype=complex)
+    own = np.zeros((len(s), len(lines.row), seats), dtype=complex)
+    for k, (reading, axis) in enumerate(lines.row):
+        if reading.kind == "acceleration":
+            turned = at.turned[reading.at, axis]
+            rows[:, k] = (s**2)[:, None] * jacobian[reading.at, axis, :m] + turned
+            own[:, k] = jacobian[reading.at, axis, m:]
+            # play turns the tool against gravity as the joint itself does
+            own[:, k, 3 * n :] += turned[:n] / (s**2)[:, None]
+        elif reading.kind == "turning":
+            rows[:, k] = s[:, None] * at.nominal.turning[reading.at, axis, :m]
+            own[:, k] = at.nominal.turning[reading.at, axis, m:] / s[:, None]
+        elif reading.kind == "position":
+            rows[:, k, reading.at] = 1.0
+        else:
+            rows[:, k, reading.at] = s
+    return rows, own
+
+
+def _sensing(response: Response) -> dict[str, Array]:
+    """Reading of every sensor on a site per true value (3, 3), by the sensor's name."""
+    of, t = response.at.of, response.at.of.tolerances
+    found = {}
+    rows = [r.sensor for r, _ in response.lines.row]
+    for at_sensor, k in enumerate(of.sensors):
+        sensor = of.machine.readings[k].sensor
+        if rows.count(sensor) != 3:
+            continue
+        start = of.sensing.start + 9 * at_sensor
+        size = np.full((3, 3), t.cross_axis)
+        np.fill_diagonal(size, t.sensor_gain)
+        found[sensor] = np.eye(3) + size * response.errors[start : start + 9].reshape(3, 3)
+    return found
+
+
+def _own_damping(at: PoseModel, n: int) -> Array:
+    """Damping of the joints themselves (n,)."""
+    return np.asarray(at.of.machine.linear.springs[1][at.of.moving][:n])
+
+
+def _gain_error(at: PoseModel) -> Array:
+    """Standard deviation of each drive's gain beside its stiffness, relative (n,).
+
+    A position servo's command and stiffness share one gain; a quarter of its tolerance is left.
+    """
+    drives, t = at.of.machine.drives, at.of.tolerances
+    return np.asarray(np.where(drives.stiffness > 0, 0.25, 1.0) * t.figures)

@@ -1,0 +1,45 @@
+"""Whether the excitation of a run can be expected to open a seat against gravity and friction."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.instrument.inference.frequency_response import Response
+
+__all__ = ["open_probability", "seat_forces"]
+
+Array = NDArray[np.float64]
+
+_FRICTION = np.geomspace(0.3, 30.0, 9)
+"""Friction of a slide's guide that is held possible [N]."""
+_LEVER = 0.03
+"""Friction of play in a joint that turns, over that of a slide [m]."""
+_OVERCOME = 0.6
+"""Rms force over static load at which a seat begins to open: peaks do it."""
+
+
+def seat_forces(response: Response, seats: NDArray[np.intp], axes: Array) -> tuple[Array, Array]:
+    """Rms force across a shut seat in a run, and the static load on it, by axis (U,) each."""
+    across, lines = response.across(seats, axes), response.lines
+    # Lines that were left out between those that are there count too.
+    power = 2 * np.sum(np.abs(across) ** 2, axis=1) * lines.spacing * lines.seconds
+    drive = np.sqrt(power) * lines.period / lines.seconds
+    load = np.abs(axes @ response.at.seat_load()[seats])
+    return np.asarray(drive), np.asarray(load)
+
+
+def open_probability(response: Response, seats: NDArray[np.intp], axes: Array) -> Array:
+    """Probability that a seat opens in a run, its friction unknown, by axis (U,)."""
+    drive, load = seat_forces(response, seats, axes)
+    friction = _FRICTION * (_LEVER if _turns(response, seats) else 1.0)
+    held = _OVERCOME * (load[:, None] + friction)
+    chance = 1 / (1 + (held / np.maximum(drive, 1e-12)[:, None]) ** 4)
+    return np.asarray(np.clip(chance.mean(axis=1), 0.01, 0.99))
+
+
+def _turns(response: Response, seats: NDArray[np.intp]) -> bool:
+    """Whether a seat is the play of a joint that turns."""
+    machine = response.at.of.machine
+    joint = int(seats[0]) - 3 * machine.n  # the slides of all links come first
+    return joint >= 0 and not bool(machine.arm.sliding[joint])

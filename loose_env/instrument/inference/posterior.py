@@ -1,0 +1,138 @@
+"""From the lines of all runs to the probabilities of all hypotheses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.instrument.data.spectral_lines import Lines, thinned
+from loose_env.instrument.inference.evidence import Evidence, Seat
+from loose_env.instrument.inference.laplace_fit import Fit, fit_hypothesis, seats_of
+from loose_env.instrument.inference.uncertain_linear_arm import UncertainMachine
+from loose_env.instrument.result import HEALTHY
+from loose_env.instrument.settings.diagnosis import ELSE
+
+__all__ = ["Judged", "judge", "probabilities_of"]
+
+Array = NDArray[np.float64]
+
+_COARSE, _FINE = 32, 120
+"""Lines of a run in the first look at all hypotheses, and in the last at the likely ones: errors of
+a model are alike at neighbouring lines, so that more would cost time and say little."""
+_BEHIND = 120.0
+"""Log-evidence by which a hypothesis may be behind after the first look to be looked at again."""
+_MOST = 4
+_PROBED = 2
+"""Likely hypotheses by which it is judged how the sensors were sampled."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Judged:
+    """What all runs together say."""
+
+    posterior: Mapping[str, float]
+    fits: Mapping[str, Fit]
+    """Best fit of each hypothesis."""
+    evidence: Evidence
+    """Of the likely hypotheses."""
+    coarse: Evidence
+    """Of all."""
+    lines: tuple[Lines, ...]
+    """All lines of all runs."""
+
+    def as_sampled(self, lines: Lines) -> Lines:
+        """Lines of a run, with what was found of how the sensors are sampled."""
+        if not self.lines:
+            return lines
+        return replace(lines, sampled=self.lines[0].sampled, folded=self.lines[0].folded)
+
+    @property
+    def best(self) -> str:
+        """The most probable hypothesis."""
+        return max(self.posterior, key=lambda name: self.posterior[name])
+
+
+def judge(machine: UncertainMachine, lines: Sequence[Lines], *, sound: float) -> Judged:
+    """Weigh all hypotheses.
+
+    Parameters
+    ----------
+    machine : UncertainMachine
+        The machine.
+    lines : sequence of Lines
+        All runs; none for what is known beforehand.
+    sound : float
+        Prior probability that nothing is loose.
+    """
+    hypotheses = machine.machine.hypotheses
+    seats = seats_of(hypotheses, machine.machine.n)
+    coarse, fits = _first_look(machine, lines, seats)
+    top = max(fit.evidence for fit in fits.values())
+    order = sorted(fits, key=lambda name: -fits[name].evidence)
+    likely = [name for name in order if fits[name].evidence > top - _BEHIND][:_MOST]
+    whole = [
+        replace(one, sampled=few.sampled, folded=few.folded)
+        for one, few in zip(lines, coarse.lines, strict=True)
+    ]
+    fine = Evidence(machine=machine, lines=[thinned(one, _FINE) for one in whole])
+    values = {name: fit.evidence for name, fit in fits.items()}
+    if len(lines):
+        again = {name: fit_hypothesis(fine, name, seats[name], start=fits[name]) for name in likely}
+        # Hypotheses that were left out keep their distance from the best of those looked at.
+        shift = max(fit.evidence for fit in again.values()) - top
+        values = {name: value + shift for name, value in values.items()}
+        values |= {name: fit.evidence for name, fit in again.items()}
+        fits |= again
+    return Judged(
+        posterior=probabilities_of(values, sound=sound),
+        fits=fits,
+        evidence=fine,
+        coarse=coarse,
+        lines=tuple(whole),
+    )
+
+
+def _first_look(
+    machine: UncertainMachine, lines: Sequence[Lines], seats: Mapping[str, Seat | None]
+) -> tuple[Evidence, dict[str, Fit]]:
+    """Fit all hypotheses to few lines, and find out how the sensors were sampled."""
+    few = [thinned(one, _COARSE) for one in lines]
+
+    def of(sampled: float, folded: float) -> Evidence:
+        taken = [replace(one, sampled=sampled, folded=folded) for one in few]
+        return Evidence(machine=machine, lines=taken)
+
+    def fit(evidence: Evidence, name: str) -> Fit:
+        return fit_hypothesis(evidence, name, seats[name], steps=4)
+
+    filtered, stepped = of(0.0, 0.0), of(1.0, 1.0)
+    if lines and any(np.any(one.command) for one in lines):
+        fits = {name: fit(stepped, name) for name in seats}
+        order = sorted(fits, key=lambda name: -fits[name].evidence)
+        # Compared with the same allowance for errors, or the wider one would pay for it.
+        alike = of(0.0, 1.0)
+        other = max(fit(alike, name).evidence for name in {HEALTHY, *order[:_PROBED]})
+        if fits[order[0]].evidence > other:
+            return stepped, fits
+    return filtered, {name: fit(filtered, name) for name in seats}
+
+
+def probabilities_of(evidence: Mapping[str, float], *, sound: float) -> dict[str, float]:
+    """Probabilities by log-evidence; faults are equally likely beforehand.
+
+    Examples
+    --------
+    >>> found = probabilities_of({"healthy": 0.0, "backlash@a": 0.0, "backlash@b": 0.0}, sound=0.5)
+    >>> found["healthy"], found["backlash@b"]
+    (0.5, 0.25)
+    """
+    faults = len(evidence) - 1
+    prior = {name: sound if name == HEALTHY else (1 - sound) / faults for name in evidence}
+    log = {name: value + np.log(prior[name]) for name, value in evidence.items()}
+    top = max(log.values())
+    weight = {name: float(np.exp(value - top)) for name, value in log.items()}
+    total = sum(weight.values())
+    return {name: (1 - ELSE) * weight[name] / total + ELSE * prior[name] for name in evidence}

@@ -1,0 +1,265 @@
+"""The arm linearised in a pose, with all that its model may get wrong, to first order.
+
+With x the small motion of joints and elastic parts, and s that of a seat, the arm obeys
+
+    Z x = F - M_xs a_s,    Z = -w^2 M_xx + i w D + K,
+
+M its inertia, K what servos, springs and gravity add, D what dampers add, F the forces of the
+drives, a_s the seat's acceleration. Accelerometers read the proper acceleration, so that gravity
+turns with the tool. The change of every reading by each error of the model follows from the
+motion alone.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.linear import LinearArm
+from loose_env.arms.mismatch import MismatchDraw
+from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.settings.tolerances import Tolerances
+
+__all__ = ["DELAYS", "PoseModel", "UncertainMachine"]
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+DELAYS = ("command_delay", "sensor_delay")
+"""Errors that every run has anew: what plays, what reads the joints and what reads accelerations
+start by themselves; named as in `Tolerances`."""
+_STEP = 1e-4
+"""Turn by which gravity's stiffness is found [rad or m]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Bodies:
+    """What depends on bodies and pose: motions m, seats s (n links' slides, n joints' play)."""
+
+    inertia: Array
+    """(m + s, m + s)."""
+    jacobian: Array
+    """Acceleration of every site per acceleration, in its frame (S, 3, m + s)."""
+    turning: Array
+    """Angular the same (S, 3, m + s)."""
+    gravity: Array
+    """Proper acceleration at rest in every site's frame (S, 3)."""
+    load: Array
+    """Generalised force against gravity (m + s,)."""
+
+
+class UncertainMachine:
+    """A machine and the errors that its model may have, counted in standard deviations.
+
+    Parameters
+    ----------
+    machine : Machine
+        The machine.
+    tolerances : Tolerances
+        Standard deviations.
+    """
+
+    def __init__(self, machine: Machine, tolerances: Tolerances) -> None:
+        self.machine, self.tolerances = machine, tolerances
+        linear, arm, n = machine.linear, machine.arm, machine.n
+        self.moving = np.concatenate([linear.joint_dofs, linear.flexible_dofs])
+        self.seats = _seat_columns(machine)
+        none = MismatchDraw.none(arm)
+        names: list[str] = []
+        self._changed: list[LinearArm] = []
+        t = tolerances
+        for field, size in (("length", t.length), ("mass", t.figures), ("inertia", t.figures)):
+            for link in range(n):
+                factor = getattr(none, field).copy()
+                factor[_bodies_of(machine, link)] += size
+                self._changed.append(_changed(machine, replace(none, **{field: factor})))
+                names.append(f"{field}@{machine.links[link]}")
+        for link in range(n):
+            # Mass goes over the seat: what of a link is bolted to the motor's side is a guess.
+            own, flange = _bodies_of(machine, link)
+            moved = t.motor_side * arm.model.body_mass[own]
+            factor = none.mass.copy()
+            factor[own] -= t.motor_side
+            factor[flange] += moved / max(arm.model.body_mass[flange], 1e-12)
+            self._changed.append(_changed(machine, replace(none, mass=factor)))
+            names.append(f"motor_side@{machine.links[link]}")
+        self._zeros = t.joint_zero * np.eye(n)
+        names += [f"zero@{joint}" for joint in machine.joints]
+        names += [f"rotor@{joint}" for joint in machine.joints]
+        self.bodies = slice(0, len(names))
+        joints = machine.joints
+        names += [f"damping@{joint}" for joint in joints]
+        names += [f"servo_stiffness@{joint}" for joint in joints]
+        names += [f"servo_damping@{joint}" for joint in joints]
+        self.springs = slice(self.bodies.stop, len(names))
+        names += [f"drive_gain@{joint}" for joint in joints]
+        self.gains = slice(self.springs.stop, len(names))
+        self.sensors = tuple(
+            k for k, r in enumerate(machine.readings) if r.kind in ("acceleration", "turning")
+        )
+        for k in self.sensors:
+            names += [f"{machine.readings[k].sensor}[{i}{j}]" for i in "xyz" for j in "xyz"]
+        self.sensing = slice(self.gains.stop, len(names))
+        self.names = tuple(names)
+        """Name of each error that all runs share (P,)."""
+        self._remembered: dict[bytes, PoseModel] = {}
+
+    def count(self, runs: int) -> int:
+        """Number of errors of so many runs: those that all share, then each run's own delays."""
+        return len(self.names) + len(DELAYS) * runs
+
+    def delays(self, run: int) -> slice:
+        """Where the errors of a run's own delays lie; see `DELAYS`."""
+        start = self.count(run)
+        return slice(start, start + len(DELAYS))
+
+    def at(self, pose: Array) -> PoseModel:
+        """Linearise in a pose (n,) [rad or m]. Poses are remembered."""
+        key = np.asarray(pose, dtype=float).tobytes()
+        if key not in self._remembered:
+            self._remembered[key] = self._at(np.asarray(pose, dtype=float))
+        return self._remembered[key]
+
+    def _at(self, pose: Array) -> PoseModel:
+        linear, n = self.machine.linear, self.machine.n
+        nominal = self._bodies(linear, pose)
+        moved = [self._bodies(one, pose) for one in self._changed]
+        moved += [self._bodies(linear, pose + zero) for zero in self._zeros]
+        size = nominal.inertia.shape
+        inertia = [m.inertia - nominal.inertia for m in moved]
+        jacobian = [m.jacobian - nominal.jacobian for m in moved]
+        for j in range(n):
+            rotor = np.zeros(size)
+            rotor[j, j] = self.tolerances.figures * linear.model.dof_armature[linear.joint_dofs[j]]
+            inertia.append(rotor)
+            jacobian.append(np.zeros_like(nominal.jacobian))
+        m = len(self.moving)
+        weight, turned = np.zeros((size[0], m)), np.zeros((*nominal.gravity.shape, m))
+        for j in range(n):
+            step = _STEP * np.eye(n)[j]
+            up, down = self._bodies(linear, pose + step), self._bodies(linear, pose - step)
+            weight[:, j] = (up.load - down.load) / (2 * _STEP)
+            turned[:, :, j] = (up.gravity - down.gravity) / (2 * _STEP)
+        return PoseModel(
+            of=self,
+            pose=pose,
+            nominal=nominal,
+            inertia=np.array(inertia),
+            jacobian=np.array(jacobian),
+            weight=weight,
+            turned=turned,
+        )
+
+    def _bodies(self, linear: LinearArm, pose: Array) -> _Bodies:
+        model, data = linear.model, linear._data
+        mujoco.mj_resetData(model, data)
+        for name, value in zip(linear.arm.joints, pose, strict=True):
+            data.joint(name).qpos[0] = value
+        mujoco.mj_forward(model, data)
+        full = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, full)
+        basis = np.concatenate([np.eye(model.nv)[:, self.moving], self.seats], axis=1)
+        sites = (linear.arm.tool, *linear.arm.probes)
+        jacobian = np.zeros((len(sites), 3, basis.shape[1]))
+        turning, gravity = np.zeros_like(jacobian), np.zeros((len(sites), 3))
+        for k, name in enumerate(sites):
+            site = model.site(name).id
+            linear_part, angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+            mujoco.mj_jacSite(model, data, linear_part, angular, site)
+            back = data.site_xmat[site].reshape(3, 3).T
+            jacobian[k], turning[k] = back @ linear_part @ basis, back @ angular @ basis
+            gravity[k] = -back @ model.opt.gravity
+        return _Bodies(
+            inertia=basis.T @ full @ basis,
+            jacobian=jacobian,
+            turning=turning,
+            gravity=gravity,
+            load=basis.T @ data.qfrc_bias,
+        )
+
+
+def _bodies_of(machine: Machine, link: int) -> list[int]:
+    """The link and its flange, in the arm's own model."""
+    model = machine.arm.model
+    own = int(model.body(machine.arm.seat_bodies[link]).id)
+    return [own, int(model.body_parentid[own])]
+
+
+def _changed(machine: Machine, draw: MismatchDraw) -> LinearArm:
+    """Copy the linear arm and change its bodies."""
+    linear = machine.linear
+    other = copy.copy(linear)
+    other.model = copy.copy(linear.model)
+    other._data = mujoco.MjData(other.model)
+    other._cache = {}
+    draw.apply(other.model, machine.arm, other._data)
+    return other
+
+
+def _seat_columns(machine: Machine) -> Array:
+    """Motions of all seats in the linear arm's coordinates (nv, 4 n): slides, then play."""
+    linear, n = machine.linear, machine.n
+    nv = linear.model.nv
+    columns = np.zeros((nv, 4 * n))
+    for link in range(n):
+        columns[linear.slide_dofs[link], 3 * link + np.arange(3)] = 1.0
+        dof = int(linear.hinge_dofs[link])
+        if dof < nv:
+            columns[dof, 3 * n + link] = 1.0
+        else:  # play of a sliding joint is made of the link's slides
+            axis = machine.arm.model.joint(machine.arm.joints[link]).axis
+            columns[linear.slide_dofs[link], 3 * n + link] = axis
+    return columns
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PoseModel:
+    """The uncertain machine in one pose.
+
+    Errors come in the order of `UncertainMachine.names`, those of the runs' delays after them.
+    """
+
+    of: UncertainMachine
+    pose: Array
+    nominal: _Bodies
+    inertia: Array
+    """Change of the inertia by each error of bodies, zeros and rotors (G, m + s, m + s)."""
+    jacobian: Array
+    """Change of the sites' Jacobians by the same (G, S, 3, m + s)."""
+    weight: Array
+    """Change of the load by each moving coordinate (m + s, m)."""
+    turned: Array
+    """Change of gravity's reading by each moving coordinate (S, 3, m)."""
+
+    @property
+    def size(self) -> int:
+        """Number of moving coordinates."""
+        return len(self.of.moving)
+
+    def seat_load(self) -> Array:
+        """Static force on each seat's columns (4 n,) [N or N·m]."""
+        return self.nominal.load[self.size :]
+
+    def parts(self, errors: Array) -> tuple[Array, Array]:
+        """Inertia and Jacobians with some errors."""
+        some = errors[self.of.bodies]
+        return (
+            self.nominal.inertia + np.tensordot(some, self.inertia, 1),
+            self.nominal.jacobian + np.tensordot(some, self.jacobian, 1),
+        )
+
+    def springs(self, errors: Array) -> tuple[Array, Array]:
+        """Stiffness and damping on the moving coordinates with some errors (m,)."""
+        machine, t = self.of.machine, self.of.tolerances
+        n, drives = machine.n, machine.drives
+        stiffness, damping = (v[self.of.moving] for v in machine.linear.springs)
+        stiffness, damping = stiffness.copy(), damping.copy()
+        own, held, slow = np.split(errors[self.of.springs], 3)
+        damping[:n] *= 1 + t.damping * own
+        stiffness[:n] += drives.stiffness * (1 + t.figures * held)
+        damping[:n] += drives.damping * (1 + t.figures * slow)
+        return stiffness, damping

@@ -1,0 +1,148 @@
+"""What a reader should know before trusting a diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from loose_env.instrument.data.spectral_lines import Lines
+from loose_env.instrument.inference.evidence import Seat
+from loose_env.instrument.inference.free_travel import Travel
+from loose_env.instrument.inference.laplace_fit import seats_of
+from loose_env.instrument.inference.opening_probability import open_probability, seat_forces
+from loose_env.instrument.inference.posterior import Judged
+from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.result import HEALTHY
+from loose_env.statistics.sphere import axes_grid
+
+__all__ = ["warnings_of"]
+
+_SHORT = 1.0
+"""Length below which a run is short [s]."""
+_FEW_LINES = 24
+_SHUT = 0.3
+"""Chance to open below which a seat counts as never tried."""
+_OFF = 0.06
+"""Relative error at a line from which the model is not that of the arm."""
+_STRAINED = 2.2
+"""Rms of the model's errors, in standard deviations, from which the same holds."""
+
+
+def warnings_of(
+    machine: Machine, judged: Judged, notes: Sequence[str], travel: Travel | None
+) -> tuple[str, ...]:
+    """Collect them, the gravest first."""
+    said: list[str] = []
+    suspect = [one for one in judged.evidence.lines if not one.healthy]
+    said += _of_model(judged)
+    said += _of_seats(machine, judged, suspect)
+    if travel is not None and travel.linear:
+        said.append(
+            "the force across the seat is as well that of a spring without free travel: it may be "
+            "a loose seat pressed to one stop, or a part that bends; a pose in which gravity does "
+            "not press on it tells them apart"
+        )
+    for one in suspect:
+        said += _of_run(machine, one)
+    if any(one.folded > 0 for one in judged.lines):
+        said.append(
+            "the sensors seem to be sampled without a filter: what is faster than half the rate "
+            "is folded into the band, whose upper part is trusted less; switch on the recorder's "
+            "filter"
+        )
+    unknown = machine.drives.unknown
+    if unknown:
+        said.append(
+            f"the law of actuator {', '.join(unknown)} is not a force linear in command, position "
+            "and velocity; what it does is taken as unknown"
+        )
+    said += notes
+    return tuple(dict.fromkeys(said))
+
+
+def _of_model(judged: Judged) -> list[str]:
+    fit = judged.fits[judged.best]
+    strain = float(np.sqrt(np.mean(fit.errors**2))) if len(fit.errors) else 0.0
+    if fit.model_error <= _OFF and strain <= _STRAINED:
+        return []
+    return [
+        f"the model is not that of this arm: {fit.model_error:.0%} of the motion at a line remains "
+        f"unexplained and its figures are off by {strain:.1f} times their tolerance. The place and "
+        "the probabilities below are less sure than they look; see what the model lacks with "
+        "'loose gap', and diagnose with the corrected model"
+    ]
+
+
+def _of_seats(machine: Machine, judged: Judged, suspect: Sequence[Lines]) -> list[str]:
+    """Seats that no run could open."""
+    grid = axes_grid(24)
+    never: list[str] = []
+    pressed: list[str] = []
+    pieces = judged.evidence.pieces(judged.fits[judged.best].errors, 0.05)
+    for name, seat in seats_of(machine.hypotheses, machine.n).items():
+        if not isinstance(seat, Seat):
+            continue
+        axes = grid if seat.slides else np.ones((1, 1))
+        chance = np.zeros(len(axes))
+        heavy = np.zeros(len(axes), dtype=bool)
+        for piece in pieces:
+            if piece.lines.healthy:
+                continue
+            chance = np.maximum(chance, open_probability(piece.response, seat.columns, axes))
+            drive, load = seat_forces(piece.response, seat.columns, axes)
+            heavy |= load > 3 * drive
+        if float(chance.mean()) < _SHUT:
+            (pressed if heavy.mean() > 0.5 else never).append(name.split("@", 1)[1])
+    said = []
+    healthy = judged.posterior[HEALTHY] > 0.3
+    what = "a looseness there would not have been seen" if healthy else "nothing is said about them"
+    if never:
+        said.append(
+            f"no run shook hard enough to open a seat at {', '.join(never)} against friction: "
+            f"{what}; shake harder, or excite the joints next to it"
+        )
+    if pressed:
+        said.append(
+            f"gravity kept seats at {', '.join(pressed)} shut in every run: {what}; take poses "
+            "that lay other directions across gravity, or shake harder"
+        )
+    return said
+
+
+def _of_run(machine: Machine, one: Lines) -> list[str]:
+    said = []
+    if one.seconds < _SHORT:
+        said.append(f"{one.run}: {one.seconds:.2g} s is short; take {_SHORT:g} s or more")
+    if len(one.frequency) < _FEW_LINES:
+        said.append(
+            f"{one.run}: only {len(one.frequency)} lines were excited; a wider band tells more"
+        )
+    lines = np.maximum(one.read.sum(axis=0), 1)
+    signal = np.sum(np.where(one.read, np.abs(one.readings) ** 2, 0.0), axis=0) / lines
+    noise = np.sum(np.where(one.read, one.noise, 0.0), axis=0) / lines
+    tool = [k for k, (r, _) in enumerate(one.row) if r.kind == "acceleration"]
+    if float(signal[tool].sum()) < 10 * float(noise[tool].sum()):
+        said.append(f"{one.run}: the accelerometer hardly rises above its noise; shake harder")
+    for joint in one.excited:
+        own = [
+            k
+            for k, (r, _) in enumerate(one.row)
+            if r.kind in ("position", "velocity") and r.at == joint
+        ]
+        name = machine.joints[joint]
+        if not own:
+            said.append(f"{one.run}: no sensor of the excited joint {name} was recorded")
+        elif max(float(signal[k] / noise[k]) for k in own) < 4:
+            said.append(
+                f"{one.run}: the sensors of joint {name} are too coarse for its motion; the model "
+                "stands for them: shake harder, or at lower frequencies"
+            )
+    driven = [j for j in one.excited if one.blind[j]]
+    if driven:
+        names = ", ".join(machine.joints[j] for j in driven)
+        said.append(
+            f"{one.run}: neither command nor torque of the excited joint {names} is on record; its "
+            "motion alone is used"
+        )
+    return said

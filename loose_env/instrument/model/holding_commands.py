@@ -1,0 +1,133 @@
+"""Commands that hold an arm in a pose, and those with which it was sent there."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.instrument.model.actuators import actuators_on, drives_of
+from loose_env.instrument.model.planned_arm import ModelArm
+
+__all__ = ["holding_commands", "starting_commands", "why_not_held"]
+
+Array = NDArray[np.float64]
+
+
+def holding_commands(machine: ModelArm, pose: Array) -> tuple[dict[str, float], Array]:
+    """Commands that hold the model in a pose, and the torque that takes.
+
+    Of several actuators on a joint one carries the load, as
+    `loose_env.instrument.model.actuators.drives_of` chooses it; the others are told to give no
+    torque where the joint is. Actuators of other joints, such as a gripper's, hold them where the
+    model has them.
+
+    Parameters
+    ----------
+    machine : ModelArm
+        The arm.
+    pose : ndarray (n,)
+        Joint positions [rad or m].
+
+    Returns
+    -------
+    dict
+        Actuator -> command in its own unit.
+    ndarray (n,)
+        Torque of each driven joint [N·m, N].
+    """
+    model, data = machine.recordable.model, _standing(machine, pose)
+    load = data.qfrc_bias - data.qfrc_passive
+    commands = {model.actuator(a).name: 0.0 for a in range(model.nu)}
+    joints = _joints(model)
+    place = {name: float(data.joint(name).qpos[0]) for name in joints}
+    needed = {name: float(load[model.joint(name).dofadr[0]]) for name in joints}
+    chosen = [drive for drive in drives_of(model, joints)[0] if drive is not None]
+    for drive in actuators_on(model, joints)[0]:
+        if drive in chosen:
+            continue
+        q = place[drive.joint]
+        if drive.gain != 0:
+            idle = float(drive.command(0.0, q))
+            commands[drive.actuator] = float(np.clip(idle, *drive.command_range))
+        # What it gives all the same, the chosen one need not.
+        needed[drive.joint] -= drive.torque(commands[drive.actuator], q)
+    for drive in chosen:
+        commands[drive.actuator] = float(drive.command(needed[drive.joint], place[drive.joint]))
+    dofs = [int(model.joint(name).dofadr[0]) for name in machine.joints]
+    return commands, np.asarray(load[dofs])
+
+
+def starting_commands(machine: ModelArm, pose: Array) -> dict[str, float]:
+    """Commands with which the arm was sent to a pose: of position servos the pose itself.
+
+    Under them the arm hangs from the pose by as much as its servos give way. Motors hold it as
+    `holding_commands` has them.
+
+    Parameters
+    ----------
+    machine : ModelArm
+        The arm.
+    pose : ndarray (n,)
+        Joint positions [rad or m].
+
+    Returns
+    -------
+    dict
+        Actuator -> command in its own unit.
+    """
+    return _at_the_start(machine, pose, holding_commands(machine, pose)[0])
+
+
+def why_not_held(machine: ModelArm, pose: Array) -> str:
+    """Why the actuators cannot be told to hold a pose; "" if they can.
+
+    Parameters
+    ----------
+    machine : ModelArm
+        The arm.
+    pose : ndarray (n,)
+        Joint positions [rad or m].
+    """
+    holding = holding_commands(machine, pose)[0]
+    told = (holding, _at_the_start(machine, pose, holding))
+    for drive in machine.drives:
+        if drive is None:
+            continue
+        low, high = drive.command_range
+        room = 1e-9 * max(abs(low), abs(high), 1.0) if np.isfinite([low, high]).all() else 0.0
+        for commands in told:
+            command = commands[drive.actuator]
+            if not low - room <= command <= high + room:
+                return (
+                    f"{drive.actuator} would have to be told {command:.4g} to hold {drive.joint}, "
+                    f"and takes commands from {low:g} to {high:g}"
+                )
+    return ""
+
+
+def _at_the_start(machine: ModelArm, pose: Array, holding: dict[str, float]) -> dict[str, float]:
+    """Commands that hold an arm (actuator -> command) with the pose itself for servos."""
+    model, data, commands = machine.recordable.model, _standing(machine, pose), dict(holding)
+    for drive in drives_of(model, _joints(model))[0]:
+        if drive is not None and drive.servo:
+            q = float(data.joint(drive.joint).qpos[0])
+            commands[drive.actuator] = float(drive.command(0.0, q))
+    return commands
+
+
+def _standing(machine: ModelArm, pose: Array) -> mujoco.MjData:
+    """The recordable model at rest in a pose."""
+    model = machine.recordable.model
+    data = mujoco.MjData(model)
+    for name, q in zip(machine.joints, pose, strict=True):
+        data.joint(name).qpos[0] = q
+    mujoco.mj_fwdPosition(model, data)
+    mujoco.mj_fwdVelocity(model, data)
+    return data
+
+
+def _joints(model: mujoco.MjModel) -> list[str]:
+    """Joints that turn or slide."""
+    kinds = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+    return [model.joint(j).name for j in range(model.njnt) if int(model.jnt_type[j]) in kinds]

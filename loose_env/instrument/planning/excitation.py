@@ -1,0 +1,192 @@
+"""What to play in a pose, within the torque and the band that settings allow.
+
+How well one record would show each fault: how far seats open, and the smallest gap seen.
+
+A seat that a record drives with the rms force F, that gravity loads with W and that would move by
+x rms if it floated, loses about min(1, (F / 0.6 W)²) · min(1, gap / 4 x) of its transmission (as
+in `loose_env.diagnosis.records.excitation_design`). What that changes of the tool's motion, in
+standard deviations of what sensors, record length and model leave open, says whether it is seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.arm import Arm
+from loose_env.arms.linear import LinearArm, LinearPose
+from loose_env.diagnosis.learned.features import SeatFeatures
+from loose_env.diagnosis.likelihood.seat_response import predict_seats
+from loose_env.diagnosis.records.excitation_design import Proposal, propose_excitation
+from loose_env.instrument.settings.measurement import NextSettings
+
+__all__ = [
+    "OVERCOME",
+    "REPEATS",
+    "SEEN",
+    "Sensitivity",
+    "limited",
+    "proposed",
+    "sensitivity",
+    "tool_noise",
+    "torque_of",
+]
+
+Array = NDArray[np.float64]
+
+
+def torque_of(proposal: Proposal, joint: int, settings: NextSettings) -> Array:
+    """Rms torque of every joint that shakes one of them as proposed, the tool not too hard (n,).
+
+    All zero where the joint cannot move the tool.
+    """
+    excitation = proposal.excitations[joint]
+    if excitation is None:
+        return np.zeros(len(proposal.excitations))
+    share = min(1.0, settings.most_tool / max(float(proposal.levels[joint]), 1e-12))
+    return share * np.array(excitation.torque_rms)
+
+
+def limited(arm: Arm, linear: LinearArm, settings: NextSettings) -> tuple[Arm, LinearArm]:
+    """Take the arm and its linear form with the torque and the band that settings allow."""
+    torque = tuple(settings.torque_share * t for t in arm.torque_limits)
+    less = replace(arm, torque_limits=torque, band=settings.band_of(arm.band))
+    return less, linear.variant(less)
+
+
+def proposed(arm: Arm, pose: Array, settings: NextSettings) -> Proposal:
+    """Propose what to play in a pose, in the band that settings allow."""
+    found = propose_excitation(arm, pose, gap=settings.gap_mm * 1e-3, duration=settings.seconds)
+    low = found.band[0] if settings.band_low is None else max(found.band[0], settings.band_low)
+    allowed = settings.allowed_hz if settings.band_high is None else settings.band_high
+    high = min(found.band[1], allowed)
+    if (low, high) == found.band:
+        return found
+    if not low < high:  # modes ask for a band that is not allowed at all
+        low, high = arm.band
+    # As much torque at each frequency as before.
+    share = np.sqrt((high - low) / (found.band[1] - found.band[0]))
+    played = tuple(
+        None
+        if one is None
+        else replace(one, torque_rms=tuple(share * t for t in one.torque_rms), band=(low, high))
+        for one in found.excitations
+    )
+    return replace(found, band=(low, high), levels=share * found.levels, excitations=played)
+
+
+SEEN = 4.0
+"""Change in standard deviations that counts as seen [1]."""
+OVERCOME = 0.6
+"""Rms force over static load at which a seat begins to move: peaks are what opens it [1]."""
+REPEATS = 0.005
+"""Share of the tool's motion by which records of a sound arm differ beyond noise: poses that are
+not quite the same, temperature, cables; an estimate [1]."""
+_FLOATS = 4.0
+"""Gap over rms travel below which a seat strikes its stops [1]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sensitivity:
+    """What one record would show of a seat at every place: P places, the slides' before the plays'.
+
+    Places are those of `SeatFeatures`.
+    """
+
+    opens: Array
+    """Share of the seat's motion that gravity's load on it allows, 0 shut to 1 free (P,)."""
+    travel: Array
+    """Rms motion of the floating seat [m; rad for a hinge's play] (P,)."""
+    load: Array
+    """Force or torque that gravity puts on the seat [N, N·m] (P,)."""
+    by_noise: Array
+    """Change of a freely floating seat, in standard deviations of the sensors' noise alone (P,)."""
+    by_reference: Array
+    """Change of a freely floating seat, in standard deviations of what noise and repeating leave
+    beside a healthy reference of the same arm (P,)."""
+    by_model: Array
+    """The same with the errors that a nominal model has (P,)."""
+
+    def lost(self, gap: Array | float) -> Array:
+        """Share of its transmission that each seat of a travel loses (P,)."""
+        floats = np.minimum(1.0, np.asarray(gap) / np.maximum(_FLOATS * self.travel, 1e-15))
+        return np.asarray(self.opens * floats)
+
+    def smallest_gap(self, *, reference: bool) -> Array:
+        """Smallest travel that shows; infinite where none does [m; rad] (P,).
+
+        Parameters
+        ----------
+        reference : bool
+            Whether a healthy reference of the arm stands in for the model.
+        """
+        change = self.by_reference if reference else self.by_model
+        share = SEEN / np.maximum(change * self.opens, 1e-12)
+        return np.where(share <= 1.0, share * _FLOATS * self.travel, np.inf)
+
+
+def tool_noise(features: SeatFeatures) -> float:
+    """Noise of one axis of the tool accelerometer in the band, rms [m/s²]."""
+    return float(features.floor.tool)
+
+
+def sensitivity(features: SeatFeatures, pose: Array, torque: Array, seconds: float) -> Sensitivity:
+    """Work out what one record would show.
+
+    Parameters
+    ----------
+    features : SeatFeatures
+        The nominal arm, its sensors and its places.
+    pose : ndarray (n,)
+        Where it is taken [rad or m].
+    torque : ndarray (n,)
+        Rms torque of every joint; at least one is on [N·m, N].
+    seconds : float
+        Its length [s].
+
+    Returns
+    -------
+    Sensitivity
+    """
+    arm = features.linear.arm
+    at = features.linear.at(pose)
+    excited = torque > 0
+    on = np.flatnonzero(excited)
+    m, d = len(on), len(arm.axes)
+    noise = np.concatenate([features.floor.joints(arm)[on], np.full(d, features.floor.tool)]) ** 2
+    seats = predict_seats(at, torque, features.directions, noise)
+    x = seats.in_step[:m]
+    b = seats.in_step[m:] @ np.linalg.inv(x)
+    away = np.concatenate([-b, np.eye(d)], axis=1)
+    samples = 2 * (arm.band[1] - arm.band[0]) * seconds
+    sensed = away @ np.diag(noise) @ away.T
+    change = features.open_change(seats)
+    total = float(np.trace(seats.in_step[m:] @ seats.in_step[m:].T))
+    repeated = np.kron(sensed, np.eye(m)) / samples + REPEATS**2 * total * np.eye(d * m)
+    own = np.linalg.inv(np.linalg.cholesky(repeated))
+    noisy = np.linalg.inv(np.linalg.cholesky(np.kron(sensed, np.eye(m)) / samples))
+    residual = away @ seats.rest @ away.T
+    by_model = features.whitening(pose, excited, b, residual, x, seconds)
+    opens = np.minimum(1.0, (seats.force / np.maximum(OVERCOME * seats.load, 1e-12)) ** 2)
+    return Sensitivity(
+        opens=opens,
+        travel=_travel(at, excited, torque[on], features.directions),
+        load=seats.load,
+        by_noise=np.linalg.norm(change @ noisy.T, axis=1),
+        by_reference=np.linalg.norm(change @ own.T, axis=1),
+        by_model=np.linalg.norm(change @ by_model.T, axis=1),
+    )
+
+
+def _travel(at: LinearPose, excited: NDArray[np.bool_], torque: Array, directions: Array) -> Array:
+    """Rms motion of every floating seat (P,)."""
+    answer, opened = at.response(excited), at.open_response(excited)
+    power = (2 * np.pi * answer.frequency) ** 4
+    force = np.einsum("kism,as->kiam", answer.slide, directions) * torque
+    mass = np.einsum("kisr,as,ar->kia", opened.mass_slide, directions, directions)
+    slide = np.sum(np.abs(force / mass[..., None]) ** 2, axis=-1) / power[:, None, None]
+    turn = np.abs(answer.hinge * torque / opened.inertia_hinge[..., None]) ** 2
+    play = np.sum(turn, axis=-1) / power[:, None]
+    return np.asarray(np.sqrt(np.concatenate([slide.mean(0).ravel(), play.mean(0)])))

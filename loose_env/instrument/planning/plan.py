@@ -1,0 +1,358 @@
+"""The next step of a session at the machine: the pose, the joint and the signal to play.
+
+`plan` takes a model and what is known so far, a `loose_env.instrument.result.Diagnosis` or
+nothing, and says what to measure next and what to expect. Where the diagnosis says already what
+to measure next, that is what is planned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.linear import LinearArm
+from loose_env.diagnosis.records.excitation_design import propose_excitation
+from loose_env.errors import InvalidSetting
+from loose_env.instrument.model.clearance import Ground
+from loose_env.instrument.model.holding_commands import why_not_held
+from loose_env.instrument.model.planned_arm import ModelArm, load_model_arm
+from loose_env.instrument.planning.candidate_poses import pose_range
+from loose_env.instrument.planning.expected_observations import Expected, expected_of
+from loose_env.instrument.planning.next_measurement import next_measurement
+from loose_env.instrument.planning.prior_knowledge import Known, known_of
+from loose_env.instrument.planning.rationale import other_settings, why_not_reached
+from loose_env.instrument.planning.signals import Signal, make_signal
+from loose_env.instrument.result import Diagnosis, NextMeasurement
+from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettings
+from loose_env.instrument.settings.command_line import unlike
+from loose_env.instrument.settings.measurement import NextSettings
+
+__all__ = ["Plan", "load", "next_for", "plan"]
+
+Array = NDArray[np.float64]
+
+_ONCE = ("joint", "pose_deg", "from_deg")
+"""Settings that are for one measurement, not for a session."""
+_SAGS = np.array([np.radians(0.1), 1e-4])
+"""Sag of a joint that turns [rad], and of one that slides [m], that is worth a word."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """What to do next."""
+
+    machine: ModelArm
+    """The arm."""
+    next: NextMeasurement
+    """Pose, joints, band, levels, length and why."""
+    signals: tuple[Signal, ...]
+    """What to play, one for each joint of it."""
+    expected: Mapping[str, Expected]
+    """What each hypothesis expects of the first of them."""
+    warnings: tuple[str, ...]
+    """What to know before."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Everything that the plan depends on besides the model and the diagnosis."""
+    again: Mapping[str, Any] = field(default_factory=dict)
+    """Those of them that the next plan of the session has to be given again."""
+
+    @property
+    def pose(self) -> Array:
+        """Joint positions, base first [rad or m] (n,)."""
+        return np.array([self.next.pose[name] for name in self.machine.joints])
+
+
+def load(path: str | Path, settings: ModelSettings | None = None) -> ModelArm:
+    """Read a model with settings; see `load_model_arm`."""
+    given = ModelSettings() if settings is None else settings
+    return load_model_arm(
+        path,
+        tool=given.tool,
+        hold=given.hold,
+        payload_kg=given.payload_kg,
+        payload_at_m=given.payload_at_m,
+    )
+
+
+def next_for(
+    machine: ModelArm,
+    known: Diagnosis | Known | None = None,
+    settings: NextSettings | None = None,
+    own: PlanSettings | None = None,
+) -> NextMeasurement:
+    """Choose the next measurement of an arm from a file, clear of collisions and of the ground.
+
+    What `plan` uses, and what a diagnosis can put into `Diagnosis.next`, so that both agree.
+
+    Parameters
+    ----------
+    machine : ModelArm
+        From `load_model_arm`.
+    known : Diagnosis or Known, optional
+        What is known; nothing by default. `Diagnosis.next` is not looked at.
+    settings : NextSettings, optional
+        How it is chosen.
+    own : PlanSettings, optional
+        What the user has decided.
+
+    Returns
+    -------
+    NextMeasurement
+
+    Raises
+    ------
+    InvalidData
+        If the diagnosis is of another model, or no pose will do.
+
+    Examples
+    --------
+    >>> from loose_env.arms.from_file import DESK_ARM
+    >>> desk = load_model_arm(DESK_ARM)
+    >>> first = next_for(desk, settings=NextSettings(poses=2))
+    >>> set(first.pose) == set(desk.joints)
+    True
+    """
+    rules = NextSettings() if settings is None else settings
+    own = PlanSettings() if own is None else own
+    arm = machine.arm
+    so_far = (
+        known_of(known, machine.links, machine.joints) if isinstance(known, Diagnosis) else known
+    )
+    ground = Ground.of(arm, rules.ground_m)
+    # A pose that somebody has decided on is looked at with a warning alone.
+    stays_above = not own.pose_deg
+
+    def allowed(pose: Array) -> bool:
+        if not ground.clear(pose) or machine.collisions.touch(pose):
+            return False
+        return not why_not_held(machine, pose)
+
+    def reachable(here: Array, pose: Array) -> bool:
+        if machine.collisions.touch_between(here, pose):
+            return False
+        return not stays_above or ground.clear_between(here, pose)
+
+    start = _typed(machine, "from_deg", own.from_deg)
+    if start is None and not (so_far and so_far.records):
+        start = machine.home
+    return next_measurement(
+        arm,
+        LinearArm(arm),
+        so_far,
+        rules,
+        links=machine.links,
+        joints=machine.joints,
+        allowed=allowed,
+        reachable=reachable,
+        start=start,
+        shakable=[d.joint for d in machine.drives if d is not None],
+        only=own.joint,
+        pose=_typed(machine, "pose_deg", own.pose_deg),
+    )
+
+
+def plan(
+    model: str | Path,
+    known: Diagnosis | None = None,
+    *,
+    arm: ModelSettings | None = None,
+    choice: NextSettings | None = None,
+    own: PlanSettings | None = None,
+) -> Plan:
+    """Plan the next step of a session.
+
+    Parameters
+    ----------
+    model : str or Path
+        MJCF or URDF of the arm.
+    known : Diagnosis, optional
+        What is known so far; nothing by default.
+    arm : ModelSettings, optional
+        What the file does not say.
+    choice : NextSettings, optional
+        How the pose is chosen; the length, rate and noise of records. By default as what the
+        diagnosis asks for next was chosen; with other settings that is chosen anew.
+    own : PlanSettings, optional
+        Layout of the signal, and what the user has decided.
+
+    Returns
+    -------
+    Plan
+        The same for the same model, diagnosis and settings.
+
+    Raises
+    ------
+    InvalidSetting, InvalidData, UnknownName
+        If the model cannot be used, the diagnosis is of another one, or no pose will do.
+    """
+    if choice is None:
+        choice = NextSettings() if known is None else known.choice
+    own = PlanSettings() if own is None else own
+    machine = load(model, arm)
+    so_far = None if known is None else known_of(known, machine.links, machine.joints)
+    asked = None if known is None else known.next
+    chosen, anew = asked, ""
+    if asked is not None:
+        anew = _why_anew(machine, so_far, asked, choice, own)
+    if chosen is None or anew:
+        chosen = next_for(machine, so_far, choice, own)
+    linear = LinearArm(machine.arm)
+    pose = np.array([chosen.pose[name] for name in machine.joints])
+    seed = np.random.SeedSequence([choice.seed, 0 if so_far is None else len(so_far.records), 1])
+    signals = tuple(
+        make_signal(
+            machine,
+            linear,
+            pose,
+            joint,
+            torque_rms=torque,
+            band=chosen.band_hz,
+            seconds=chosen.seconds,
+            rate=chosen.rate_hz,
+            ramp=own.ramp_s,
+            hold=own.hold_s,
+            rng=np.random.default_rng(child),
+            torque_share=choice.torque_share,
+        )
+        for joint, torque, child in zip(
+            chosen.joints, chosen.torques, seed.spawn(len(chosen.joints)), strict=True
+        )
+    )
+    chosen = replace(
+        chosen,
+        levels=tuple(signal.joint_rms for signal in signals),
+        torques=tuple(signal.torque_rms for signal in signals),
+    )
+    return Plan(
+        machine=machine,
+        next=chosen,
+        signals=signals,
+        expected=expected_of(machine, linear, so_far, chosen, choice),
+        warnings=(
+            *([f"not what the diagnosis asks for next: {anew}"] if anew else ()),
+            *_warnings(machine, known, chosen, signals, choice),
+        ),
+        settings={**asdict(arm or ModelSettings()), **asdict(choice), **asdict(own)},
+        again={
+            **unlike(arm or ModelSettings(), ModelSettings()),
+            **unlike(choice, NextSettings()),
+            **{k: v for k, v in unlike(own, PlanSettings()).items() if k not in _ONCE},
+        },
+    )
+
+
+def _why_anew(
+    machine: ModelArm,
+    so_far: Known | None,
+    asked: NextMeasurement,
+    choice: NextSettings,
+    own: PlanSettings,
+) -> str:
+    """Why what a diagnosis asks for next is not what is planned; "" if it is."""
+    given = [name for name in _ONCE if getattr(own, name) not in (None, ())]
+    given += other_settings(asked, choice)
+    if given:
+        return f"another {', '.join(given)} is given here"
+    here = so_far.records[-1].pose if so_far and so_far.records else machine.home
+    ground = Ground.of(machine.arm, choice.ground_m)
+    blocked = why_not_reached(machine, ground, here, asked)
+    return f"its pose is not taken, {blocked}" if blocked else ""
+
+
+def _typed(machine: ModelArm, name: str, given: tuple[float, ...]) -> Array | None:
+    """A pose as it was typed in: degrees, and millimetres where a joint slides."""
+    if not given:
+        return None
+    arm = machine.arm
+    if len(given) != arm.n or not np.isfinite(given).all():
+        raise InvalidSetting(
+            f"{name} has one finite number for each of {', '.join(machine.joints)}, got {given}"
+        )
+    pose = np.where(arm.sliding, np.array(given) * 1e-3, np.radians(given))
+    outside = np.flatnonzero(~arm.within_ranges(pose))
+    if len(outside):
+        j = int(outside[0])
+        allowed = arm.joint_ranges[j]
+        assert allowed is not None
+        raise InvalidSetting(
+            f"{name}: joint {machine.joints[j]} at {given[j]:g} is outside its range "
+            f"{_shown(arm.sliding[j], allowed[0])} to {_shown(arm.sliding[j], allowed[1])}"
+        )
+    return np.asarray(pose)
+
+
+def _giving_way(machine: ModelArm, signal: Signal) -> list[str]:
+    """What to know where servos give way under the weight of the arm."""
+    sliding = machine.arm.sliding
+    far = [
+        f"{machine.joints[j]} by {_shown(sliding[j], abs(float(signal.sags[j])))}"
+        for j in np.flatnonzero(np.abs(signal.sags) > _SAGS[sliding.astype(int)])
+    ]
+    if not far:
+        return []
+    return [
+        f"servos give way under the arm's weight: {', '.join(far)}. The signal begins with the "
+        "pose as its command, makes up for that before the noise and goes back after it; a "
+        "controller that holds joints exactly where it is told would move the arm by so much"
+    ]
+
+
+def _shown(slides: np.bool_, value: float) -> str:
+    return f"{value * 1e3:.4g} mm" if slides else f"{np.degrees(value):.4g} degrees"
+
+
+def _warnings(
+    machine: ModelArm,
+    known: Diagnosis | None,
+    chosen: NextMeasurement,
+    signals: tuple[Signal, ...],
+    choice: NextSettings,
+) -> tuple[str, ...]:
+    said: list[str] = []
+    pose = np.array([chosen.pose[name] for name in machine.joints])
+    if known is not None and known.settled:
+        said.append(
+            f"the diagnosis is settled: {known.fault.hypothesis} with {known.probability:.1%}; "
+            "this measurement would only confirm it"
+        )
+    unseen = machine.collisions.unseen
+    if unseen:
+        said.append(
+            f"the model has no shapes of {', '.join(unseen)}: what they touch is not known; look "
+            "before the arm moves"
+        )
+    if not machine.collisions.known:
+        said.append(
+            "the model has no shapes that collide: nothing is known about collisions; look before "
+            "the arm moves, and take another pose with --pose-deg if it would touch anything"
+        )
+    touching = machine.collisions.touch(pose)
+    if touching:
+        said.append(f"in this pose the model's bodies touch: {', '.join(touching)}")
+    if not Ground.of(machine.arm, choice.ground_m).clear(pose):
+        said.append("in this pose a part of the arm is below its base or the ground given")
+    low, high = pose_range(machine.arm, 0.0)
+    for j in np.flatnonzero((pose < low + 1e-3) | (pose > high - 1e-3)):
+        said.append(f"joint {machine.joints[j]} is at the end of its range")
+    said += _giving_way(machine, signals[0])
+    for signal in signals:
+        if signal.scale < 0.99:
+            said.append(
+                f"{signal.joint} is shaken at {signal.scale:.0%} of the level: {signal.limited_by}"
+            )
+    said += [
+        note
+        for note in machine.named(propose_excitation(machine.arm, pose).warnings)
+        if not note.startswith("the lowest holding mode")  # above its modes an arm is free
+    ]
+    if machine.hold != "model":
+        said.append(
+            f"joints are taken to be held by {machine.held_by}; 'loose diagnose' reckons with what "
+            "the model's actuators do, so put such springs into the model"
+        )
+    return tuple(dict.fromkeys((*said, *machine.notes)))

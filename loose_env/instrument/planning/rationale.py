@@ -1,0 +1,218 @@
+"""Why a pose: what the hypotheses in question are expected to show there, in words.
+
+Whether a plan does what a diagnosis asks for next, or chooses for itself.
+
+A diagnosis chooses with settings of its own, and with the model of the recording, which has no
+meshes. What it asks for is taken over where the plan's settings are the same and the arm's own
+model lets the arm get there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from math import isclose
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.arm import Arm
+from loose_env.diagnosis.likelihood.axial_likelihood import precision_of
+from loose_env.diagnosis.link_finding.direction_images import ToolFrames
+from loose_env.diagnosis.link_finding.spatial import DirectionSighting, link_posterior
+from loose_env.errors import InvalidData
+from loose_env.instrument.model.clearance import Ground
+from loose_env.instrument.model.planned_arm import ModelArm
+from loose_env.instrument.planning.prior_knowledge import Known, names_of
+from loose_env.instrument.result import HEALTHY, NextMeasurement
+from loose_env.instrument.settings.measurement import NextSettings
+
+__all__ = ["expected_directions", "other_settings", "reason", "why_not_reached"]
+
+Array = NDArray[np.float64]
+
+_IN_QUESTION = 0.02
+"""Probability below which a hypothesis is not mentioned [1]."""
+
+
+def expected_directions(
+    arm: Arm, known: Known, pose: Array, links: Sequence[str], joints: Sequence[str]
+) -> Mapping[str, Array | None]:
+    """Direction in the tool frame that each hypothesis expects to see in a pose.
+
+    Parameters
+    ----------
+    arm : Arm
+        The nominal arm.
+    known : Known
+        Directions that were seen so far.
+    pose : ndarray (n,)
+        The pose [rad or m].
+    links, joints : sequence of str
+        Names of the model, base first.
+
+    Returns
+    -------
+    mapping
+        Hypothesis -> unit vector, axial (d,); None where any direction is possible, or nothing
+        is to be seen.
+    """
+    frames = ToolFrames(arm)
+    names = names_of(links, joints)
+    found: dict[str, Array | None] = dict.fromkeys(names)
+    lines = frames.unit_lines(pose)[0]
+    for name, line in zip(names[arm.n + 1 :], lines, strict=True):
+        found[name] = line if line.any() else None
+    images = frames.images(pose)[0]
+    sightings = []
+    for record in known.records:
+        if record.direction is not None:
+            seen = record.direction[list(arm.axes)]
+            if np.linalg.norm(seen) > 1e-6:
+                seen = seen / np.linalg.norm(seen)
+                sightings.append(
+                    DirectionSighting(
+                        pose=record.pose,
+                        direction=seen,
+                        precision=precision_of(seen, max(record.sd, 1e-3)),
+                    )
+                )
+    if sightings:
+        directions = link_posterior(frames, sightings).directions
+        for k, name in enumerate(names[1 : arm.n + 1]):
+            found[name] = images[k] @ directions[k]
+    for link, axis in known.directions.items():
+        if link in links:
+            k = list(links).index(link)
+            found[f"structural_looseness@{link}"] = images[k] @ axis[: images.shape[-1]]
+    return found
+
+
+def reason(
+    arm: Arm,
+    known: Known,
+    pose: Array,
+    links: Sequence[str],
+    joints: Sequence[str],
+    here: Array | None,
+) -> str:
+    """One or two sentences: why this pose."""
+    if not known.probabilities:
+        return (
+            "nothing is known yet: of the poses weighed, this one is expected to tell most about "
+            "whether anything is loose and where"
+        )
+    seen = expected_directions(arm, known, pose, links, joints)
+    ranked = sorted(known.probabilities.items(), key=lambda item: -item[1])
+    # Play in a joint on whose axis the tool lies shows nothing, here or anywhere near.
+    unseen = [n for n, p in ranked if p > _IN_QUESTION and "backlash" in n and seen[n] is None]
+    alive = [(name, p) for name, p in ranked if p > _IN_QUESTION and name not in unseen]
+    if unseen and len(alive) < 2:
+        left = f"{alive[0][0]} is " if alive else "nothing is "
+        return (
+            f"{left}in question beside {', '.join(unseen)}, which moves nothing at the tool: the "
+            "accelerometer lies on its axis; mount it beside the axis to tell"
+        )
+    if len(alive) < 2:
+        return f"{alive[0][0]} is all but sure ({alive[0][1]:.1%}); this would confirm it"
+    (one, p), (other, q) = alive[:2]
+    said = f"it tells {one} ({p:.0%}) from {other} ({q:.0%})"
+    first, second = seen[one], seen[other]
+    if HEALTHY in (one, other):
+        said += ": here a loose seat would be shaken hard beside its weight"
+    elif first is not None and second is not None:
+        now = _apart(first, second)
+        said += f": the directions that they expect at the tool lie {now:.0f}° apart here"
+        if here is not None and np.abs(here - pose).max() > 1e-3:
+            before = expected_directions(arm, known, here, links, joints)
+            one_before, other_before = before[one], before[other]
+            if one_before is not None and other_before is not None:
+                said += f", {_apart(one_before, other_before):.0f}° in the pose before"
+    rest = len(alive) - 2
+    return said + (f"; {rest} more are in question" if rest else "")
+
+
+def _apart(one: Array, other: Array) -> float:
+    """Angle between two axial directions [degrees]."""
+    return float(np.degrees(np.arccos(min(1.0, abs(float(one @ other))))))
+
+
+def other_settings(chosen: NextMeasurement, choice: NextSettings) -> list[str]:
+    """Names of the settings of a plan with which a measurement was not chosen.
+
+    A measurement that does not say with which it was chosen, of an earlier version, is asked for
+    its length, its rate and its ground alone.
+    """
+    before: Mapping[str, Any] = {
+        "seconds": chosen.seconds,
+        "rate_hz": chosen.rate_hz,
+        "ground_m": None,
+        **chosen.settings,
+    }
+    return [
+        name
+        for name, value in asdict(choice).items()
+        if name in before and not _same(before[name], value)
+    ]
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, int | float) and isinstance(other, int | float):
+        return isclose(one, other, rel_tol=1e-6)  # files have seven digits
+    return bool(one == other)
+
+
+def why_not_reached(
+    machine: ModelArm, ground: Ground, here: Array | None, chosen: NextMeasurement
+) -> str:
+    """Say what is in the way of a measurement, by the arm's own model; "" if nothing is.
+
+    Parameters
+    ----------
+    machine : ModelArm
+        The arm, with its shapes.
+    ground : Ground
+        What it stays above.
+    here : ndarray (n,) or None
+        Where it stands [rad or m]; None where that is not known.
+    chosen : NextMeasurement
+        The measurement.
+
+    Raises
+    ------
+    InvalidData
+        If the measurement is of another model.
+    """
+    pose = _pose_in(machine, chosen)
+    touching = machine.collisions.touch(pose)
+    if touching:
+        return f"in it the model's bodies touch: {', '.join(touching)}"
+    if not ground.clear(pose):
+        return "a part of the arm is below its base or the ground given"
+    if here is None:
+        return ""
+    touching = machine.collisions.touch_between(here, pose)
+    if touching:
+        return f"on the way there the model's bodies touch: {', '.join(touching)}"
+    if not ground.clear_between(here, pose):
+        return "on the way there a part of the arm is below its base or the ground given"
+    return ""
+
+
+def _pose_in(machine: ModelArm, chosen: NextMeasurement) -> Array:
+    """The pose (n,) [rad or m], if the measurement fits the model."""
+    lacking = [name for name in machine.joints if name not in chosen.pose]
+    foreign = [name for name in (*chosen.joints, *chosen.pose) if name not in machine.joints]
+    if lacking or foreign:
+        raise InvalidData(
+            f"the next measurement of the diagnosis is of another model: it has the joints "
+            f"{', '.join(chosen.pose)}, the model {', '.join(machine.joints)}"
+        )
+    pose = np.array([chosen.pose[name] for name in machine.joints])
+    if not machine.arm.within_ranges(pose).all():
+        raise InvalidData(
+            f"the pose of the diagnosis, {dict(chosen.pose)}, is outside the ranges of the model's "
+            f"joints: {machine.arm.joint_ranges}"
+        )
+    return pose

@@ -1,0 +1,72 @@
+"""What a user says about the arm at the machine and about the signal, besides the model file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from loose_env.errors import InvalidSetting
+from loose_env.instrument.model.planned_arm import Hold
+from loose_env.instrument.settings.validation import check_types
+
+__all__ = ["ModelSettings", "PlanSettings"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelSettings:
+    """What the model file does not say about the arm at the machine."""
+
+    tool: str | None = None
+    """Site or body that carries the accelerometer; by default where the model's own accelerometer
+    is, else the site 'tool', else the last site or body."""
+    hold: Hold = "model"
+    """What holds the joints: 'model', the model's own position servos, and a slow controller for
+    joints with torque motors, which is what 'loose diagnose' reckons with; or 'brake', 'servo',
+    'compliant' for brakes, servos of 25 Hz, or brakes behind elastic gears."""
+    payload_kg: float = 0.0
+    """Mass at the tool that the model lacks [kg]."""
+    payload_at_m: tuple[float, ...] = (0.0, 0.0, 0.0)
+    """Its centre in the tool frame, x y z [m]."""
+
+    def __post_init__(self) -> None:
+        """Check.
+
+        Raises
+        ------
+        InvalidSetting
+            If a value is of another type.
+        """
+        check_types(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanSettings:
+    """How the signal is laid out, and what the user has decided already."""
+
+    joint: str | None = None
+    """Joint to excite; by default the one that tells most."""
+    pose_deg: tuple[float, ...] = ()
+    """Pose to take, every joint from the base [degrees; mm where it slides]; by default the one
+    that tells most."""
+    from_deg: tuple[float, ...] = ()
+    """Where the arm stands now, as pose_deg; by default in the pose of the last record."""
+    ramp_s: float = 0.25
+    """Time over which the noise swells, and dies away [s]."""
+    hold_s: float = 0.5
+    """Time before and after [s]: commands go from the pose to what holds the arm's weight in it,
+    and the arm stands still."""
+
+    def __post_init__(self) -> None:
+        """Check.
+
+        Raises
+        ------
+        InvalidSetting
+            If a value is of another type, or a time is negative, too long or not finite.
+        """
+        check_types(self)
+        for name in ("ramp_s", "hold_s"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and 0 <= value <= 60):
+                raise InvalidSetting(f"{name} is 0 to 60 s, got {value!r}")

@@ -1,0 +1,108 @@
+"""What a diagnosis can be told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from loose_env.errors import InvalidSetting
+from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.instrument.settings.tolerances import Tolerances
+
+__all__ = ["ELSE", "DiagnoseSettings"]
+
+ELSE = 0.004
+"""Probability that something is not as any hypothesis has it: then data say nothing. No hypothesis
+comes closer to certain than that."""
+_MOST_SURE = 0.995
+"""Surest that a diagnosis can be asked to be; certainty less `ELSE`, rounded."""
+
+_AS_ASKED = 0.98
+"""Share of the rate asked for from which a recorder counts as one that does what it is asked."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiagnoseSettings(NextSettings):
+    """What is known of the machine beforehand, and how the next measurement is chosen.
+
+    Examples
+    --------
+    >>> DiagnoseSettings(sound=1.5)
+    Traceback (most recent call last):
+    ...
+    loose_env.errors.InvalidSetting: sound is a probability between 0 and 1, got 1.5
+    """
+
+    sound: float = 0.5
+    """Probability, before any data, that nothing is loose."""
+    sure: float = 0.98
+    """Probability from which, after two runs, nothing more is to be measured; at most 0.995, for
+    something else than all explanations stays possible."""
+    figures: float = Tolerances.figures
+    """Standard deviation of masses, inertias, rotors and drive gains of the model, relative."""
+    damping: float = Tolerances.damping
+    """Standard deviation of the joints' damping, relative."""
+    length: float = Tolerances.length
+    """Standard deviation of link lengths, relative."""
+    joint_zero: float = Tolerances.joint_zero
+    """Standard deviation of the joints' zeros [rad or m]."""
+    sensor_gain: float = Tolerances.sensor_gain
+    """Standard deviation of an accelerometer's gain, relative."""
+    cross_axis: float = Tolerances.cross_axis
+    """Standard deviation of what leaks from one accelerometer axis into another, mounting
+    included, relative."""
+    command_delay: float = Tolerances.command_delay
+    """Standard deviation of the time by which commands and torques are noted too late or too early
+    against the readings, in every run anew [s]."""
+    sensor_delay: float = Tolerances.sensor_delay
+    """Standard deviation of the time by which accelerometers lag the joints' sensors, in every run
+    anew [s]."""
+
+    def __post_init__(self) -> None:
+        """Check.
+
+        Raises
+        ------
+        InvalidSetting
+            If a figure is of another type, or makes no sense.
+        """
+        super().__post_init__()
+        for name in ("sound", "sure"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and 0 < value < 1):
+                raise InvalidSetting(f"{name} is a probability between 0 and 1, got {value!r}")
+        if self.sure > _MOST_SURE:
+            raise InvalidSetting(
+                f"sure is at most {_MOST_SURE:g}, for a probability of {ELSE:g} is kept for what "
+                f"no explanation has, got {self.sure!r}"
+            )
+        _ = self.tolerances  # they check themselves
+
+    def choice(self, recorded_hz: float | None = None) -> NextSettings:
+        """How the next measurement is chosen.
+
+        Parameters
+        ----------
+        recorded_hz : float, optional
+            Rate of the last run [Hz]. A recorder that is slower than asked for will be so again;
+            one that is faster gives more than is needed.
+        """
+        own = NextSettings(**{each.name: getattr(self, each.name) for each in fields(NextSettings)})
+        if recorded_hz is not None and recorded_hz < _AS_ASKED * self.rate_hz:
+            return own.at_rate(recorded_hz)
+        return own
+
+    @property
+    def tolerances(self) -> Tolerances:
+        """How far model and sensors may be off."""
+        return Tolerances(
+            figures=self.figures,
+            damping=self.damping,
+            length=self.length,
+            joint_zero=self.joint_zero,
+            sensor_gain=self.sensor_gain,
+            cross_axis=self.cross_axis,
+            command_delay=self.command_delay,
+            sensor_delay=self.sensor_delay,
+        )

@@ -1,0 +1,53 @@
+"""How far a nominal model and its sensors may be off: standard deviations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from loose_env.errors import InvalidSetting
+from loose_env.instrument.settings.validation import check_types
+
+__all__ = ["Tolerances"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tolerances:
+    """Standard deviations of what the nominal model and the sensors get wrong.
+
+    Examples
+    --------
+    >>> Tolerances(figures=-1.0)
+    Traceback (most recent call last):
+    ...
+    loose_env.errors.InvalidSetting: figures is a standard deviation above 0, got -1.0
+    """
+
+    figures: float = 0.02
+    """Masses, inertias, rotor inertias and gains of drives, relative."""
+    damping: float = 0.05
+    """Damping of joints, relative."""
+    length: float = 0.002
+    """Lengths of links, relative."""
+    motor_side: float = 0.05
+    """Share of a link's mass that is on the motor's side of its seat."""
+    joint_zero: float = 0.003
+    """Zeros of joints [rad or m]."""
+    sensor_gain: float = 0.01
+    """Gain of each accelerometer axis, relative."""
+    cross_axis: float = 0.02
+    """Leakage of each accelerometer axis into each other one, mounting included, relative."""
+    command_delay: float = 0.0005
+    """Delay of the commands and torques against the readings, beside half a sample; in every run
+    another [s]."""
+    sensor_delay: float = 0.0001
+    """Delay of the accelerometers against the joints' sensors; in every run another [s]."""
+
+    def __post_init__(self) -> None:
+        """Check."""
+        check_types(self)
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (np.isfinite(value) and value > 0):
+                raise InvalidSetting(f"{field.name} is a standard deviation above 0, got {value!r}")
