@@ -16,7 +16,7 @@ from loose_env.arms.arm import Arm
 from loose_env.envs.episode import BatchRig, EpisodeBatch, Outcome
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidSetting
-from loose_env.report.hidden import HiddenFigures, hidden_figures
+from loose_env.evaluation.fault_difficulty import HiddenFigures, hidden_figures
 
 __all__ = [
     "EVALUATION_SEED",

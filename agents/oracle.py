@@ -28,8 +28,8 @@ from loose_env.diagnosis.likelihood.posterior import Belief
 from loose_env.diagnosis.records.record_statistics import RecordStatistics
 from loose_env.envs.difficulty import FaultSampler, difficulty_named
 from loose_env.errors import InvalidSetting
+from loose_env.evaluation.fault_difficulty import hidden_figures
 from loose_env.faults import Backlash, Fault, StructuralLooseness
-from loose_env.report.hidden import hidden_figures
 
 __all__ = ["InformedBelief", "OracleAgent", "Told", "oracle_agent", "restricted"]
 

@@ -20,8 +20,8 @@ from loose_env.diagnosis.records.record_statistics import RecordStatistics, stat
 from loose_env.diagnosis.research.particles.evidence import ParticleSettings, probabilities_from
 from loose_env.envs.difficulty import FaultSampler
 from loose_env.envs.episode import EpisodeBatch
-from loose_env.report.calibration import expected_calibration_error
-from loose_env.report.study_figure import FAINT, INK, MUTED, pyplot, save_figure
+from loose_env.evaluation.calibration import expected_calibration_error
+from loose_env.report.studies import FAINT, INK, MUTED, pyplot, save_figure
 
 __all__ = [
     "CHECK_SEED",

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from agents.base import Problem
 from loose_env.envs.episode import EpisodeBatch
+from loose_env.evaluation.fault_difficulty import drive_over_friction
 from loose_env.faults import Fault, StructuralLooseness
-from loose_env.report.hidden import drive_over_friction
 
 __all__ = ["BANK_SEED", "BankSettings", "RecordBank", "play_episodes"]
 

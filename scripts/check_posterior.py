@@ -54,7 +54,7 @@ from loose_env.diagnosis.research.particles.evidence import ParticleSettings
 from loose_env.envs.difficulty import difficulty_named
 from loose_env.envs.episode import EpisodeBatch
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.report.stored_study import rounded, stored_rows, study_head, write_study
+from loose_env.report.studies import rounded, stored_rows, study_head, write_study
 
 ROOT = Path(__file__).resolve().parents[1]
 ARMS = {"vera": vera, "planar2": lambda: planar(2), "planar3": lambda: planar(3)}

@@ -33,8 +33,8 @@ from agents.shard_store import RowCodec, ShardStore
 from agents.shards import run_shards, shard_of
 from agents.unlike_arms import UNLIKE, UnlikeTask, play_unlike
 from loose_env.errors import LooseEnvError
+from loose_env.evaluation.success_rates import wilson
 from loose_env.faults import UNSURE
-from loose_env.report.standings import wilson
 
 
 def parser() -> argparse.ArgumentParser:

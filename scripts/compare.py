@@ -38,10 +38,10 @@ from agents.evaluation_shards import EvaluationTask, play_task, problem_of
 from agents.one_line_errors import errors_in_one_line
 from agents.policies import POLICIES, WEIGHTS, setting_name
 from agents.registry import AGENTS, make_agent
-from loose_env.report.comparison_text import comparison_text
-from loose_env.report.rows_file import configuration_hash, need_format, write_rows
-from loose_env.report.standings import Row, by_agent, standings
-from loose_env.report.training_seeds import SEPARATOR
+from loose_env.evaluation.rows import configuration_hash, need_format, write_rows
+from loose_env.evaluation.seed_aggregates import SEPARATOR
+from loose_env.evaluation.success_rates import Row, by_agent, standings
+from loose_env.report.comparison.text import comparison_text
 
 EPISODES = 4000
 """Episodes of a published comparison."""
@@ -157,8 +157,8 @@ def write_page(
     reference: str | None,
 ) -> Path:
     """Write the page: what was played, who won, tables, figures, one episode in pictures."""
-    from loose_env.report.comparison import write_comparison
-    from loose_env.report.story import tell_episode
+    from loose_env.report.comparison.episode_story import tell_episode
+    from loose_env.report.comparison.report import write_comparison
 
     best = next(s.agent for s in standings(rows) if not s.agent.endswith("*"))
     told = _told(rows, best, problem)

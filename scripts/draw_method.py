@@ -28,8 +28,8 @@ from loose_env.envs.drawing.scenery import arrow
 from loose_env.envs.drawing.view import PlanarView
 from loose_env.excitation import Excitation
 from loose_env.faults import Fault, Healthy, StructuralLooseness
-from loose_env.report.svg import standalone, to_svg
-from loose_env.report.template import write_whole
+from loose_env.report.pages.svg import standalone, to_svg
+from loose_env.report.pages.template import write_whole
 from loose_env.rig import SimulatedRig
 from loose_env.sensors import SensorSuite
 

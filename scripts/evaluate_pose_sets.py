@@ -48,10 +48,19 @@ from agents.shards import map_shards
 from loose_env.diagnosis.research.pose_sets.limits import one_by_one_share
 from loose_env.diagnosis.research.pose_sets.pose_sets import PLANNED
 from loose_env.errors import LooseEnvError
-from loose_env.report.colours import AGENTS as PALETTE
-from loose_env.report.standings import wilson
-from loose_env.report.stored_study import rounded, stored_rows, study_head, write_study
-from loose_env.report.study_figure import FAINT, INK, MUTED, pyplot, save_figure
+from loose_env.evaluation.success_rates import wilson
+from loose_env.report.pages.palette import AGENTS as PALETTE
+from loose_env.report.studies import (
+    FAINT,
+    INK,
+    MUTED,
+    pyplot,
+    rounded,
+    save_figure,
+    stored_rows,
+    study_head,
+    write_study,
+)
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]

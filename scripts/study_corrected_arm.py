@@ -37,13 +37,21 @@ from loose_env.cli.main import main as loose
 from loose_env.diagnosis.research.line_spectrum.direction import direction_by_dynamics
 from loose_env.envs.diagnosis import DiagnosisEnv
 from loose_env.envs.settings import DiagnosisSettings
+from loose_env.evaluation.paired_bootstrap import Interval, bootstrap_mean
+from loose_env.evaluation.success_rates import wilson
 from loose_env.faults import UNSURE
 from loose_env.gap.output.result import GapResult, read_result
 from loose_env.recording import Recording, Run, write_recording
-from loose_env.report.paired import Interval, bootstrap_mean
-from loose_env.report.standings import wilson
-from loose_env.report.stored_study import rounded, stored_rows, study_head, write_study
-from loose_env.report.study_figure import INK, MUTED, pyplot, save_figure
+from loose_env.report.studies import (
+    INK,
+    MUTED,
+    pyplot,
+    rounded,
+    save_figure,
+    stored_rows,
+    study_head,
+    write_study,
+)
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]

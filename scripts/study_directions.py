@@ -43,7 +43,7 @@ from loose_env.faults import (
     StructuralLooseness,
     parts_of,
 )
-from loose_env.report.stored_study import study_head, write_study
+from loose_env.report.studies import study_head, write_study
 from loose_env.rig import Job, Measurement, SimulatedRig
 from loose_env.statistics import (
     acceleration_from_angle,

@@ -40,8 +40,16 @@ from loose_env.diagnosis.research.line_spectrum.direction import (
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import Healthy, StructuralLooseness
-from loose_env.report.stored_study import rounded, stored_rows, study_head, write_study
-from loose_env.report.study_figure import INK, MUTED, pyplot, save_figure
+from loose_env.report.studies import (
+    INK,
+    MUTED,
+    pyplot,
+    rounded,
+    save_figure,
+    stored_rows,
+    study_head,
+    write_study,
+)
 from loose_env.rig import Job, Measurement, SimulatedRig
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import (

@@ -28,8 +28,16 @@ from loose_env.diagnosis.records.record_statistics import statistics_of
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Healthy, StructuralLooseness
-from loose_env.report.stored_study import rounded, stored_rows, study_head, write_study
-from loose_env.report.study_figure import INK, MUTED, pyplot, save_figure
+from loose_env.report.studies import (
+    INK,
+    MUTED,
+    pyplot,
+    rounded,
+    save_figure,
+    stored_rows,
+    study_head,
+    write_study,
+)
 from loose_env.rig import Job, SimulatedRig
 from loose_env.statistics import transmission_change
 

@@ -52,7 +52,7 @@ from loose_env.diagnosis.multi_sensor.sensor_rows import (
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Fault, Healthy, StructuralLooseness
-from loose_env.report.stored_study import study_head, write_study
+from loose_env.report.studies import study_head, write_study
 from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import LinkAccelerometers, SensorSuite
 from loose_env.statistics import axial_angle_between

@@ -44,7 +44,7 @@ from agents.tuning import (
 )
 from agents.tuning_shards import ORACLE, Player, names_of, play_player, trained
 from loose_env.errors import InvalidSetting
-from loose_env.report.paired import bootstrap_mean
+from loose_env.evaluation.paired_bootstrap import bootstrap_mean
 
 BOOTSTRAP_SEED = 0
 """Seed of all resamples."""

@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> None:
     # An earlier result must not stand beside a later page if this run is cut short.
     (folder.path / "result.json").unlink(missing_ok=True)
     try:
-        from loose_env.report.diagnosis_page import write_page
+        from loose_env.report.diagnosis.page import write_page
 
         arm = Machine(recording.model_path).shown
         name = options.recording.resolve().name

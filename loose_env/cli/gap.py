@@ -28,8 +28,8 @@ from loose_env.gap.residuals.physical_units import quantity_words
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.summary import outputs_of
 from loose_env.recording import read_recording
-from loose_env.report.gap_report import write_outputs
-from loose_env.report.gap_words import ranked_words, unsure
+from loose_env.report.gap.text import ranked_words, unsure
+from loose_env.report.gap.write import write_outputs
 
 __all__ = ["add_options", "run", "summary"]
 

@@ -68,10 +68,10 @@ def run(options: argparse.Namespace) -> None:
     files = PlanFiles(options.out, made.machine.recordable.xml)
     runs = files.next_names(len(made.signals))
     written = write_plan(files, made, known="" if options.known is None else str(options.known))
-    from loose_env.report.plan_words import summary
+    from loose_env.report.diagnosis.plan_text import summary
 
     try:
-        from loose_env.report.plan_page import write_plan_page
+        from loose_env.report.diagnosis.plan_page import write_plan_page
 
         written.append(
             write_plan_page(

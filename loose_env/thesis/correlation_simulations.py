@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.envs.drawing.ink import FAINT, INK, MUTED
-from loose_env.report.colours import AGENTS
-from loose_env.report.figures import new_figure
-from loose_env.report.plate import Plate
+from loose_env.report.pages.figure_card import Plate
+from loose_env.report.pages.figures import new_figure
+from loose_env.report.pages.palette import AGENTS
 from loose_env.statistics import (
     axial_difference,
     correlation_loop,

@@ -14,8 +14,8 @@ from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import Backlash, Fault, Healthy, StructuralLooseness
 from loose_env.kinematics.chain import Chain
 from loose_env.kinematics.jacobian import geometric_jacobian
-from loose_env.report.figures import WIDTH, new_figure
-from loose_env.report.plate import Plate
+from loose_env.report.pages.figure_card import Plate
+from loose_env.report.pages.figures import WIDTH, new_figure
 from loose_env.sensors import Encoder, read_encoder
 from loose_env.thesis.methods.looseness.docked_simulation import Jig, simulate_docked
 from loose_env.thesis.methods.looseness.inertia_condition import seated_inertia

@@ -10,7 +10,7 @@ from loose_env.arms.linear import LinearArm
 from loose_env.arms.shaken import ShakenArm
 from loose_env.arms.vera import BENDING_MODE_HZ
 from loose_env.arms.vera_shaken import PROXIMAL, ShakenVeraFigures, shaken_vera
-from loose_env.report.plate import Plate
+from loose_env.report.pages.figure_card import Plate
 from loose_env.statistics import axial_difference
 from loose_env.thesis.looseness_tables import (
     FINGER,

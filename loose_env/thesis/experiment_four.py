@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from loose_env.arms.slide import BENCH, SLIDE, SLIDE_BAND, Mount, slide_rig
 from loose_env.excitation import Excitation
 from loose_env.faults import Fault, Healthy
-from loose_env.report.plate import Plate
+from loose_env.report.pages.figure_card import Plate
 from loose_env.rig import Job, Measurement, SimulatedRig
 from loose_env.sensors import Accelerometer, SensorSuite
 from loose_env.statistics import (

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from loose_env.report.plate import Plate
+from loose_env.report.pages.figure_card import Plate
 from loose_env.thesis.printed import printed
 from loose_env.thesis.section import Section, Table
 from loose_env.thesis.shaken_cases import PLAY_DIRECTION, CaseFigures, measured_cases, poses

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from loose_env.report.plate import Plate
+from loose_env.report.pages.figure_card import Plate
 from loose_env.thesis.comparative import (
     STEP,
     ErrorSummary,

@@ -23,7 +23,7 @@ from loose_env.diagnosis.records.record_statistics import statistics_of
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Healthy
-from loose_env.report.plate import Plate
+from loose_env.report.pages.figure_card import Plate
 from loose_env.rig import Job, Measurement, SimulatedRig
 from loose_env.statistics import axial_difference, lowest_correlation_direction
 from loose_env.thesis.plots import Points, by_category

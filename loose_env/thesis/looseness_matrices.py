@@ -15,7 +15,7 @@ from loose_env.kinematics.jacobian import (
     geometric_jacobian,
     link_of_changed_columns,
 )
-from loose_env.report.plate import Plate
+from loose_env.report.pages.figure_card import Plate
 from loose_env.thesis.alternatives_weighed import GAP, POSES, loose_seat
 from loose_env.thesis.methods.looseness.inertia_condition import (
     backlash_condition,

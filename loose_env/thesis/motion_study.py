@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.envs.drawing.ink import INK, MEASURED, MUTED, TRUTH
-from loose_env.report.figures import new_figure
-from loose_env.report.plate import Plate
+from loose_env.report.pages.figure_card import Plate
+from loose_env.report.pages.figures import new_figure
 from loose_env.statistics import kurtosis
 from loose_env.statistics.histogram import contour_levels, histogram
 from loose_env.thesis.methods.motion.loose_planar_arm import (

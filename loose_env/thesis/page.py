@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from loose_env.errors import InvalidData
-from loose_env.report.template import paragraphs, shown, template, write_whole
+from loose_env.report.pages.template import paragraphs, shown, template, write_whole
 from loose_env.thesis.run import Outcome
 from loose_env.thesis.section import Section, Table
 

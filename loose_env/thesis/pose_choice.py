@@ -17,7 +17,7 @@ from loose_env.kinematics.manipulability import (
     rotation_line,
 )
 from loose_env.kinematics.seat_loads import reactions, reciprocal_product, wrench_rank
-from loose_env.report.plate import Plate
+from loose_env.report.pages.figure_card import Plate
 from loose_env.thesis.pose_figures import (
     EllipsoidPanel,
     comparison_figure,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from loose_env.arms import Arm
 from loose_env.envs.drawing.ink import EDGE, FAINT, INK, MEASURED, MUTED, TRUTH
 from loose_env.kinematics.chain import Chain
-from loose_env.report.figures import WIDTH, new_figure
+from loose_env.report.pages.figures import WIDTH, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

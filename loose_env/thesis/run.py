@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from multiprocessing import get_context
 
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.report.plate import Plate
-from loose_env.report.svg import to_svg
+from loose_env.report.pages.figure_card import Plate
+from loose_env.report.pages.svg import to_svg
 from loose_env.thesis.registry import choose, load
 from loose_env.thesis.section import Section
 

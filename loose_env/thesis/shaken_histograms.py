@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from loose_env.envs.drawing.ink import FAINT, INK, MUTED
-from loose_env.report.figures import WIDTH, new_figure
+from loose_env.report.pages.figures import WIDTH, new_figure
 from loose_env.sensors import STANDARD_GRAVITY
 from loose_env.statistics.histogram import contour_levels, histogram
 from loose_env.thesis.plots import COLOURS, legend_row

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from loose_env.envs.drawing.ink import FAINT, INK, MUTED
-from loose_env.report.figures import WIDTH, new_figure
+from loose_env.report.pages.figures import WIDTH, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.report.plate import Plate
+from loose_env.report.pages.figure_card import Plate
 from loose_env.statistics.distribution_matching import MatchSettings
 from loose_env.thesis.matching_study import (
     ANGLE,

@@ -18,7 +18,7 @@ from loose_env.kinematics.joint_loads import (
     peak_force,
     two_link_loads,
 )
-from loose_env.report.plate import Plate
+from loose_env.report.pages.figure_card import Plate
 from loose_env.thesis.printed import printed
 from loose_env.thesis.section import Section, Table
 from loose_env.thesis.sizing_figures import CaseCurves, force_figure, torque_figure

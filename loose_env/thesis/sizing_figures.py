@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.envs.drawing.ink import FAINT, INK, MEASURED, MUTED, TRUTH
-from loose_env.report.figures import new_figure
+from loose_env.report.pages.figures import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

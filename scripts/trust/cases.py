@@ -99,7 +99,7 @@ def _gap_reader() -> Callable[[Path], Any]:
 
 
 def _rows(around: Surroundings, rng: Rng) -> Attempt:
-    from loose_env.report.rows_file import read_rows
+    from loose_env.evaluation.rows import read_rows
 
     name = str(rng.choice(["rows.json", "rows.parquet"]))
     data = documents.rows()[name]

@@ -209,7 +209,7 @@ def _trained(out: Path) -> Any:
 
 def _rows(out: Path) -> list[str]:
     from agents.shard_store import RowCodec
-    from loose_env.report.rows_file import read_rows
+    from loose_env.evaluation.rows import read_rows
 
     found: list[str] = []
     for file in out.glob("shards/*/shard-*.json"):
@@ -225,7 +225,7 @@ def _rows(out: Path) -> list[str]:
 
 
 def _table(out: Path) -> Any:
-    from loose_env.report.rows_file import read_rows
+    from loose_env.evaluation.rows import read_rows
 
     return read_rows(out / "rows.parquet")
 

@@ -291,7 +291,7 @@ def logs() -> dict[str, bytes]:
 @functools.cache
 def rows() -> dict[str, bytes]:
     """Rows of a comparison as JSON and as Parquet."""
-    from loose_env.report.rows_file import write_rows
+    from loose_env.evaluation.rows import write_rows
 
     row: dict[str, Any] = {"agent": "a", "seed": 1, "episode": 0, "reward": 0.5, "success": True}
     with tempfile.TemporaryDirectory() as place:

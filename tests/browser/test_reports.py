@@ -16,14 +16,14 @@ from loose_env.gap.summary import gather, result_of
 from loose_env.instrument.planning.plan import plan
 from loose_env.instrument.settings.arm_and_plan import PlanSettings
 from loose_env.instrument.settings.measurement import NextSettings
-from loose_env.report.comparison import write_comparison
-from loose_env.report.diagnosis_page import write_page
-from loose_env.report.figures import success_bars
-from loose_env.report.gap_page import write_gap_page
-from loose_env.report.plan_page import write_plan_page
-from loose_env.report.plate import Plate
-from loose_env.report.story import tell_episode
-from loose_env.report.template import write_whole
+from loose_env.report.comparison.episode_story import tell_episode
+from loose_env.report.comparison.report import write_comparison
+from loose_env.report.diagnosis.page import write_page
+from loose_env.report.diagnosis.plan_page import write_plan_page
+from loose_env.report.gap.page import write_gap_page
+from loose_env.report.pages.figure_card import Plate
+from loose_env.report.pages.figures import success_bars
+from loose_env.report.pages.template import write_whole
 from tests.browser.chromium import Page
 from tests.browser.looks import WIDTHS, browser, fits_on_paper, is_in_order, pictures
 from tests.gap.gap_case import outputs_for, record

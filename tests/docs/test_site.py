@@ -13,7 +13,7 @@ pytest.importorskip("sphinx", reason="needs the extra docs: pip install -e '.[do
 pytest.importorskip("myst_parser")
 pytest.importorskip("furo")
 
-from loose_env.report.style import LIGHT
+from loose_env.report.pages.style import LIGHT
 from tests.browser.chromium import Page
 from tests.browser.looks import WIDTHS, browser, fits_on_paper, is_in_order, pictures
 from tests.docs.pages import ROOT

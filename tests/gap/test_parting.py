@@ -28,7 +28,7 @@ from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.summary import GapOutputs, gather, outputs_of, result_of
 from loose_env.recording import Recording, Run, write_recording
-from loose_env.report.gap_page import render_gap_page
+from loose_env.report.gap.page import render_gap_page
 from tests.gap.gap_case import stated
 from tests.gap.level_arm import FINE, LEVEL, recorded
 

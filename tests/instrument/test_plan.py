@@ -19,7 +19,7 @@ from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettin
 from loose_env.recording import read_recording
 from loose_env.recording.csv_file import write_csv
 from loose_env.recording.parquet_file import read_parquet
-from loose_env.report.plan_words import commands_after, steps
+from loose_env.report.diagnosis.plan_text import commands_after, steps
 from tests.instrument.plan_arms import MOTORS, SERVOED, URDF, written
 from tests.instrument.playing import play
 

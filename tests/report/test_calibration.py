@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData
-from loose_env.report.calibration import (
+from loose_env.evaluation.calibration import (
     calibration_of,
     claims_of,
     expected_calibration_error,

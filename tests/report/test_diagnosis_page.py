@@ -17,16 +17,16 @@ from loose_env.arms import Arm
 from loose_env.errors import InvalidData
 from loose_env.instrument.result import Diagnosis, Fault
 from loose_env.io.text import sentence
-from loose_env.report.diagnosis_arm import arm_figure
-from loose_env.report.diagnosis_figures import (
+from loose_env.report.diagnosis.arm_figure import arm_figure
+from loose_env.report.diagnosis.figures import (
     hypothesis_colours,
     loop_figure,
     posterior_figure,
     shown_hypotheses,
 )
-from loose_env.report.diagnosis_page import page_of, write_page
-from loose_env.report.diagnosis_words import headline, percent, questions, steps
-from loose_env.report.svg import THEMED, to_svg
+from loose_env.report.diagnosis.page import page_of, write_page
+from loose_env.report.diagnosis.text import headline, percent, questions, steps
+from loose_env.report.pages.svg import THEMED, to_svg
 from tests.report.diagnosis_case import CASES, desk, diagnosis, flat
 from tests.report.test_gap_page import Balanced
 

@@ -26,17 +26,17 @@ from loose_env.gap.diagnostics.experiment_advice import (
 )
 from loose_env.gap.output.result import Gap, GapResult, NamedEffect, Place, Ranked
 from loose_env.gap.summary import Evidence, GapOutputs, gather, result_of
-from loose_env.report import gap_report
-from loose_env.report.gap_figures import channel_bars, residual_panels
-from loose_env.report.gap_page import render_gap_page, write_gap_page
-from loose_env.report.gap_report import write_outputs
-from loose_env.report.gap_words import (
+from loose_env.report.gap import write as gap_report
+from loose_env.report.gap.figures import channel_bars, residual_panels
+from loose_env.report.gap.page import render_gap_page, write_gap_page
+from loose_env.report.gap.text import (
     effect_words,
     headline,
     mistaken_words,
     next_steps,
     size_words,
 )
+from loose_env.report.gap.write import write_outputs
 from tests.gap.gap_case import outputs_for, record
 
 

@@ -8,8 +8,8 @@ import pytest
 
 from loose_env.arms import planar
 from loose_env.arms.linear import LinearArm
+from loose_env.evaluation.seat_openness import SeatOpenness
 from loose_env.faults import Backlash, CompoundLooseness, Healthy, StructuralLooseness
-from loose_env.report.openness import SeatOpenness
 
 
 def slide(direction, friction=5.0):

@@ -13,17 +13,21 @@ pytest.importorskip("matplotlib")
 from loose_env.arms import vera
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidData
+from loose_env.evaluation.success_rates import standings, who_won
 from loose_env.faults import hypotheses
-from loose_env.report.colours import AGENTS, agent_colours
-from loose_env.report.comparison import write_comparison
-from loose_env.report.confusion import confusion_counts, confusion_matrix, ordered_hypotheses
-from loose_env.report.figures import success_against_records, success_bars
-from loose_env.report.page import render_page, write_comparison_page
-from loose_env.report.page_table import PageTable
-from loose_env.report.plate import Plate
-from loose_env.report.standings import standings, who_won
-from loose_env.report.story import Story, tell_episode
-from loose_env.report.svg import THEMED, inline, to_svg
+from loose_env.report.comparison.confusion_matrix import (
+    confusion_counts,
+    confusion_matrix,
+    ordered_hypotheses,
+)
+from loose_env.report.comparison.episode_story import Story, tell_episode
+from loose_env.report.comparison.page import render_page, write_comparison_page
+from loose_env.report.comparison.report import write_comparison
+from loose_env.report.pages.figure_card import Plate
+from loose_env.report.pages.figures import success_against_records, success_bars
+from loose_env.report.pages.palette import AGENTS, agent_colours
+from loose_env.report.pages.svg import THEMED, inline, to_svg
+from loose_env.report.pages.table import PageTable
 
 PNG = b"\x89PNG\r\n\x1a\nrest"
 SVG = b'<svg width="5" height="4"><defs><g id="a"/></defs><use href="#a"/></svg>'

@@ -9,9 +9,9 @@ from xml.etree import ElementTree
 
 import pytest
 
-from loose_env.report import style as styles
-from loose_env.report.style import DARK, LIGHT, PAPER
-from loose_env.report.svg import THEMED, standalone
+from loose_env.report.pages import style as styles
+from loose_env.report.pages.style import DARK, LIGHT, PAPER
+from loose_env.report.pages.svg import THEMED, standalone
 
 FIGURES = Path(__file__).resolve().parents[2] / "docs" / "figures"
 

@@ -8,14 +8,12 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData, UnknownName
-from loose_env.report.comparison_text import comparison_text
-from loose_env.report.crossed import crossing
-from loose_env.report.curves import success_after
-from loose_env.report.divided import divisions
-from loose_env.report.page_table import crossed_page_table, division_page_table
-from loose_env.report.pareto import pareto_front
-from loose_env.report.standings import standings, table_of
-from loose_env.report.terminal import WIDTH
+from loose_env.evaluation.factorial import crossing, pareto_front, success_after
+from loose_env.evaluation.strata import divisions
+from loose_env.evaluation.success_rates import standings, table_of
+from loose_env.report.comparison.terminal_tables import WIDTH
+from loose_env.report.comparison.text import comparison_text
+from loose_env.report.pages.table import crossed_page_table, division_page_table
 
 TRUTHS = ("healthy", "structural_looseness@link1", "backlash@joint2")
 RATIOS = (None, 0.5, 3.0)

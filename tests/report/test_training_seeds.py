@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData
-from loose_env.report.training_seeds import (
+from loose_env.evaluation.seed_aggregates import (
     interquartile_mean,
     runs_of,
     stratified_interval,

@@ -13,7 +13,7 @@ from agents.base import Problem
 from agents.evaluation import EVALUATION_SEED
 from loose_env.arms import planar, vera
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.report.rows_file import read_rows
+from loose_env.evaluation.rows import read_rows
 from scripts import compare
 
 ARGUMENTS = json.dumps({"durations": [0.2], "max_records": 3})

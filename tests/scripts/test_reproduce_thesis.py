@@ -12,7 +12,7 @@ pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
 from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.report.plate import Plate
+from loose_env.report.pages.figure_card import Plate
 from loose_env.thesis import run
 from loose_env.thesis.registry import SECTIONS
 from loose_env.thesis.run import Outcome, run_section, run_sections
@@ -35,7 +35,7 @@ def script() -> ModuleType:
 @pytest.fixture
 def sections(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, ModuleType]]:
     """Three small sections in place of those of the thesis; the second of them fails."""
-    from loose_env.report.figures import new_figure
+    from loose_env.report.pages.figures import new_figure
 
     def drawn(seed: int) -> Section:
         figure = new_figure(2.0)

@@ -20,7 +20,7 @@ from loose_env.arms.linear import LinearArm
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import StructuralLooseness
-from loose_env.report.stored_study import stored_rows, study_head, write_study
+from loose_env.report.studies import stored_rows, study_head, write_study
 
 ROOT = Path(__file__).resolve().parents[2]
 

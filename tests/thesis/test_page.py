@@ -12,9 +12,9 @@ pytest.importorskip("matplotlib")
 from markupsafe import escape
 
 from loose_env.errors import InvalidData
-from loose_env.report.figures import new_figure
-from loose_env.report.plate import Plate
-from loose_env.report.svg import THEMED
+from loose_env.report.pages.figure_card import Plate
+from loose_env.report.pages.figures import new_figure
+from loose_env.report.pages.svg import THEMED
 from loose_env.thesis.page import LEFT_OUT, ranges, render_thesis_page, write_thesis_page
 from loose_env.thesis.run import Outcome
 from loose_env.thesis.section import Section, Table

@@ -140,7 +140,7 @@ def test_no_old_result_stands_beside_a_new_model(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str, stays: bool
 ) -> None:
     """It goes with the first file that changes; until then it is that of the model beside it."""
-    import loose_env.report.gap_report as report
+    import loose_env.report.gap.write as report
 
     def killed(*_: object, **__: object) -> None:
         raise KeyboardInterrupt

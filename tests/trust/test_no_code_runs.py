@@ -150,7 +150,7 @@ def _result(place: Path, data: bytes) -> Any:
 
 
 def _rows(place: Path, data: bytes) -> Any:
-    from loose_env.report.rows_file import read_rows
+    from loose_env.evaluation.rows import read_rows
 
     place.joinpath("rows.parquet").write_bytes(data)
     return read_rows(place / "rows.parquet")

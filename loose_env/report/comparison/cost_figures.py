@@ -1,0 +1,200 @@
+"""Figures of what success costs, where it is won, and whether confidence can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from loose_env.envs.drawing.ink import FAINT, INK, MUTED
+from loose_env.evaluation.calibration import claims_of, reliability
+from loose_env.evaluation.factorial import pareto_front
+from loose_env.evaluation.strata import Division
+from loose_env.evaluation.success_rates import Row, Standing, by_agent
+from loose_env.report.pages.figures import WIDTH, new_figure
+from loose_env.report.pages.palette import agent_colours
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["reliability_curves", "success_and_records", "success_by_group"]
+
+_MARKERS = "osD^vP*Xhd"
+_LINE = 0.19  # of the legend [inch]
+_HEIGHT = 2.4  # of the axes [inch]
+_MOST = 250  # points of a reliability curve that count as enough for a full marker
+
+
+def success_and_records(
+    found: Sequence[Standing],
+    *,
+    curves: Mapping[str, Sequence[float]] | None = None,
+    colours: Mapping[str, str] | None = None,
+) -> Figure:
+    """Draw success against mean records: a point an agent, and the front that none beats.
+
+    Parameters
+    ----------
+    found : sequence of Standing
+        The agents.
+    curves : mapping, optional
+        Success after record 1, 2, ... of agents that may not stop, from
+        `loose_env.evaluation.factorial.success_after`.
+    colours : mapping, optional
+        Colour of each agent.
+    """
+    names = [s.agent for s in found]
+    paint = agent_colours(names) if colours is None else colours
+    figure, axes = _axes(1 + len(names))
+    for agent, curve in (curves or {}).items():
+        counts = np.arange(1, len(curve) + 1)
+        axes.plot(counts, curve, color=paint[agent], linewidth=1.3, alpha=0.75, zorder=2)
+    records = np.array([s.records for s in found])
+    success = np.array([s.success for s in found])
+    front = np.flatnonzero(pareto_front(records, success))
+    front = front[np.argsort(records[front])]
+    axes.step(
+        records[front],
+        success[front],
+        where="post",
+        color=MUTED,
+        linewidth=1.0,
+        linestyle=(0, (3, 2)),
+        zorder=1,
+        label="front: no other beats these",
+    )
+    for k, s in enumerate(found):
+        axes.plot([s.records] * 2, [s.low, s.high], color=paint[s.agent], linewidth=1.4, zorder=3)
+        axes.plot(
+            s.records,
+            s.success,
+            color=paint[s.agent],
+            marker=_MARKERS[k % len(_MARKERS)],
+            markersize=7.0,
+            markeredgecolor=INK,
+            markeredgewidth=0.7,
+            linestyle="",
+            label=s.agent,
+            zorder=4,
+        )
+    most = max([*records, *(len(curve) for curve in (curves or {}).values())])
+    low = min([*(s.low for s in found), *(min(c) for c in (curves or {}).values())])
+    axes.set(xlim=(0, 1.04 * most), ylim=(max(0.0, np.floor(10 * low - 0.5) / 10), 1.0))
+    axes.set_xlabel("mean records", color=MUTED, fontsize=9)
+    _finish(figure, axes, "share of right verdicts")
+    return figure
+
+
+def success_by_group(division: Division, *, colours: Mapping[str, str] | None = None) -> Figure:
+    """Draw the success of every agent in every group of a division, with 95 % intervals."""
+    names = list(division.cells)
+    paint = agent_colours(names) if colours is None else colours
+    figure, axes = _axes(len(names), lines=2)
+    place = np.arange(len(division.groups), dtype=float)
+    for k, (agent, cells) in enumerate(division.cells.items()):
+        at = place + 0.045 * (k - 0.5 * (len(names) - 1))
+        success = np.array([cell.success for cell in cells])
+        ends = np.array([[cell.low, cell.high] for cell in cells])
+        full = np.isfinite(success)
+        for x, (low, high) in zip(at[full], ends[full], strict=True):
+            axes.plot([x, x], [low, high], color=paint[agent], linewidth=1.2, alpha=0.7)
+        axes.plot(
+            at[full],
+            success[full],
+            color=paint[agent],
+            marker=_MARKERS[k % len(_MARKERS)],
+            markersize=5.0,
+            linewidth=1.4,
+            linestyle="-" if division.ordered else "",
+            clip_on=False,
+            zorder=3,
+            label=agent,
+        )
+    counts = [cell.episodes for cell in next(iter(division.cells.values()))]
+    ticks = [f"{name}\n{n} arms" for name, n in zip(division.groups, counts, strict=True)]
+    axes.set_xticks(place, ticks)
+    axes.set(xlim=(-0.4, len(place) - 0.6), ylim=(0.0, 1.0))
+    axes.set_xlabel(division.heading, color=MUTED, fontsize=9)
+    _finish(figure, axes, "share of right verdicts")
+    return figure
+
+
+def reliability_curves(
+    rows: Sequence[Row], *, colours: Mapping[str, str] | None = None, bins: int = 10
+) -> Figure | None:
+    """Draw how often each degree of confidence was right; None where nobody keeps probabilities.
+
+    On the diagonal a probability means what it says; below it the agent is too sure. The
+    smaller a marker, the fewer the beliefs behind it.
+    """
+    own = by_agent(rows)
+    paint = agent_colours(list(own)) if colours is None else colours
+    beliefs = {agent: claims_of(some) for agent, some in own.items()}
+    beliefs = {agent: claims for agent, claims in beliefs.items() if len(claims.record)}
+    if not beliefs:
+        return None
+    figure, axes = _axes(len(beliefs))
+    axes.plot([0, 1], [0, 1], color=MUTED, linewidth=1.0, linestyle=(0, (3, 2)), zorder=1)
+    for k, (agent, claims) in enumerate(beliefs.items()):
+        found = reliability(claims.confidence, claims.right, bins=bins)
+        area = 8.0 + 34.0 * np.minimum(found.count / _MOST, 1.0)
+        mark = _MARKERS[k % len(_MARKERS)]
+        axes.plot(found.confidence, found.right, color=paint[agent], linewidth=1.3, zorder=2)
+        axes.scatter(
+            found.confidence,
+            found.right,
+            s=area,
+            color=paint[agent],
+            marker=mark,
+            label=agent,
+            zorder=3,
+            clip_on=False,
+        )
+    axes.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
+    axes.set_xticks([0.0, 0.25, 0.5, 0.75, 1.0], ["0 %", "25 %", "50 %", "75 %", "100 %"])
+    axes.set_xlabel("probability of the best hypothesis", color=MUTED, fontsize=9)
+    _finish(figure, axes, "share that was right")
+    return figure
+
+
+def _axes(entries: int, *, lines: int = 1) -> tuple[Figure, Axes]:
+    """A figure with room below the axes for ticks of so many lines and a legend."""
+    below = 0.53 + 0.15 * lines + _LINE * ((entries + 1) // 2)
+    left, top = 0.62, 0.3
+    whole = _HEIGHT + below + top
+    figure = new_figure(whole)
+    box = (left / WIDTH, below / whole, 1 - (left + 0.12) / WIDTH, _HEIGHT / whole)
+    return figure, figure.add_axes(box)
+
+
+def _finish(figure: Figure, axes: Axes, what: str) -> None:
+    """Leave of the frame what helps reading; say what the height means; put the legend below."""
+    low, high = axes.get_ylim()
+    step = 0.25 if high - low > 0.6 else 0.1
+    ticks = np.arange(np.ceil(low / step) * step, high + 1e-9, step)
+    axes.set_yticks(ticks, [f"{100 * t:.0f} %" for t in ticks])
+    axes.set_ylim(low, high)
+    axes.patch.set_alpha(0.0)
+    axes.set_axisbelow(True)
+    axes.yaxis.grid(color=FAINT, linewidth=0.8)
+    axes.tick_params(length=0, pad=5, labelsize=8.5, labelcolor=MUTED)
+    for side, spine in axes.spines.items():
+        spine.set_visible(side == "bottom")
+        spine.set_color(MUTED)
+    above: dict[str, Any] = {"color": MUTED, "fontsize": 9, "ha": "left", "va": "bottom"}
+    axes.text(0.0, 1.025, what, transform=axes.transAxes, **above)
+    marks, labels = axes.get_legend_handles_labels()
+    figure.legend(
+        marks,
+        labels,
+        loc="lower left",
+        bbox_to_anchor=(0.02, 0.0),
+        ncols=2,
+        frameon=False,
+        fontsize=8.5,
+        labelcolor=INK,
+        handlelength=1.8,
+        columnspacing=1.6,
+    )

@@ -1,0 +1,101 @@
+"""One episode in pictures: every record, the verdict and the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from loose_env.arms.arm import Arm
+from loose_env.envs.drawing.words import fault_words, hypothesis_words
+from loose_env.envs.episode import EpisodeBatch
+from loose_env.envs.picture import Picture
+from loose_env.envs.settings import DiagnosisSettings
+from loose_env.faults import UNSURE
+from loose_env.report.pages.figure_card import Plate
+from loose_env.report.pages.svg import to_svg
+
+__all__ = ["Player", "Story", "tell_episode"]
+
+
+class Player(Protocol):
+    """An agent: stable-baselines3's ``predict``."""
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        """Choose actions for observations (num, size); carry the state along."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Story:
+    """What happened in one episode."""
+
+    plates: tuple[Plate, ...]
+    """The first pose, every record and the end, in order."""
+    truth: str
+    """The hypothesis that was true."""
+    verdict: str | None
+    """The one that the agent named."""
+    records: int
+    """Records taken."""
+    words: str
+    """The end in plain words."""
+
+
+def tell_episode(
+    agent: Player, arm: Arm, settings: DiagnosisSettings, *, seed: int, number: int = 0
+) -> Story:
+    """Let an agent play an episode and draw each step.
+
+    Parameters
+    ----------
+    agent : Player
+        The agent.
+    arm : Arm
+        The nominal arm; it must move in a plane.
+    settings : DiagnosisSettings
+        Settings of the environment.
+    seed, number : int
+        Which episode: the same one as that of a comparison with this seed.
+    """
+    batch = EpisodeBatch(arm, settings, threads=1)
+    picture = Picture(batch.nominal, show=False, sensors=settings.sensors)
+    batch.start(0, seed=seed, number=number)
+    episode = batch.episode(0)
+    assert episode is not None
+    plates = [Plate(image=to_svg(picture.figure(episode)), caption="The first pose")]
+    state: Any = None
+    info: dict[str, Any] = {}
+    while not episode.ended:
+        actions, state = agent.predict(
+            batch.observe(0)[None], state, np.array([episode.records == 0]), deterministic=True
+        )
+        info = batch.step([0], [np.asarray(actions)[0]])[0].info
+        if episode.ended:
+            break
+        caption = f"Record {episode.records}"
+        plates.append(Plate(image=to_svg(picture.figure(episode)), caption=caption))
+    verdict = info["verdict"]
+    named = hypothesis_words(verdict)
+    truth = fault_words(episode.fault)
+    last = picture.figure(episode, verdict=verdict)
+    plates.append(Plate(image=to_svg(last), caption="Verdict and truth"))
+    mark = "That was right." if verdict == info["fault"] else f"That was wrong: {truth}."
+    if verdict == UNSURE:
+        mark = f"What was the matter: {truth}."
+    spent = f"After {episode.records} record{'' if episode.records == 1 else 's'}"
+    said = "there was no verdict" if verdict is None else f"the verdict was: {named}"
+    return Story(
+        plates=tuple(plates),
+        truth=info["fault"],
+        verdict=verdict,
+        records=episode.records,
+        words=f"{spent} {said}. {mark}",
+    )

@@ -1,0 +1,246 @@
+"""The page of a comparison, from the rows of its episodes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from loose_env.evaluation.calibration import calibration_of
+from loose_env.evaluation.factorial import crossing, success_after
+from loose_env.evaluation.seed_aggregates import runs_of, trained_agents
+from loose_env.evaluation.strata import RATIO_EDGES, divisions
+from loose_env.evaluation.success_rates import Row, Standing, by_agent, standings, table_of, who_won
+from loose_env.report.comparison.confusion_matrix import confusion_matrix, ordered_hypotheses
+from loose_env.report.comparison.cost_figures import (
+    reliability_curves,
+    success_and_records,
+    success_by_group,
+)
+from loose_env.report.comparison.episode_story import Story
+from loose_env.report.comparison.page import write_comparison_page
+from loose_env.report.pages.figure_card import Plate
+from loose_env.report.pages.figures import success_against_records, success_bars
+from loose_env.report.pages.palette import agent_colours
+from loose_env.report.pages.table import (
+    PageTable,
+    calibration_tables,
+    crossed_page_table,
+    division_page_table,
+    trainings_page_table,
+)
+
+__all__ = ["write_comparison"]
+
+_MATRICES = 6  # confusion matrices on the page; more are hard to take in
+_COLUMNS = (
+    "Right: verdicts that name the hidden fault. Right place: those that name its link or joint, "
+    "whatever the kind. False alarms: healthy arms on which a fault was named. Missed: faulty arms "
+    "called healthy. Poses, records, seconds of shaking and return are means."
+)
+_MARGIN = "± is half the 95 % bootstrap interval."
+_PAIRED = (
+    "The last column is the return less that of {} on the same arms, with its paired 95 % interval."
+)
+
+_MATRIX = (
+    "Number of arms by truth (rows) and verdict (columns); the stronger the colour, the larger the "
+    "share of the arms in that row. Right verdicts lie in the framed cells."
+)
+_READING = (
+    "How to read the pictures: the blue loop on the tool shows, direction by direction, how well "
+    "the tool follows the shaken joint; on the grey circle it follows perfectly. The blue line is "
+    "the direction in which it follows least. Dashed is what a healthy arm would show. Where the "
+    "two differ clearly, something may be loose."
+)
+
+
+def write_comparison(
+    path: str | os.PathLike[str],
+    rows: Sequence[Row],
+    *,
+    title: str,
+    played: str | Sequence[str],
+    hypotheses: Sequence[str] | None = None,
+    chance: float | None = None,
+    forced: Sequence[Row] = (),
+    reference: str | None = None,
+    rng: np.random.Generator | None = None,
+    said: Sequence[str] = (),
+    story: Story | None = None,
+    story_of: str = "",
+    notes: str | Sequence[str] = (),
+) -> Path:
+    """Write the page of a comparison: words, tables, figures, and one episode in pictures.
+
+    Parameters
+    ----------
+    path : path-like
+        Where the page goes.
+    rows : sequence of Row
+        Episodes of all agents.
+    title : str
+        Title of the page.
+    played : str or sequence of str
+        What was played, in plain words; who won is added below.
+    hypotheses : sequence of str, optional
+        All hypotheses in order; by default those that the rows mention.
+    chance : float, optional
+        Success rate of a blind guess [1].
+    forced : sequence of Row
+        Episodes of agents that were made to take all records.
+    reference : str, optional
+        Agent whose return the others' is compared with.
+    rng : numpy.random.Generator, optional
+        Draws the bootstrap; without it there are no intervals of records and return.
+    said : sequence of str
+        Further paragraphs below the outcome, such as a bound on records.
+    story : Story, optional
+        One episode, from `loose_env.report.comparison.episode_story.tell_episode`.
+    story_of : str
+        Who played it.
+    notes : str or sequence of str
+        Paragraphs at the foot of the page: how to make it again.
+
+    Returns
+    -------
+    Path
+        The file written.
+    """
+    own = by_agent(rows)
+    found = standings(rows, reference=reference, rng=rng)
+    best, *rest = who_won(rows)
+    colours = agent_colours(list(own))
+    chapters = [
+        _success(rows, forced, found, colours, chance),
+        _crossed(found),
+        _divided(rows, colours),
+        _calibrated(forced or rows, colours),
+        _trained(rows, rng),
+        _confused(own, found, colours, hypotheses),
+    ]
+    note = _COLUMNS if rng is None else f"{_COLUMNS} {_MARGIN}"
+    return write_comparison_page(
+        path,
+        title=title,
+        text=played,
+        result=[best, *([" ".join(rest)] if rest else []), *said],
+        table=table_of(found, reference=reference),
+        table_note=note if reference is None else f"{note} {_PAIRED.format(reference)}",
+        colours=colours,
+        figures=[item for chapter in chapters for item in chapter],
+        story=() if story is None else story.plates,
+        story_text=() if story is None else _told(story, story_of),
+        notes=notes,
+    )
+
+
+def _success(
+    rows: Sequence[Row],
+    forced: Sequence[Row],
+    found: Sequence[Standing],
+    colours: Mapping[str, str],
+    chance: float | None,
+) -> list[Plate | PageTable]:
+    curves = success_after(forced)
+    lines = "The lines show how often an agent is right after so many records if it may not stop. "
+    plates: list[Plate | PageTable] = [
+        Plate(
+            heading="How often they were right",
+            image=success_bars(rows, colours=colours, chance=chance),
+            caption="Share of arms whose fault was named rightly. The line is the 95 % interval: "
+            "where the true rate lies, given this number of arms.",
+        ),
+        Plate(
+            image=success_and_records(found, curves=curves, colours=colours),
+            caption="Success against mean records; upright lines are 95 % intervals. Up and left "
+            f"is good. {lines if curves else ''}The dashed front joins those that no other "
+            "beats in both.",
+        ),
+    ]
+    if not curves:
+        plates.append(
+            Plate(
+                image=success_against_records(rows, colours=colours),
+                caption="Share decided rightly after at most so many records. Steep and early is "
+                "good: every record costs.",
+            )
+        )
+    return plates
+
+
+def _crossed(found: Sequence[Standing]) -> list[Plate | PageTable]:
+    crossed = crossing(found)
+    return [] if crossed is None else [crossed_page_table(crossed)]
+
+
+def _divided(rows: Sequence[Row], colours: Mapping[str, str]) -> list[Plate | PageTable]:
+    parts: list[Plate | PageTable] = []
+    for k, division in enumerate(divisions(rows)):
+        heading = "What makes a fault hard to find" if k == 0 else ""
+        parts.append(division_page_table(division, heading=heading))
+        parts.append(
+            Plate(
+                image=success_by_group(division, colours=colours),
+                caption=f"Share of right verdicts by {division.heading}, with 95 % intervals.",
+            )
+        )
+    return parts
+
+
+def _calibrated(rows: Sequence[Row], colours: Mapping[str, str]) -> list[Plate | PageTable]:
+    figure = reliability_curves(rows, colours=colours)
+    if figure is None:
+        return []
+    judged = [
+        calibration_of(agent, own, edges=RATIO_EDGES) for agent, own in by_agent(rows).items()
+    ]
+    caption = (
+        "How often beliefs of each strength were right. On the dashed line a probability means "
+        "what it says; below it the agent is too sure. Small marks rest on few beliefs."
+    )
+    return [
+        *calibration_tables([c for c in judged if c is not None]),
+        Plate(image=figure, caption=caption),
+    ]
+
+
+def _trained(rows: Sequence[Row], rng: np.random.Generator | None) -> list[Plate | PageTable]:
+    runs = trained_agents(str(row["agent"]) for row in rows)
+    if rng is None or not runs:
+        return []
+    counts = {agent: len(names) for agent, names in runs.items()}
+    return [trainings_page_table(runs_of(rows, rng=rng), counts)]
+
+
+def _confused(
+    own: Mapping[str, Sequence[Row]],
+    found: Sequence[Standing],
+    colours: Mapping[str, str],
+    hypotheses: Sequence[str] | None,
+) -> list[Plate | PageTable]:
+    names = hypotheses
+    if names is None:
+        names = ordered_hypotheses([row for some in own.values() for row in some])
+    left = len(found) - _MATRICES
+    more = (
+        f" The {_MATRICES} best by return; the raw rows hold the other {left}." if left > 0 else ""
+    )
+    return [
+        Plate(
+            heading="What they took for what" if k == 0 else "",
+            intro=_MATRIX + more,
+            title=standing.agent,
+            image=confusion_matrix(
+                own[standing.agent], hypotheses=names, colour=colours[standing.agent]
+            ),
+            caption=f"Confusion matrix of {standing.agent}",
+        )
+        for k, standing in enumerate(found[:_MATRICES])
+    ]
+
+
+def _told(story: Story, teller: str) -> list[str]:
+    return [f"Played by {teller}. {story.words}" if teller else story.words, _READING]

@@ -1,0 +1,199 @@
+"""The arm in a pose, with what is suspected marked, for the page of a diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.arm import Arm
+from loose_env.envs.drawing.arm import ArmDrawing
+from loose_env.envs.drawing.ink import EDGE, INK, MUTED, SHAKEN, TRUTH
+from loose_env.envs.drawing.scenery import arrow, draw_base, draw_measure, half_height
+from loose_env.envs.drawing.space_arm import SpaceDrawing
+from loose_env.envs.drawing.space_view import SpaceView
+from loose_env.envs.drawing.view import PlanarView, moves_in_a_plane
+from loose_env.errors import InvalidData
+from loose_env.faults import Backlash, StructuralLooseness
+from loose_env.instrument.result import Fault
+from loose_env.report.pages.figures import WIDTH, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["arm_figure", "pose_of"]
+
+Array = NDArray[np.float64]
+_HEIGHT, _LEGEND = 4.5, 0.34  # of the figure, and of the words above the arm [inch]
+_STIFF = (1.0, 1.0)
+"""A drawn seat has a place and a direction; its figures are not looked at."""
+
+
+def pose_of(arm: Arm, pose: Mapping[str, float]) -> Array:
+    """Positions of an arm's joints, base first; those that are not named stand at zero.
+
+    Raises
+    ------
+    InvalidData
+        If the pose names a joint that the arm does not have.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> pose_of(planar(2), {"joint2": 0.5}).tolist()
+    [0.0, 0.5]
+    """
+    unknown = sorted(set(pose) - set(arm.joints))
+    if unknown:
+        raise InvalidData(
+            f"the diagnosis has a pose of the joints {unknown}, which are none of arm "
+            f"{arm.name!r}; it has {', '.join(arm.joints)}: give the model that was diagnosed"
+        )
+    return np.array([float(pose.get(joint, 0.0)) for joint in arm.joints])
+
+
+def arm_figure(
+    arm: Arm,
+    pose: Mapping[str, float],
+    *,
+    fault: Fault | None = None,
+    excited: Collection[str] | None = None,
+) -> Figure:
+    """Draw an arm in a pose.
+
+    Parameters
+    ----------
+    arm : Arm
+        The nominal arm.
+    pose : mapping
+        Joint -> position [rad or m].
+    fault : Fault, optional
+        What is suspected; drawn in the colour of the fault.
+    excited : collection of str, optional
+        Joints that are shaken; the others are held. Without it no joint is either.
+
+    Raises
+    ------
+    InvalidData
+        If the pose or the fault names what the arm does not have.
+    """
+    figure = new_figure(_HEIGHT)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0 - _LEGEND / _HEIGHT))
+    axes.set_axis_off()
+    shaken = None if excited is None else np.array([joint in excited for joint in arm.joints])
+    loose, seat = _seat(arm, fault)
+    draw = _planar if moves_in_a_plane(arm) else _space
+    draw(axes, arm, pose_of(arm, pose), shaken, loose, seat)
+    _legend(figure, shaken, seat, bool(loose))
+    return figure
+
+
+def _seat(arm: Arm, fault: Fault | None) -> tuple[list[int], StructuralLooseness | Backlash | None]:
+    """Loose links, and the fault as the drawings know it; None where it has no direction."""
+    if fault is None or fault.where is None:
+        return [], None
+    places = arm.joints if fault.kind == "backlash" else arm.seat_bodies
+    if fault.where not in places:
+        raise InvalidData(
+            f"the diagnosis names {fault.where!r}, which arm {arm.name!r} does not have; it has "
+            f"{', '.join(places)}: give the model that was diagnosed"
+        )
+    number = places.index(fault.where) + 1
+    if fault.kind == "backlash":
+        return [], Backlash(joint=number, gap=0.0, stiffness=_STIFF)
+    if fault.direction is None:
+        return [number], None
+    slide = StructuralLooseness(link=number, direction=fault.direction, gap=0.0, stiffness=_STIFF)
+    return [number], slide
+
+
+def _planar(
+    axes: Axes,
+    arm: Arm,
+    pose: Array,
+    shaken: NDArray[np.bool_] | None,
+    loose: list[int],
+    seat: StructuralLooseness | Backlash | None,
+) -> None:
+    view = PlanarView(arm)
+    drawing = ArmDrawing(arm.reach, arm.n, vertical=view.vertical)
+    at = view.at(pose)
+    _frame(axes, drawing.room(at), 0.42 * arm.reach)
+    draw_measure(axes, vertical=view.vertical)
+    draw_base(axes, float(drawing.radii[0]), vertical=view.vertical)
+    drawing.links(axes, at, loose=loose)
+    drawing.joints(axes, at, shaken)
+    drawing.tool(axes, at)
+    if seat is not None:
+        drawing.fault(axes, at, seat)
+
+
+def _space(
+    axes: Axes,
+    arm: Arm,
+    pose: Array,
+    shaken: NDArray[np.bool_] | None,
+    loose: list[int],
+    seat: StructuralLooseness | Backlash | None,
+) -> None:
+    view = SpaceView(arm)
+    drawing = SpaceDrawing(arm)
+    at = view.at(pose)
+    _frame(axes, drawing.room(at), 0.45 * arm.reach)
+    drawing.ground(axes, at)
+    drawing.base(axes, at)
+    drawing.arm(axes, at, shaken, loose)
+    drawing.tool(axes, at, arm.axes)
+    if seat is not None:
+        drawing.fault(axes, at, seat)
+    half = half_height(axes)
+    (left, right), (bottom, _) = axes.get_xlim(), axes.get_ylim()
+    side = 0.03 * (right - left)
+    look: dict[str, Any] = {"color": MUTED, "fontsize": 9.5, "va": "bottom"}
+    axes.text(left + side, bottom + 0.03 * half, f"grid {drawing.spacing:g} m", **look)
+    if view.gravity:
+        tip = np.array([right - side, bottom + 0.04 * half])
+        arrow(axes, tip + np.array([0.0, 0.2 * half]), tip, color=MUTED, width=1.4, zorder=1.0)
+        axes.text(tip[0] - 0.03 * half, bottom + 0.03 * half, "gravity", ha="right", **look)
+
+
+def _frame(axes: Axes, room: Array, least: float) -> None:
+    """Fit the view round points (k, 2), not closer than half a height of ``least`` [m]."""
+    wide = WIDTH / (_HEIGHT - _LEGEND)
+    low, high = room.min(axis=0), room.max(axis=0)
+    low = low - np.array([0.0, 0.08 * float(high[1] - low[1])])  # for the words below
+    span = 0.5 * (high - low)
+    half = max(least, 1.04 * float(span[0]) / wide, 1.04 * float(span[1]))
+    middle = 0.5 * (low + high)
+    axes.set(
+        xlim=(middle[0] - wide * half, middle[0] + wide * half),
+        ylim=(middle[1] - half, middle[1] + half),
+    )
+
+
+def _legend(
+    figure: Figure,
+    shaken: NDArray[np.bool_] | None,
+    seat: StructuralLooseness | Backlash | None,
+    loose: bool,
+) -> None:
+    """Name the colours above the arm."""
+    entries: list[tuple[str, str, str]] = []
+    if loose:
+        entries.append(("■", TRUTH, "suspected link"))
+    if isinstance(seat, StructuralLooseness):
+        entries.append(("↔", INK, "the way it slides"))
+    if isinstance(seat, Backlash):
+        entries.append(("○", TRUTH, "suspected joint"))
+    if shaken is not None and shaken.any():
+        entries.append(("●", SHAKEN, "shaken"))
+        if not shaken.all():
+            entries.append(("■", EDGE, "held"))
+    x, y = 0.03, 1 - 0.5 * _LEGEND / _HEIGHT
+    for mark, colour, words in entries:
+        figure.text(x, y, mark, color=colour, fontsize=11, ha="left", va="center")
+        figure.text(x + 0.04, y, words, color=INK, fontsize=10, ha="left", va="center")
+        x += 0.075 + 0.015 * len(words)

@@ -1,0 +1,182 @@
+"""A plan in words: what to do, step by step, for somebody who stands at the machine."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from loose_env.instrument.model.actuators import JointDrive
+from loose_env.instrument.planning.plan import Plan
+from loose_env.instrument.planning.plan_files import RECORDING, run_columns, signal_stems
+from loose_env.instrument.planning.signals import Signal
+from loose_env.instrument.settings.command_line import option_words, path_word
+from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.report.diagnosis.text import percent, place_value, short_name
+
+__all__ = ["commands_after", "plain_names", "pose_rows", "starts", "steps", "summary"]
+
+_LISTED = 0.02
+"""Probability from which a hypothesis is mentioned [1]."""
+
+
+def pose_rows(plan: Plan) -> list[tuple[str, str]]:
+    """Joint and where to hold it, base first."""
+    return [
+        (name, place_value(plan.machine.arm, own, plan.next.pose[name]))
+        for name, own in zip(plan.machine.joints, plan.machine.arm.joints, strict=True)
+    ]
+
+
+def starts(plan: Plan) -> list[str]:
+    """Command of each joint's actuator when the first signal begins, base first."""
+    first = plan.signals[0].start
+    return [
+        "–" if drive is None else f"{first[drive.actuator]:.4f}".replace("-", "−")
+        for drive in plan.machine.drives
+    ]
+
+
+def commands_after(
+    plan: Plan, folder: str | Path = "DIR", model: str | Path | None = None
+) -> list[str]:
+    """Commands that make use of the measured run: diagnose, and plan again.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    folder : str or Path
+        Where the plan lies, as commands are to name it.
+    model : str or Path, optional
+        The model, as commands are to name it; by default as the plan has it.
+    """
+    place = Path(folder)
+    found = path_word(place / "diagnosis")
+    chosen_with = {n: v for n, v in plan.again.items() if n in asdict(NextSettings())}
+    return [
+        f"loose diagnose {path_word(place / RECORDING)} --out {found}{option_words(chosen_with)}",
+        f"loose plan {path_word(model or plan.machine.path)} --out {path_word(place)} "
+        f"--known {found}{option_words(plan.again)}",
+    ]
+
+
+def steps(plan: Plan, runs: tuple[str, ...]) -> list[str]:
+    """What to do, a sentence or two a step; `commands_after` are what the last one speaks of.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    runs : tuple of str
+        File of each signal's run.
+    """
+    machine, chosen = plan.machine, plan.next
+    made = machine.recordable
+    said = [
+        "Move the arm to the pose: "
+        + ", ".join(f"{name} {value}" for name, value in pose_rows(plan))
+        + ". Look first that nothing is in its way; keep everybody out of its reach.",
+    ]
+    rate = f"{chosen.rate_hz:g} times a second"
+    for signal, run, stem in zip(plan.signals, runs, signal_stems(plan.signals), strict=True):
+        j = machine.joints.index(signal.joint)
+        drive = machine.drives[j]
+        assert drive is not None
+        what = _unit_words(drive, bool(machine.arm.sliding[j]))
+        others = (
+            "The other columns hold the arm."
+            if drive.servo
+            else "Torque alone holds no pose: let your controller keep every joint near its place, "
+            f"slow enough to leave the noise alone (below {chosen.band_hz[0] / 4:.0f} Hz), and add "
+            "the signal to what it gives."
+        )
+        commands = (
+            f"those of {stem}.csv"
+            if drive.servo
+            else "the torques that were really given, the controller's part included"
+        )
+        said.append(
+            f"Start the recorder at {rate} or faster, then play {stem}.csv (or {stem}.parquet): "
+            f"{what} for {drive.actuator}, {signal.time[-1]:.2f} s long, noise from "
+            f"{chosen.band_hz[0]:g} to {chosen.band_hz[1]:g} Hz. {others}"
+            f"{_starts(signal) if drive.servo else ''}"
+        )
+        said.append(
+            f"Save the readings as recording/{run} with the columns "
+            f"{', '.join(run_columns(plan))}. The commands are {commands}; "
+            "accelerations are in m/s² as the sensor gives them, gravity included, along the axes "
+            f"of the site {made.site!r}."
+        )
+    said.append(
+        "Run the two commands below: the first says what is loose, the second plans the next pose."
+    )
+    return said
+
+
+def _unit_words(drive: JointDrive, slides: bool) -> str:
+    """What a signal's commands are, in the actuator's own unit."""
+    if drive.servo:
+        unit = "m" if slides else "rad"
+        ratio = float(drive.command(0.0, 1.0)) - float(drive.command(0.0, 0.0))
+        own = unit if np.isclose(ratio, 1.0) else f"{ratio:g} for each {unit} of the joint"
+        return f"position commands ({own})"
+    what, unit = ("force", "N") if slides else ("torque", "N·m")
+    own = "" if np.isclose(drive.gain, 1.0) else f" (1 gives {drive.gain:g} {unit})"
+    return f"{what} commands{own}"
+
+
+def _starts(signal: Signal) -> str:
+    """Commands with which a signal begins, as its file has them, in a sentence."""
+    first = ", ".join(f"{name} at {value:.4g}" for name, value in signal.start.items())
+    return f" It begins with {first}: the arm has to stand under these commands, or it jumps."
+
+
+def summary(plan: Plan) -> str:
+    """A plan in a few lines, for a terminal."""
+    machine, chosen = plan.machine, plan.next
+    arm = machine.arm
+    width = max(len(name) for name in machine.joints)
+    lines = [f"why: {chosen.reason}", "pose"]
+    lines += [f"  {name.ljust(width)}  {value:>10}" for name, value in pose_rows(plan)]
+    for signal in plan.signals:
+        j = machine.joints.index(signal.joint)
+        unit, turn = ("N", "m/s²") if arm.sliding[j] else ("N·m", "rad/s²")
+        lines.append(f"shake {signal.joint}")
+        lines.append(
+            f"  noise from {chosen.band_hz[0]:g} to {chosen.band_hz[1]:g} Hz for "
+            f"{chosen.seconds:g} s, {chosen.rate_hz:g} samples a second"
+        )
+        lines.append(
+            f"  joint {signal.joint_rms:.3g} {turn} rms, tool {signal.tool_rms:.3g} m/s² rms, "
+            f"moves up to {_small(signal.travel[j], bool(arm.sliding[j]))}"
+        )
+        lines.append(
+            f"  torque {signal.drive_rms:.3g} {unit} rms, peaks {signal.torque_peaks[j]:.3g} of "
+            f"{arm.torque_limits[j]:g} {unit} with what holds the pose"
+        )
+    plain = plain_names(plan)
+    known = sorted(plan.expected.items(), key=lambda item: -item[1].probability)
+    if any("@" in name and one.probability > 0.3 for name, one in known):
+        lines.append("in question")
+        for name, one in known:
+            if one.probability >= _LISTED:
+                lines.append(f"  {percent(one.probability):>8}  {plain[name]}")
+    return "\n".join(lines)
+
+
+def plain_names(plan: Plan) -> dict[str, str]:
+    """Each hypothesis of a plan in a few words."""
+    machine = plan.machine
+    found = {}
+    for name in plan.expected:
+        kind, _, where = name.partition("@")
+        if kind == "backlash":  # the arm has a name of its own in the place of a reserved one
+            where = machine.arm.joints[machine.joints.index(where)]
+        found[name] = short_name(machine.arm, f"{kind}@{where}" if where else kind)
+    return found
+
+
+def _small(travel: float, slides: bool) -> str:
+    return f"{travel * 1e3:.2g} mm" if slides else f"{np.degrees(travel):.2g}°"

@@ -1,0 +1,60 @@
+"""Sections of a report, and how its numbers are written."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from loose_env.report.pages.figure_card import Plate
+from loose_env.report.pages.template import shown
+
+__all__ = ["group", "signed", "spread"]
+
+
+def group(
+    heading: str,
+    intro: str,
+    *,
+    tables: Sequence[dict[str, Any]] = (),
+    plates: Sequence[Plate] = (),
+    points: Sequence[str] = (),
+    code: str = "",
+    beside: bool = False,
+) -> dict[str, Any]:
+    """A section of the page; nothing where it would be empty.
+
+    With ``beside`` the first table stands beside the first picture where there is room.
+    """
+    if not (tables or plates or points or code):
+        return {}
+    name = "".join(c for c in heading.lower() if c.isalpha())
+    return {
+        "heading": heading,
+        "intro": intro,
+        "tables": [
+            {
+                "title": t.get("title", ""),
+                "note": t["note"],
+                "columns": list(t["rows"][0]),
+                "rows": [[str(v) for v in row.values()] for row in t["rows"]],
+            }
+            for t in tables
+            if t["rows"]
+        ],
+        "plates": [shown(plate, f"{name}{k}") for k, plate in enumerate(plates)],
+        "points": list(points),
+        "code": code,
+        "beside": beside and bool(plates) and bool(tables),
+    }
+
+
+def spread(values: Sequence[float]) -> str:
+    """Smallest and largest value; one where they are the same to two digits."""
+    low, high = f"{min(values):.2f}", f"{max(values):.2f}"
+    return low if low == high else f"{low} to {high}"
+
+
+def signed(value: float, digits: int = 2) -> str:
+    """A number with a true minus sign."""
+    text = f"{value:.{digits}f}"
+    return text.lstrip("-") if float(text) == 0 else text.replace("-", "−")

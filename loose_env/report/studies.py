@@ -1,0 +1,134 @@
+"""Studies on disk: rows with everything needed to get them again, written whole or not at all.
+
+The look that the figures of the studies share.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+__all__ = [
+    "FAINT",
+    "INK",
+    "MUTED",
+    "pyplot",
+    "rounded",
+    "save_figure",
+    "stored_rows",
+    "study_head",
+    "write_study",
+]
+
+
+def study_head(made_by: str, settings: Any, *, version: str, **more: Any) -> dict[str, Any]:
+    """Say what rows rest on: the script, its settings, the versions.
+
+    Parameters
+    ----------
+    made_by : str
+        Script that makes the study.
+    settings : dataclass or mapping
+        Its settings.
+    version : str
+        Version of this package.
+    **more
+        Further figures of it.
+
+    Returns
+    -------
+    dict
+        As it will be read back from a file.
+    """
+    head = {
+        "made_by": made_by,
+        "settings": dict(settings) if isinstance(settings, Mapping) else asdict(settings),
+        **more,
+        "versions": {
+            "loose_env": version,
+            "mujoco": mujoco.__version__,
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+        },
+    }
+    read_back: dict[str, Any] = json.loads(json.dumps(head))
+    return read_back
+
+
+def write_study(path: Path, head: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
+    """Write a study, a line for each row, beside its place first.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder, "study.json")
+    ...     write_study(file, {"made_by": "me"}, [{"error": 1.23456}])
+    ...     stored_rows(file, {"made_by": "me"}), stored_rows(file, {"made_by": "you"})
+    ([{'error': 1.235}], [])
+    """
+    beside = path.with_suffix(".part.json")
+    start = json.dumps(head, indent=1).removesuffix("\n}")
+    lines = ",\n".join("  " + json.dumps(rounded(row)) for row in rows)
+    beside.write_text(f'{start},\n "rows": [\n{lines}\n ]\n}}\n', encoding="utf-8")
+    os.replace(beside, path)
+
+
+def stored_rows(path: Path, head: dict[str, Any]) -> list[dict[str, Any]]:
+    """Rows of an earlier study, whole or interrupted, if it rests on the same; else none."""
+    if not path.exists():
+        return []
+    stored = json.loads(path.read_text(encoding="utf-8"))
+    same = all(stored.get(key) == value for key, value in head.items())
+    return list(stored["rows"]) if same else []
+
+
+def rounded(value: Any) -> Any:
+    """Round all numbers in it to four digits, which is more than they hold."""
+    if isinstance(value, dict):
+        return {key: rounded(part) for key, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [rounded(part) for part in value]
+    return float(f"{value:.4g}") if isinstance(value, float) else value
+
+
+INK, MUTED, FAINT = "#1b2128", "#66717d", "#c9d0d7"
+"""Colours of text, of what stands behind it, and of lines that only frame."""
+
+
+def pyplot() -> Any:
+    """Matplotlib's pyplot without a window, set to the studies' look."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    plt.rcParams.update(
+        {
+            "font.size": 9,
+            "text.color": INK,
+            "axes.edgecolor": FAINT,
+            "axes.labelcolor": INK,
+            "xtick.color": MUTED,
+            "ytick.color": MUTED,
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+        }
+    )
+    return plt
+
+
+def save_figure(plt: Any, figure: Any, path: Path, *, dpi: int = 130) -> None:
+    """Write a figure beside its place, put it there whole, and close it."""
+    beside = path.with_suffix(f".part{path.suffix}")
+    figure.savefig(beside, dpi=dpi)
+    plt.close(figure)
+    os.replace(beside, path)
