@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.arms.linear import LinearArm
-from loose_env.envs.actions import ActionLayout
-from loose_env.envs.observation import ObservationLayout
+from loose_env.envs.episode.actions import ActionLayout
+from loose_env.envs.episode.observation import ObservationLayout
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.faults import UNSURE, hypotheses
 

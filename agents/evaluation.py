@@ -217,10 +217,11 @@ def evaluate(
     rig : BatchRig, optional
         Where measurements come from.
     true_arm : Arm, optional
-        The arm that is measured, where it is not the nominal one (`loose_env.envs.true_arm`).
-        What is hidden in episode k then depends on it alone, whatever the nominal arm.
+        The arm that is measured, where it is not the nominal one
+        (`loose_env.envs.episode.true_arm`). What is hidden in episode k then depends on it alone,
+        whatever the nominal arm.
     options : mapping, optional
-        Options of every episode, as `loose_env.envs.reset_options` has them.
+        Options of every episode, as `loose_env.envs.episode.reset_options` has them.
     progress : callable, optional
         Called with the number of finished episodes.
     deterministic : bool

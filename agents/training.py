@@ -15,7 +15,7 @@ from agents.belief_agent import Estimator, records_taken
 from agents.estimators import feature_size, further_features, make_estimator
 from agents.learned import PolicyForm
 from loose_env.envs.sb3 import Sb3VecEnv
-from loose_env.envs.vector import DiagnosisVectorEnv
+from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import InvalidSetting
 
 __all__ = [

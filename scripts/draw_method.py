@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from loose_env.arms import Arm, planar
 from loose_env.arms.linear import LinearArm
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
-from loose_env.envs.drawing.arm import ArmDrawing
-from loose_env.envs.drawing.ink import EDGE, FAINT, INK, MEASURED, MUTED, TRUTH
-from loose_env.envs.drawing.loop import Loop, measured_loop, predicted_loop
-from loose_env.envs.drawing.scenery import arrow
-from loose_env.envs.drawing.view import PlanarView
+from loose_env.envs.rendering.palette import EDGE, FAINT, INK, MEASURED, MUTED, TRUTH
+from loose_env.envs.rendering.planar.arm import ArmDrawing
+from loose_env.envs.rendering.planar.correlation_loop import Loop, measured_loop, predicted_loop
+from loose_env.envs.rendering.planar.view import PlanarView
+from loose_env.envs.rendering.scenery import arrow
 from loose_env.excitation import Excitation
 from loose_env.faults import Fault, Healthy, StructuralLooseness
 from loose_env.report.pages.svg import standalone, to_svg

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms import DESK_ARM, Arm, planar, scara, six_axis, vera
-from loose_env.envs.diagnosis import DiagnosisEnv
+from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidSetting, LooseEnvError
 

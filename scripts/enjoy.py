@@ -25,8 +25,8 @@ from agents.hyperparameters import ALGORITHMS, key_values
 from agents.learned import CONFIGURATION, LearnedAgent
 from agents.one_line_errors import errors_in_one_line
 from agents.training_options import OneLineParser
-from loose_env.envs.actions import Action
-from loose_env.envs.diagnosis import DiagnosisEnv
+from loose_env.envs.diagnosis_env import DiagnosisEnv
+from loose_env.envs.episode.actions import Action
 from loose_env.envs.registration import IDS
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 

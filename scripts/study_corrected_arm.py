@@ -35,7 +35,7 @@ from loose_env.arms import Arm
 from loose_env.arms.linear import LinearArm
 from loose_env.cli.main import main as loose
 from loose_env.diagnosis.research.line_spectrum.direction import direction_by_dynamics
-from loose_env.envs.diagnosis import DiagnosisEnv
+from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.evaluation.paired_bootstrap import Interval, bootstrap_mean
 from loose_env.evaluation.success_rates import wilson

@@ -38,7 +38,7 @@ from agents.hyperparameters import (
 from agents.one_line_errors import errors_in_one_line
 from agents.training_options import check_training, training_parser
 from loose_env.envs.registration import IDS
-from loose_env.envs.vector import DiagnosisVectorEnv
+from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import InvalidData, InvalidSetting, MissingExtra, UnknownName
 
 ROOT = Path(__file__).resolve().parents[1]

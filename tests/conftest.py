@@ -10,10 +10,10 @@ from hypothesis import settings
 
 from loose_env.arms import DESK_ARM, Arm, planar, scara, six_axis, vera
 from loose_env.arms.mismatch import MismatchDraw
-from loose_env.envs.diagnosis import DiagnosisEnv
+from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.episode import BatchRig
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.envs.vector import DiagnosisVectorEnv
+from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.faults import Fault
 from loose_env.rig.measurement import Measurement
 from loose_env.rig.simulated import Job

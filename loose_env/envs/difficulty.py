@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from loose_env.arms.arm import Arm
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch
-from loose_env.envs.further_seats import FurtherSeats, direction_from, log_uniform, uniform
-from loose_env.envs.seat_stops import SeatMasses
+from loose_env.envs.faults.compound_seats import FurtherSeats, direction_from, log_uniform, uniform
+from loose_env.envs.faults.seat_stops import SeatMasses
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import SeatDrive
 from loose_env.faults import (

@@ -22,13 +22,13 @@ from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import MismatchDraw
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.diagnosis.records.record_statistics import statistics_of
-from loose_env.envs.actions import Action, ActionLayout
 from loose_env.envs.difficulty import FaultSampler, difficulty_named
-from loose_env.envs.observation import ObservationLayout
-from loose_env.envs.raw import RawMeasurement
-from loose_env.envs.reset_options import ResetOptions
+from loose_env.envs.episode.actions import Action, ActionLayout
+from loose_env.envs.episode.observation import ObservationLayout
+from loose_env.envs.episode.raw_observation import RawMeasurement
+from loose_env.envs.episode.reset_options import ResetOptions
+from loose_env.envs.episode.true_arm import checked_true_arm
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.envs.true_arm import checked_true_arm
 from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import UNSURE, Fault, Healthy, SeveralFaults, hypotheses, place_of
@@ -107,7 +107,7 @@ class EpisodeBatch:
         Where measurements come from; simulated arms by default.
     true_arm : Arm, optional
         The arm that is measured, where the nominal model is wrong about more than the mismatch
-        says; see `loose_env.envs.true_arm`. The nominal arm by default.
+        says; see `loose_env.envs.episode.true_arm`. The nominal arm by default.
 
     Raises
     ------

@@ -151,14 +151,14 @@ def _take(arguments: dict[str, Any], *names: str) -> dict[str, Any]:
 def _single(
     arm: Any, arguments: dict[str, Any], of_arm: tuple[str, ...]
 ) -> gymnasium.Env[Any, Any]:
-    from loose_env.envs.diagnosis import DiagnosisEnv
+    from loose_env.envs.diagnosis_env import DiagnosisEnv
 
     own = _take(arguments, *_SINGLE)
     return DiagnosisEnv(arm, _settings(arguments, (*of_arm, *_SINGLE)), **own)
 
 
 def _vector(arm: Any, num_envs: int, arguments: dict[str, Any], of_arm: tuple[str, ...]) -> Any:
-    from loose_env.envs.vector import DiagnosisVectorEnv
+    from loose_env.envs.vector_env import DiagnosisVectorEnv
 
     own = _take(arguments, *_VECTOR)
     _take(arguments, "render_mode")

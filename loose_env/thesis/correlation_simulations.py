@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.envs.drawing.ink import FAINT, INK, MUTED
+from loose_env.envs.rendering.palette import FAINT, INK, MUTED
 from loose_env.report.pages.figure_card import Plate
 from loose_env.report.pages.figures import new_figure
 from loose_env.report.pages.palette import AGENTS

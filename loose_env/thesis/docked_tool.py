@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm, planar
-from loose_env.envs.drawing.ink import FAINT, INK, MEASURED, MUTED, TRUTH
+from loose_env.envs.rendering.palette import FAINT, INK, MEASURED, MUTED, TRUTH
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import Backlash, Fault, Healthy, StructuralLooseness
 from loose_env.kinematics.chain import Chain

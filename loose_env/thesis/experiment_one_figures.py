@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.envs.drawing.ink import INK, MEASURED, MUTED, SHAKEN, TRUTH
+from loose_env.envs.rendering.palette import INK, MEASURED, MUTED, SHAKEN, TRUTH
 from loose_env.report.pages.figure_card import Plate
 from loose_env.thesis.guideway import Guideway
 from loose_env.thesis.signal_panels import panels

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from loose_env.envs.drawing.ink import FAINT, INK, MEASURED, MUTED
+from loose_env.envs.rendering.palette import FAINT, INK, MEASURED, MUTED
 from loose_env.report.pages.figures import WIDTH, new_figure
 from loose_env.thesis.comparative import IndexRow
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm
-from loose_env.envs.drawing.ink import EDGE, FAINT, INK, MEASURED, MUTED, TRUTH
+from loose_env.envs.rendering.palette import EDGE, FAINT, INK, MEASURED, MUTED, TRUTH
 from loose_env.kinematics.chain import Chain
 from loose_env.report.pages.figures import WIDTH, new_figure
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from loose_env.envs.drawing.ink import FAINT, INK, MUTED
+from loose_env.envs.rendering.palette import FAINT, INK, MUTED
 from loose_env.report.pages.figures import WIDTH, new_figure
 from loose_env.sensors import STANDARD_GRAVITY
 from loose_env.statistics.histogram import contour_levels, histogram

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from loose_env.envs.drawing.ink import INK, MEASURED, MUTED, SHAKEN, TRUTH
+from loose_env.envs.rendering.palette import INK, MEASURED, MUTED, SHAKEN, TRUTH
 from loose_env.report.pages.figure_card import Plate
 from loose_env.statistics.signals import (
     differentiate,

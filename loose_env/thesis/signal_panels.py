@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from loose_env.envs.drawing.ink import FAINT, INK, MUTED
+from loose_env.envs.rendering.palette import FAINT, INK, MUTED
 from loose_env.report.pages.figures import WIDTH, new_figure
 
 if TYPE_CHECKING:

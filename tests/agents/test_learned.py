@@ -20,7 +20,7 @@ from agents.random_agent import RandomPolicy
 from agents.registry import make_agent
 from loose_env.arms import planar, scara, vera
 from loose_env.diagnosis.records.record_statistics import statistics_of
-from loose_env.envs.diagnosis import DiagnosisEnv
+from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidData, InvalidSetting
 
@@ -97,7 +97,7 @@ def untrained(problem: Problem, algorithm: str, kwargs: dict[str, Any] | None = 
     from agents.hyperparameters import ALGORITHMS as KNOWN
     from agents.hyperparameters import algorithm_named
     from agents.training import TrackedVecEnv
-    from loose_env.envs.vector import DiagnosisVectorEnv
+    from loose_env.envs.vector_env import DiagnosisVectorEnv
 
     vec = TrackedVecEnv(DiagnosisVectorEnv(problem.arm, problem.settings, num_envs=2), problem)
     model = algorithm_named(algorithm)(

@@ -24,7 +24,7 @@ from agents.training import (
 from loose_env.arms import planar, scara
 from loose_env.arms.arm import Arm
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.envs.vector import DiagnosisVectorEnv
+from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import InvalidSetting, UnknownName
 
 SETTINGS = DiagnosisSettings(durations=(0.2,), max_records=4)

@@ -616,7 +616,7 @@ def test_the_small_arm_needs_no_assumption_and_carries_its_gripper() -> None:
 
 @pytest.mark.parametrize("name", ["ur5e_bare.xml", "so101_bare.xml"])
 def test_a_user_s_arm_runs_in_the_environment_unedited(name: str) -> None:
-    from loose_env.envs.diagnosis import DiagnosisEnv
+    from loose_env.envs.diagnosis_env import DiagnosisEnv
     from loose_env.envs.settings import DiagnosisSettings
 
     if not (MODELS / name).is_file():

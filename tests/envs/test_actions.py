@@ -12,7 +12,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from loose_env.arms.mismatch import Mismatch
-from loose_env.envs.diagnosis import DiagnosisEnv
+from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.difficulty import Difficulty
 from loose_env.faults import Healthy
 from loose_env.sensors import SensorSuite

@@ -13,11 +13,11 @@ from gymnasium.error import ResetNeeded
 
 import loose_env
 from loose_env.arms.mismatch import Mismatch
-from loose_env.envs.diagnosis import DiagnosisEnv
+from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.difficulty import Difficulty
 from loose_env.envs.registration import IDS
 from loose_env.envs.settings import DiagnosisSettings, Prices
-from loose_env.envs.vector import DiagnosisVectorEnv
+from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import InvalidAction, InvalidData, InvalidSetting, LooseEnvError, UnknownName
 from loose_env.faults import Backlash, Fault, StructuralLooseness
 

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from loose_env.arms.mismatch import MismatchDraw
-from loose_env.envs.diagnosis import DiagnosisEnv
+from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.settings import Prices
-from loose_env.envs.vector import DiagnosisVectorEnv
+from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.excitation import Excitation
 from loose_env.faults import Backlash, Fault, Healthy, Preload, StructuralLooseness
 from loose_env.rig.simulated import SimulatedRig

@@ -14,11 +14,11 @@ from scipy import stats
 
 from loose_env.arms import Arm, planar, scara, six_axis, vera
 from loose_env.arms.linear import LinearArm
-from loose_env.envs.diagnosis import DiagnosisEnv
+from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.difficulty import DIFFICULTIES, Difficulty, FaultSampler
-from loose_env.envs.further_seats import PIVOT
+from loose_env.envs.faults.compound_seats import PIVOT
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.envs.vector import DiagnosisVectorEnv
+from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import (
     DEFAULT_KINDS,

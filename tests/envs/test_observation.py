@@ -18,11 +18,11 @@ from loose_env.arms import Arm, planar, scara, six_axis, vera
 from loose_env.arms.linear import inertance_rate
 from loose_env.arms.mismatch import Mismatch, MismatchDraw
 from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
-from loose_env.envs.diagnosis import DiagnosisEnv
+from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.difficulty import Difficulty
-from loose_env.envs.observation import Element, ObservationLayout
+from loose_env.envs.episode.observation import Element, ObservationLayout
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.envs.vector import DiagnosisVectorEnv
+from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import Fault, Healthy
 from loose_env.rig.measurement import Measurement

@@ -14,11 +14,11 @@ pytest.importorskip("matplotlib")
 from loose_env.arms import Arm, planar, scara, vera
 from loose_env.arms.linear import LinearArm
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
-from loose_env.envs.diagnosis import DiagnosisEnv
-from loose_env.envs.drawing.loop import measured_loop, predicted_loop
-from loose_env.envs.drawing.view import PlanarView
+from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.episode import Episode
-from loose_env.envs.picture import Picture
+from loose_env.envs.rendering.picture import Picture
+from loose_env.envs.rendering.planar.correlation_loop import measured_loop, predicted_loop
+from loose_env.envs.rendering.planar.view import PlanarView
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidSetting, LooseEnvError
 from loose_env.excitation import Excitation, at_levels

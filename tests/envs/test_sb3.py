@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from loose_env.arms import planar
-from loose_env.envs.diagnosis import DiagnosisEnv
+from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.registration import IDS
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.envs.vector import DiagnosisVectorEnv
+from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import UnknownName
 
 pytest.importorskip("stable_baselines3")

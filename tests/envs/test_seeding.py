@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.envs.actions import ActionLayout
-from loose_env.envs.diagnosis import DiagnosisEnv
-from loose_env.envs.vector import DiagnosisVectorEnv
+from loose_env.envs.diagnosis_env import DiagnosisEnv
+from loose_env.envs.episode.actions import ActionLayout
+from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.rig.measurement import Measurement
 
 MakeEnv = Callable[..., DiagnosisEnv]

@@ -13,13 +13,17 @@ from matplotlib.colors import to_rgb
 
 from loose_env.arms import DESK_ARM, Arm, cylindrical, planar, scara, six_axis
 from loose_env.arms.linear import LinearArm
-from loose_env.envs.diagnosis import DiagnosisEnv
-from loose_env.envs.drawing.ink import TRUTH
-from loose_env.envs.drawing.loop import loop_of
-from loose_env.envs.drawing.space_view import SpaceView
-from loose_env.envs.drawing.surface import measured_surface, predicted_surface, surface_of
+from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.episode import Episode
-from loose_env.envs.picture import Picture
+from loose_env.envs.rendering.palette import TRUTH
+from loose_env.envs.rendering.picture import Picture
+from loose_env.envs.rendering.planar.correlation_loop import loop_of
+from loose_env.envs.rendering.spatial.correlation_surface import (
+    measured_surface,
+    predicted_surface,
+    surface_of,
+)
+from loose_env.envs.rendering.spatial.view import SpaceView
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.faults import Backlash, Fault, Healthy, RotationalLooseness, StructuralLooseness
 from loose_env.statistics import (

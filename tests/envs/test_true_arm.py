@@ -17,10 +17,10 @@ from loose_env.arms import Arm, planar
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import Mismatch
 from loose_env.diagnosis.records.prediction import predict
-from loose_env.envs.diagnosis import DiagnosisEnv
+from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.difficulty import Difficulty
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.envs.vector import DiagnosisVectorEnv
+from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import InvalidSetting
 
 SETTINGS = DiagnosisSettings(engine="reduced", raw=True)

@@ -15,12 +15,12 @@ from agents.belief_agent import best_verdict
 from loose_env.arms import Arm, planar, scara, six_axis, vera
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.mismatch import MismatchDraw
-from loose_env.envs.diagnosis import DiagnosisEnv
+from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.difficulty import DIFFICULTIES, Difficulty, FaultSampler
-from loose_env.envs.drawing.caption import header_lines
-from loose_env.envs.drawing.ink import TRUTH
+from loose_env.envs.rendering.caption import header_lines
+from loose_env.envs.rendering.palette import TRUTH
 from loose_env.envs.settings import DiagnosisSettings, Prices
-from loose_env.envs.vector import DiagnosisVectorEnv
+from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import InvalidSetting
 from loose_env.faults import (
     KINDS,

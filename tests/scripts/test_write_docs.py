@@ -72,7 +72,7 @@ def test_every_name_of_an_element_has_its_row_in_the_table_of_meanings() -> None
 def test_the_page_has_what_the_docstring_says_of_actions_and_rewards() -> None:
     import inspect
 
-    from loose_env.envs.diagnosis import DiagnosisEnv
+    from loose_env.envs.diagnosis_env import DiagnosisEnv
 
     text = (ROOT / "docs" / "environments.md").read_text(encoding="utf-8")
     words = " ".join(text.split())

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from loose_env.arms import Arm, planar, scara, vera
 from loose_env.arms.from_file import describe_file
-from loose_env.envs.diagnosis import DiagnosisEnv
+from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidData, LooseEnvError
 from loose_env.recording import Run, read_recording, write_recording

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.envs.drawing.ink import FAINT, INK, MUTED
+from loose_env.envs.rendering.palette import FAINT, INK, MUTED
 from loose_env.errors import InvalidData
 from loose_env.evaluation.success_rates import Row
 from loose_env.faults import SEVERAL_FAULTS, UNSURE, place_of

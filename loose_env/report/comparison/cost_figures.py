@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from loose_env.envs.drawing.ink import FAINT, INK, MUTED
+from loose_env.envs.rendering.palette import FAINT, INK, MUTED
 from loose_env.evaluation.calibration import claims_of, reliability
 from loose_env.evaluation.factorial import pareto_front
 from loose_env.evaluation.strata import Division

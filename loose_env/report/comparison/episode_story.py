@@ -8,9 +8,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from loose_env.arms.arm import Arm
-from loose_env.envs.drawing.words import fault_words, hypothesis_words
 from loose_env.envs.episode import EpisodeBatch
-from loose_env.envs.picture import Picture
+from loose_env.envs.rendering.fault_text import fault_words, hypothesis_words
+from loose_env.envs.rendering.picture import Picture
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.faults import UNSURE
 from loose_env.report.pages.figure_card import Plate

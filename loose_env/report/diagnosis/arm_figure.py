@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.envs.drawing.arm import ArmDrawing
-from loose_env.envs.drawing.ink import EDGE, INK, MUTED, SHAKEN, TRUTH
-from loose_env.envs.drawing.scenery import arrow, draw_base, draw_measure, half_height
-from loose_env.envs.drawing.space_arm import SpaceDrawing
-from loose_env.envs.drawing.space_view import SpaceView
-from loose_env.envs.drawing.view import PlanarView, moves_in_a_plane
+from loose_env.envs.rendering.palette import EDGE, INK, MUTED, SHAKEN, TRUTH
+from loose_env.envs.rendering.planar.arm import ArmDrawing
+from loose_env.envs.rendering.planar.view import PlanarView, moves_in_a_plane
+from loose_env.envs.rendering.scenery import arrow, draw_base, draw_measure, half_height
+from loose_env.envs.rendering.spatial.arm import SpaceDrawing
+from loose_env.envs.rendering.spatial.view import SpaceView
 from loose_env.errors import InvalidData
 from loose_env.faults import Backlash, StructuralLooseness
 from loose_env.instrument.result import Fault

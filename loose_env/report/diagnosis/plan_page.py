@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.signal import welch
 
-from loose_env.envs.drawing.ink import INK, MEASURED, MUTED
+from loose_env.envs.rendering.palette import INK, MEASURED, MUTED
 from loose_env.instrument.planning.plan import Plan
 from loose_env.instrument.planning.signals import Signal
 from loose_env.io.text import sentence

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from loose_env.envs.drawing.ink import FAINT, INK, MUTED
+from loose_env.envs.rendering.palette import FAINT, INK, MUTED
 from loose_env.errors import MissingExtra
 from loose_env.evaluation.success_rates import Row, by_agent, standings
 from loose_env.report.pages.palette import agent_colours

@@ -9,7 +9,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.envs.observation import ObservationLayout
+from loose_env.envs.episode.observation import ObservationLayout
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.rig.measurement import Measurement
 

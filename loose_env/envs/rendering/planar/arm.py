@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.envs.drawing.ink import BODY, EDGE, INK, ON_SHAKEN, PAPER, SHAKEN, TRUTH
-from loose_env.envs.drawing.scenery import arrow, half_height
-from loose_env.envs.drawing.view import PlanarPose
+from loose_env.envs.rendering.palette import BODY, EDGE, INK, ON_SHAKEN, PAPER, SHAKEN, TRUTH
+from loose_env.envs.rendering.planar.view import PlanarPose
+from loose_env.envs.rendering.scenery import arrow, half_height
 from loose_env.faults import (
     Backlash,
     Fault,

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from loose_env.arms.linear import LinearArm
 from loose_env.diagnosis.records.prediction import SensorFloor
-from loose_env.envs.drawing.planar_scene import PlanarScene
-from loose_env.envs.drawing.space_scene import SpaceScene
-from loose_env.envs.drawing.view import moves_in_a_plane
 from loose_env.envs.episode import Episode
+from loose_env.envs.rendering.planar.scene import PlanarScene
+from loose_env.envs.rendering.planar.view import moves_in_a_plane
+from loose_env.envs.rendering.spatial.scene import SpaceScene
 from loose_env.errors import InvalidSetting, MissingExtra
 from loose_env.rig.measurement import Measurement
 from loose_env.sensors import SensorSuite

@@ -8,12 +8,17 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Literal
 
 from loose_env.arms.linear import LinearArm
-from loose_env.envs.drawing.ink import EDGE, INK, MEASURED, MUTED, SHAKEN, TRUTH
-from loose_env.envs.drawing.loop import LoopPair
-from loose_env.envs.drawing.looseness import loose_links_of
-from loose_env.envs.drawing.surface import SurfacePair
-from loose_env.envs.drawing.words import fault_words, hypothesis_words, pose_words, shaking_words
 from loose_env.envs.episode import Episode
+from loose_env.envs.rendering.fault_text import (
+    fault_words,
+    hypothesis_words,
+    loose_links_of,
+    pose_words,
+    shaking_words,
+)
+from loose_env.envs.rendering.palette import EDGE, INK, MEASURED, MUTED, SHAKEN, TRUTH
+from loose_env.envs.rendering.planar.correlation_loop import LoopPair
+from loose_env.envs.rendering.spatial.correlation_surface import SurfacePair
 from loose_env.faults import UNSURE, Backlash, Fault, parts_of
 from loose_env.rig.measurement import Measurement
 

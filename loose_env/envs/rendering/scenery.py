@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.envs.drawing.ink import EDGE, MUTED, PAPER
+from loose_env.envs.rendering.palette import EDGE, MUTED, PAPER
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

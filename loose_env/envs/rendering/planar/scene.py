@@ -8,20 +8,26 @@ import numpy as np
 
 from loose_env.arms.linear import LinearArm
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
-from loose_env.envs.drawing.arm import ArmDrawing
-from loose_env.envs.drawing.caption import (
+from loose_env.envs.episode import Episode
+from loose_env.envs.rendering.caption import (
     header_height,
     header_lines,
     write_header,
     write_legend,
 )
-from loose_env.envs.drawing.ink import PAPER
-from loose_env.envs.drawing.loop import LoopPair, measured_loop, predicted_loop
-from loose_env.envs.drawing.loop_shapes import draw_healthy, draw_measured, draw_scale
-from loose_env.envs.drawing.looseness import loose_links_of
-from loose_env.envs.drawing.scenery import draw_base, draw_measure
-from loose_env.envs.drawing.view import PlanarPose, PlanarView
-from loose_env.envs.episode import Episode
+from loose_env.envs.rendering.fault_text import loose_links_of
+from loose_env.envs.rendering.palette import PAPER
+from loose_env.envs.rendering.planar.arm import ArmDrawing
+from loose_env.envs.rendering.planar.correlation_loop import (
+    LoopPair,
+    draw_healthy,
+    draw_measured,
+    draw_scale,
+    measured_loop,
+    predicted_loop,
+)
+from loose_env.envs.rendering.planar.view import PlanarPose, PlanarView
+from loose_env.envs.rendering.scenery import draw_base, draw_measure
 from loose_env.rig.measurement import Measurement
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from loose_env.arms.arm import Arm
 from loose_env.arms.mismatch import MismatchDraw
 from loose_env.envs.episode import BatchRig, EpisodeBatch
-from loose_env.envs.raw import raw_observation, raw_space
+from loose_env.envs.episode.raw_observation import raw_observation, raw_space
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import UnknownName
 from loose_env.excitation import Excitation
@@ -202,7 +202,7 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
         if episode is None:
             raise ResetNeeded("no episode is running: call reset() before render()")
         if self._picture is None:
-            from loose_env.envs.picture import Picture
+            from loose_env.envs.rendering.picture import Picture
 
             self._picture = Picture(
                 self.batch.nominal,

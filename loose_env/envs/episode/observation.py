@@ -15,7 +15,7 @@ from loose_env.arms.arm import Arm
 from loose_env.arms.parts import held_inertia
 from loose_env.diagnosis.records.prediction import Prediction
 from loose_env.diagnosis.records.record_statistics import RecordStatistics
-from loose_env.envs.joint_pose import JointPose
+from loose_env.envs.episode.pose_encoding import JointPose
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import UnknownName
 

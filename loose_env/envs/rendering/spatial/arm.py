@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.envs.drawing.ink import (
+from loose_env.envs.rendering.palette import (
     BODY,
     CAP,
     EDGE,
@@ -22,9 +22,9 @@ from loose_env.envs.drawing.ink import (
     SHAKEN,
     TRUTH,
 )
-from loose_env.envs.drawing.scenery import arrow, half_height
-from loose_env.envs.drawing.space_shapes import Prism, draw_rod, draw_turn
-from loose_env.envs.drawing.space_view import SpacePose
+from loose_env.envs.rendering.scenery import arrow, half_height
+from loose_env.envs.rendering.spatial.shapes import Prism, draw_rod, draw_turn
+from loose_env.envs.rendering.spatial.view import SpacePose
 from loose_env.faults import (
     Backlash,
     Fault,

@@ -12,9 +12,9 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.envs.diagnosis import new_seed
+from loose_env.envs.diagnosis_env import new_seed
 from loose_env.envs.episode import EpisodeBatch
-from loose_env.envs.raw import raw_observation, raw_space
+from loose_env.envs.episode.raw_observation import raw_observation, raw_space
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidAction, InvalidSetting
 
@@ -40,7 +40,7 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
     threads : int
         Simulation threads; 0 takes all processors.
     true_arm : Arm, optional
-        The arm that is measured; the nominal one by default. See `loose_env.envs.true_arm`.
+        The arm that is measured; the nominal one by default. See `loose_env.envs.episode.true_arm`.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012

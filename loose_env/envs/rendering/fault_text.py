@@ -1,4 +1,7 @@
-"""Plain words for what the arm does and what is wrong with it."""
+"""Plain words for what the arm does and what is wrong with it.
+
+What of an arm a fault leaves loose, for the pictures.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ from loose_env.faults import (
     place_of,
 )
 
-__all__ = ["fault_words", "hypothesis_words", "pose_words", "shaking_words"]
+__all__ = ["fault_words", "hypothesis_words", "loose_links_of", "pose_words", "shaking_words"]
 
 
 def hypothesis_words(hypothesis: str | None, *, past: bool = False) -> str:
@@ -143,3 +146,17 @@ def _list(noun: str, items: Sequence[object] | NDArray[np.intp]) -> str:
     if len(words) == 1:
         return f"{noun} {words[0]}"
     return f"{noun}{'s' if noun else ''} {', '.join(words[:-1])} and {words[-1]}"
+
+
+def loose_links_of(fault: Fault | None) -> frozenset[int]:
+    """Return the numbers of the links that are loose on their flanges.
+
+    Examples
+    --------
+    >>> from loose_env.faults import Backlash
+    >>> sorted(loose_links_of(Backlash(joint=1, gap=1e-3, stiffness=(1e4, 1e4))))
+    []
+    """
+    parts = () if fault is None else parts_of(fault)
+    kinds = StructuralLooseness, RotationalLooseness
+    return frozenset(part.link for part in parts if isinstance(part, kinds))

@@ -9,20 +9,24 @@ from numpy.typing import NDArray
 
 from loose_env.arms.linear import LinearArm
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
-from loose_env.envs.drawing.caption import (
+from loose_env.envs.episode import Episode
+from loose_env.envs.rendering.caption import (
     header_height,
     header_lines,
     write_header,
     write_legend,
 )
-from loose_env.envs.drawing.ink import MUTED, PAPER
-from loose_env.envs.drawing.looseness import loose_links_of
-from loose_env.envs.drawing.scenery import arrow, half_height
-from loose_env.envs.drawing.sections import draw_sections
-from loose_env.envs.drawing.space_arm import SpaceDrawing
-from loose_env.envs.drawing.space_view import SpacePose, SpaceView
-from loose_env.envs.drawing.surface import SurfacePair, measured_surface, predicted_surface
-from loose_env.envs.episode import Episode
+from loose_env.envs.rendering.fault_text import loose_links_of
+from loose_env.envs.rendering.palette import MUTED, PAPER
+from loose_env.envs.rendering.scenery import arrow, half_height
+from loose_env.envs.rendering.spatial.arm import SpaceDrawing
+from loose_env.envs.rendering.spatial.correlation_surface import (
+    SurfacePair,
+    draw_sections,
+    measured_surface,
+    predicted_surface,
+)
+from loose_env.envs.rendering.spatial.view import SpacePose, SpaceView
 from loose_env.faults import Fault, StructuralLooseness, parts_of
 from loose_env.rig.measurement import Measurement
 

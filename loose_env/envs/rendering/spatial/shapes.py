@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from loose_env.envs.drawing.ink import EDGE
+from loose_env.envs.rendering.palette import EDGE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
