@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.linear import LinearArm
+from loose_env.arms.response.linear import LinearArm
 from loose_env.envs.episode.actions import ActionLayout
 from loose_env.envs.episode.observation import ObservationLayout
 from loose_env.envs.settings import DiagnosisSettings

@@ -55,7 +55,7 @@ def make_estimator(name: str, problem: Problem) -> Estimator:
 
     Examples
     --------
-    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.library import planar
     >>> from loose_env.envs.settings import DiagnosisSettings
     >>> make_estimator("posterior", Problem.of(planar(2), DiagnosisSettings())).problem.arm.name
     'planar2'

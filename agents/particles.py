@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from agents.base import Problem
-from loose_env.arms.mismatch import MismatchDraw
+from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
 from loose_env.diagnosis.research.particles.evidence import (
     Evidence,
@@ -230,7 +230,7 @@ class ParticlePosterior:
 
     Examples
     --------
-    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.library import planar
     >>> from loose_env.envs.settings import DiagnosisSettings
     >>> problem = Problem.of(planar(2), DiagnosisSettings(engine="reduced"))
     >>> ParticlePosterior(problem).start().probabilities.round(3).tolist()

@@ -260,7 +260,7 @@ def single_joints(problem: Problem, levels: Sequence[int] | None = None) -> list
 
     Examples
     --------
-    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.library import planar
     >>> from loose_env.envs.settings import DiagnosisSettings
     >>> single_joints(Problem.of(planar(2), DiagnosisSettings()), [3])
     [(3, 0), (0, 3)]

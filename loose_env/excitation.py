@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from loose_env.arms.linear import LinearArm, LinearPose
+from loose_env.arms.response.linear import LinearArm, LinearPose
 from loose_env.errors import InvalidSetting
 
 __all__ = [
@@ -106,8 +106,8 @@ def at_levels(pose: LinearPose, levels: Array, *, duration: float) -> tuple[Exci
     Examples
     --------
     >>> import numpy as np
-    >>> from loose_env.arms import planar
-    >>> from loose_env.arms.linear import LinearArm
+    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms.response.linear import LinearArm
     >>> at = LinearArm(planar(2)).at([0.0, 1.0])
     >>> shake, share = at_levels(at, np.array([0.0, 4.0]), duration=1.2)
     >>> shake.excited, share.tolist()
@@ -151,7 +151,7 @@ class SeatDrive:
 
     Examples
     --------
-    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.library import planar
     >>> drive = SeatDrive(LinearArm(planar(2)), poses=8)
     >>> drive.slide(1, (1.0, 0.0, 0.0)) > 0
     True

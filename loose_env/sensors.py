@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.signal import upfirdn
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.link_sites import Place
+from loose_env.arms.response.sensor_sites import Place
 from loose_env.errors import InvalidSetting
 
 __all__ = [
@@ -42,7 +42,7 @@ class Accelerometer:
     """A two- or three-axis accelerometer and its recorder.
 
     Gains, cross-axis sensitivity and mounting differ from arm to arm: they are part of
-    `loose_env.arms.mismatch.Mismatch` and reach the readings as one matrix.
+    `loose_env.arms.response.mismatch.Mismatch` and reach the readings as one matrix.
     """
 
     noise_density: float = 100e-6 * STANDARD_GRAVITY
@@ -90,7 +90,7 @@ class LinkAccelerometers:
 
     Else it has the arm's axes, in the frame of the body that carries it."""
     place: Place = "distal"
-    """End of the link; see `loose_env.arms.link_sites.link_site`."""
+    """End of the link; see `loose_env.arms.response.sensor_sites.link_site`."""
 
     def __post_init__(self) -> None:
         if self.place not in ("proximal", "distal"):

@@ -23,7 +23,7 @@ from gymnasium.vector import AsyncVectorEnv
 
 import loose_env  # noqa: F401  (registers the ids)
 from loose_env.arms import DESK_ARM
-from loose_env.arms.quiet import quiet
+from loose_env.arms.engine_warnings import quiet
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.episode import EpisodeBatch
 from loose_env.errors import InvalidSetting
@@ -273,12 +273,17 @@ def file_times(model: Path, arms: int) -> tuple[float, float, float]:
         f"arm = Arm.from_file({str(model)!r})\n"
         f"env
         = loose_env.envs.vector_env.DiagnosisVectorEnv(arm,
-        num_envs={arms}); env.reset(seed=0)\n" "running =
-        time.perf_counter()\n" "shake = env.actions.encode(levels=np.eye(arm.n, dtype=int)[0])\n"
-        f"env.step(np.array([shake]
-        * {arms})); stepped = time.perf_counter()\n" "print(imported - begin, running
-        - imported, stepped -
-        running)"
+        num_envs={arms});
+        env.reset(seed=0)\n"
+        "running = time.perf_counter()\n" "shake
+        = env.actions.encode(levels=np.eye(arm.n,
+        dtype=int)[0])\n" f"env.step(np.array([shake]
+        * {arms}));
+        stepped =
+        time.perf_counter()\n" "print(imported
+        - begin, running
+        - imported, stepped
+        - running)"
     )
     times = np.array([[float(t) for t in child(code).split()] for _ in range(3)])
     imports, running, step = times.min(axis=0)

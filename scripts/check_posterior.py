@@ -47,7 +47,8 @@ from agents.particle_check import (
 )
 from agents.policies import WEIGHTS, setting_name
 from agents.progress_line import ProgressLine
-from loose_env.arms import planar, six_axis, vera
+from loose_env.arms.library import planar, vera
+from loose_env.arms.library import puma560 as six_axis
 from loose_env.diagnosis.learned.amortised_posterior import AmortisedPosterior
 from loose_env.diagnosis.records.record_statistics import RecordStatistics
 from loose_env.diagnosis.research.particles.evidence import ParticleSettings

@@ -18,8 +18,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, planar
-from loose_env.arms.linear import LinearArm
+from loose_env.arms import Arm
+from loose_env.arms.library import planar
+from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.envs.rendering.palette import EDGE, FAINT, INK, MEASURED, MUTED, TRUTH
 from loose_env.envs.rendering.planar.arm import ArmDrawing

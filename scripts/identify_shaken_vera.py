@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
-from loose_env.arms.shaken import ShakenArm
-from loose_env.arms.vera_shaken import PROXIMAL, ShakenVeraFigures, shaken_vera
+from loose_env.arms.response.shaken import ShakenArm
 from loose_env.statistics import axial_difference
+from loose_env.thesis.rigs.shaken_vera import PROXIMAL, ShakenVeraFigures, shaken_vera
 from loose_env.thesis.shaken_cases import printed_healthy
 
 # Figure, lowest and highest value, and whether to search on a logarithmic scale.

@@ -20,8 +20,10 @@ from pathlib import Path
 import numpy as np
 
 import loose_env
-from loose_env.arms import Arm, planar, scara, six_axis, vera
-from loose_env.arms.linear import LinearArm
+from loose_env.arms import Arm
+from loose_env.arms.library import planar, scara, vera
+from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.likelihood.opening_table import PRESSES, RATIOS, shipped_table
 from loose_env.diagnosis.likelihood.posterior import variants
 from loose_env.diagnosis.likelihood.record_likelihood import LOOSE, OPENINGS, SHUT, fit_record

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 import loose_env
 from loose_env.arms import Arm
-from loose_env.arms.linear import LinearArm
+from loose_env.arms.response.linear import LinearArm
 from loose_env.cli.main import main as loose
 from loose_env.diagnosis.research.line_spectrum.direction import direction_by_dynamics
 from loose_env.envs.diagnosis_env import DiagnosisEnv

@@ -23,9 +23,11 @@ import mujoco
 import numpy as np
 
 import loose_env
-from loose_env.arms import Arm, cylindrical, planar, scara, six_axis, vera
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.mismatch import Mismatch
+from loose_env.arms import Arm
+from loose_env.arms.library import planar, scara, vera
+from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.response.mismatch import Mismatch
 from loose_env.diagnosis.records.excitation_design import Proposal, propose_excitation
 from loose_env.diagnosis.research.sequential.stopping_rule import (
     Ending,
@@ -54,6 +56,7 @@ from loose_env.statistics import (
     covariances,
     lowest_coherence_of_records,
 )
+from loose_env.thesis.rigs import cylindrical
 
 ARMS = {
     "six_axis": six_axis,

@@ -28,8 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import loose_env
-from loose_env.arms import Arm, planar, six_axis
-from loose_env.arms.linear import LinearArm, LinearPose
+from loose_env.arms import Arm
+from loose_env.arms.library import planar
+from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms.response.linear import LinearArm, LinearPose
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of

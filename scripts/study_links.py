@@ -20,10 +20,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms import planar, scara, six_axis
 from loose_env.arms.arm import Arm
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.mismatch import Mismatch
+from loose_env.arms.library import planar, scara
+from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.response.mismatch import Mismatch
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places
 from loose_env.diagnosis.link_finding.measured_direction import (
     ChangeModel,

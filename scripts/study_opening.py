@@ -22,8 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import loose_env
-from loose_env.arms import Arm, planar
-from loose_env.arms.linear import LinearArm
+from loose_env.arms import Arm
+from loose_env.arms.library import planar
+from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.records.record_statistics import statistics_of
 from loose_env.envs.difficulty import Difficulty, FaultSampler
 from loose_env.excitation import at_levels

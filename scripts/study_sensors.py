@@ -38,8 +38,10 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 import loose_env
-from loose_env.arms import Arm, planar, scara, six_axis, vera
-from loose_env.arms.linear import LinearArm
+from loose_env.arms import Arm
+from loose_env.arms.library import planar, scara, vera
+from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.multi_sensor.link_evidence import SensorVerdict, weigh_links
 from loose_env.diagnosis.multi_sensor.sensed_arm import SensedArm
 from loose_env.diagnosis.multi_sensor.sensor_rows import (

@@ -25,7 +25,7 @@ from agents.evaluation_shards import problem_of
 from agents.link_finding import LinkFindingAgent
 from agents.one_line_errors import errors_in_one_line
 from agents.progress_line import ProgressLine
-from loose_env.arms.mismatch import MismatchDraw
+from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.diagnosis.link_finding.planar import LinkFindingSettings, Order
 from loose_env.envs.episode import BatchRig, EpisodeBatch
 from loose_env.errors import InvalidSetting

@@ -1,14 +1,14 @@
 """Arms to diagnose: what they are made of and how they answer in the ideal case."""
 
 from loose_env.arms.arm import Arm, Holding, HoldKind
-from loose_env.arms.cylindrical import cylindrical
-from loose_env.arms.from_file import DESK_ARM, FileReport, arm_from_file, describe_file
-from loose_env.arms.planar import planar
-from loose_env.arms.scara import scara
-from loose_env.arms.six_axis import six_axis
-from loose_env.arms.slide import slide_rig
-from loose_env.arms.vera import vera
-from loose_env.arms.vera_shaken import shaken_vera
+from loose_env.arms.files.load import DESK_ARM, FileReport, arm_from_file, describe_file
+from loose_env.arms.library.planar import planar
+from loose_env.arms.library.puma560 import six_axis
+from loose_env.arms.library.scara import scara
+from loose_env.arms.library.vera import vera
+from loose_env.thesis.rigs.cylindrical import cylindrical
+from loose_env.thesis.rigs.shaken_vera import shaken_vera
+from loose_env.thesis.rigs.slide import slide_rig
 
 __all__ = [
     "DESK_ARM",

@@ -17,7 +17,7 @@ from loose_env.arms.shaker import COIL, Shaker
 from loose_env.errors import InvalidSetting, UnknownName
 
 if TYPE_CHECKING:
-    from loose_env.arms.gears import Gears
+    from loose_env.arms.holding.gears import Gears
 
 __all__ = ["Arm", "HoldKind", "Holding"]
 
@@ -136,7 +136,7 @@ class Arm:
         joints: Sequence[str] | None = None,
         hold: HoldKind = "brake",
     ) -> Arm:
-        """Read an arm from an MJCF or URDF file; see `loose_env.arms.from_file.arm_from_file`.
+        """Read an arm from an MJCF or URDF file; see `loose_env.arms.files.load.arm_from_file`.
 
         Parameters
         ----------
@@ -149,7 +149,7 @@ class Arm:
         hold : {"brake", "servo", "compliant"}
             How joints that are not excited are held.
         """
-        from loose_env.arms.from_file import arm_from_file  # which needs this class
+        from loose_env.arms.files.load import arm_from_file  # which needs this class
 
         return arm_from_file(path, tool=tool, joints=joints, hold=hold)
 
@@ -176,15 +176,15 @@ class Arm:
     ) -> Arm:
         """Return the arm with its joints held by position servos of a bandwidth [Hz].
 
-        See `loose_env.arms.compliance.servoed`.
+        See `loose_env.arms.holding.compliance.servoed`.
 
         Examples
         --------
-        >>> from loose_env.arms import planar
+        >>> from loose_env.arms.library import planar
         >>> planar(3).with_servo(mode_hz=40.0, damping_ratio=0.7).name
         'planar3-servo'
         """
-        from loose_env.arms.compliance import servoed  # which needs this class
+        from loose_env.arms.holding.compliance import servoed  # which needs this class
 
         return servoed(self, mode_hz=mode_hz, damping_ratio=damping_ratio)
 
@@ -197,7 +197,8 @@ class Arm:
     ) -> Arm:
         """Return the arm with elastic gears, of a stiffness [N·m/rad or N/m] or a mode [Hz].
 
-        With neither given they are the arm's own; see `loose_env.arms.compliance.compliant`.
+        With neither given they are the arm's own; see
+        `loose_env.arms.holding.compliance.compliant`.
 
         Raises
         ------
@@ -206,12 +207,12 @@ class Arm:
 
         Examples
         --------
-        >>> from loose_env.arms import planar
+        >>> from loose_env.arms.library import planar
         >>> planar(3).with_compliance(mode_hz=30.0).gear_joints
         ('gear1', 'gear2', 'gear3')
         """
-        from loose_env.arms.compliance import compliant  # which needs this class
-        from loose_env.arms.gears import gears_of
+        from loose_env.arms.holding.compliance import compliant  # which needs this class
+        from loose_env.arms.holding.gears import gears_of
 
         return compliant(self, gears_of(self, stiffness, mode_hz, damping_ratio))
 

@@ -17,7 +17,7 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from loose_env.arms.file_scan import files_of
+from loose_env.arms.files.safe_scan import files_of
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.cli.recorded import Said, add_recording_options, folder_of
 from loose_env.gap.model.effects.catalogue import read_effects

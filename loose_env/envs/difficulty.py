@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.mismatch import Mismatch
+from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.response.mismatch import Mismatch
 from loose_env.envs.faults.compound_seats import FurtherSeats, direction_from, log_uniform, uniform
 from loose_env.envs.faults.seat_stops import SeatMasses
 from loose_env.errors import InvalidSetting, UnknownName
@@ -152,7 +152,7 @@ class FaultSampler:
     Examples
     --------
     >>> import numpy as np
-    >>> from loose_env.arms import vera
+    >>> from loose_env.arms.library import vera
     >>> sampler = FaultSampler(LinearArm(vera()), Difficulty())
     >>> sampler.draw(np.random.default_rng(0)).kind
     'structural_looseness'

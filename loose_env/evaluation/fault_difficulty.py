@@ -57,8 +57,8 @@ def hidden_figures(sampler: FaultSampler, fault: Fault) -> HiddenFigures:
     Examples
     --------
     >>> import numpy as np
-    >>> from loose_env.arms import vera
-    >>> from loose_env.arms.linear import LinearArm
+    >>> from loose_env.arms.library import vera
+    >>> from loose_env.arms.response.linear import LinearArm
     >>> from loose_env.envs.difficulty import Difficulty
     >>> sampler = FaultSampler(LinearArm(vera()), Difficulty(friction=(0.25, 0.25)))
     >>> rng = np.random.default_rng(0)

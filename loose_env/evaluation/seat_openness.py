@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.linear import LinearArm
+from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.likelihood.seat_response import predict_seats
 from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, Fault, StructuralLooseness
@@ -25,7 +25,7 @@ class SeatOpenness:
 
     Examples
     --------
-    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.library import planar
     >>> openness = SeatOpenness(LinearArm(planar(2)))
     >>> seat = StructuralLooseness(
     ...     link=2, direction=(0, 1, 0), gap=1e-4, stiffness=(1e4, 1e4), friction=10.0

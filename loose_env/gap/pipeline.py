@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from loose_env.arms.engine_warnings import quiet
 from loose_env.gap.fitting.confidence_intervals import Intervals
 from loose_env.gap.fitting.gauss_newton import UNNAMED, Fit, fit, slices_of, strikes
 from loose_env.gap.fitting.holdout_score import Judge, Judged, share_of
@@ -30,7 +31,6 @@ from loose_env.gap.selection.revision import sure_ones
 from loose_env.gap.selection.reweighted_search import Searched, search
 from loose_env.gap.settings import GapSettings, NamingSettings
 from loose_env.recording import Recording
-from loose_env.rig.quiet import quiet
 
 __all__ = ["GapFound", "find_gap", "prepare"]
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from loose_env.arms.engine_warnings import quiet
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.gap.diagnostics.residual_spectra import Series, series_of
 from loose_env.gap.fitting.confidence_intervals import bootstrap, widened
@@ -36,7 +37,6 @@ from loose_env.gap.selection.screening.data_driven_starts import missing_torque,
 from loose_env.gap.selection.screening.screening import Screened, screen
 from loose_env.gap.settings import GapSettings, NamingSettings
 from loose_env.recording import Recording
-from loose_env.rig.quiet import quiet
 
 __all__ = ["GapSteps", "MissingTorque", "Tried"]
 

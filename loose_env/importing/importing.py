@@ -9,7 +9,7 @@ from typing import get_args
 
 import mujoco
 
-from loose_env.arms.model_file import compile_spec, load_spec
+from loose_env.arms.files.model_reader import compile_spec, load_spec
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.importing.joining import Joined, joined_run, shifts_of
 from loose_env.importing.mapping import ImportMapping

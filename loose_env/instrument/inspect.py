@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.linear import LinearArm
+from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.records.excitation_design import Proposal, holding_modes
 from loose_env.instrument.model.clearance import Ground
 from loose_env.instrument.model.planned_arm import ModelArm
@@ -152,7 +152,7 @@ def inspect_model(
 
     Examples
     --------
-    >>> from loose_env.arms.from_file import DESK_ARM
+    >>> from loose_env.arms.files.load import DESK_ARM
     >>> seen = inspect_model(DESK_ARM, NextSettings(poses=2))
     >>> [fault.hypothesis for fault in seen.faults][-1]
     'backlash@turn'

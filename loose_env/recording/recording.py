@@ -10,7 +10,7 @@ from posixpath import normpath
 import mujoco
 import numpy as np
 
-from loose_env.arms.model_file import compile_spec, load_spec, require_numbers
+from loose_env.arms.files.model_reader import compile_spec, load_spec, require_numbers
 from loose_env.errors import InvalidData
 from loose_env.recording.columns import ModelColumns
 from loose_env.recording.csv_file import read_csv

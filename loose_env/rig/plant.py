@@ -9,10 +9,10 @@ import mujoco
 import numpy as np
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.compliance import wind_up
-from loose_env.arms.linear import inertance_rate
-from loose_env.arms.link_sites import LinkSite, link_site
-from loose_env.arms.mismatch import MismatchDraw
+from loose_env.arms.holding.compliance import wind_up
+from loose_env.arms.response.linear import inertance_rate
+from loose_env.arms.response.mismatch import MismatchDraw
+from loose_env.arms.response.sensor_sites import LinkSite, link_site
 from loose_env.arms.shaker import add_shaker, place_shaker
 from loose_env.faults import (
     Fault,

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.mismatch import MismatchDraw
+from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.rig.jobs import Run
 from loose_env.rig.measurement import Measurement
 from loose_env.sensors import SensorSuite, read_accelerometer, read_encoder

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.mismatch import MismatchDraw
+from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.errors import InvalidSetting
 from loose_env.faults import Fault, Healthy
 from loose_env.rig.controls import controls
@@ -59,7 +59,7 @@ class ReducedRig(SlotRig):
     Examples
     --------
     >>> import numpy as np
-    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.library import planar
     >>> from loose_env.excitation import Excitation
     >>> rig = ReducedRig(planar(2))
     >>> shake = Excitation(torque_rms=(5.0, 0.0), duration=0.2, band=(30.0, 150.0))

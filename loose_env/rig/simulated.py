@@ -12,8 +12,9 @@ from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.mismatch import MismatchDraw
+from loose_env.arms.engine_warnings import quiet
+from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.errors import InvalidSetting
 from loose_env.faults import Fault, Healthy
 from loose_env.rig.controls import controls
@@ -21,7 +22,6 @@ from loose_env.rig.engines import Engine, Engines
 from loose_env.rig.jobs import Job, Run, check_jobs, whole_factor
 from loose_env.rig.measurement import Measurement
 from loose_env.rig.plant import Plant, PlantShop
-from loose_env.rig.quiet import quiet
 from loose_env.rig.reading import read_record
 from loose_env.rig.slots import SlotRig
 from loose_env.sensors import SensorSuite, decimation_filter
@@ -62,7 +62,7 @@ class SimulatedRig(SlotRig):
     Examples
     --------
     >>> import numpy as np
-    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.library import planar
     >>> from loose_env.excitation import Excitation
     >>> rig = SimulatedRig(planar(2))
     >>> shake = Excitation(torque_rms=(5.0, 0.0), duration=0.2, band=(30.0, 150.0))

@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.shaken import ShakenArm
-from loose_env.arms.vera import BENDING_MODE_HZ
-from loose_env.arms.vera_shaken import PROXIMAL, ShakenVeraFigures, shaken_vera
+from loose_env.arms.library.vera import BENDING_MODE_HZ
+from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.response.shaken import ShakenArm
 from loose_env.report.pages.figure_card import Plate
 from loose_env.statistics import axial_difference
 from loose_env.thesis.looseness_tables import (
@@ -22,6 +21,7 @@ from loose_env.thesis.looseness_tables import (
     preload_table,
 )
 from loose_env.thesis.printed import printed
+from loose_env.thesis.rigs.shaken_vera import PROXIMAL, ShakenVeraFigures, shaken_vera
 from loose_env.thesis.section import Section
 from loose_env.thesis.shaken_cases import (
     LOOSE_DIRECTION,

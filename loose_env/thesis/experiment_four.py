@@ -9,7 +9,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.slide import BENCH, SLIDE, SLIDE_BAND, Mount, slide_rig
 from loose_env.excitation import Excitation
 from loose_env.faults import Fault, Healthy
 from loose_env.report.pages.figure_card import Plate
@@ -25,6 +24,7 @@ from loose_env.statistics import (
 from loose_env.thesis.looseness_joint import finger_tight, loosened
 from loose_env.thesis.plots import LoopPanel, Points, by_category, loop_panels
 from loose_env.thesis.printed import printed
+from loose_env.thesis.rigs.slide import BENCH, SLIDE, SLIDE_BAND, Mount, slide_rig
 from loose_env.thesis.section import Section, Table
 from loose_env.thesis.shaken_cases import RATE, Spread, from_y
 from loose_env.thesis.shaken_tables import axis_words, percent, spread_words

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
-from loose_env.arms.cylindrical import LIFT, REACH
 from loose_env.thesis.experiment_one_figures import (
     end_plate,
     shudder_plate,
@@ -18,6 +17,7 @@ from loose_env.thesis.experiment_one_figures import (
 )
 from loose_env.thesis.guideway import POSES, Guideway, StrokePose, shift_end, transfer_point
 from loose_env.thesis.printed import printed
+from loose_env.thesis.rigs.cylindrical import LIFT, REACH
 from loose_env.thesis.section import Section, Table
 from loose_env.thesis.signal_size import rms
 from loose_env.thesis.strokes import Strokes, stroke_many

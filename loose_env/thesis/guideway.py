@@ -14,8 +14,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.cylindrical import GUIDE, cylindrical
 from loose_env.errors import InvalidSetting
+from loose_env.thesis.rigs.cylindrical import GUIDE, cylindrical
 
 __all__ = [
     "AXES",

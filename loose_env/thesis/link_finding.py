@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
-from loose_env.arms import planar
 from loose_env.arms.arm import Arm
-from loose_env.arms.linear import LinearArm
+from loose_env.arms.library import planar
+from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.link_finding.planar import (
     LinkFindingSettings,
     Order,

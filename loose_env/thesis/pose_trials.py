@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
 from loose_env.arms import Arm
-from loose_env.arms.linear import LinearArm
+from loose_env.arms.response.linear import LinearArm
 from loose_env.kinematics.manipulability import submanipulator
 from loose_env.kinematics.pose_choice import (
     Drive,

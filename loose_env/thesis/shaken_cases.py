@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.vera_shaken import PROXIMAL, SHAKEN_BAND, shaken_vera
 from loose_env.excitation import Excitation
 from loose_env.faults import Backlash, Fault, Healthy
 from loose_env.rig import Job, Measurement, SimulatedRig
@@ -23,6 +22,7 @@ from loose_env.statistics import (
 )
 from loose_env.thesis.looseness_joint import finger_tight, loosened
 from loose_env.thesis.printed import printed
+from loose_env.thesis.rigs.shaken_vera import PROXIMAL, SHAKEN_BAND, shaken_vera
 
 __all__ = [
     "LOOSE_DIRECTION",

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from loose_env.arms.vera_shaken import SHAKEN_BAND
 from loose_env.statistics import moments_by_direction, spectral_flatness
 from loose_env.thesis.plots import (
     Curve,
@@ -16,6 +15,7 @@ from loose_env.thesis.plots import (
     curves_by_direction,
     loop_panels,
 )
+from loose_env.thesis.rigs.shaken_vera import SHAKEN_BAND
 from loose_env.thesis.shaken_cases import RATE, CaseFigures, poses
 from loose_env.thesis.shaken_tables import coherence_by_direction, moment_points
 

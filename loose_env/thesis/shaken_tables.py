@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loose_env.arms.shaker import COIL
-from loose_env.arms.vera_shaken import SHAKEN_BAND
 from loose_env.sensors import STANDARD_GRAVITY
 from loose_env.statistics import (
     axial_difference,
@@ -23,6 +22,7 @@ from loose_env.statistics import (
     transmission,
 )
 from loose_env.thesis.plots import Points
+from loose_env.thesis.rigs.shaken_vera import SHAKEN_BAND
 from loose_env.thesis.section import Table
 from loose_env.thesis.shaken_cases import RATE, CaseFigures, Spread, from_y, poses
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms import vera
-from loose_env.arms.vera import LINK_LENGTH
+from loose_env.arms.library import vera
+from loose_env.arms.library.vera import LINK_LENGTH
 from loose_env.kinematics.joint_loads import (
     JointLoads,
     PeakForce,
@@ -33,9 +33,9 @@ EQUATIONS: dict[str, str] = {
     "6.3": "loose_env.kinematics.joint_loads.two_link_loads",
     "6.4": "loose_env.kinematics.joint_loads.two_link_loads",
     "6.5": "loose_env.kinematics.joint_loads.two_link_loads",
-    "6.6": "loose_env.arms.beams.beam_frequency",
-    "6.11": "loose_env.arms.beams.stinger_frequency",
-    "6.12": "loose_env.arms.beams.rod_stiffness",
+    "6.6": "loose_env.thesis.rigs.beams.beam_frequency",
+    "6.11": "loose_env.thesis.rigs.beams.stinger_frequency",
+    "6.12": "loose_env.thesis.rigs.beams.rod_stiffness",
 }
 """Function of each equation."""
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from loose_env.arms.beams import (
+from loose_env.arms.library.vera import BENDING_MODE_HZ, BLOCK_MASS, LINK2_MASS, LINK_LENGTH
+from loose_env.thesis.rigs.beams import (
     SQUARE_INCH,
     beam_frequency,
     beam_modulus,
@@ -13,7 +14,6 @@ from loose_env.arms.beams import (
     rod_stiffness,
     stinger_frequency,
 )
-from loose_env.arms.vera import BENDING_MODE_HZ, BLOCK_MASS, LINK2_MASS, LINK_LENGTH
 from loose_env.thesis.section import Table
 
 __all__ = ["structures"]

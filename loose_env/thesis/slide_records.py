@@ -1,8 +1,8 @@
 """Records of a slide shaken through a stinger, and of a resolver behind a gear with play.
 
-The slide of Experiments Two and Three (`loose_env.arms.slide`) and VERA on the shaker
-(`loose_env.arms.vera_shaken`), measured on the simulated rig. The rig's sensors are ideal here;
-the pair of accelerometers, the protractor and the tape are put on its readings, so that
+The slide of Experiments Two and Three (`loose_env.thesis.rigs.slide`) and VERA on the shaker
+(`loose_env.thesis.rigs.shaken_vera`), measured on the simulated rig. The rig's sensors are ideal
+here; the pair of accelerometers, the protractor and the tape are put on its readings, so that
 several pairs can be tried on one and the same motion.
 """
 
@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm, Holding
-from loose_env.arms.mismatch import Mismatch
+from loose_env.arms.response.mismatch import Mismatch
 from loose_env.arms.shaker import COIL
-from loose_env.arms.slide import BENCH, SLIDE, slide_rig
-from loose_env.arms.vera_shaken import shaken_vera
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import Excitation
 from loose_env.rig import Measurement, SimulatedRig
 from loose_env.sensors import Accelerometer, Encoder, SensorSuite
+from loose_env.thesis.rigs.shaken_vera import shaken_vera
+from loose_env.thesis.rigs.slide import BENCH, SLIDE, slide_rig
 
 __all__ = [
     "GEAR_PLAY",

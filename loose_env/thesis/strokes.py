@@ -10,9 +10,9 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from loose_env.arms.cylindrical import cylindrical
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.thesis.guideway import AXES, SEAT_HINGE, Guideway, StrokePose, guideway_model
+from loose_env.thesis.rigs.cylindrical import cylindrical
 
 __all__ = ["Strokes", "stroke_many"]
 

@@ -56,7 +56,7 @@ def _arm(text: Callable[[], bytes], name: str) -> Make:
         import warnings
 
         from loose_env.arms import Arm
-        from loose_env.arms.from_file import describe_file
+        from loose_env.arms.files.load import describe_file
 
         damage, data = xml(text(), around, rng)
         home = around.fresh({name: data, "two.stl": documents.tetrahedron()})
@@ -229,7 +229,7 @@ _KNOWN: list[Any] = []
 
 def _problem() -> Any:
     from agents.base import Problem
-    from loose_env.arms import vera
+    from loose_env.arms.library import vera
     from loose_env.envs.settings import DiagnosisSettings
 
     if not _KNOWN:

@@ -31,7 +31,7 @@ from agents.tuning import (
     write_tuned,
 )
 from agents.tuning_shards import Player, names_of, play_player, trained
-from loose_env.arms import planar
+from loose_env.arms.library import planar
 from loose_env.diagnosis.link_finding.planar import LinkFindingSettings
 from loose_env.envs.settings import DiagnosisSettings, Prices
 from loose_env.errors import InvalidSetting, UnknownName

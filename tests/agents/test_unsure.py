@@ -17,8 +17,8 @@ from agents.random_agent import RandomPolicy
 from agents.record_bank import BankSettings, play_episodes
 from agents.shard_store import ArrayCodec, ShardStore
 from agents.unlike_arms import OFF, OtherArmRig, UnlikeTask
-from loose_env.arms import planar
-from loose_env.arms.mismatch import Mismatch, MismatchDraw
+from loose_env.arms.library import planar
+from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
 from loose_env.diagnosis.learned.amortised_posterior import (
     AmortisedPosterior,
     read_network,

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from loose_env.arms.beams import (
+from loose_env.errors import InvalidSetting
+from loose_env.thesis.rigs.beams import (
     SQUARE_INCH,
     beam_frequency,
     beam_modulus,
@@ -16,7 +17,6 @@ from loose_env.arms.beams import (
     rod_stiffness,
     stinger_frequency,
 )
-from loose_env.errors import InvalidSetting
 
 TURN = 2 * math.pi
 

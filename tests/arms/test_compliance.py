@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, cylindrical, planar, scara, six_axis, vera
-from loose_env.arms.compliance import compliant, fastest_turn, servoed
-from loose_env.arms.gears import BARE_ROTOR, Gears
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.mismatch import Mismatch
+from loose_env.arms import Arm
+from loose_env.arms.holding.compliance import compliant, fastest_turn, servoed
+from loose_env.arms.holding.gears import BARE_ROTOR, Gears
+from loose_env.arms.library import planar, scara, vera
+from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.response.mismatch import Mismatch
 from loose_env.diagnosis.likelihood.posterior import variants
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.diagnosis.records.record_statistics import statistics_of
@@ -25,6 +27,7 @@ from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, Healthy, hypotheses
 from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import SensorSuite
+from loose_env.thesis.rigs import cylindrical
 
 Array = NDArray[np.float64]
 QUIET = SensorFloor(joint=0.0, tool=0.0)

@@ -7,9 +7,15 @@ import numpy as np
 import pytest
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.cylindrical import COLUMN_MODE_HZ, LIFT, REACH, SIDE_STIFFNESS, cylindrical
-from loose_env.arms.linear import LinearArm
+from loose_env.arms.response.linear import LinearArm
 from loose_env.rig.plant import PlantShop
+from loose_env.thesis.rigs.cylindrical import (
+    COLUMN_MODE_HZ,
+    LIFT,
+    REACH,
+    SIDE_STIFFNESS,
+    cylindrical,
+)
 
 
 @pytest.fixture(scope="module")

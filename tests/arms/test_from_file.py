@@ -14,10 +14,10 @@ import pytest
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.from_file import arm_from_file, describe_file
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.mismatch import MismatchDraw
-from loose_env.arms.planar import CREST_FACTOR as PLANAR_CREST_FACTOR
+from loose_env.arms.files.load import arm_from_file, describe_file
+from loose_env.arms.library.planar import CREST_FACTOR as PLANAR_CREST_FACTOR
+from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.errors import InvalidData, InvalidSetting, LooseEnvError, UnknownName
 from loose_env.excitation import CREST_FACTOR, at_levels
 from loose_env.faults import Backlash, Fault, Healthy, StructuralLooseness

@@ -8,7 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms import DESK_ARM, Arm, cylindrical, planar, scara, shaken_vera, six_axis, vera
+from loose_env.arms import DESK_ARM, Arm, shaken_vera
+from loose_env.arms.library import planar, scara, vera
+from loose_env.arms.library import puma560 as six_axis
+from loose_env.thesis.rigs import cylindrical
 
 
 def distances(arm: Arm, poses: np.ndarray) -> np.ndarray:

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, scara
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.scara import INNER, OUTER, STROKE
+from loose_env.arms import Arm
+from loose_env.arms.library import scara
+from loose_env.arms.library.scara import INNER, OUTER, STROKE
+from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.diagnosis.records.record_statistics import statistics_of
 from loose_env.excitation import at_levels

@@ -6,16 +6,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms import planar
-from loose_env.arms.shaken import ShakenArm
+from loose_env.arms.library import planar
+from loose_env.arms.response.shaken import ShakenArm
 from loose_env.arms.shaker import COIL, Shaker, add_shaker, place_shaker
-from loose_env.arms.vera_shaken import PROXIMAL, SHAKEN_BAND, ShakenVeraFigures, shaken_vera
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import Healthy, Preload
 from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import Accelerometer, SensorSuite
 from loose_env.statistics import transfer_function
+from loose_env.thesis.rigs.shaken_vera import PROXIMAL, SHAKEN_BAND, ShakenVeraFigures, shaken_vera
 
 RATE = 2000.0
 PERFECT = SensorSuite(

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.signal import find_peaks
 
-from loose_env.arms.shaken import ShakenArm, ShakenResponse
-from loose_env.arms.slide import SLIDE, SLIDE_BAND, Stinger, slide_rig
+from loose_env.arms.response.shaken import ShakenArm, ShakenResponse
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import Excitation
 from loose_env.rig import SimulatedRig
 from loose_env.sensors import Accelerometer, SensorSuite
 from loose_env.statistics import axial_difference, lowest_correlation_direction
 from loose_env.thesis.printed import printed
+from loose_env.thesis.rigs.slide import SLIDE, SLIDE_BAND, Stinger, slide_rig
 
 
 def answer(stinger: Stinger, band: tuple[float, float], step: float) -> ShakenResponse:

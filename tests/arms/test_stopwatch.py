@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms.quiet import quiet
+from loose_env.arms.engine_warnings import quiet
 
 MODEL = """
 <mujoco>

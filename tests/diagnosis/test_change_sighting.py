@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loose_env.arms import planar, scara, six_axis, vera
 from loose_env.arms.arm import Arm
-from loose_env.arms.mismatch import Mismatch
+from loose_env.arms.library import planar, scara, vera
+from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms.response.mismatch import Mismatch
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.diagnosis.link_finding.measured_direction import (
     ChangeModel,

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loose_env.arms import planar, vera
-from loose_env.arms.cylindrical import cylindrical
+from loose_env.arms.library import planar, vera
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.kinematics.joint_loads import (
     TwoLinks,
@@ -14,6 +13,7 @@ from loose_env.kinematics.joint_loads import (
     peak_force,
     two_link_loads,
 )
+from loose_env.thesis.rigs.cylindrical import cylindrical
 from tests.faults.thesis_equations import Figures, healthy_torques, thesis_arm
 
 

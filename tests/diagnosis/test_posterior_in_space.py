@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loose_env.arms import Arm, planar, scara, six_axis
-from loose_env.arms.linear import LinearArm
+from loose_env.arms import Arm
+from loose_env.arms.library import planar, scara
+from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.likelihood.opening_table import (
     PRESSES,
     RATIOS,

@@ -6,9 +6,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms import cylindrical, planar, scara, six_axis, vera
 from loose_env.arms.arm import Arm
-from loose_env.arms.linear import LinearArm
+from loose_env.arms.library import planar, scara, vera
+from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.likelihood.axial_likelihood import log_mean_bingham, precision_of
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places, predicted_images
 from loose_env.diagnosis.link_finding.moves import (
@@ -28,6 +29,7 @@ from loose_env.diagnosis.link_finding.spatial import (
     look_alikes,
 )
 from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.thesis.rigs import cylindrical
 
 ARMS = [six_axis(), scara(), cylindrical(), planar(4), vera()]
 SIX = ToolFrames(six_axis())

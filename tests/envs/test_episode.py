@@ -14,7 +14,7 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 from scipy import stats
 
-from loose_env.arms.mismatch import MismatchDraw
+from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.settings import Prices
 from loose_env.envs.vector_env import DiagnosisVectorEnv

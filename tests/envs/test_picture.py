@@ -11,8 +11,9 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
-from loose_env.arms import Arm, planar, scara, vera
-from loose_env.arms.linear import LinearArm
+from loose_env.arms import Arm
+from loose_env.arms.library import planar, scara, vera
+from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.episode import Episode

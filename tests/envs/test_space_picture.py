@@ -11,8 +11,10 @@ pytest.importorskip("matplotlib")
 
 from matplotlib.colors import to_rgb
 
-from loose_env.arms import DESK_ARM, Arm, cylindrical, planar, scara, six_axis
-from loose_env.arms.linear import LinearArm
+from loose_env.arms import DESK_ARM, Arm
+from loose_env.arms.library import planar, scara
+from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms.response.linear import LinearArm
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.episode import Episode
 from loose_env.envs.rendering.palette import TRUTH
@@ -34,6 +36,7 @@ from loose_env.statistics import (
     covariances,
     maximum_correlation,
 )
+from loose_env.thesis.rigs import cylindrical
 
 ARMS = {
     "six_axis": six_axis,

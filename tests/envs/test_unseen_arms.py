@@ -11,7 +11,7 @@ import pytest
 
 import loose_env  # noqa: F401  (registers the ids)
 from loose_env.arms import Arm
-from loose_env.arms.mismatch import MismatchDraw
+from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidData

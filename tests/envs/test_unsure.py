@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from agents.base import Problem
 from agents.belief_agent import best_verdict
-from loose_env.arms import Arm, planar, scara, six_axis, vera
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.mismatch import MismatchDraw
+from loose_env.arms import Arm
+from loose_env.arms.library import planar, scara, vera
+from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.difficulty import DIFFICULTIES, Difficulty, FaultSampler
 from loose_env.envs.rendering.caption import header_lines

@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, cylindrical, planar, scara, six_axis, vera
-from loose_env.arms.linear import LinearArm
+from loose_env.arms import Arm
+from loose_env.arms.library import planar, scara, vera
+from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms.response.linear import LinearArm
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, SeatDrive, at_levels
 from loose_env.faults import (
@@ -34,6 +36,7 @@ from loose_env.faults import (
 )
 from loose_env.rig.simulated import Job, SimulatedRig
 from loose_env.sensors import SensorSuite
+from loose_env.thesis.rigs import cylindrical
 
 Array = NDArray[np.float64]
 UR5E = Path(__file__).parents[3] / "shared" / "models" / "ur5e_bare.xml"

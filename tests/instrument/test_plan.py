@@ -303,7 +303,7 @@ def test_a_urdf_without_actuators_or_meshes_gets_motors_and_its_flange(tmp_path:
 def test_a_payload_takes_torque_to_hold(servoed: Path) -> None:
     bare, loaded = load(servoed), load(servoed, ModelSettings(payload_kg=2.0))
     pose = [0.0, 0.0, 0.0]
-    from loose_env.arms.linear import LinearArm
+    from loose_env.arms.response.linear import LinearArm
 
     more = (
         LinearArm(loaded.arm).at(pose).gravity_torque - LinearArm(bare.arm).at(pose).gravity_torque

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.shaken import ShakenArm
-from loose_env.arms.vera_shaken import PROXIMAL, shaken_vera
+from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.response.shaken import ShakenArm
 from loose_env.statistics import axial_difference
+from loose_env.thesis.rigs.shaken_vera import PROXIMAL, shaken_vera
 from loose_env.thesis.shaken_cases import (
     LOOSE_DIRECTION,
     PLAY_DIRECTION,

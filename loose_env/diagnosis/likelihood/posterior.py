@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.mismatch import Mismatch
+from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.response.mismatch import Mismatch
 from loose_env.diagnosis.likelihood.opening_table import OpeningTable, shipped_table
 from loose_env.diagnosis.likelihood.record_likelihood import SHUT, Fit, fit_record
 from loose_env.diagnosis.records.prediction import SensorFloor
@@ -144,7 +144,7 @@ class FaultPosterior:
 
     Examples
     --------
-    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.library import planar
     >>> posterior = FaultPosterior(LinearArm(planar(2)), SensorSuite())
     >>> posterior.start().probabilities.round(3).tolist()
     [0.333, 0.167, 0.167, 0.167, 0.167]

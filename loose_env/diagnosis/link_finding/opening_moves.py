@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loose_env.arms.linear import LinearArm
+from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.diagnosis.link_finding.moves import choose_move
 from loose_env.diagnosis.link_finding.spatial import LinkPosterior
@@ -49,7 +49,7 @@ def expected_openness(
 
     Examples
     --------
-    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.library import planar
     >>> from loose_env.diagnosis.link_finding.direction_images import ToolFrames
     >>> from loose_env.diagnosis.link_finding.spatial import DirectionSighting, link_posterior
     >>> arm = planar(2)
@@ -115,7 +115,7 @@ def choose_open_move(
 
     Examples
     --------
-    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.library import planar
     >>> from loose_env.diagnosis.link_finding.moves import candidate_poses
     >>> from loose_env.diagnosis.link_finding.spatial import DirectionSighting, link_posterior
     >>> arm = planar(2)

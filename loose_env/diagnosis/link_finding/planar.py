@@ -23,7 +23,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.linear import LinearArm
+from loose_env.arms.response.linear import LinearArm
 from loose_env.errors import InvalidSetting
 from loose_env.statistics import ComparativeIndex, axial_difference, comparative_index
 

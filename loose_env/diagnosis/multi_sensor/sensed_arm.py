@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.link_sites import Place, link_site
-from loose_env.arms.mismatch import Mismatch
+from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.response.mismatch import Mismatch
+from loose_env.arms.response.sensor_sites import Place, link_site
 
 __all__ = ["SensedArm", "SensedPose"]
 
@@ -63,7 +63,7 @@ class SensedArm:
     links : sequence of int
         Links that carry one.
     place : {"distal", "proximal"}
-        Where; see `loose_env.arms.link_sites.link_site`.
+        Where; see `loose_env.arms.response.sensor_sites.link_site`.
     mismatch : Mismatch, optional
         How far the stiffness of bending modes may be off.
 
@@ -71,7 +71,7 @@ class SensedArm:
     --------
     A seat shows at every sensor beyond it and at none before.
 
-    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.library import planar
     >>> sensed = SensedArm(planar(3), links=(1, 2, 3))
     >>> at = sensed.at([0.1, 0.5, 0.9], [True, False, False])
     >>> np.linalg.norm(at.column[:, :, 1], axis=(1, 2)).round(1).tolist()

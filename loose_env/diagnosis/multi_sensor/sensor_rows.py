@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.link_sites import link_site
+from loose_env.arms.response.sensor_sites import link_site
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.rig.measurement import Measurement
 from loose_env.sensors import LinkAccelerometers
@@ -75,7 +75,7 @@ def rows_of(arm: Arm, links: LinkAccelerometers | None, *, tool: bool = True) ->
 
     Examples
     --------
-    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.library import planar
     >>> rows_of(planar(3), LinkAccelerometers(tangential=True)).link.tolist()
     [0, 0, 1, 2, 3]
     """

@@ -12,7 +12,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.parts import held_inertia
+from loose_env.arms.spec_parts import held_inertia
 from loose_env.diagnosis.records.prediction import Prediction
 from loose_env.diagnosis.records.record_statistics import RecordStatistics
 from loose_env.envs.episode.pose_encoding import JointPose
@@ -59,7 +59,7 @@ class ObservationLayout:
 
     Examples
     --------
-    >>> from loose_env.arms import vera
+    >>> from loose_env.arms.library import vera
     >>> layout = ObservationLayout(vera(), DiagnosisSettings())
     >>> layout.elements[0].name, layout.elements[0].unit
     ('now.sin_pose.joint1', '1')

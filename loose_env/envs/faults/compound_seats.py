@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.linear import LinearArm
+from loose_env.arms.response.linear import LinearArm
 from loose_env.envs.faults.seat_stops import SeatMasses, Stops
 from loose_env.excitation import SeatDrive
 from loose_env.faults import (

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.linear import LinearArm
+from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.records.prediction import SensorFloor
 from loose_env.envs.episode import Episode
 from loose_env.envs.rendering.planar.scene import PlanarScene

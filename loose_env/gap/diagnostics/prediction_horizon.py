@@ -15,6 +15,7 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
+from loose_env.arms.engine_warnings import quiet
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.initial_rest import SETTLE
 from loose_env.gap.model.hypothesis import Hypothesis
@@ -30,7 +31,6 @@ from loose_env.gap.simulation.sensor_timing import (
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.gap.simulation.time_step import stepped
 from loose_env.gap.simulation.torque_terms import BatchWithTerms, with_terms
-from loose_env.rig.quiet import quiet
 
 __all__ = ["HORIZONS", "HorizonError", "horizon_errors"]
 

@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from loose_env.arms.engine_warnings import quiet
 from loose_env.gap.data.aligned_run import Trial
 from loose_env.gap.data.initial_rest import SETTLE
 from loose_env.gap.fitting.gauss_newton import strikes
@@ -24,7 +25,6 @@ from loose_env.gap.output.export_mjcf import corrected_spec
 from loose_env.gap.residuals.physical_units import rms
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.simulation.time_step import step_with
-from loose_env.rig.quiet import quiet
 
 __all__ = ["Exported", "compared", "exported", "played", "resting_runs"]
 

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.file_scan import files_of
+from loose_env.arms.files.safe_scan import files_of
 from loose_env.errors import InvalidData
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.nominal_model import Machine, set_step

@@ -14,6 +14,7 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
+from loose_env.arms.engine_warnings import quiet
 from loose_env.errors import InvalidData
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.initial_rest import SETTLE
@@ -31,7 +32,6 @@ from loose_env.gap.simulation.sensor_timing import (
 )
 from loose_env.gap.simulation.time_step import stepped
 from loose_env.gap.simulation.torque_terms import BatchWithTerms, has_terms, with_terms
-from loose_env.rig.quiet import quiet
 
 __all__ = ["Simulator"]
 

@@ -19,8 +19,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.mismatch import MismatchDraw
+from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.instrument.model.recorded_arm import Machine
 from loose_env.instrument.settings.tolerances import Tolerances
 

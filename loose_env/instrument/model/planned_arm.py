@@ -14,9 +14,9 @@ import mujoco
 import numpy as np
 
 from loose_env.arms.arm import Arm, HoldKind
-from loose_env.arms.file_report import FileReport, report
-from loose_env.arms.model_file import ModelFile, load_spec, read_model_file
-from loose_env.arms.serial_chain import Chain, find_chain
+from loose_env.arms.files.model_reader import ModelFile, load_spec, read_model_file
+from loose_env.arms.files.report import FileReport, report
+from loose_env.arms.files.serial_chain import Chain, find_chain
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.instrument.model.actuators import JointDrive, drives_of, held_by_drives
 from loose_env.instrument.model.clearance import Collisions
@@ -107,7 +107,7 @@ def load_model_arm(
     tool : str, optional
         Site or body that carries the accelerometer. By default where the model's own
         accelerometer sits, of several as `loose_env.instrument.model.tool_site` says; else as
-        `loose_env.arms.from_file.arm_from_file` finds it.
+        `loose_env.arms.files.load.arm_from_file` finds it.
     hold : {"model", "brake", "servo", "compliant"}
         "model": on the springs of the model's position servos; where it has none, by a controller
         that is slow beside the band, `loose_env.instrument.model.actuators.held_by_drives`.
@@ -119,11 +119,11 @@ def load_model_arm(
     Raises
     ------
     InvalidSetting, InvalidData, UnknownName
-        As `loose_env.arms.from_file.arm_from_file`; and if a payload makes no sense.
+        As `loose_env.arms.files.load.arm_from_file`; and if a payload makes no sense.
 
     Examples
     --------
-    >>> from loose_env.arms.from_file import DESK_ARM
+    >>> from loose_env.arms.files.load import DESK_ARM
     >>> desk = load_model_arm(DESK_ARM)
     >>> desk.joints[:2], desk.drives[0].actuator
     (('base', 'shoulder'), 'actuator1')

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.from_file import arm_from_file
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.model_file import compile_spec, load_spec, read_model_file
-from loose_env.arms.serial_chain import find_chain
+from loose_env.arms.files.load import arm_from_file
+from loose_env.arms.files.model_reader import compile_spec, load_spec, read_model_file
+from loose_env.arms.files.serial_chain import find_chain
+from loose_env.arms.response.linear import LinearArm
 from loose_env.errors import InvalidData
 from loose_env.instrument.model.actuators import actuators_on
 from loose_env.instrument.model.tool_site import tool_site

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.linear import LinearArm
+from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places
 from loose_env.diagnosis.link_finding.spatial import look_alikes
 from loose_env.instrument.model.planned_arm import ModelArm
@@ -133,7 +133,7 @@ def best_seen(
 
     Examples
     --------
-    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.library import planar
     >>> linear = LinearArm(planar(2))
     >>> found = best_seen(linear, np.array([[0.1, 1.2]]), NextSettings())
     >>> bool((found.opens == 1).all())  # nothing weighs on a seat in the horizontal plane

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.linear import LinearArm, LinearPose
+from loose_env.arms.response.linear import LinearArm, LinearPose
 from loose_env.diagnosis.learned.features import SeatFeatures
 from loose_env.diagnosis.likelihood.seat_response import predict_seats
 from loose_env.diagnosis.records.excitation_design import Proposal, propose_excitation

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.linear import LinearArm
+from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.instrument.model.planned_arm import ModelArm
 from loose_env.instrument.planning.excitation import sensitivity

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.mismatch import Mismatch
+from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.response.mismatch import Mismatch
 from loose_env.diagnosis.experiment_design.information_gain import ImaginedFaults, RecordInformation
 from loose_env.diagnosis.learned.features import SeatFeatures
 from loose_env.diagnosis.records.excitation_design import Proposal
@@ -105,7 +105,7 @@ def next_measurement(
 
     Examples
     --------
-    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.library import planar
     >>> arm = planar(2)
     >>> first = next_measurement(arm, LinearArm(arm), settings=NextSettings(poses=4))
     >>> sorted(first.pose), first.joints[0] in first.pose

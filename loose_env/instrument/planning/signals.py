@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from loose_env.arms.linear import LinearArm
+from loose_env.arms.response.linear import LinearArm
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.instrument.model.holding_commands import (

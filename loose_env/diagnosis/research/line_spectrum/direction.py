@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.mismatch import Mismatch
+from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.response.mismatch import Mismatch
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places
 from loose_env.diagnosis.research.line_spectrum.model_error_fit import (
     answers_of,
@@ -152,7 +152,7 @@ def direction_by_dynamics(
     Examples
     --------
     >>> import numpy as np
-    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.library import planar
     >>> from loose_env.excitation import Excitation
     >>> from loose_env.faults import StructuralLooseness
     >>> from loose_env.rig import SimulatedRig

@@ -19,8 +19,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.linear import LinearArm, LinearPose, inertance_rate
-from loose_env.arms.mismatch import Mismatch, MismatchDraw
+from loose_env.arms.response.linear import LinearArm, LinearPose, inertance_rate
+from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
 from loose_env.diagnosis.records.model_uncertainty import sensor_matrices
 
 __all__ = ["Answer", "UncertainArm", "UncertainPose"]
@@ -65,7 +65,7 @@ class UncertainArm:
 
     Examples
     --------
-    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.library import planar
     >>> arm = UncertainArm(LinearArm(planar(2).with_compliance()), Mismatch())
     >>> arm.names[-7:]
     ('drive_gain1', 'drive_gain2', 'sensor1', 'sensor2', 'sensor3', 'sensor4', 'sensor5')

@@ -13,8 +13,8 @@ from enum import Enum
 
 import numpy as np
 
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.mismatch import Mismatch
+from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.response.mismatch import Mismatch
 from loose_env.diagnosis.research.sequential.transmission_change import (
     Instrument,
     MeasuredChange,

@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.mismatch import Mismatch
+from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.response.mismatch import Mismatch
 from loose_env.diagnosis.records.model_uncertainty import (
     bent_by_seats,
     calibrate_sensor,

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.linear import LinearArm, LinearPose
-from loose_env.arms.mismatch import MismatchDraw
+from loose_env.arms.response.linear import LinearArm, LinearPose
+from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import Healthy, StructuralLooseness

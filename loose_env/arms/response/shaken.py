@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.linear import inertance_rate
+from loose_env.arms.response.linear import inertance_rate
 from loose_env.arms.shaker import COIL, add_shaker, place_shaker
 from loose_env.errors import InvalidSetting
 
@@ -76,7 +76,7 @@ class ShakenArm:
 
     Examples
     --------
-    >>> from loose_env.arms.vera_shaken import PROXIMAL, shaken_vera
+    >>> from loose_env.thesis.rigs.shaken_vera import PROXIMAL, shaken_vera
     >>> answer = ShakenArm(shaken_vera(), points=50).at([0.0, 1.0])
     >>> answer.tool.shape, answer.probes[PROXIMAL].shape
     ((50, 2), (50, 3))

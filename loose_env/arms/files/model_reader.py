@@ -10,8 +10,8 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-from loose_env.arms.file_scan import scan
-from loose_env.arms.quiet import quiet
+from loose_env.arms.engine_warnings import quiet
+from loose_env.arms.files.safe_scan import scan
 from loose_env.errors import InvalidData, InvalidSetting
 
 __all__ = [

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 
 from loose_env.arms.arm import Arm, Holding
-from loose_env.arms.parts import new_spec
 from loose_env.arms.shaker import Shaker
+from loose_env.arms.spec_parts import new_spec
 from loose_env.errors import InvalidSetting, UnknownName
 
 __all__ = ["BENCH", "SLIDE", "SLIDE_BAND", "Mount", "Stinger", "slide_rig"]

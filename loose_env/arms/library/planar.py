@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from loose_env.arms.arm import Arm, HoldKind
-from loose_env.arms.compliance import held
-from loose_env.arms.parts import add_link, holdings, new_spec
+from loose_env.arms.holding.compliance import held
+from loose_env.arms.spec_parts import add_link, holdings, new_spec
 from loose_env.errors import InvalidSetting
 
 __all__ = ["planar"]
@@ -23,7 +23,7 @@ def planar(n_links: int = 4, *, vertical: bool = False, hold: HoldKind = "brake"
     reflected rotor inertia is half the inertia it moves with the arm straight, as on
     industrial arms (PUMA 560: 1.1 and 4.7 kg·m² at the first two joints). Torque limits
     are what the top level asks of each joint with the arm straight, peaks included. Elastic
-    gears have a mode of 60 Hz each (`loose_env.arms.gears.GEAR_MODE_HZ`): for three
+    gears have a mode of 60 Hz each (`loose_env.arms.holding.gears.GEAR_MODE_HZ`): for three
     links 3e5, 8.4e4 and 1.1e4 N·m/rad, within what industrial drives have.
 
     Parameters
@@ -33,7 +33,7 @@ def planar(n_links: int = 4, *, vertical: bool = False, hold: HoldKind = "brake"
     vertical : bool
         Whether the plane of motion holds gravity; else gravity is normal to it.
     hold : {"brake", "servo", "compliant"}
-        How joints that are not excited are held; see `loose_env.arms.compliance`.
+        How joints that are not excited are held; see `loose_env.arms.holding.compliance`.
 
     Raises
     ------

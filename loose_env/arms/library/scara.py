@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 
 from loose_env.arms.arm import Arm, HoldKind
-from loose_env.arms.compliance import held
-from loose_env.arms.gears import STIFFNESS_PER_TORQUE, Gears
-from loose_env.arms.parts import add_link, holdings, new_spec
+from loose_env.arms.holding.compliance import held
+from loose_env.arms.holding.gears import STIFFNESS_PER_TORQUE, Gears
+from loose_env.arms.spec_parts import add_link, holdings, new_spec
 
 __all__ = ["INNER", "OUTER", "STROKE", "scara"]
 
@@ -52,13 +52,13 @@ def scara(*, hold: HoldKind = "brake") -> Arm:
     turns in its spline is a `RotationalLooseness` of link 3 about the vertical.
 
     Elastic gears (``hold="compliant"``) are estimates too: strain-wave gears with
-    `loose_env.arms.gears.STIFFNESS_PER_TORQUE` times the torque limits (4.5e4, 1.8e4 and
+    `loose_env.arms.holding.gears.STIFFNESS_PER_TORQUE` times the torque limits (4.5e4, 1.8e4 and
     2.4e3 N·m/rad) and a screw of 1e6 N/m; the arm sways in the plane at about 17 Hz.
 
     Parameters
     ----------
     hold : {"brake", "servo", "compliant"}
-        How joints that are not excited are held; see `loose_env.arms.compliance`.
+        How joints that are not excited are held; see `loose_env.arms.holding.compliance`.
 
     Examples
     --------

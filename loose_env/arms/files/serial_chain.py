@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from loose_env.arms.model_file import ModelFile
+from loose_env.arms.files.model_reader import ModelFile
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 
 __all__ = ["Chain", "find_chain"]

@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 
 from loose_env.arms.arm import Arm, HoldKind
-from loose_env.arms.compliance import held
-from loose_env.arms.gears import STIFFNESS_PER_TORQUE, Gears
-from loose_env.arms.parts import holdings, new_spec
+from loose_env.arms.holding.compliance import held
+from loose_env.arms.holding.gears import STIFFNESS_PER_TORQUE, Gears
+from loose_env.arms.spec_parts import holdings, new_spec
 
 __all__ = ["TOOL", "six_axis"]
 
@@ -75,14 +75,14 @@ def six_axis(*, hold: HoldKind = "brake") -> Arm:
     Torque limits are the motors' times their gears; with the tool close to the axis of a joint
     they allow less than the top level. The coupling of the wrist's gears and bending of links
     are left out as well. Gears are stiff unless ``hold="compliant"``: then they have
-    `loose_env.arms.gears.STIFFNESS_PER_TORQUE` times the torque limits, 5.6e4 N·m/rad
+    `loose_env.arms.holding.gears.STIFFNESS_PER_TORQUE` times the torque limits, 5.6e4 N·m/rad
     at joint 2 and 6e3 in the wrist, which is derived and not measured; the arm sways at about
     15 Hz about joint 1 and 25 Hz about joint 2.
 
     Parameters
     ----------
     hold : {"brake", "servo", "compliant"}
-        How joints that are not excited are held; see `loose_env.arms.compliance`.
+        How joints that are not excited are held; see `loose_env.arms.holding.compliance`.
 
     References
     ----------

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm, Holding
-from loose_env.arms.gears import rounded
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.planar import CREST_FACTOR
+from loose_env.arms.holding.gears import rounded
+from loose_env.arms.library.planar import CREST_FACTOR
+from loose_env.arms.response.linear import LinearArm
 from loose_env.errors import InvalidData
 
 __all__ = [

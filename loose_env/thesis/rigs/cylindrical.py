@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 
 from loose_env.arms.arm import Arm, Holding, HoldKind
-from loose_env.arms.compliance import held
-from loose_env.arms.gears import Gears
-from loose_env.arms.parts import HOLDING_MODE_HZ, holdings, new_spec
+from loose_env.arms.holding.compliance import held
+from loose_env.arms.holding.gears import Gears
+from loose_env.arms.spec_parts import HOLDING_MODE_HZ, holdings, new_spec
 
 __all__ = ["COLUMN_MODE_HZ", "GUIDE", "OIL_MODE_HZ", "cylindrical"]
 
@@ -59,7 +59,7 @@ def cylindrical(*, hold: HoldKind = "brake") -> Arm:
     Parameters
     ----------
     hold : {"brake", "servo", "compliant"}
-        How joints that are not excited are held; see `loose_env.arms.compliance`.
+        How joints that are not excited are held; see `loose_env.arms.holding.compliance`.
 
     Examples
     --------

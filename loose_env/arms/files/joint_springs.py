@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.compliance import fastest_turn, settling_time
-from loose_env.arms.gears import WHEEL_TURN, add_wheel, inertias, poses_of
+from loose_env.arms.holding.compliance import fastest_turn, settling_time
+from loose_env.arms.holding.gears import WHEEL_TURN, add_wheel, inertias, poses_of
 from loose_env.errors import InvalidData
 
 __all__ = ["FASTEST_TURN", "with_file_springs"]

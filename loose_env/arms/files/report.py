@@ -8,8 +8,8 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-from loose_env.arms.model_file import ModelFile
-from loose_env.arms.serial_chain import Chain
+from loose_env.arms.files.model_reader import ModelFile
+from loose_env.arms.files.serial_chain import Chain
 
 __all__ = ["FileReport", "FoundJoint", "Payload", "report"]
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from loose_env.arms.arm import Arm, Holding
-from loose_env.arms.parts import holdings
+from loose_env.arms.library.vera import LINK_LENGTH, BendingLink2, vera_spec
 from loose_env.arms.shaker import Shaker
-from loose_env.arms.vera import LINK_LENGTH, BendingLink2, vera_spec
+from loose_env.arms.spec_parts import holdings
 from loose_env.errors import InvalidSetting, UnknownName
 
 __all__ = ["PROXIMAL", "SHAKEN_BAND", "Pin", "ShakenVeraFigures", "shaken_vera"]

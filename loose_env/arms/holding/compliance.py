@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm, Holding, HoldKind
-from loose_env.arms.gears import (
+from loose_env.arms.holding.gears import (
     WHEEL_TURN,
     Figures,
     Gears,
@@ -20,8 +20,8 @@ from loose_env.arms.gears import (
     rotors,
     rounded,
 )
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.parts import SERVO_DAMPING, held_inertia
+from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.spec_parts import SERVO_DAMPING, held_inertia
 from loose_env.errors import InvalidSetting, UnknownName
 
 __all__ = ["compliant", "fastest_turn", "held", "servoed", "settling_time", "wind_up"]
@@ -43,7 +43,7 @@ def held(arm: Arm, hold: HoldKind) -> Arm:
 
     Examples
     --------
-    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.library import planar
     >>> held(planar(3), "compliant").gear_joints
     ('gear1', 'gear2', 'gear3')
     """
@@ -70,7 +70,7 @@ def servoed(
         Any arm.
     mode_hz : float or sequence of n floats, optional
         Bandwidth: natural frequency of each joint on its servo [Hz]. The arm's own gains by
-        default (`loose_env.arms.parts.SERVO_MODE_HZ`).
+        default (`loose_env.arms.spec_parts.SERVO_MODE_HZ`).
     damping_ratio : float or sequence of n floats, optional
         Damping ratio of that mode [1]; 0.5 by default.
 
@@ -81,7 +81,7 @@ def servoed(
 
     Examples
     --------
-    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.library import planar
     >>> stiff = servoed(planar(2), mode_hz=50.0)
     >>> stiff.name, round(stiff.servo.stiffness[0] / planar(2).servo.stiffness[0], 1)
     ('planar2-servo', 4.0)
@@ -115,7 +115,7 @@ def compliant(arm: Arm, gears: Gears | None = None) -> Arm:
     The output side of a gear needs an inertia of its own, for behind an open seat it is all
     there is on the spring: where the flange has too little for the simulation step, a part of
     the rotor's inertia is moved to it, so that both together stay as they were. A joint
-    without rotor inertia gets `loose_env.arms.gears.BARE_ROTOR` of what it carries. Where
+    without rotor inertia gets `loose_env.arms.holding.gears.BARE_ROTOR` of what it carries. Where
     stiffness asks for more than that, the step is halved, three times at most.
 
     Gravity winds the gears up. The rig preloads the springs so that they rest at the pose that
@@ -137,7 +137,7 @@ def compliant(arm: Arm, gears: Gears | None = None) -> Arm:
 
     Examples
     --------
-    >>> from loose_env.arms import planar
+    >>> from loose_env.arms.library import planar
     >>> arm = compliant(planar(2), Gears(stiffness=(4e4, 1e4)))
     >>> arm.name, arm.model.joint("gear2").stiffness[0].item()
     ('planar2-compliant', 10000.0)

@@ -12,21 +12,21 @@ import mujoco
 import numpy as np
 
 from loose_env.arms.arm import Arm, HoldKind
-from loose_env.arms.chain_spec import TOOL_SITE, chain_spec
-from loose_env.arms.compliance import held
-from loose_env.arms.drive_figures import (
+from loose_env.arms.files.chain_spec import TOOL_SITE, chain_spec
+from loose_env.arms.files.drive_limits import (
     TIMESTEP,
     calm_centring,
     propose_levels,
     propose_limits,
     stable_timestep,
 )
-from loose_env.arms.file_report import FileReport, FoundJoint, Payload, report
-from loose_env.arms.file_springs import with_file_springs
-from loose_env.arms.gears import proposed_gears
-from loose_env.arms.model_file import read_model_file
-from loose_env.arms.parts import holdings
-from loose_env.arms.serial_chain import Chain, find_chain
+from loose_env.arms.files.joint_springs import with_file_springs
+from loose_env.arms.files.model_reader import read_model_file
+from loose_env.arms.files.report import FileReport, FoundJoint, Payload, report
+from loose_env.arms.files.serial_chain import Chain, find_chain
+from loose_env.arms.holding.compliance import held
+from loose_env.arms.holding.gears import proposed_gears
+from loose_env.arms.spec_parts import holdings
 from loose_env.errors import InvalidSetting, UnknownName
 
 __all__ = ["DESK_ARM", "FileReport", "FoundJoint", "Payload", "arm_from_file", "describe_file"]
@@ -83,8 +83,8 @@ def arm_from_file(
     joints : sequence of str, optional
         Driven joints. By default all between the base and the tool that are not elastic.
     hold : {"brake", "servo", "compliant"}
-        How joints that are not excited are held; see `loose_env.arms.compliance`. Elastic gears
-        have the figures of `loose_env.arms.gears.proposed_gears`.
+        How joints that are not excited are held; see `loose_env.arms.holding.compliance`. Elastic
+        gears have the figures of `loose_env.arms.holding.gears.proposed_gears`.
 
     Returns
     -------

@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.model_file import ModelFile
-from loose_env.arms.parts import new_spec
-from loose_env.arms.serial_chain import Chain
+from loose_env.arms.files.model_reader import ModelFile
+from loose_env.arms.files.serial_chain import Chain
+from loose_env.arms.spec_parts import new_spec
 
 __all__ = ["BARE_MOTOR_SIDE", "MOTOR_SIDE", "TOOL_SITE", "ChainSpec", "chain_spec"]
 

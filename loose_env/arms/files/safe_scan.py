@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from loose_env.arms.file_sizes import MOST_BYTES, check_counts, check_expanded
+from loose_env.arms.files.size_limits import MOST_BYTES, check_counts, check_expanded
 from loose_env.errors import InvalidData
 
 __all__ = ["files_of", "scan"]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.parts import held_inertia
+from loose_env.arms.spec_parts import held_inertia
 from loose_env.errors import InvalidSetting
 
 __all__ = [

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 
 from loose_env.arms.arm import Arm, HoldKind
-from loose_env.arms.compliance import held
-from loose_env.arms.parts import add_link, holdings, new_spec
+from loose_env.arms.holding.compliance import held
+from loose_env.arms.spec_parts import add_link, holdings, new_spec
 
 __all__ = ["BENDING_MODE_HZ", "LINK_LENGTH", "BendingLink2", "vera", "vera_spec"]
 
@@ -59,7 +59,7 @@ def vera(*, hold: HoldKind = "brake") -> Arm:
     Parameters
     ----------
     hold : {"brake", "servo", "compliant"}
-        How joints that are not excited are held; see `loose_env.arms.compliance`.
+        How joints that are not excited are held; see `loose_env.arms.holding.compliance`.
 
     Examples
     --------
