@@ -277,10 +277,12 @@ def file_times(model: Path, arms: int) -> tuple[float, float, float]:
         env.reset(seed=0)\n"
         "running = time.perf_counter()\n" "shake
         = env.actions.encode(levels=np.eye(arm.n,
-        dtype=int)[0])\n" f"env.step(np.array([shake]
+        dtype=int)[0])\n"
+        f"env.step(np.array([shake]
         * {arms}));
-        stepped =
-        time.perf_counter()\n" "print(imported
+        stepped
+        = time.perf_counter()\n"
+        "print(imported
         - begin, running
         - imported, stepped
         - running)"

@@ -20,8 +20,8 @@ from scipy.optimize import differential_evolution
 
 from loose_env.arms.response.shaken import ShakenArm
 from loose_env.statistics import axial_difference
+from loose_env.thesis.ch6_experiments.shaken_vera.cases import printed_healthy
 from loose_env.thesis.rigs.shaken_vera import PROXIMAL, ShakenVeraFigures, shaken_vera
-from loose_env.thesis.shaken_cases import printed_healthy
 
 # Figure, lowest and highest value, and whether to search on a logarithmic scale.
 BOUNDS = (

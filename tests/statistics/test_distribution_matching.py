@@ -11,14 +11,14 @@ import pytest
 
 from loose_env.errors import InvalidData, InvalidSetting, MissingExtra
 from loose_env.statistics import axial_difference
-from loose_env.statistics.distribution_matching import (
+from loose_env.thesis.methods.motion.distribution_matching import (
     MatchSettings,
     match_planar,
     match_spatial,
     search_planar,
     search_spatial,
 )
-from loose_env.statistics.gaussian_ridge import (
+from loose_env.thesis.methods.motion.gaussian_ridge import (
     along,
     exponent_from_sd,
     planar_ridge,
@@ -27,8 +27,13 @@ from loose_env.statistics.gaussian_ridge import (
     spatial_ridge,
     to_plane,
 )
-from loose_env.statistics.histogram import Histogram, histogram
-from loose_env.statistics.ridge_trial import hemisphere, planar_trial, spatial_trial, variance_trial
+from loose_env.thesis.methods.motion.histogram import Histogram, histogram
+from loose_env.thesis.methods.motion.ridge_initialisation import (
+    hemisphere,
+    planar_trial,
+    spatial_trial,
+    variance_trial,
+)
 
 TRUTH = np.array([10.0, -0.5, 0.6])
 

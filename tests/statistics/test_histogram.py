@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.statistics.histogram import contour_levels, histogram, marginal
+from loose_env.thesis.methods.motion.histogram import contour_levels, histogram, marginal
 
 
 def test_every_sample_is_counted_once_and_bins_are_square():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData, UnknownName
-from loose_env.statistics.signals import (
+from loose_env.thesis.methods.motion.signals import (
     DIFFERENCES,
     QUADRATURES,
     differentiate,

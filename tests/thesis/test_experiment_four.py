@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from loose_env.statistics import axial_difference, kurtosis
-from loose_env.thesis.experiment_four import FINGER, LOOSE, TIGHT, Trial, trials
+from loose_env.thesis.ch6_experiments.slide.experiment_four import (
+    FINGER,
+    LOOSE,
+    TIGHT,
+    Trial,
+    trials,
+)
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,20 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidSetting
-from loose_env.thesis.experiment_one import repeatability, right_sets, ringing, shudder
-from loose_env.thesis.guideway import POSES, Guideway, StrokePose, shift_end, transfer_point
-from loose_env.thesis.strokes import stroke_many
+from loose_env.thesis.ch6_experiments.arm.experiment_one import (
+    repeatability,
+    right_sets,
+    ringing,
+    shudder,
+)
+from loose_env.thesis.ch6_experiments.arm.guideway import (
+    POSES,
+    Guideway,
+    StrokePose,
+    shift_end,
+    transfer_point,
+)
+from loose_env.thesis.ch6_experiments.arm.strokes import stroke_many
 
 QUIET = Guideway(potentiometer_noise=0.0, accelerometer_noise=0.0, trigger_jitter=0.0)
 

@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData
-from loose_env.thesis.comparative import IndexRow, directions, error_summary, index_rows
+from loose_env.thesis.ch4_diagnosis.comparative_index import (
+    IndexRow,
+    directions,
+    error_summary,
+    index_rows,
+)
 from loose_env.thesis.printed import printed
 
 SOURCE = Path(__file__).resolve().parents[3] / "shared" / "thesis"
@@ -193,7 +198,7 @@ def test_looseness_and_low_preload_stay_apart() -> None:
 
 def test_the_section_lists_every_slip() -> None:
     pytest.importorskip("matplotlib")
-    from loose_env.thesis.index_tables import section
+    from loose_env.thesis.ch4_diagnosis.index_tables import section
 
     found = section(0)
     slips = found.tables[-1].rows

@@ -7,7 +7,7 @@ import pytest
 
 from loose_env.arms.library import planar
 from loose_env.diagnosis.link_finding.planar import Order
-from loose_env.thesis.link_finding import ESTIMATORS, search
+from loose_env.thesis.ch4_diagnosis.link_finding import ESTIMATORS, search
 
 ARMS = 24
 

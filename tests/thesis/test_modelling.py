@@ -4,8 +4,9 @@ import importlib
 
 import pytest
 
-from loose_env.thesis import identification, looseness_matrices, modelling
-from loose_env.thesis.alternatives_weighed import finding, step_words
+from loose_env.thesis.ch3_modelling import identification, modelling
+from loose_env.thesis.ch3_modelling import matrices as looseness_matrices
+from loose_env.thesis.ch3_modelling.alternatives import finding, step_words
 from loose_env.thesis.methods.looseness.modelling_alternatives import Weighing
 from loose_env.thesis.printed import printed
 from loose_env.thesis.section import Section

@@ -8,8 +8,7 @@ import pytest
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.shaken import ShakenArm
 from loose_env.statistics import axial_difference
-from loose_env.thesis.rigs.shaken_vera import PROXIMAL, shaken_vera
-from loose_env.thesis.shaken_cases import (
+from loose_env.thesis.ch6_experiments.shaken_vera.cases import (
     LOOSE_DIRECTION,
     PLAY_DIRECTION,
     CaseFigures,
@@ -19,7 +18,12 @@ from loose_env.thesis.shaken_cases import (
     poses,
     printed_healthy,
 )
-from loose_env.thesis.shaken_tables import direction_errors, index_spread, rms_over_poses
+from loose_env.thesis.ch6_experiments.shaken_vera.tables import (
+    direction_errors,
+    index_spread,
+    rms_over_poses,
+)
+from loose_env.thesis.rigs.shaken_vera import PROXIMAL, shaken_vera
 
 STATES = ("high preload", "low preload", "looseness", "backlash")
 PRINTED_RMS = {"looseness": 20.5, "backlash": 16.0}
@@ -96,7 +100,7 @@ def test_low_preload_is_no_alarm(cases: dict[str, list[CaseFigures]]) -> None:
 def test_kurtosis_rises_where_the_push_reaches_the_joint(
     cases: dict[str, list[CaseFigures]],
 ) -> None:
-    from loose_env.thesis.shaken_tables import moment_points
+    from loose_env.thesis.ch6_experiments.shaken_vera.tables import moment_points
 
     tight, loose = (
         moment_points(cases[s], LOOSE_DIRECTION, s, third=False).values

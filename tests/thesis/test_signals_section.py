@@ -8,13 +8,17 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
-from loose_env.statistics.signals import line_of_motion
+from loose_env.thesis.ch6_experiments.slide.directions import angles
+from loose_env.thesis.ch6_experiments.slide.experiments_two_three import section
+from loose_env.thesis.ch6_experiments.slide.records import (
+    RESOLVER_UNIT,
+    SlideRecords,
+    slide_records,
+)
+from loose_env.thesis.ch6_experiments.slide.velocities import velocity_correlations
+from loose_env.thesis.methods.motion.signals import line_of_motion
 from loose_env.thesis.printed import printed
 from loose_env.thesis.section import Section
-from loose_env.thesis.signals import section
-from loose_env.thesis.slide_directions import angles
-from loose_env.thesis.slide_records import RESOLVER_UNIT, SlideRecords, slide_records
-from loose_env.thesis.slide_velocities import velocity_correlations
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +72,7 @@ def test_sums_of_both_rules_correlate_alike_and_steps_do_not():
 
 
 def test_the_resolver_turns_in_whole_units_and_lags_by_the_play():
-    from loose_env.thesis.slide_records import GEAR_PLAY, resolver_records
+    from loose_env.thesis.ch6_experiments.slide.records import GEAR_PLAY, resolver_records
 
     found = resolver_records(1)
     assert found.resolver.dtype == np.float64

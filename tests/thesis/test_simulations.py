@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from loose_env.statistics import axial_difference, correlation_loop, lowest_correlation_direction
-from loose_env.thesis import correlation_simulations, simulations
-from loose_env.thesis.correlation_simulations import scaled_normal, uniform_across
-from loose_env.thesis.matching_study import (
+from loose_env.thesis.ch5_simulation import correlation as correlation_simulations
+from loose_env.thesis.ch5_simulation import simulations
+from loose_env.thesis.ch5_simulation.correlation import scaled_normal, uniform_across
+from loose_env.thesis.ch5_simulation.distribution_matching import (
     ANGLE,
     HALF_WIDTH,
     Case,
@@ -22,7 +23,12 @@ from loose_env.thesis.matching_study import (
     ridge_samples,
     spatial_study,
 )
-from loose_env.thesis.motion_study import draw_motions, motion_words, plate, transitions
+from loose_env.thesis.ch5_simulation.tool_motion import (
+    draw_motions,
+    motion_words,
+    plate,
+    transitions,
+)
 from loose_env.thesis.printed import printed
 
 
@@ -65,8 +71,8 @@ def test_ridge_samples_have_the_variances_of_their_components():
 
 
 def test_motion_words_and_tables(monkeypatch):
-    monkeypatch.setattr("loose_env.thesis.motion_study.SAMPLES", 20_000)
-    from loose_env.thesis.motion_study import KINDS
+    monkeypatch.setattr("loose_env.thesis.ch5_simulation.tool_motion.SAMPLES", 20_000)
+    from loose_env.thesis.ch5_simulation.tool_motion import KINDS
 
     motions = {name: draw_motions(draw, 0, 10 * k) for k, (name, draw) in enumerate(KINDS)}
     table = np.array([[1, 1, 0], [1, 2, 1], [0, 1, 1]]) / 8

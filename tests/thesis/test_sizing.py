@@ -7,9 +7,9 @@ import pytest
 
 from loose_env.arms.library import vera
 from loose_env.kinematics.joint_loads import TwoLinks
+from loose_env.thesis.ch6_experiments.arm.sizing import demand, section
 from loose_env.thesis.printed import printed
 from loose_env.thesis.section import Section
-from loose_env.thesis.sizing import demand, section
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidSetting
-from loose_env.thesis.slide_pairs import shares_within
-from loose_env.thesis.slide_records import play, slide_records
+from loose_env.thesis.ch6_experiments.slide.directions import shares_within
+from loose_env.thesis.ch6_experiments.slide.records import play, slide_records
 
 
 def test_pairs_measure_one_motion_with_their_own_gains():
