@@ -19,7 +19,7 @@ from agents.record_bank import BANK_SEED, BankSettings, RecordBank, play_episode
 from agents.shard_store import ArrayCodec, ShardStore
 from agents.shards import Shard, run_shards, shard_of
 from loose_env.diagnosis.learned.features import PLACE_FEATURES, RECORD_FEATURES, SeatFeatures
-from loose_env.envs.difficulty import difficulty_named
+from loose_env.envs.faults.difficulty import difficulty_named
 
 __all__ = ["BankPlan", "build_bank", "build_figures", "read_bank", "read_figures", "seat_features"]
 

@@ -13,8 +13,8 @@ from agents.base import Problem
 from agents.belief_agent import Situation, records_taken
 from loose_env.diagnosis.likelihood.posterior import Belief, FaultPosterior, PosteriorSettings
 from loose_env.diagnosis.records.record_statistics import RecordStatistics
-from loose_env.envs.difficulty import difficulty_named
 from loose_env.envs.episode.observation import ObservationLayout
+from loose_env.envs.faults.difficulty import difficulty_named
 from loose_env.errors import InvalidSetting
 
 __all__ = [

@@ -29,7 +29,7 @@ from scipy import stats
 
 from agents.base import Problem
 from loose_env.diagnosis.experiment_design.record_bound import least_records
-from loose_env.envs.difficulty import difficulty_named
+from loose_env.envs.faults.difficulty import difficulty_named
 from loose_env.evaluation.success_rates import Row, by_agent, standings, wilson
 
 __all__ = ["RecordBound", "bound_line", "record_bound"]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from agents.base import Problem
 from agents.belief_agent import Estimator
-from loose_env.envs.difficulty import difficulty_named
+from loose_env.envs.faults.difficulty import difficulty_named
 from loose_env.errors import UnknownName
 
 __all__ = ["ESTIMATORS", "feature_size", "further_features", "make_estimator"]
@@ -55,7 +55,7 @@ def make_estimator(name: str, problem: Problem) -> Estimator:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> from loose_env.envs.settings import DiagnosisSettings
     >>> make_estimator("posterior", Problem.of(planar(2), DiagnosisSettings())).problem.arm.name
     'planar2'

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from agents.base import Agent
 from agents.belief_agent import Situation
 from loose_env.arms.arm import Arm
-from loose_env.envs.episode import BatchRig, EpisodeBatch, Outcome
+from loose_env.envs.episode.batch import BatchRig, EpisodeBatch
+from loose_env.envs.episode.state import Outcome
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidSetting
 from loose_env.evaluation.fault_difficulty import HiddenFigures, hidden_figures

@@ -60,7 +60,7 @@ class PolicyForm:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> from loose_env.envs.settings import DiagnosisSettings
     >>> PolicyForm(Problem.of(planar(2), DiagnosisSettings())).nvec.tolist()
     [5, 5, 4, 4, 3, 2]

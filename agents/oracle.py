@@ -26,7 +26,8 @@ from agents.estimators import make_estimator
 from agents.policies import make_policy, tuned
 from loose_env.diagnosis.likelihood.posterior import Belief
 from loose_env.diagnosis.records.record_statistics import RecordStatistics
-from loose_env.envs.difficulty import FaultSampler, difficulty_named
+from loose_env.envs.faults.difficulty import difficulty_named
+from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.errors import InvalidSetting
 from loose_env.evaluation.fault_difficulty import hidden_figures
 from loose_env.faults import Backlash, Fault, StructuralLooseness

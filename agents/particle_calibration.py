@@ -29,7 +29,7 @@ from loose_env.diagnosis.research.particles.synthetic_likelihood import (
     SyntheticLikelihood,
     summaries_of,
 )
-from loose_env.envs.difficulty import FaultSampler
+from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.errors import InvalidData
 
 __all__ = ["CalibrationCases", "calibration_cases"]

@@ -18,8 +18,8 @@ from agents.particles import ParticlePosterior
 from agents.random_agent import RandomPolicy
 from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
 from loose_env.diagnosis.research.particles.evidence import ParticleSettings, probabilities_from
-from loose_env.envs.difficulty import FaultSampler
-from loose_env.envs.episode import EpisodeBatch
+from loose_env.envs.episode.batch import EpisodeBatch
+from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.evaluation.calibration import expected_calibration_error
 from loose_env.report.studies import FAINT, INK, MUTED, pyplot, save_figure
 

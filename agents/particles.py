@@ -26,7 +26,8 @@ from loose_env.diagnosis.research.particles.evidence import (
     evidence_by_particles,
 )
 from loose_env.diagnosis.research.particles.synthetic_likelihood import summaries_of
-from loose_env.envs.difficulty import FaultSampler, difficulty_named
+from loose_env.envs.faults.difficulty import difficulty_named
+from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation
 from loose_env.faults import Fault, Healthy
@@ -230,7 +231,7 @@ class ParticlePosterior:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> from loose_env.envs.settings import DiagnosisSettings
     >>> problem = Problem.of(planar(2), DiagnosisSettings(engine="reduced"))
     >>> ParticlePosterior(problem).start().probabilities.round(3).tolist()

@@ -16,7 +16,7 @@ from loose_env.diagnosis.experiment_design.information_gain import (
 from loose_env.diagnosis.learned.amortised_posterior import AmortisedPosterior
 from loose_env.diagnosis.learned.features import SeatFeatures
 from loose_env.diagnosis.likelihood.posterior import FaultPosterior
-from loose_env.envs.difficulty import difficulty_named
+from loose_env.envs.faults.difficulty import difficulty_named
 from loose_env.errors import InvalidSetting, UnknownName
 
 __all__ = ["POLICIES", "WEIGHTS", "information_of", "make_policy", "setting_name", "tuned"]

@@ -63,7 +63,7 @@ def nearest_moves(problem: Problem, pose: ArrayLike, target: ArrayLike) -> NDArr
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> from loose_env.envs.settings import DiagnosisSettings
     >>> problem = Problem.of(planar(2), DiagnosisSettings())
     >>> problem.actions.moves[nearest_moves(problem, [0.0, 2.0], [0.9, 9.0])].round(2).tolist()

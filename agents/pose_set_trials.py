@@ -20,9 +20,8 @@ from agents.belief import Tracker
 from agents.belief_agent import Policy, Situation
 from agents.pose_set import Excited, GreedySeparation, MovesOf, PoseSetPolicy
 from agents.registry import make_agent
+from loose_env.arms import planar, six_axis
 from loose_env.arms.arm import Arm
-from loose_env.arms.library import planar
-from loose_env.arms.library import puma560 as six_axis
 from loose_env.diagnosis.likelihood.axial_likelihood import log_mean_bingham
 from loose_env.diagnosis.likelihood.posterior import Belief, FaultPosterior
 from loose_env.diagnosis.link_finding.moves import candidate_poses, choose_move
@@ -33,7 +32,7 @@ from loose_env.diagnosis.research.pose_sets.limits import (
     scattered_axes,
 )
 from loose_env.diagnosis.research.pose_sets.pose_sets import PLANNED, PoseSets
-from loose_env.envs.episode import EpisodeBatch
+from loose_env.envs.episode.batch import EpisodeBatch
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.faults import StructuralLooseness
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.base import Problem
-from loose_env.envs.episode import EpisodeBatch
+from loose_env.envs.episode.batch import EpisodeBatch
 from loose_env.evaluation.fault_difficulty import drive_over_friction
 from loose_env.faults import Fault, StructuralLooseness
 

@@ -2,7 +2,7 @@
 
 Results do not depend on the backend, the number of workers, the size of a shard or what was
 interrupted: everything random in episode k comes from ``episode_seed(seed, k)`` (as
-`loose_env.envs.episode.Episode.stream` does it), never from a shard, a worker or the order of
+`loose_env.envs.episode.state.Episode.stream` does it), never from a shard, a worker or the order of
 work.
 """
 

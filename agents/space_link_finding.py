@@ -33,7 +33,7 @@ from loose_env.diagnosis.link_finding.spatial import (
 )
 from loose_env.diagnosis.records.model_uncertainty import stiffness_errors
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
-from loose_env.envs.difficulty import difficulty_named
+from loose_env.envs.faults.difficulty import difficulty_named
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from agents.base import Agent, Problem
 from agents.belief_agent import best_verdict
 from agents.evaluation import goes_on
-from loose_env.envs.episode import EpisodeBatch
+from loose_env.envs.episode.batch import EpisodeBatch
 from loose_env.errors import InvalidSetting
 
 __all__ = [
@@ -260,7 +260,7 @@ def single_joints(problem: Problem, levels: Sequence[int] | None = None) -> list
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> from loose_env.envs.settings import DiagnosisSettings
     >>> single_joints(Problem.of(planar(2), DiagnosisSettings()), [3])
     [(3, 0), (0, 3)]

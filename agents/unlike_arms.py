@@ -19,7 +19,7 @@ from agents.evaluation_shards import problem_of
 from agents.registry import make_agent
 from agents.shards import Shard
 from loose_env.arms.response.mismatch import MismatchDraw
-from loose_env.envs.episode import BatchRig
+from loose_env.envs.episode.batch import BatchRig
 from loose_env.errors import UnknownName
 from loose_env.faults import SEVERAL_FAULTS, Fault
 from loose_env.rig.measurement import Measurement

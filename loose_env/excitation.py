@@ -106,7 +106,7 @@ def at_levels(pose: LinearPose, levels: Array, *, duration: float) -> tuple[Exci
     Examples
     --------
     >>> import numpy as np
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> from loose_env.arms.response.linear import LinearArm
     >>> at = LinearArm(planar(2)).at([0.0, 1.0])
     >>> shake, share = at_levels(at, np.array([0.0, 4.0]), duration=1.2)
@@ -151,7 +151,7 @@ class SeatDrive:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> drive = SeatDrive(LinearArm(planar(2)), poses=8)
     >>> drive.slide(1, (1.0, 0.0, 0.0)) > 0
     True

@@ -25,7 +25,7 @@ import loose_env  # noqa: F401  (registers the ids)
 from loose_env.arms import DESK_ARM
 from loose_env.arms.engine_warnings import quiet
 from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.episode import EpisodeBatch
+from loose_env.envs.episode.batch import EpisodeBatch
 from loose_env.errors import InvalidSetting
 from loose_env.rig.jobs import Run
 from loose_env.rig.simulated import SimulatedRig
@@ -271,21 +271,12 @@ def file_times(model: Path, arms: int) -> tuple[float, float, float]:
         "import numpy as np, loose_env, loose_env.envs.vector_env; from loose_env.arms import Arm\n"
         "imported = time.perf_counter()\n"
         f"arm = Arm.from_file({str(model)!r})\n"
-        f"env
-        = loose_env.envs.vector_env.DiagnosisVectorEnv(arm,
-        num_envs={arms});
-        env.reset(seed=0)\n"
-        "running = time.perf_counter()\n" "shake
-        = env.actions.encode(levels=np.eye(arm.n,
-        dtype=int)[0])\n"
-        f"env.step(np.array([shake]
-        * {arms}));
-        stepped
-        = time.perf_counter()\n"
-        "print(imported
-        - begin, running
-        - imported, stepped
-        - running)"
+        f"env = loose_env.envs.vector_env.DiagnosisVectorEnv(arm, num_envs={arms})\n"
+        "env.reset(seed=0)\n"
+        "running = time.perf_counter()\n"
+        "shake = env.actions.encode(levels=np.eye(arm.n, dtype=int)[0])\n"
+        f"env.step(np.array([shake] * {arms})); stepped = time.perf_counter()\n"
+        "print(imported - begin, running - imported, stepped - running)"
     )
     times = np.array([[float(t) for t in child(code).split()] for _ in range(3)])
     imports, running, step = times.min(axis=0)

@@ -47,13 +47,12 @@ from agents.particle_check import (
 )
 from agents.policies import WEIGHTS, setting_name
 from agents.progress_line import ProgressLine
-from loose_env.arms.library import planar, vera
-from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms import planar, six_axis, vera
 from loose_env.diagnosis.learned.amortised_posterior import AmortisedPosterior
 from loose_env.diagnosis.records.record_statistics import RecordStatistics
 from loose_env.diagnosis.research.particles.evidence import ParticleSettings
-from loose_env.envs.difficulty import difficulty_named
-from loose_env.envs.episode import EpisodeBatch
+from loose_env.envs.episode.batch import EpisodeBatch
+from loose_env.envs.faults.difficulty import difficulty_named
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.report.studies import rounded, stored_rows, study_head, write_study
 

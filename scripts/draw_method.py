@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm
-from loose_env.arms.library import planar
+from loose_env.arms import Arm, planar
 from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.envs.rendering.palette import EDGE, FAINT, INK, MEASURED, MUTED, TRUTH

@@ -15,9 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms import DESK_ARM, Arm
-from loose_env.arms.library import planar, scara, vera
-from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms import DESK_ARM, Arm, planar, scara, six_axis, vera
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidSetting, LooseEnvError

@@ -23,9 +23,7 @@ import mujoco
 import numpy as np
 
 import loose_env
-from loose_env.arms import Arm
-from loose_env.arms.library import planar, scara, vera
-from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms import Arm, planar, scara, six_axis, vera
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import Mismatch
 from loose_env.diagnosis.records.excitation_design import Proposal, propose_excitation
@@ -35,7 +33,8 @@ from loose_env.diagnosis.research.sequential.stopping_rule import (
     measure_direction,
 )
 from loose_env.diagnosis.research.sequential.transmission_change import change_of_transmission
-from loose_env.envs.difficulty import Difficulty, FaultSampler
+from loose_env.envs.faults.difficulty import Difficulty
+from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.errors import LooseEnvError
 from loose_env.faults import (
     DEFAULT_KINDS,

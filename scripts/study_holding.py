@@ -28,9 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import loose_env
-from loose_env.arms import Arm
-from loose_env.arms.library import planar
-from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms import Arm, planar, six_axis
 from loose_env.arms.response.linear import LinearArm, LinearPose
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
@@ -39,7 +37,8 @@ from loose_env.diagnosis.research.line_spectrum.direction import (
     DynamicDirection,
     direction_by_dynamics,
 )
-from loose_env.envs.difficulty import Difficulty, FaultSampler
+from loose_env.envs.faults.difficulty import Difficulty
+from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import Healthy, StructuralLooseness
 from loose_env.report.studies import (

@@ -20,9 +20,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from loose_env.arms import planar, scara, six_axis
 from loose_env.arms.arm import Arm
-from loose_env.arms.library import planar, scara
-from loose_env.arms.library import puma560 as six_axis
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import Mismatch
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places
@@ -42,7 +41,8 @@ from loose_env.diagnosis.link_finding.spatial import (
 )
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.diagnosis.records.record_statistics import statistics_of
-from loose_env.envs.difficulty import Difficulty, FaultSampler
+from loose_env.envs.faults.difficulty import Difficulty
+from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.errors import InvalidData
 from loose_env.excitation import at_levels
 from loose_env.faults import StructuralLooseness

@@ -22,11 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import loose_env
-from loose_env.arms import Arm
-from loose_env.arms.library import planar
+from loose_env.arms import Arm, planar
 from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.records.record_statistics import statistics_of
-from loose_env.envs.difficulty import Difficulty, FaultSampler
+from loose_env.envs.faults.difficulty import Difficulty
+from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Healthy, StructuralLooseness
 from loose_env.report.studies import (

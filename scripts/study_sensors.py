@@ -38,9 +38,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 import loose_env
-from loose_env.arms import Arm
-from loose_env.arms.library import planar, scara, vera
-from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms import Arm, planar, scara, six_axis, vera
 from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.multi_sensor.link_evidence import SensorVerdict, weigh_links
 from loose_env.diagnosis.multi_sensor.sensed_arm import SensedArm
@@ -51,7 +49,8 @@ from loose_env.diagnosis.multi_sensor.sensor_rows import (
     splitting_order,
     stack,
 )
-from loose_env.envs.difficulty import Difficulty, FaultSampler
+from loose_env.envs.faults.difficulty import Difficulty
+from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Fault, Healthy, StructuralLooseness
 from loose_env.report.studies import study_head, write_study

@@ -42,7 +42,7 @@ from agents.posterior_training import PosteriorTraining, TrainingSettings
 from agents.shards import Shard
 from loose_env.diagnosis.learned.amortised_posterior import read_network, write_network
 from loose_env.diagnosis.learned.novelty import NoveltyReference, Seen
-from loose_env.envs.difficulty import difficulty_named
+from loose_env.envs.faults.difficulty import difficulty_named
 from loose_env.errors import InvalidSetting
 from loose_env.faults import DEFAULT_KINDS, hypotheses
 from loose_env.statistics import axes_grid

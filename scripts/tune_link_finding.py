@@ -27,7 +27,7 @@ from agents.one_line_errors import errors_in_one_line
 from agents.progress_line import ProgressLine
 from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.diagnosis.link_finding.planar import LinkFindingSettings, Order
-from loose_env.envs.episode import BatchRig, EpisodeBatch
+from loose_env.envs.episode.batch import BatchRig, EpisodeBatch
 from loose_env.errors import InvalidSetting
 from loose_env.faults import Fault
 from loose_env.rig import Job, Measurement

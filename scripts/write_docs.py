@@ -22,7 +22,7 @@ import gymnasium
 import loose_env  # noqa: F401  (registers the ids)
 from loose_env.arms.arm import Arm
 from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.difficulty import DIFFICULTIES
+from loose_env.envs.faults.difficulty import DIFFICULTIES
 from loose_env.envs.registration import IDS
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"

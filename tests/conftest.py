@@ -8,12 +8,10 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-from loose_env.arms import DESK_ARM, Arm
-from loose_env.arms.library import planar, scara, vera
-from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms import DESK_ARM, Arm, planar, scara, six_axis, vera
 from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.episode import BatchRig
+from loose_env.envs.episode.batch import BatchRig
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.faults import Fault

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.arms.library import planar, vera
+from loose_env.arms import planar, vera
 from loose_env.arms.response.linear import LinearArm
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import (

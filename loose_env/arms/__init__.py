@@ -6,9 +6,6 @@ from loose_env.arms.library.planar import planar
 from loose_env.arms.library.puma560 import six_axis
 from loose_env.arms.library.scara import scara
 from loose_env.arms.library.vera import vera
-from loose_env.thesis.rigs.cylindrical import cylindrical
-from loose_env.thesis.rigs.shaken_vera import shaken_vera
-from loose_env.thesis.rigs.slide import slide_rig
 
 __all__ = [
     "DESK_ARM",
@@ -17,12 +14,9 @@ __all__ = [
     "HoldKind",
     "Holding",
     "arm_from_file",
-    "cylindrical",
     "describe_file",
     "planar",
     "scara",
-    "shaken_vera",
     "six_axis",
-    "slide_rig",
     "vera",
 ]

@@ -180,7 +180,7 @@ class Arm:
 
         Examples
         --------
-        >>> from loose_env.arms.library import planar
+        >>> from loose_env.arms import planar
         >>> planar(3).with_servo(mode_hz=40.0, damping_ratio=0.7).name
         'planar3-servo'
         """
@@ -207,7 +207,7 @@ class Arm:
 
         Examples
         --------
-        >>> from loose_env.arms.library import planar
+        >>> from loose_env.arms import planar
         >>> planar(3).with_compliance(mode_hz=30.0).gear_joints
         ('gear1', 'gear2', 'gear3')
         """

@@ -49,7 +49,7 @@ def largest_reach(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> arm = planar(3)
     >>> round(largest_reach(arm.model, arm.joints, arm.joint_ranges, arm.tool), 9)
     0.9

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.arms.response.mismatch import MismatchDraw
-from loose_env.envs.episode import BatchRig, EpisodeBatch
+from loose_env.envs.episode.batch import BatchRig, EpisodeBatch
 from loose_env.envs.episode.raw_observation import raw_observation, raw_space
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import UnknownName

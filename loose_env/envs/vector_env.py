@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.envs.diagnosis_env import new_seed
-from loose_env.envs.episode import EpisodeBatch
+from loose_env.envs.episode.batch import EpisodeBatch
 from loose_env.envs.episode.raw_observation import raw_observation, raw_space
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidAction, InvalidSetting

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 
-from loose_env.envs.difficulty import FaultSampler
+from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.evaluation.seat_openness import SeatOpenness
 from loose_env.faults import (
     Backlash,
@@ -57,9 +57,9 @@ def hidden_figures(sampler: FaultSampler, fault: Fault) -> HiddenFigures:
     Examples
     --------
     >>> import numpy as np
-    >>> from loose_env.arms.library import vera
+    >>> from loose_env.arms import vera
     >>> from loose_env.arms.response.linear import LinearArm
-    >>> from loose_env.envs.difficulty import Difficulty
+    >>> from loose_env.envs.faults.difficulty import Difficulty
     >>> sampler = FaultSampler(LinearArm(vera()), Difficulty(friction=(0.25, 0.25)))
     >>> rng = np.random.default_rng(0)
     >>> fault = sampler.draw(rng, hypothesis="structural_looseness@link2")

@@ -25,7 +25,7 @@ class SeatOpenness:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> openness = SeatOpenness(LinearArm(planar(2)))
     >>> seat = StructuralLooseness(
     ...     link=2, direction=(0, 1, 0), gap=1e-4, stiffness=(1e4, 1e4), friction=10.0

@@ -82,7 +82,7 @@ def hypotheses(arm: Arm, kinds: Sequence[str] = DEFAULT_KINDS) -> tuple[str, ...
 
     Examples
     --------
-    >>> from loose_env.arms.library import vera
+    >>> from loose_env.arms import vera
     >>> hypotheses(vera())[:3]
     ('healthy', 'structural_looseness@link1', 'structural_looseness@link2')
     >>> hypotheses(vera(), ("healthy", "rotational_looseness"))[1:]

@@ -52,7 +52,7 @@ def seat_weight(arm: Arm, part: SinglePart) -> float:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> slide = StructuralLooseness(link=1, direction=(1, 0, 0), gap=1e-4, stiffness=(1e5, 1e5))
     >>> arm = planar(2)
     >>> mass = arm.model.body(arm.seat_bodies[0]).subtreemass[0]
@@ -95,7 +95,7 @@ def preloaded(arm: Arm, fault: Fault, share: float) -> Fault:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> play = Backlash(joint=2, gap=1e-3, stiffness=(1e3, 1e3))
     >>> pressed = preloaded(planar(2), play, 0.5)
     >>> pressed.preload == 0.5 * seat_weight(planar(2), play)

@@ -169,7 +169,7 @@ def twist_of(arm: Arm, part: SinglePart) -> Array:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> rocking = RotationalLooseness(
     ...     link=1, axis=(0, 0, 1), gap=1e-3, stiffness=(1e3, 1e3), pivot=(0.1, 0, 0)
     ... )

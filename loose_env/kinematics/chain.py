@@ -69,7 +69,7 @@ class Chain:
 
         Examples
         --------
-        >>> from loose_env.arms.library import planar
+        >>> from loose_env.arms import planar
         >>> float(Chain.of(planar(2), [0.0, 0.0]).tool[0])
         0.6
         """

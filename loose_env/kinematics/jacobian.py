@@ -56,7 +56,7 @@ def geometric_jacobian(chain: Chain, frame: Frame = "world") -> Array:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> geometric_jacobian(Chain.of(planar(2), [0.0, 0.0]))[1]
     array([0.6, 0.3])
     """

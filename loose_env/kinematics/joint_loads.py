@@ -65,7 +65,7 @@ class TwoLinks:
 
         Examples
         --------
-        >>> from loose_env.arms.library import vera
+        >>> from loose_env.arms import vera
         >>> round(TwoLinks.of(vera()).length, 3)
         0.4
         """
@@ -210,7 +210,7 @@ def arm_loads(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> loads = arm_loads(planar(2), [0.0, 0.5], [0.0, 0.0], [0.0, 0.0])
     >>> bool(np.abs(loads.torque).max() < 1e-9)  # gravity is across the plane
     True
@@ -312,7 +312,7 @@ def carried_bodies(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> model = planar(2).model
     >>> [model.body(b).name for b in np.flatnonzero(carried_bodies(model, model.body("link1").id))]
     ['link1', 'flange2', 'link2']

@@ -147,7 +147,7 @@ def rotation_line(arm: Arm, pose: ArrayLike, joint: int = 1) -> Array:
 
     Examples
     --------
-    >>> from loose_env.arms.library import vera
+    >>> from loose_env.arms import vera
     >>> round(direction_deg(rotation_line(vera(), [0.0, np.radians(122.0)])))
     299
     """
@@ -164,7 +164,7 @@ def joint_inertia(arm: Arm, pose: ArrayLike) -> Array:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> joint_inertia(planar(3), [0.0, 0.1, 0.2]).shape
     (3, 3)
     """
@@ -201,7 +201,7 @@ def submanipulator_jacobian(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> submanipulator_jacobian(planar(3), [0.0, 0.1, 0.2], 2).shape
     (2, 2)
     """
@@ -234,7 +234,7 @@ def submanipulator(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> float(submanipulator(planar(3), [0.0, 0.1, 0.2], 1).lengths[1])  # one joint, one line
     0.0
     """

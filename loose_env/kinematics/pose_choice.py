@@ -56,7 +56,7 @@ def worst_push(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> round(worst_push(planar(2), [0.3, 0.0]), 9)  # straight: no push along the arm
     0.0
     """
@@ -107,7 +107,7 @@ def chebyshev_poses(arm: Arm, count: int) -> Array:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> chebyshev_poses(planar(2), 4).shape
     (16, 2)
     """
@@ -214,7 +214,7 @@ def seat_drive(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> worst, whole = seat_drive(LinearArm(planar(2)), [0.0, 1.5], 2)
     >>> 0 < worst < whole
     True

@@ -89,7 +89,7 @@ def reactions(arm: Arm, pose: ArrayLike, *, point: LinkPoint = "seat") -> Reacti
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> reactions(planar(2), [0.0, 0.5]).per_torque().shape
     (2, 6, 2)
     """

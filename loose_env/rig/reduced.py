@@ -59,7 +59,7 @@ class ReducedRig(SlotRig):
     Examples
     --------
     >>> import numpy as np
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> from loose_env.excitation import Excitation
     >>> rig = ReducedRig(planar(2))
     >>> shake = Excitation(torque_rms=(5.0, 0.0), duration=0.2, band=(30.0, 150.0))

@@ -211,7 +211,7 @@ def _policy(home: Path) -> Any:
 
 def _posterior(home: Path) -> Any:
     from loose_env.diagnosis.learned.amortised_posterior import AmortisedPosterior
-    from loose_env.envs.difficulty import difficulty_named
+    from loose_env.envs.faults.difficulty import difficulty_named
 
     problem = _problem()
     posterior = AmortisedPosterior.load(
@@ -229,7 +229,7 @@ _KNOWN: list[Any] = []
 
 def _problem() -> Any:
     from agents.base import Problem
-    from loose_env.arms.library import vera
+    from loose_env.arms import vera
     from loose_env.envs.settings import DiagnosisSettings
 
     if not _KNOWN:

@@ -9,7 +9,7 @@ import pytest
 
 from agents.base import Problem
 from agents.bounds import bound_line, record_bound
-from loose_env.arms.library import planar
+from loose_env.arms import planar
 from loose_env.diagnosis.experiment_design.record_bound import (
     entropy,
     least_records,

@@ -11,7 +11,7 @@ from agents.base import Problem
 from agents.evaluation import EVALUATION_SEED, check_training_seed, evaluate
 from agents.link_finding import LinkFindingAgent
 from agents.registry import AGENTS, make_agent
-from loose_env.arms.library import planar, vera
+from loose_env.arms import planar, vera
 from loose_env.diagnosis.link_finding.planar import LinkFindingSettings
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidSetting, UnknownName

@@ -18,7 +18,7 @@ from agents.network import FORMAT, load_network, network_of, save_network
 from agents.policies import setting_name
 from agents.random_agent import RandomPolicy
 from agents.registry import make_agent
-from loose_env.arms.library import planar, scara, vera
+from loose_env.arms import planar, scara, vera
 from loose_env.diagnosis.records.record_statistics import statistics_of
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.settings import DiagnosisSettings

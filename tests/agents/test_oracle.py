@@ -14,11 +14,9 @@ from agents.estimators import ESTIMATORS
 from agents.evaluation import evaluate
 from agents.oracle import OracleAgent, Told, oracle_agent, restricted
 from agents.registry import belief_agent, make_agent
-from loose_env.arms import Arm
-from loose_env.arms.library import planar
-from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms import Arm, planar, six_axis
 from loose_env.diagnosis.likelihood.posterior import FaultPosterior, PosteriorSettings
-from loose_env.envs.difficulty import FaultSampler
+from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidSetting
 from loose_env.faults import Backlash, Healthy, StructuralLooseness

@@ -13,14 +13,15 @@ from agents.base import Problem
 from agents.particle_calibration import calibration_cases
 from agents.particle_check import Weighed, by_size, compare, draw_check, play, probabilities_of
 from agents.particles import ParticlePosterior, SimulatedRecords
-from loose_env.arms.library import planar, vera
+from loose_env.arms import planar, vera
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import Mismatch
 from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
 from loose_env.diagnosis.research.particles.evidence import ParticleSettings
 from loose_env.diagnosis.research.particles.synthetic_likelihood import summaries_of
-from loose_env.envs.difficulty import Difficulty, FaultSampler
-from loose_env.envs.episode import EpisodeBatch
+from loose_env.envs.episode.batch import EpisodeBatch
+from loose_env.envs.faults.difficulty import Difficulty
+from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.excitation import at_levels
 from loose_env.faults import Fault, Healthy

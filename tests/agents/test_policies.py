@@ -11,7 +11,7 @@ from agents.belief_agent import Situation
 from agents.candidates import candidate_at, excitations, poses
 from agents.constant import ConstantPolicy
 from agents.policies import POLICIES, information_of, make_policy
-from loose_env.arms.library import planar
+from loose_env.arms import planar
 from loose_env.envs.settings import DiagnosisSettings, Prices
 from loose_env.errors import InvalidSetting, UnknownName
 

@@ -30,12 +30,11 @@ from agents.pose_set_trials import (
     records_block,
 )
 from agents.registry import make_agent
+from loose_env.arms import planar, six_axis
 from loose_env.arms.arm import Arm
-from loose_env.arms.library import planar
-from loose_env.arms.library import puma560 as six_axis
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.diagnosis.link_finding.spatial import DirectionSighting, link_posterior
-from loose_env.envs.episode import EpisodeBatch
+from loose_env.envs.episode.batch import EpisodeBatch
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidSetting
 

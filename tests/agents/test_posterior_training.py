@@ -13,7 +13,7 @@ from agents.base import Problem
 from agents.place_figures import figures_of
 from agents.posterior_training import PosteriorTraining, TrainingSettings
 from agents.record_bank import BankSettings, play_episodes
-from loose_env.arms.library import planar
+from loose_env.arms import planar
 from loose_env.arms.response.mismatch import Mismatch
 from loose_env.diagnosis.learned.amortised_posterior import AmortisedPosterior
 from loose_env.diagnosis.learned.features import SeatFeatures

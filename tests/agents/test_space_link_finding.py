@@ -10,10 +10,9 @@ from agents.evaluation import EpisodeRow, evaluate
 from agents.link_finding import LinkFindingAgent
 from agents.registry import make_agent
 from agents.space_link_finding import SpaceLinkFindingAgent, SpaceLinkFindingSettings
+from loose_env.arms import planar, scara, six_axis
 from loose_env.arms.arm import Arm
-from loose_env.arms.library import planar, scara
-from loose_env.arms.library import puma560 as six_axis
-from loose_env.envs.episode import EpisodeBatch
+from loose_env.envs.episode.batch import EpisodeBatch
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidSetting
 

@@ -21,8 +21,8 @@ from agents.training import (
     log_posterior,
     training_seed,
 )
+from loose_env.arms import planar, scara
 from loose_env.arms.arm import Arm
-from loose_env.arms.library import planar, scara
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import InvalidSetting, UnknownName

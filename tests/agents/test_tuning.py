@@ -31,7 +31,7 @@ from agents.tuning import (
     write_tuned,
 )
 from agents.tuning_shards import Player, names_of, play_player, trained
-from loose_env.arms.library import planar
+from loose_env.arms import planar
 from loose_env.diagnosis.link_finding.planar import LinkFindingSettings
 from loose_env.envs.settings import DiagnosisSettings, Prices
 from loose_env.errors import InvalidSetting, UnknownName
@@ -88,7 +88,8 @@ def test_trails_do_not_depend_on_width_or_range(problem: Problem) -> None:
 def test_an_episode_that_diverged_ends_there(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from loose_env.envs.episode import EpisodeBatch, Outcome
+    from loose_env.envs.episode.batch import EpisodeBatch
+    from loose_env.envs.episode.state import Outcome
 
     agent = agents_of(problem)[0]
     real = EpisodeBatch.step

@@ -17,7 +17,7 @@ from agents.random_agent import RandomPolicy
 from agents.record_bank import BankSettings, play_episodes
 from agents.shard_store import ArrayCodec, ShardStore
 from agents.unlike_arms import OFF, OtherArmRig, UnlikeTask
-from loose_env.arms.library import planar
+from loose_env.arms import planar
 from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
 from loose_env.diagnosis.learned.amortised_posterior import (
     AmortisedPosterior,
@@ -28,7 +28,7 @@ from loose_env.diagnosis.learned.features import PLACE_FEATURES, RECORD_FEATURES
 from loose_env.diagnosis.learned.network import SeatNetwork
 from loose_env.diagnosis.learned.novelty import NoveltyReference, Seen
 from loose_env.diagnosis.records.record_statistics import RecordStatistics
-from loose_env.envs.episode import EpisodeBatch
+from loose_env.envs.episode.batch import EpisodeBatch
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.faults import UNSURE, Fault, Healthy

@@ -11,17 +11,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm
+from loose_env.arms import Arm, planar, scara, six_axis, vera
 from loose_env.arms.holding.compliance import compliant, fastest_turn, servoed
 from loose_env.arms.holding.gears import BARE_ROTOR, Gears
-from loose_env.arms.library import planar, scara, vera
-from loose_env.arms.library import puma560 as six_axis
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import Mismatch
 from loose_env.diagnosis.likelihood.posterior import variants
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.diagnosis.records.record_statistics import statistics_of
-from loose_env.envs.difficulty import Difficulty, FaultSampler
+from loose_env.envs.faults.difficulty import Difficulty
+from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, Healthy, hypotheses

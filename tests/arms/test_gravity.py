@@ -7,9 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loose_env.arms import DESK_ARM, Arm
-from loose_env.arms.library import planar, scara, vera
-from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms import DESK_ARM, Arm, planar, scara, six_axis, vera
 from loose_env.arms.response.linear import LinearArm
 
 UPRIGHT = [planar(3, vertical=True), six_axis(), scara(), Arm.from_file(DESK_ARM)]

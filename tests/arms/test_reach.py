@@ -8,10 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms import DESK_ARM, Arm, shaken_vera
-from loose_env.arms.library import planar, scara, vera
-from loose_env.arms.library import puma560 as six_axis
-from loose_env.thesis.rigs import cylindrical
+from loose_env.arms import DESK_ARM, Arm, planar, scara, six_axis, vera
+from loose_env.thesis.rigs import cylindrical, shaken_vera
 
 
 def distances(arm: Arm, poses: np.ndarray) -> np.ndarray:

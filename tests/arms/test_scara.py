@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm
-from loose_env.arms.library import scara
+from loose_env.arms import Arm, scara
 from loose_env.arms.library.scara import INNER, OUTER, STROKE
 from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.records.prediction import SensorFloor, predict

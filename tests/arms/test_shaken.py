@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms.library import planar
+from loose_env.arms import planar
 from loose_env.arms.response.shaken import ShakenArm
 from loose_env.arms.shaker import COIL, Shaker, add_shaker, place_shaker
 from loose_env.errors import InvalidSetting, UnknownName

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm
-from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms import Arm, six_axis
 from loose_env.arms.library.puma560 import TOOL
 from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.records.prediction import SensorFloor, predict

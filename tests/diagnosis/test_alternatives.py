@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loose_env.arms.library import planar, vera
+from loose_env.arms import planar, vera
 from loose_env.errors import InvalidSetting
 from loose_env.faults import StructuralLooseness
 from loose_env.thesis.methods.looseness.modelling_alternatives import (

@@ -8,8 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms.library import planar, scara, vera
-from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms import planar, scara, six_axis, vera
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import Mismatch
 from loose_env.diagnosis.records.model_uncertainty import bent_by_seats, stiffness_errors

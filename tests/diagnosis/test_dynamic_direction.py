@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm
-from loose_env.arms.library import planar
-from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms import Arm, planar, six_axis
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import Mismatch
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames

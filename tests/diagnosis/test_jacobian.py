@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms.library import planar, vera
+from loose_env.arms import planar, vera
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.kinematics.chain import Chain
 from loose_env.kinematics.jacobian import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loose_env.arms.library import planar, vera
+from loose_env.arms import planar, vera
 from loose_env.errors import InvalidData, UnknownName
 from loose_env.kinematics.chain import Chain
 from loose_env.kinematics.jacobian import geometric_jacobian

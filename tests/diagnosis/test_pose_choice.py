@@ -6,8 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms import Arm
-from loose_env.arms.library import planar, vera
+from loose_env.arms import Arm, planar, vera
 from loose_env.arms.response.linear import LinearArm
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.kinematics.pose_choice import (

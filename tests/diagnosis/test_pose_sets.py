@@ -7,9 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from loose_env.arms import planar, scara, six_axis
 from loose_env.arms.arm import Arm
-from loose_env.arms.library import planar, scara
-from loose_env.arms.library import puma560 as six_axis
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.diagnosis.research.pose_sets.limits import (
     bingham_width,

@@ -8,8 +8,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from loose_env.arms.library import puma560 as six_axis
-from loose_env.arms.library import scara
+from loose_env.arms import scara, six_axis
 from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
 from loose_env.errors import InvalidData

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from loose_env.arms.library import planar
+from loose_env.arms import planar
 from loose_env.errors import InvalidData
 from loose_env.kinematics.chain import Chain
 from loose_env.kinematics.jacobian import geometric_jacobian

@@ -10,9 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from loose_env.arms import Arm
-from loose_env.arms.library import planar, scara, vera
-from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms import Arm, planar, scara, six_axis, vera
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
 from loose_env.diagnosis.multi_sensor import link_evidence as several_sensors

@@ -6,9 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from loose_env.arms import planar, scara, six_axis, vera
 from loose_env.arms.arm import Arm
-from loose_env.arms.library import planar, scara, vera
-from loose_env.arms.library import puma560 as six_axis
 from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.likelihood.axial_likelihood import log_mean_bingham, precision_of
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places, predicted_images

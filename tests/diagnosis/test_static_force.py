@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from loose_env.arms.library import planar
+from loose_env.arms import planar
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import Backlash, Healthy, StructuralLooseness

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms.response.mismatch import Mismatch
 from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.difficulty import Difficulty
+from loose_env.envs.faults.difficulty import Difficulty
 from loose_env.faults import Healthy
 from loose_env.sensors import SensorSuite
 

@@ -14,7 +14,7 @@ from gymnasium.error import ResetNeeded
 import loose_env
 from loose_env.arms.response.mismatch import Mismatch
 from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.difficulty import Difficulty
+from loose_env.envs.faults.difficulty import Difficulty
 from loose_env.envs.registration import IDS
 from loose_env.envs.settings import DiagnosisSettings, Prices
 from loose_env.envs.vector_env import DiagnosisVectorEnv

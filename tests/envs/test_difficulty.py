@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from loose_env.arms.library import planar, vera
+from loose_env.arms import planar, vera
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import Mismatch
-from loose_env.envs.difficulty import DIFFICULTIES, Difficulty, FaultSampler, difficulty_named
+from loose_env.envs.faults.difficulty import DIFFICULTIES, Difficulty, difficulty_named
+from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.excitation import SeatDrive, at_levels
 from loose_env.faults import FASTEST_STOP, Backlash, Healthy, StructuralLooseness, hypotheses
 from loose_env.rig.plant import PlantShop

@@ -12,13 +12,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from loose_env.arms import Arm
-from loose_env.arms.library import planar, scara, vera
-from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms import Arm, planar, scara, six_axis, vera
 from loose_env.arms.response.linear import LinearArm
 from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.difficulty import DIFFICULTIES, Difficulty, FaultSampler
 from loose_env.envs.faults.compound_seats import PIVOT
+from loose_env.envs.faults.difficulty import DIFFICULTIES, Difficulty
+from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import InvalidSetting, UnknownName

@@ -14,15 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm
-from loose_env.arms.library import planar, scara, vera
-from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms import Arm, planar, scara, six_axis, vera
 from loose_env.arms.response.linear import inertance_rate
 from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
 from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
 from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.difficulty import Difficulty
 from loose_env.envs.episode.observation import Element, ObservationLayout
+from loose_env.envs.faults.difficulty import Difficulty
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import InvalidSetting, UnknownName

@@ -11,12 +11,11 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
-from loose_env.arms import Arm
-from loose_env.arms.library import planar, scara, vera
+from loose_env.arms import Arm, planar, scara, vera
 from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.episode import Episode
+from loose_env.envs.episode.state import Episode
 from loose_env.envs.rendering.picture import Picture
 from loose_env.envs.rendering.planar.correlation_loop import measured_loop, predicted_loop
 from loose_env.envs.rendering.planar.view import PlanarView

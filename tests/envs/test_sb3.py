@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from loose_env.arms.library import planar
+from loose_env.arms import planar
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.registration import IDS
 from loose_env.envs.settings import DiagnosisSettings

@@ -11,12 +11,10 @@ pytest.importorskip("matplotlib")
 
 from matplotlib.colors import to_rgb
 
-from loose_env.arms import DESK_ARM, Arm
-from loose_env.arms.library import planar, scara
-from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms import DESK_ARM, Arm, planar, scara, six_axis
 from loose_env.arms.response.linear import LinearArm
 from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.episode import Episode
+from loose_env.envs.episode.state import Episode
 from loose_env.envs.rendering.palette import TRUTH
 from loose_env.envs.rendering.picture import Picture
 from loose_env.envs.rendering.planar.correlation_loop import loop_of

@@ -13,13 +13,12 @@ import loose_env  # noqa: F401  (registers the ids)
 from agents.base import Problem
 from agents.evaluation import evaluate
 from agents.registry import belief_agent
-from loose_env.arms import Arm
-from loose_env.arms.library import planar
+from loose_env.arms import Arm, planar
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import Mismatch
 from loose_env.diagnosis.records.prediction import predict
 from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.difficulty import Difficulty
+from loose_env.envs.faults.difficulty import Difficulty
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import InvalidSetting

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from agents.base import Problem
 from agents.belief_agent import best_verdict
-from loose_env.arms import Arm
-from loose_env.arms.library import planar, scara, vera
-from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms import Arm, planar, scara, six_axis, vera
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.difficulty import DIFFICULTIES, Difficulty, FaultSampler
+from loose_env.envs.faults.difficulty import DIFFICULTIES, Difficulty
+from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.envs.rendering.caption import header_lines
 from loose_env.envs.rendering.palette import TRUTH
 from loose_env.envs.settings import DiagnosisSettings, Prices

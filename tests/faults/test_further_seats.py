@@ -12,9 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm
-from loose_env.arms.library import planar, scara, vera
-from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms import Arm, planar, scara, six_axis, vera
 from loose_env.arms.response.linear import LinearArm
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, SeatDrive, at_levels

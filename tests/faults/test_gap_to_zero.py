@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm
-from loose_env.arms.library import planar, vera
+from loose_env.arms import Arm, planar, vera
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
 from loose_env.diagnosis.likelihood.posterior import FaultPosterior
 from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
-from loose_env.envs.difficulty import Difficulty, FaultSampler
+from loose_env.envs.faults.difficulty import Difficulty
+from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import (
     Backlash,

@@ -12,8 +12,7 @@ import pytest
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm
-from loose_env.arms.library import planar, vera
+from loose_env.arms import Arm, planar, vera
 from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, torque_signals

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms import six_axis
 from loose_env.instrument.planning.prior_knowledge import belief_of, known_of, names_of
 from loose_env.instrument.result import Diagnosis, Fault, RecordSeen, SlideDirection
 from loose_env.statistics import axes_grid

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from loose_env.arms import DESK_ARM, Arm
-from loose_env.arms.library import planar
+from loose_env.arms import DESK_ARM, Arm, planar
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.envs.rendering.spatial.correlation_surface import Surface
 from loose_env.instrument.result import Diagnosis, Fault, Loop, NextMeasurement, RecordSeen

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
-from loose_env.arms.library import vera
+from loose_env.arms import vera
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidData
 from loose_env.evaluation.success_rates import standings, who_won

@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from loose_env.arms import Arm
-from loose_env.arms.library import planar, scara, vera
-from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms import Arm, planar, scara, six_axis, vera
 from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
 from loose_env.arms.response.sensor_sites import link_site
 from loose_env.errors import InvalidSetting, UnknownName

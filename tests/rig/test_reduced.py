@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loose_env.arms.library import planar, scara, vera
-from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms import planar, scara, six_axis, vera
 from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
 from loose_env.diagnosis.records.record_statistics import statistics_of
-from loose_env.envs.difficulty import Difficulty, FaultSampler
-from loose_env.envs.episode import EpisodeBatch
+from loose_env.envs.episode.batch import EpisodeBatch
+from loose_env.envs.faults.difficulty import Difficulty
+from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import at_levels

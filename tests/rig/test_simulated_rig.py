@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm
-from loose_env.arms.library import planar, vera
+from loose_env.arms import Arm, planar, vera
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
 from loose_env.diagnosis.records.prediction import SensorFloor, predict

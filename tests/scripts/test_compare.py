@@ -11,7 +11,7 @@ import pytest
 
 from agents.base import Problem
 from agents.evaluation import EVALUATION_SEED
-from loose_env.arms.library import planar, vera
+from loose_env.arms import planar, vera
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.evaluation.rows import read_rows
 from scripts import compare

@@ -15,8 +15,7 @@ import pytest
 pytest.importorskip("matplotlib")
 
 import loose_env
-from loose_env.arms.library import planar
-from loose_env.arms.library import puma560 as six_axis
+from loose_env.arms import planar, six_axis
 from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.excitation import Excitation, torque_signals

@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from loose_env.arms.library import planar, scara
+from loose_env.arms import planar, scara
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -11,7 +11,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from loose_env.arms.library import planar
+from loose_env.arms import planar
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -24,7 +24,7 @@ pytest.importorskip("yaml")
 from agents.hyperparameters import HYPERPARAMETERS
 from agents.training import evaluation_seed
 from agents.training_run import RunState, git_commit
-from loose_env.envs.episode import EpisodeBatch
+from loose_env.envs.episode.batch import EpisodeBatch
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = [

@@ -84,8 +84,7 @@ def test_the_page_has_what_the_docstring_says_of_actions_and_rewards() -> None:
 
 
 def test_elements_that_differ_in_joint_and_axis_share_a_pattern() -> None:
-    from loose_env.arms.library import puma560 as six_axis
-    from loose_env.arms.library import scara
+    from loose_env.arms import scara
 
     pattern = script("write_docs").pattern
     assert pattern(six_axis(), "transmission.joint4_y") == r"transmission.\<joint\>_\<axis\>"

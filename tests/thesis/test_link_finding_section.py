@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loose_env.arms.library import planar
+from loose_env.arms import planar
 from loose_env.diagnosis.link_finding.planar import Order
 from loose_env.thesis.ch4_diagnosis.link_finding import ESTIMATORS, search
 

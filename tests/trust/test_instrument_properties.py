@@ -15,8 +15,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from loose_env.arms import DESK_ARM, Arm
-from loose_env.arms.library import planar, scara
+from loose_env.arms import DESK_ARM, Arm, planar, scara
 from loose_env.errors import LooseEnvError
 from loose_env.instrument.diagnose import diagnose
 from loose_env.instrument.inspect import inspect_model, screen

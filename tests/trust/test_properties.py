@@ -13,9 +13,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from loose_env.arms import Arm
+from loose_env.arms import Arm, planar, scara, vera
 from loose_env.arms.files.load import describe_file
-from loose_env.arms.library import planar, scara, vera
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidData, LooseEnvError

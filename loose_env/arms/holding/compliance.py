@@ -43,7 +43,7 @@ def held(arm: Arm, hold: HoldKind) -> Arm:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> held(planar(3), "compliant").gear_joints
     ('gear1', 'gear2', 'gear3')
     """
@@ -81,7 +81,7 @@ def servoed(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> stiff = servoed(planar(2), mode_hz=50.0)
     >>> stiff.name, round(stiff.servo.stiffness[0] / planar(2).servo.stiffness[0], 1)
     ('planar2-servo', 4.0)
@@ -137,7 +137,7 @@ def compliant(arm: Arm, gears: Gears | None = None) -> Arm:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> arm = compliant(planar(2), Gears(stiffness=(4e4, 1e4)))
     >>> arm.name, arm.model.joint("gear2").stiffness[0].item()
     ('planar2-compliant', 10000.0)

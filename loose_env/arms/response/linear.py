@@ -107,7 +107,7 @@ class LinearArm:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> at = LinearArm(planar(2)).at([0.0, 0.5])
     >>> at.kinematic.shape
     (2, 2)

@@ -82,7 +82,7 @@ def link_site(arm: Arm, link: int, place: Place = "distal") -> LinkSite:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> site = link_site(planar(3), 1)
     >>> site.body, site.position.tolist(), site.tangent.tolist()
     ('link1', [0.3, 0.0, 0.0], [0.0, 1.0, 0.0])

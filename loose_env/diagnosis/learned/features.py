@@ -110,7 +110,7 @@ class SeatFeatures:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> from loose_env.arms.response.linear import LinearArm
     >>> features = SeatFeatures(LinearArm(planar(2)), SensorSuite(), Mismatch(), directions=8)
     >>> features.places, len(features.hypothesis)

@@ -144,7 +144,7 @@ class FaultPosterior:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> posterior = FaultPosterior(LinearArm(planar(2)), SensorSuite())
     >>> posterior.start().probabilities.round(3).tolist()
     [0.333, 0.167, 0.167, 0.167, 0.167]

@@ -75,7 +75,7 @@ def predict_seats(
     Examples
     --------
     >>> import numpy as np
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> from loose_env.arms.response.linear import LinearArm
     >>> at = LinearArm(planar(2)).at([0.0, 1.0])
     >>> seats = predict_seats(at, np.array([0.0, 3.0]), np.eye(2), np.zeros(3))

@@ -25,7 +25,7 @@ def places(arm: Arm) -> tuple[str, ...]:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> places(planar(2))[1:3]
     ('structural_looseness@link2', 'backlash@joint1')
     """
@@ -54,7 +54,7 @@ class ToolFrames:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> seen = ToolFrames(planar(2)).images([0.3, np.pi / 2])[0] @ [1.0, 0.0]
     >>> seen.round(6).tolist()
     [[0.0, -1.0], [1.0, 0.0]]
@@ -209,7 +209,7 @@ def predicted_images(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> after = predicted_images(ToolFrames(planar(2)), [0, 0], [0, np.pi / 2], [1.0, 0.0])
     >>> after[:2].round(6).tolist()  # the slide at link 1 is seen turned, that at link 2 is not
     [[0.0, -1.0], [1.0, 0.0]]

@@ -123,7 +123,7 @@ def sight_change(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> from loose_env.arms.response.linear import LinearArm
     >>> from loose_env.diagnosis.records.prediction import predict
     >>> from loose_env.diagnosis.records.record_statistics import statistics_of

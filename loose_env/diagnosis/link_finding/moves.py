@@ -53,7 +53,7 @@ def blind_joints(
 
     Examples
     --------
-    >>> from loose_env.arms.library import scara
+    >>> from loose_env.arms import scara
     >>> frames = ToolFrames(scara())
     >>> blind_joints(frames, np.zeros(4), [1.0, 0.0, 0.0]).tolist()
     [False, False, True, False]
@@ -186,7 +186,7 @@ def choose_move(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> from loose_env.diagnosis.link_finding.spatial import DirectionSighting, link_posterior
     >>> arm = planar(2)
     >>> frames = ToolFrames(arm)

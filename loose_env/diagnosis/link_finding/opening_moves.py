@@ -49,7 +49,7 @@ def expected_openness(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> from loose_env.diagnosis.link_finding.direction_images import ToolFrames
     >>> from loose_env.diagnosis.link_finding.spatial import DirectionSighting, link_posterior
     >>> arm = planar(2)
@@ -115,7 +115,7 @@ def choose_open_move(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> from loose_env.diagnosis.link_finding.moves import candidate_poses
     >>> from loose_env.diagnosis.link_finding.spatial import DirectionSighting, link_posterior
     >>> arm = planar(2)

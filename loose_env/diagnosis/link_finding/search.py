@@ -24,7 +24,7 @@ class TurnSearch:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> frames = ToolFrames(planar(3))
     >>> search = TurnSearch.over(3)
     >>> poses = np.array([[0.0, 0.4, 0.1], [0.0, 1.9, 0.1]])

@@ -221,7 +221,7 @@ def link_posterior(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> frames = ToolFrames(planar(2))
     >>> poses = np.array([[0.0, 0.3], [0.0, 1.6]])
     >>> seen = frames.images(poses)[:, 0] @ [0.8, 0.6]  # a slide at link 1
@@ -315,7 +315,7 @@ def look_alikes(
 
     Examples
     --------
-    >>> from loose_env.arms.library import scara
+    >>> from loose_env.arms import scara
     >>> frames = ToolFrames(scara())
     >>> look_alikes(frames, "structural_looseness@link1", [0.0, 0.0, 1.0])[:4][-1]
     'structural_looseness@link4'

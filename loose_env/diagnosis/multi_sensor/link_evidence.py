@@ -133,7 +133,7 @@ def weigh_links(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> from loose_env.diagnosis.multi_sensor.sensor_rows import rows_of
     >>> arm = planar(2)
     >>> sensed, rows = SensedArm(arm, links=()), rows_of(arm, None)

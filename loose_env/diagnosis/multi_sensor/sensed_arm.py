@@ -71,7 +71,7 @@ class SensedArm:
     --------
     A seat shows at every sensor beyond it and at none before.
 
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> sensed = SensedArm(planar(3), links=(1, 2, 3))
     >>> at = sensed.at([0.1, 0.5, 0.9], [True, False, False])
     >>> np.linalg.norm(at.column[:, :, 1], axis=(1, 2)).round(1).tolist()

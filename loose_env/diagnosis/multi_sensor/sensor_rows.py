@@ -75,7 +75,7 @@ def rows_of(arm: Arm, links: LinkAccelerometers | None, *, tool: bool = True) ->
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> rows_of(planar(3), LinkAccelerometers(tangential=True)).link.tolist()
     [0, 0, 1, 2, 3]
     """

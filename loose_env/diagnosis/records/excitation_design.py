@@ -84,7 +84,7 @@ def holding_modes(pose: LinearPose, excited: NDArray[np.bool_]) -> Array:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> at = LinearArm(planar(2, hold="servo")).at([0.0, 0.0])
     >>> bool(5 < holding_modes(at, np.array([False, False]))[0] < 30)
     True
@@ -125,7 +125,7 @@ def propose_band(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> propose_band(LinearArm(planar(3)), np.array([0.0, 0.5, 0.5]))[0]
     (30.0, 150.0)
     """
@@ -196,7 +196,7 @@ def propose_excitation(
 
     Examples
     --------
-    >>> from loose_env.arms.library import puma560 as six_axis
+    >>> from loose_env.arms import six_axis
     >>> found = propose_excitation(six_axis(), np.array([0.0, -1.5, 1.5, 0.0, 0.5, 0.0]))
     >>> found.band, found.levels.shape, bool(found.seat_gravity[1] > 0.9)
     ((30.0, 150.0), (6,), True)

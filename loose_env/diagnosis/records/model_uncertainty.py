@@ -184,7 +184,7 @@ def kinematic_errors(linear: LinearArm, pose: Array, mismatch: Mismatch) -> Arra
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> linear = LinearArm(planar(2))
     >>> errors = kinematic_errors(linear, np.zeros(2), Mismatch(length=0.01, joint_zero=0.0))
     >>> np.abs(errors).sum(0).round(4).tolist()
@@ -248,8 +248,8 @@ def bent_by_seats(pose: LinearPose, excited: NDArray[np.bool_]) -> Array:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
-    >>> from loose_env.arms.library import vera
+    >>> from loose_env.arms import planar
+    >>> from loose_env.arms import vera
     >>> def most(arm):
     ...     at = LinearArm(arm).at([0.0, 1.2])
     ...     return float(np.abs(bent_by_seats(at, np.array([True, False]))).max())
@@ -299,8 +299,8 @@ def stiffness_errors(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
-    >>> from loose_env.arms.library import vera
+    >>> from loose_env.arms import planar
+    >>> from loose_env.arms import vera
     >>> one = np.array([True, False])
     >>> def most(arm):
     ...     errors = stiffness_errors(LinearArm(arm), np.array([0.0, 1.2]), one, Mismatch())

@@ -129,7 +129,7 @@ def predict(pose: LinearPose, excitation: Excitation, floor: SensorFloor) -> Pre
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> from loose_env.arms.response.linear import LinearArm
     >>> shake = Excitation(torque_rms=(0.0, 3.0), duration=1.2, band=(30.0, 150.0))
     >>> quiet = SensorFloor(joint=0.0, tool=0.0)

@@ -59,7 +59,7 @@ class ObservationLayout:
 
     Examples
     --------
-    >>> from loose_env.arms.library import vera
+    >>> from loose_env.arms import vera
     >>> layout = ObservationLayout(vera(), DiagnosisSettings())
     >>> layout.elements[0].name, layout.elements[0].unit
     ('now.sin_pose.joint1', '1')

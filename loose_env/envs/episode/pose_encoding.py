@@ -33,7 +33,7 @@ class JointPose:
 
     Examples
     --------
-    >>> from loose_env.arms.library import scara
+    >>> from loose_env.arms import scara
     >>> shown = JointPose(scara())
     >>> first, second = shown.numbers(np.array([0.0, 0.0, -0.21, 0.0]))
     >>> first.tolist(), second.tolist()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
-from loose_env.envs.difficulty import FaultSampler
+from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import KINDS, SEVERAL_FAULTS, Fault, hypotheses, is_fault, preloaded
 
@@ -48,7 +48,7 @@ class ResetOptions:
 
         Examples
         --------
-        >>> from loose_env.arms.library import planar
+        >>> from loose_env.arms import planar
         >>> ResetOptions.of({"fault": "backlash@joint2", "mismatch_scale": 3}, planar(2)).fault
         'backlash@joint2'
         """

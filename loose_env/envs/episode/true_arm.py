@@ -34,7 +34,7 @@ def checked_true_arm(true_arm: Arm | None, arm: Arm) -> Arm:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> checked_true_arm(planar(2).with_compliance(mode_hz=60.0), planar(2)).name
     'planar2-compliant'
     >>> checked_true_arm(planar(3), planar(2))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.response.linear import LinearArm
+from loose_env.envs.faults.difficulty import Difficulty
 from loose_env.envs.faults.seat_stops import SeatMasses, Stops
 from loose_env.excitation import SeatDrive
 from loose_env.faults import (
@@ -25,9 +25,6 @@ from loose_env.faults import (
     parts_of,
     twist_of,
 )
-
-if TYPE_CHECKING:
-    from loose_env.envs.difficulty import Difficulty
 
 __all__ = ["PIVOT", "SHORTEST_LEVER", "FurtherSeats", "direction_from", "log_uniform", "uniform"]
 

@@ -8,7 +8,7 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Literal
 
 from loose_env.arms.response.linear import LinearArm
-from loose_env.envs.episode import Episode
+from loose_env.envs.episode.state import Episode
 from loose_env.envs.rendering.fault_text import (
     fault_words,
     hypothesis_words,

@@ -64,7 +64,7 @@ def fault_words(fault: Fault, arm: Arm | None = None) -> str:
 
     Examples
     --------
-    >>> from loose_env.arms.library import scara
+    >>> from loose_env.arms import scara
     >>> from loose_env.faults import Healthy
     >>> fault_words(Healthy())
     'nothing was loose'
@@ -111,7 +111,7 @@ def shaking_words(at: LinearPose, excitation: Excitation) -> str:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> from loose_env.arms.response.linear import LinearArm
     >>> from loose_env.excitation import at_levels
     >>> at = LinearArm(planar(2)).at([0.0, 1.0])

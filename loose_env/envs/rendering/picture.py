@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.records.prediction import SensorFloor
-from loose_env.envs.episode import Episode
+from loose_env.envs.episode.state import Episode
 from loose_env.envs.rendering.planar.scene import PlanarScene
 from loose_env.envs.rendering.planar.view import moves_in_a_plane
 from loose_env.envs.rendering.spatial.scene import SpaceScene

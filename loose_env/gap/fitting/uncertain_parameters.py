@@ -47,7 +47,7 @@ class NominalFigures(Effect):
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> figures = NominalFigures(Machine(planar(2).spec), tolerance=0.03)
     >>> sorted({figure.field for figure in figures.figures})
     ['armature', 'damping', 'inertia', 'mass']

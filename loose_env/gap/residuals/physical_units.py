@@ -41,7 +41,7 @@ def quantity_of(machine: Machine, channel: Channel) -> str | None:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> machine = Machine(planar(2).spec)
     >>> quantity_of(machine, Channel(column=f"torque.{machine.joints[0]}"))
     'joint torque [N·m]'

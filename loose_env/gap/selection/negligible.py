@@ -36,7 +36,7 @@ def slight(hypothesis: Hypothesis, new: int) -> bool:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> from loose_env.gap.model.effects.catalogue import CATALOGUE
     >>> from loose_env.gap.model.nominal_model import Machine
     >>> machine = Machine(planar(3).spec)

@@ -208,7 +208,7 @@ def held_by_drives(arm: Arm, model: mujoco.MjModel, joints: Sequence[str]) -> Ar
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> xml = '''<mujoco><worldbody><body><joint name="a"/><geom size=".1"/>
     ... <body pos="1 0 0"><joint name="b"/><geom size=".1"/></body></body></worldbody>
     ... <actuator><position joint="a" kp="900" kv="30"/></actuator></mujoco>'''

@@ -169,7 +169,7 @@ class Ground:
         Examples
         --------
         >>> import numpy as np
-        >>> from loose_env.arms.library import puma560 as six_axis
+        >>> from loose_env.arms import six_axis
         >>> ground = Ground.of(six_axis())
         >>> ground.clear(np.array([0.0, -1.5, 1.5, 0.0, 0.5, 0.0]))
         True

@@ -31,7 +31,7 @@ def pose_range(arm: Arm, margin: float) -> tuple[Array, Array]:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> pose_range(planar(2), 0.0)[1].round(2).tolist()
     [3.14, 2.62]
     """
@@ -87,7 +87,7 @@ def candidate_poses(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> arm = planar(2)
     >>> rng = np.random.default_rng(0)
     >>> candidate_poses(arm, LinearArm(arm), count=3, margin=0.05, rng=rng).shape

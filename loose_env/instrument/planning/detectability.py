@@ -133,7 +133,7 @@ def best_seen(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> linear = LinearArm(planar(2))
     >>> found = best_seen(linear, np.array([[0.1, 1.2]]), NextSettings())
     >>> bool((found.opens == 1).all())  # nothing weighs on a seat in the horizontal plane

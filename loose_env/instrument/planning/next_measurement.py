@@ -105,7 +105,7 @@ def next_measurement(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> arm = planar(2)
     >>> first = next_measurement(arm, LinearArm(arm), settings=NextSettings(poses=4))
     >>> sorted(first.pose), first.joints[0] in first.pose

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from loose_env.arms.arm import Arm
-from loose_env.envs.episode import EpisodeBatch
+from loose_env.envs.episode.batch import EpisodeBatch
 from loose_env.envs.rendering.fault_text import fault_words, hypothesis_words
 from loose_env.envs.rendering.picture import Picture
 from loose_env.envs.settings import DiagnosisSettings

@@ -42,7 +42,7 @@ def pose_of(arm: Arm, pose: Mapping[str, float]) -> Array:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> pose_of(planar(2), {"joint2": 0.5}).tolist()
     [0.0, 0.5]
     """

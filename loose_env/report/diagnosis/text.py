@@ -47,7 +47,7 @@ def link_words(arm: Arm, body: str) -> str:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> link_words(planar(2), "link2")
     'link 2'
     """
@@ -74,7 +74,7 @@ def short_name(arm: Arm, hypothesis: str) -> str:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> short_name(planar(2), "backlash@joint1"), short_name(planar(2), "healthy")
     ('joint 1 has play', 'nothing is loose')
     """
@@ -134,7 +134,7 @@ def place_value(arm: Arm, joint: str, value: float) -> str:
 
     Examples
     --------
-    >>> from loose_env.arms.library import scara
+    >>> from loose_env.arms import scara
     >>> place_value(scara(), "joint1", 0.5), place_value(scara(), "joint3", -0.05)
     ('28.6°', '−50.0 mm')
     """

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm
-from loose_env.arms.library import vera
+from loose_env.arms import Arm, vera
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import StructuralLooseness
 from loose_env.kinematics.chain import Chain

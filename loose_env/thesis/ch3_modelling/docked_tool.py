@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm
-from loose_env.arms.library import planar
+from loose_env.arms import Arm, planar
 from loose_env.envs.rendering.palette import FAINT, INK, MEASURED, MUTED, TRUTH
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import Backlash, Fault, Healthy, StructuralLooseness

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from loose_env.arms.library import planar
+from loose_env.arms import planar
 from loose_env.errors import InvalidData
 from loose_env.kinematics.chain import Chain
 from loose_env.kinematics.jacobian import geometric_jacobian

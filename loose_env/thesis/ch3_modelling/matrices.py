@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from loose_env.arms.library import planar, vera
+from loose_env.arms import planar, vera
 from loose_env.faults import Backlash, Healthy, StructuralLooseness
 from loose_env.kinematics.chain import Chain
 from loose_env.kinematics.jacobian import (

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
+from loose_env.arms import planar
 from loose_env.arms.arm import Arm
-from loose_env.arms.library import planar
 from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.link_finding.planar import (
     LinkFindingSettings,
@@ -20,7 +20,8 @@ from loose_env.diagnosis.link_finding.planar import (
     next_joint,
 )
 from loose_env.diagnosis.records.record_statistics import statistics_of
-from loose_env.envs.difficulty import Difficulty, FaultSampler
+from loose_env.envs.faults.difficulty import Difficulty
+from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Healthy
 from loose_env.report.pages.figure_card import Plate

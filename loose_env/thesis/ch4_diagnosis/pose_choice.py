@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm
-from loose_env.arms.library import planar, vera
+from loose_env.arms import Arm, planar, vera
 from loose_env.kinematics.chain import Chain
 from loose_env.kinematics.jacobian import geometric_jacobian
 from loose_env.kinematics.manipulability import (

@@ -1,1 +1,7 @@
-"""TODO room loose_env/thesis/rigs."""
+"""Rigs of the thesis: the cylindrical arm, the slide, and VERA on its shaker."""
+
+from loose_env.thesis.rigs.cylindrical import cylindrical
+from loose_env.thesis.rigs.shaken_vera import shaken_vera
+from loose_env.thesis.rigs.slide import slide_rig
+
+__all__ = ["cylindrical", "shaken_vera", "slide_rig"]

@@ -152,7 +152,7 @@ def direction_by_dynamics(
     Examples
     --------
     >>> import numpy as np
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> from loose_env.excitation import Excitation
     >>> from loose_env.faults import StructuralLooseness
     >>> from loose_env.rig import SimulatedRig

@@ -73,7 +73,7 @@ def record_lines(arm: Arm, measurement: Measurement, sensors: SensorSuite) -> Re
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> from loose_env.excitation import Excitation
     >>> from loose_env.rig import SimulatedRig
     >>> shake = Excitation(torque_rms=(5.0, 0.0), duration=0.2, band=(30.0, 150.0))

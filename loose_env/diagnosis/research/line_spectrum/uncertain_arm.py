@@ -65,7 +65,7 @@ class UncertainArm:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> arm = UncertainArm(LinearArm(planar(2).with_compliance()), Mismatch())
     >>> arm.names[-7:]
     ('drive_gain1', 'drive_gain2', 'sensor1', 'sensor2', 'sensor3', 'sensor4', 'sensor5')

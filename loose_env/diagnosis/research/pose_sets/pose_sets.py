@@ -58,7 +58,7 @@ class PoseSets:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> sets = PoseSets(planar(3), moves=np.radians([-90, -60, -30, 30, 60, 90]))
     >>> rng = np.random.default_rng(0)
     >>> np.degrees(sets.make("one joint", np.zeros(3), 3, rng)).round().tolist()
@@ -242,7 +242,7 @@ def link_confusion(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> stay, turn = [0.0, 0.3], [0.0, 0.3 + np.pi / 2]
     >>> link_confusion(ToolFrames(planar(2)), [stay], [stay, turn], sd=0.1).round(6).tolist()
     [1.0, 0.0]

@@ -40,8 +40,8 @@ def moves_in_a_plane(arm: Arm) -> bool:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
-    >>> from loose_env.arms.library import scara
+    >>> from loose_env.arms import planar
+    >>> from loose_env.arms import scara
     >>> moves_in_a_plane(planar(2)), moves_in_a_plane(scara())
     (True, False)
     """
@@ -73,7 +73,7 @@ class PlanarView:
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> view = PlanarView(planar(2))
     >>> view.at(np.array([0.0, np.pi / 2])).tool.round(3).tolist()
     [0.3, 0.3]

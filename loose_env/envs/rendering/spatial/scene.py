@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
-from loose_env.envs.episode import Episode
+from loose_env.envs.episode.state import Episode
 from loose_env.envs.rendering.caption import (
     header_height,
     header_lines,

@@ -65,7 +65,7 @@ class SpaceView:
 
     Examples
     --------
-    >>> from loose_env.arms.library import scara
+    >>> from loose_env.arms import scara
     >>> at = SpaceView(scara()).at(np.zeros(4))
     >>> bool(at.axes[2, 1] > 0.9)  # the quill is seen upright
     True

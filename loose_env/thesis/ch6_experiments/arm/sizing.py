@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.library import vera
+from loose_env.arms import vera
 from loose_env.arms.library.vera import LINK_LENGTH
 from loose_env.kinematics.joint_loads import (
     JointLoads,

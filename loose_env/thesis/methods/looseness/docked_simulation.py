@@ -76,7 +76,7 @@ def simulate_docked(
     Examples
     --------
     >>> import numpy as np
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> from loose_env.faults import Healthy
     >>> record = simulate_docked(planar(2), [0.1, 0.9], Healthy(), np.ones((2, 20)))
     >>> record.forces.shape

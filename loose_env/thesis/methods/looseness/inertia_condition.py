@@ -61,7 +61,7 @@ def seated_inertia(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> fault = StructuralLooseness(link=2, direction=(0, 1, 0), gap=2e-4, stiffness=(1e5, 1e5))
     >>> seated_inertia(planar(2), [0.0, 0.5], fault).shape
     (3, 3)

@@ -41,7 +41,7 @@ def insert_looseness(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> loose = insert_looseness(Chain.of(planar(2), [0.0, 0.0]), 1, [0, 1, 0])
     >>> loose.kinds
     ('revolute', 'prismatic', 'revolute')
@@ -72,7 +72,7 @@ def displaced(
 
     Examples
     --------
-    >>> from loose_env.arms.library import planar
+    >>> from loose_env.arms import planar
     >>> float(displaced(Chain.of(planar(2), [0.0, 0.0]), 1, [0, 1, 0], 2e-4).tool[1])
     0.0002
     """

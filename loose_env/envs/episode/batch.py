@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -22,12 +21,14 @@ from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.diagnosis.records.record_statistics import statistics_of
-from loose_env.envs.difficulty import FaultSampler, difficulty_named
 from loose_env.envs.episode.actions import Action, ActionLayout
 from loose_env.envs.episode.observation import ObservationLayout
 from loose_env.envs.episode.raw_observation import RawMeasurement
 from loose_env.envs.episode.reset_options import ResetOptions
+from loose_env.envs.episode.state import Array, Episode, Outcome
 from loose_env.envs.episode.true_arm import checked_true_arm
+from loose_env.envs.faults.difficulty import difficulty_named
+from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation, at_levels
@@ -36,9 +37,8 @@ from loose_env.rig.measurement import Measurement
 from loose_env.rig.reduced import ReducedRig
 from loose_env.rig.simulated import Job, SimulatedRig
 
-__all__ = ["BatchRig", "Episode", "EpisodeBatch", "Outcome"]
+__all__ = ["BatchRig", "EpisodeBatch"]
 
-Array = NDArray[np.float64]
 _FAULT, _MISMATCH, _POSE, _RECORD = range(4)
 
 
@@ -52,42 +52,6 @@ class BatchRig(Protocol):
     def measure_many(self, jobs: Sequence[Job]) -> list[Measurement]:
         """Take one measurement on each of several slots."""
         ...
-
-
-@dataclass(kw_only=True, eq=False)
-class Episode:
-    """The state of one episode."""
-
-    seed: int
-    number: int
-    fault: Fault
-    pose: Array
-    slots: NDArray[np.float32]
-    steps: int = 0
-    records: int = 0
-    seconds: float = 0.0
-    levels: int = 0
-    visited: set[bytes] = field(default_factory=set)
-    last: Measurement | None = None
-    ended: bool = False
-    verdict: str | None = None
-
-    def stream(self, kind: int, index: int = 0) -> np.random.Generator:
-        """Return the generator of one kind of draw."""
-        key = (self.number, kind, index)
-        return np.random.Generator(
-            np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=key))
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """What one step gave."""
-
-    reward: float
-    terminated: bool
-    truncated: bool
-    info: dict[str, Any]
 
 
 class EpisodeBatch:
