@@ -270,7 +270,7 @@ def file_times(model: Path, arms: int) -> tuple[float, float, float]:
         "import time, warnings; warnings.simplefilter('ignore'); begin = time.perf_counter()\n"
         "import numpy as np, loose_env, loose_env.envs.vector_env; from loose_env.arms import Arm\n"
         "imported = time.perf_counter()\n"
-        f"arm = Arm.from_file({str(model)!r})\n"
+        f"arm = arm_from_file({str(model)!r})\n"
         f"env = loose_env.envs.vector_env.DiagnosisVectorEnv(arm, num_envs={arms})\n"
         "env.reset(seed=0)\n"
         "running = time.perf_counter()\n"

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms import DESK_ARM, Arm, planar, scara, six_axis, vera
+from loose_env.arms import DESK_ARM, arm_from_file, planar, scara, six_axis, vera
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidSetting, LooseEnvError
@@ -63,7 +63,7 @@ def draw(options: argparse.Namespace) -> NDArray[np.uint8]:
     if options.arm == "planar":
         arm = planar(options.links, vertical=options.vertical)
     else:
-        arm = Arm.from_file(options.model) if options.arm == "file" else ARMS[options.arm]()
+        arm = arm_from_file(options.model) if options.arm == "file" else ARMS[options.arm]()
     levels = [0] * (arm.n - 1) + [3] if options.levels is None else options.levels
     if len(levels) != arm.n:
         raise InvalidSetting(f"--levels needs {arm.n} numbers for arm {arm.name!r}, got {levels}")

@@ -1,7 +1,7 @@
 """Find out what a corrected model is worth: an arm with a spring in a drive that its model lacks.
 
 The drive of one joint has a spring that the nominal model does not know. The sound arm is recorded,
-`loose gap` names what the model lacks and writes the corrected model, and `Arm.from_file` reads it.
+`loose gap` names what the model lacks and writes the corrected model, and `arm_from_file` reads it.
 Then faults are hidden in the true arm and diagnosed with the nominal model, with the corrected one
 and with the true one, on the same hidden arms. The mode of the spring goes from above the band of
 the excitation to below it.
@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import loose_env
-from loose_env.arms import Arm
+from loose_env.arms import Arm, arm_from_file
 from loose_env.arms.response.linear import LinearArm
 from loose_env.cli.main import main as loose
 from loose_env.diagnosis.research.line_spectrum.direction import direction_by_dynamics
@@ -298,7 +298,7 @@ def arm_of(path: Path, levels: tuple[float, ...] | None = None) -> Arm:
     """Read an arm, with levels in place of those that its own model would suggest."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        arm = Arm.from_file(path)
+        arm = arm_from_file(path)
     return arm if levels is None else dataclasses.replace(arm, levels=levels)
 
 

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import loose_env
-from loose_env.arms import Arm, planar, six_axis
+from loose_env.arms import Arm, planar, servoed, six_axis, with_compliance
 from loose_env.arms.response.linear import LinearArm, LinearPose
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
@@ -136,7 +136,7 @@ def arm_held(name: str, hold: str, mode: float) -> Arm:
     arm = ARMS[name]()
     if hold == STIFF:
         return arm
-    return arm.with_servo(mode_hz=mode) if hold == "servo" else arm.with_compliance(mode_hz=mode)
+    return servoed(arm, mode_hz=mode) if hold == "servo" else with_compliance(arm, mode_hz=mode)
 
 
 def seat_direction(arm: Arm, pose: Array, fault: StructuralLooseness) -> Array:

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms import planar, scara, six_axis
+from loose_env.arms import arm_from_file, planar, scara, six_axis
 from loose_env.arms.arm import Arm
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import Mismatch
@@ -351,7 +351,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.quick:
         options.cases, options.records, options.poses, options.tries = 4, 4, 3, 2
     arms = [ARMS[name]() for name in options.arm]
-    arms += [Arm.from_file(Path(path)) for path in options.file]
+    arms += [arm_from_file(Path(path)) for path in options.file]
     for number, arm in enumerate(arms):
         name = arm.name
         frames = ToolFrames(arm)

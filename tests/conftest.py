@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-from loose_env.arms import DESK_ARM, Arm, planar, scara, six_axis, vera
+from loose_env.arms import DESK_ARM, Arm, arm_from_file, planar, scara, six_axis, vera
 from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.episode.batch import BatchRig
@@ -23,7 +23,7 @@ settings.load_profile("loose_env")
 
 
 def _desk(**arguments: Any) -> Arm:
-    return Arm.from_file(DESK_ARM, **arguments)
+    return arm_from_file(DESK_ARM, **arguments)
 
 
 ARMS: dict[str, Callable[..., Arm]] = {

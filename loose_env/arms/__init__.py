@@ -2,6 +2,7 @@
 
 from loose_env.arms.arm import Arm, Holding, HoldKind
 from loose_env.arms.files.load import DESK_ARM, FileReport, arm_from_file, describe_file
+from loose_env.arms.holding.compliance import servoed, with_compliance
 from loose_env.arms.library.planar import planar
 from loose_env.arms.library.puma560 import six_axis
 from loose_env.arms.library.scara import scara
@@ -17,6 +18,8 @@ __all__ = [
     "describe_file",
     "planar",
     "scara",
+    "servoed",
     "six_axis",
     "vera",
+    "with_compliance",
 ]

@@ -5,19 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from loose_env.arms.gear_parameters import Gears
 from loose_env.arms.reach import largest_reach
 from loose_env.arms.shaker import COIL, Shaker
 from loose_env.errors import InvalidSetting, UnknownName
-
-if TYPE_CHECKING:
-    from loose_env.arms.holding.gears import Gears
 
 __all__ = ["Arm", "HoldKind", "Holding"]
 
@@ -120,38 +117,12 @@ class Arm:
         if len(self.gear_joints) != (n if self.hold == "compliant" else len(self.gear_joints)):
             raise InvalidSetting(
                 f"arm {self.name!r} has no elastic gears to hold by: make it with "
-                "arm.with_compliance()"
+                "with_compliance(arm)"
             )
         if not 0 < self.band[0] < self.band[1]:
             raise InvalidSetting(f"band must be 0 < low < high in Hz, got {self.band}")
         if any(b <= a for a, b in zip(self.levels, self.levels[1:], strict=False)):
             raise InvalidSetting(f"levels must increase, got {self.levels}")
-
-    @classmethod
-    def from_file(
-        cls,
-        path: str | Path,
-        *,
-        tool: str | None = None,
-        joints: Sequence[str] | None = None,
-        hold: HoldKind = "brake",
-    ) -> Arm:
-        """Read an arm from an MJCF or URDF file; see `loose_env.arms.files.load.arm_from_file`.
-
-        Parameters
-        ----------
-        path : str or Path
-            The file.
-        tool : str, optional
-            Site or body that carries the tool accelerometer.
-        joints : sequence of str, optional
-            Driven joints; all between base and tool by default.
-        hold : {"brake", "servo", "compliant"}
-            How joints that are not excited are held.
-        """
-        from loose_env.arms.files.load import arm_from_file  # which needs this class
-
-        return arm_from_file(path, tool=tool, joints=joints, hold=hold)
 
     @property
     def probe_sites(self) -> tuple[str, ...]:
@@ -167,54 +138,6 @@ class Arm:
     def holding(self) -> Holding:
         """What holds the joints that are not excited."""
         return self.servo if self.hold == "servo" else self.brake
-
-    def with_servo(
-        self,
-        *,
-        mode_hz: float | Sequence[float] | None = None,
-        damping_ratio: float | Sequence[float] | None = None,
-    ) -> Arm:
-        """Return the arm with its joints held by position servos of a bandwidth [Hz].
-
-        See `loose_env.arms.holding.compliance.servoed`.
-
-        Examples
-        --------
-        >>> from loose_env.arms import planar
-        >>> planar(3).with_servo(mode_hz=40.0, damping_ratio=0.7).name
-        'planar3-servo'
-        """
-        from loose_env.arms.holding.compliance import servoed  # which needs this class
-
-        return servoed(self, mode_hz=mode_hz, damping_ratio=damping_ratio)
-
-    def with_compliance(
-        self,
-        *,
-        stiffness: float | Sequence[float] | None = None,
-        mode_hz: float | Sequence[float] | None = None,
-        damping_ratio: float | Sequence[float] | None = None,
-    ) -> Arm:
-        """Return the arm with elastic gears, of a stiffness [N·m/rad or N/m] or a mode [Hz].
-
-        With neither given they are the arm's own; see
-        `loose_env.arms.holding.compliance.compliant`.
-
-        Raises
-        ------
-        InvalidSetting
-            If both are given, do not fit the joints, or are too stiff to simulate.
-
-        Examples
-        --------
-        >>> from loose_env.arms import planar
-        >>> planar(3).with_compliance(mode_hz=30.0).gear_joints
-        ('gear1', 'gear2', 'gear3')
-        """
-        from loose_env.arms.holding.compliance import compliant  # which needs this class
-        from loose_env.arms.holding.gears import gears_of
-
-        return compliant(self, gears_of(self, stiffness, mode_hz, damping_ratio))
 
     @cached_property
     def model(self) -> mujoco.MjModel:

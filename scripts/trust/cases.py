@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from loose_env.arms import arm_from_file
 from scripts.trust import documents, instrument_cases
 from scripts.trust.damage import csv, description, model, parquet, paths, pickled, xml
 from scripts.trust.hostile import YAML
@@ -55,7 +56,6 @@ def _arm(text: Callable[[], bytes], name: str) -> Make:
     def make(around: Surroundings, rng: Rng) -> Attempt:
         import warnings
 
-        from loose_env.arms import Arm
         from loose_env.arms.files.load import describe_file
 
         damage, data = xml(text(), around, rng)
@@ -66,7 +66,7 @@ def _arm(text: Callable[[], bytes], name: str) -> Make:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)
                 if whole:
-                    arm = Arm.from_file(home / name)
+                    arm = arm_from_file(home / name)
                     assert np.isfinite(arm.spec.compile().body_mass).all()
                     return arm.joints
                 return str(describe_file(home / name))

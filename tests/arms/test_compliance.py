@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, planar, scara, six_axis, vera
+from loose_env.arms import Arm, arm_from_file, planar, scara, six_axis, vera, with_compliance
+from loose_env.arms.gear_parameters import Gears
 from loose_env.arms.holding.compliance import compliant, fastest_turn, servoed
-from loose_env.arms.holding.gears import BARE_ROTOR, Gears
+from loose_env.arms.holding.gears import BARE_ROTOR
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import Mismatch
 from loose_env.diagnosis.likelihood.posterior import variants
@@ -62,7 +63,7 @@ ARMS: dict[str, Any] = {
 
 def arm_of(name: str, hold: str, bare_file: Path) -> Arm:
     if name == "bare":
-        return Arm.from_file(bare_file, hold=hold)  # type: ignore[arg-type]
+        return arm_from_file(bare_file, hold=hold)  # type: ignore[arg-type]
     made: Arm = ARMS[name](hold)
     return made
 
@@ -117,20 +118,20 @@ def test_stepping_is_stable_with_every_seat_open(name: str, bare_file: Path) -> 
 
 @pytest.mark.parametrize("mode", [12.0, 45.0, 150.0, 400.0])
 def test_the_step_follows_stiffer_gears(mode: float) -> None:
-    arm = planar(3).with_compliance(mode_hz=mode)
+    arm = with_compliance(planar(3), mode_hz=mode)
     assert fastest_turn(arm) < 1.4
     assert arm.timestep == pytest.approx(2e-4 / (1 if mode < 200 else 2), rel=1e-9)
 
 
 def test_a_gear_as_stiff_as_a_brake_is_refused() -> None:
     with pytest.raises(InvalidSetting, match=r"joint \d is too stiff.*hold='brake'"):
-        planar(3).with_compliance(mode_hz=3000.0)
+        with_compliance(planar(3), mode_hz=3000.0)
 
 
 def test_fastest_turn_is_that_of_a_mass_on_a_spring() -> None:
     # One joint, its motor side light: rotor and wheel swing against each other.
-    arm = planar(2).with_compliance(stiffness=2e4, damping_ratio=0.0)
-    looser = planar(2).with_compliance(stiffness=500.0, damping_ratio=0.0)
+    arm = with_compliance(planar(2), stiffness=2e4, damping_ratio=0.0)
+    looser = with_compliance(planar(2), stiffness=500.0, damping_ratio=0.0)
     assert fastest_turn(looser) < fastest_turn(arm) < 1.0
 
 
@@ -147,7 +148,7 @@ def mode_of(arm: Arm, joint: int) -> float:
 
 
 def test_a_gear_has_the_mode_that_was_asked_for() -> None:
-    arm = planar(3).with_compliance(mode_hz=(20.0, 30.0, 70.0), damping_ratio=0.1)
+    arm = with_compliance(planar(3), mode_hz=(20.0, 30.0, 70.0), damping_ratio=0.1)
     assert [mode_of(arm, j) for j in range(3)] == pytest.approx([20, 30, 70], rel=0.02)
     spring = arm.model.joint("gear2")
     ratio = spring.damping[0] / (2 * spring.stiffness[0] / (2 * np.pi * 30.0))
@@ -155,25 +156,25 @@ def test_a_gear_has_the_mode_that_was_asked_for() -> None:
 
 
 def test_stiffness_is_taken_as_given_and_gears_can_be_changed() -> None:
-    arm = six_axis().with_compliance(stiffness=2e4)
+    arm = with_compliance(six_axis(), stiffness=2e4)
     assert {float(arm.model.joint(g).stiffness[0]) for g in arm.gear_joints} == {2e4}
-    again = arm.with_compliance(mode_hz=20.0)
+    again = with_compliance(arm, mode_hz=20.0)
     assert again.rigid is arm.rigid
     assert again.gear_joints == arm.gear_joints
     assert again.model.nq == arm.model.nq
 
 
 def test_servos_take_a_bandwidth_and_stand_behind_gears() -> None:
-    arm = planar(3).with_servo(mode_hz=(10.0, 20.0, 40.0), damping_ratio=0.7)
+    arm = servoed(planar(3), mode_hz=(10.0, 20.0, 40.0), damping_ratio=0.7)
     inertia = np.array(planar(3).servo.stiffness) / (2 * np.pi * 25.0) ** 2
     wanted = inertia * (2 * np.pi * np.array([10.0, 20.0, 40.0])) ** 2
     np.testing.assert_allclose(arm.holding.stiffness, wanted, rtol=0.01)
     damping = 2 * 0.7 * np.sqrt(wanted * inertia)
     np.testing.assert_allclose(arm.holding.damping, damping, rtol=0.01)
-    both = planar(3).with_compliance().with_servo()
+    both = servoed(with_compliance(planar(3)))
     assert (both.name, both.hold) == ("planar3-compliant-servo", "servo")
     assert both.gear_joints == ("gear1", "gear2", "gear3")
-    assert planar(3).with_servo().with_compliance().hold == "compliant"
+    assert with_compliance(servoed(planar(3))).hold == "compliant"
 
 
 @pytest.mark.parametrize(
@@ -189,7 +190,7 @@ def test_servos_take_a_bandwidth_and_stand_behind_gears() -> None:
 )
 def test_figures_that_make_no_gear_are_refused(arguments: dict[str, Any], words: str) -> None:
     with pytest.raises(InvalidSetting, match=words):
-        planar(3).with_compliance(**arguments)
+        with_compliance(planar(3), **arguments)
 
 
 def test_other_mistakes_are_refused() -> None:
@@ -293,4 +294,4 @@ def test_the_posterior_tries_softer_and_stiffer_gears() -> None:
 def test_figures_that_are_no_numbers_are_refused() -> None:
     for wrong in ("stiff", float("nan"), (1.0, 2.0)):
         with pytest.raises(InvalidSetting):
-            planar(3).with_compliance(stiffness=wrong)  # type: ignore[arg-type]
+            with_compliance(planar(3), stiffness=wrong)  # type: ignore[arg-type]

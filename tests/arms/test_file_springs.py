@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm
+from loose_env.arms import Arm, arm_from_file
 from loose_env.arms.files.joint_springs import FASTEST_TURN
 from loose_env.arms.files.load import describe_file
 from loose_env.arms.holding.compliance import fastest_turn
@@ -61,7 +61,7 @@ def write(tmp_path: Path) -> Write:
 
 
 def read(write: Write, **parts: object) -> Arm:
-    return Arm.from_file(write(two_links(**parts)))  # type: ignore[arg-type]
+    return arm_from_file(write(two_links(**parts)))  # type: ignore[arg-type]
 
 
 def inertia_of(model: mujoco.MjModel, pose: dict[str, float]) -> NDArray[np.float64]:
@@ -76,7 +76,7 @@ def inertia_of(model: mujoco.MjModel, pose: dict[str, float]) -> NDArray[np.floa
 
 def test_a_spring_behind_a_drive_is_elastic_and_no_joint_of_the_arm(write: Write) -> None:
     path = write(two_links(gear=GEAR.format(k=5000)))
-    arm = Arm.from_file(path)
+    arm = arm_from_file(path)
     assert arm.joints == ("a", "b")
     assert arm.seat_bodies == ("one", "two")
     assert arm.gear_joints == ("gear",)
@@ -92,7 +92,7 @@ def test_the_arm_has_the_dynamics_of_the_file(write: Write, where: str) -> None:
     bend = '<joint name="bow" axis="0 1 0" pos="0 0 .01" stiffness="3000" damping="2"/>'
     parts = {"gear": GEAR.format(k=5000)} if where == "gear" else {"bend": bend}
     path = write(two_links(**parts))
-    arm, file = Arm.from_file(path), mujoco.MjModel.from_xml_path(str(path))
+    arm, file = arm_from_file(path), mujoco.MjModel.from_xml_path(str(path))
     pose = {"a": 0.4, "b": -0.7, arm.gear_joints[0]: 0.05}
     names = [file.joint(j).name for j in range(file.njnt)]
     assert [arm.model.joint(j).name for j in range(arm.model.njnt)] == names
@@ -148,7 +148,7 @@ def test_both_engines_measure_the_same_on_a_spring(write: Write) -> None:
 
 def test_a_flange_too_light_for_its_spring_gets_some_of_the_rotor(write: Write) -> None:
     path = write(two_links(gear=GEAR.format(k=3e5)))
-    arm, file = Arm.from_file(path), mujoco.MjModel.from_xml_path(str(path))
+    arm, file = arm_from_file(path), mujoco.MjModel.from_xml_path(str(path))
     before, after = file.joint("b").armature[0], arm.model.joint("b").armature[0]
     assert after < before
     full, whole = inertia_of(arm.model, {"b": 0.3}), inertia_of(file, {"b": 0.3})
@@ -167,10 +167,10 @@ def test_a_spring_that_is_asked_for_is_driven(write: Write) -> None:
     bend = '<joint name="bow" axis="0 1 0" stiffness="300" damping="2"/>'
     path = write(two_links(bend=bend))
     with pytest.warns(UserWarning, match="bow"):  # it has no torque limit
-        arm = Arm.from_file(path, joints=["a", "bow", "b"])
+        arm = arm_from_file(path, joints=["a", "bow", "b"])
     assert arm.joints == ("a", "bow", "b")
     assert arm.gear_joints == ()
-    assert Arm.from_file(path, joints=["a", "b"]).gear_joints == ("bow",)
+    assert arm_from_file(path, joints=["a", "b"]).gear_joints == ("bow",)
 
 
 def test_in_a_file_without_drives_only_a_spring_on_the_axis_before_it_is_elastic(
@@ -188,7 +188,7 @@ def test_in_a_file_without_drives_only_a_spring_on_the_axis_before_it_is_elastic
 def test_what_cannot_be_is_refused_with_the_reason(write: Write) -> None:
     path = write(two_links(gear=GEAR.format(k=5000)))
     with pytest.raises(InvalidSetting, match="elastic joints of its own"):
-        Arm.from_file(path, hold="compliant")
+        arm_from_file(path, hold="compliant")
     with pytest.raises(InvalidData, match="the first needs a rotor inertia"):
         read(write, gear=GEAR.format(k=5000), rotor="0")
     with pytest.raises(InvalidData, match="too stiff to simulate"):
@@ -215,7 +215,7 @@ def test_every_correction_that_adds_a_joint_is_read(write: Write, kind: str) -> 
     effect.export(spec, np.array(effect.starts[-1] if values is None else values))
     spec.compile()
     path = write(spec.to_xml(), "corrected.xml")
-    arm, before = Arm.from_file(path), Arm.from_file(nominal)
+    arm, before = arm_from_file(path), arm_from_file(nominal)
     assert arm.joints == before.joints
     assert arm.joint_ranges == before.joint_ranges
     assert arm.seat_bodies == before.seat_bodies

@@ -566,7 +566,7 @@ def test_a_body_may_already_be_called_a_flange(write: Write) -> None:
 
 
 def test_an_arm_is_held_by_servos_where_asked(write: Write) -> None:
-    arm = Arm.from_file(write(simple(), "two.xml"), hold="servo")
+    arm = arm_from_file(write(simple(), "two.xml"), hold="servo")
     assert (arm.name, arm.hold) == ("two-servo", "servo")
 
 
@@ -580,7 +580,7 @@ def test_published_arms_keep_their_dynamics_and_are_measured(
     shutil.copy(file, tmp_path)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        arm = Arm.from_file(tmp_path / file.name)
+        arm = arm_from_file(tmp_path / file.name)
     assert arm.n == n
     require_same_dynamics(arm, mujoco.MjModel.from_xml_path(str(file)), "tool")
     require_records(arm)
@@ -623,7 +623,7 @@ def test_a_user_s_arm_runs_in_the_environment_unedited(name: str) -> None:
         pytest.skip(f"{name} is not here")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        arm = Arm.from_file(MODELS / name)
+        arm = arm_from_file(MODELS / name)
     env = DiagnosisEnv(arm, DiagnosisSettings(difficulty="easy", max_records=6), threads=1)
     observation, _ = env.reset(seed=1, options={"fault": "structural_looseness@link2"})
     rng = np.random.default_rng(0)

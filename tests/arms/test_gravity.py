@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loose_env.arms import DESK_ARM, Arm, planar, scara, six_axis, vera
+from loose_env.arms import DESK_ARM, Arm, arm_from_file, planar, scara, six_axis, vera
 from loose_env.arms.response.linear import LinearArm
 
-UPRIGHT = [planar(3, vertical=True), six_axis(), scara(), Arm.from_file(DESK_ARM)]
+UPRIGHT = [planar(3, vertical=True), six_axis(), scara(), arm_from_file(DESK_ARM)]
 LEVEL = [planar(3), vera()]
 
 
@@ -44,7 +44,7 @@ def test_a_file_s_own_gravity_is_kept(tmp_path: Path, gravity: str | None) -> No
         actuatorfrcrange="-90 90"/><inertial pos="0 .2 .2" mass="1" diaginertia=".01 .01 .001"/>
         <site name="tool" pos="0 0 .5"/></body></worldbody></mujoco>"""
     )
-    arm = Arm.from_file(path)
+    arm = arm_from_file(path)
     torque = LinearArm(arm).at([0.0]).gravity_torque[0]
     # Lever 0.2 m across either way; without a word of it MuJoCo's gravity is along -z.
     expected = {None: 9.81 * 0.2, "0 0 0": 0.0, "0 -9.81 0": -9.81 * 0.2}[gravity]

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms import DESK_ARM, Arm, planar, scara, six_axis, vera
+from loose_env.arms import DESK_ARM, Arm, arm_from_file, planar, scara, six_axis, vera
 from loose_env.thesis.rigs import cylindrical, shaken_vera
 
 
@@ -47,7 +47,7 @@ def test_the_scara_reaches_out_and_down() -> None:
 
 @pytest.mark.parametrize(
     "arm",
-    [six_axis(), scara(), cylindrical(), Arm.from_file(DESK_ARM), planar(4)],
+    [six_axis(), scara(), cylindrical(), arm_from_file(DESK_ARM), planar(4)],
     ids=lambda arm: arm.name,
 )
 def test_no_pose_reaches_farther_and_some_pose_nearly_as_far(arm: Arm) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, planar, six_axis
+from loose_env.arms import Arm, planar, servoed, six_axis, with_compliance
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import Mismatch
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames
@@ -30,7 +30,7 @@ RATE, DURATION = 1000.0, 0.6
 
 def geared(arm: Arm) -> Arm:
     """Gears whose modes lie in the middle of the band."""
-    return arm.with_compliance(mode_hz=70.0)
+    return with_compliance(arm, mode_hz=70.0)
 
 
 def degrees_between(u: Array, v: Array) -> float:
@@ -112,7 +112,7 @@ def one_by_one(
 @pytest.mark.parametrize("make", [planar, lambda _: six_axis()])
 @pytest.mark.parametrize("hold", ["gears", "servo"])
 def test_the_uncertain_arm_answers_as_the_linear_one(make: Callable[..., Arm], hold: str) -> None:
-    arm = geared(make(3)) if hold == "gears" else make(3).with_servo(mode_hz=45.0)
+    arm = geared(make(3)) if hold == "gears" else servoed(make(3), mode_hz=45.0)
     linear = LinearArm(arm, points=20)
     pose, excited = arm.random_pose(np.random.default_rng(2)), np.arange(arm.n) == 1
     known = UncertainArm(linear, NONE)
@@ -128,7 +128,7 @@ def test_the_uncertain_arm_answers_as_the_linear_one(make: Callable[..., Arm], h
     np.testing.assert_allclose(answer.columns[:, d:, -n:], opened.joint_open_hinge, atol=1e-10)
 
 
-@pytest.mark.parametrize("arm", [geared(planar(3)), six_axis().with_servo(mode_hz=45.0)])
+@pytest.mark.parametrize("arm", [geared(planar(3)), servoed(six_axis(), mode_hz=45.0)])
 def test_slopes_are_the_changes_that_errors_make(arm: Arm) -> None:
     linear = LinearArm(arm, points=20)
     uncertain = UncertainArm(linear, Mismatch())

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loose_env.arms import Arm, planar, scara, six_axis
+from loose_env.arms import Arm, arm_from_file, planar, scara, six_axis
 from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.likelihood.opening_table import (
     PRESSES,
@@ -39,7 +39,7 @@ def arm_named(name: str) -> Arm:
     if name == "ur5e":
         if not UR5E.is_file():
             pytest.skip(f"the UR5e file {UR5E} is not here")
-        return Arm.from_file(UR5E)
+        return arm_from_file(UR5E)
     return {"six_axis": six_axis, "scara": scara}[name]()
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from loose_env.arms import Arm, planar, scara, six_axis, vera
+from loose_env.arms import Arm, arm_from_file, planar, scara, six_axis, vera
 from loose_env.arms.response.linear import LinearArm
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.faults.compound_seats import PIVOT
@@ -43,7 +43,7 @@ ARMS: dict[str, Callable[[], Arm]] = {
     "scara-compliant": lambda: scara(hold="compliant"),
 }
 if UR5E.exists():
-    ARMS["ur5e"] = lambda: Arm.from_file(UR5E)
+    ARMS["ur5e"] = lambda: arm_from_file(UR5E)
 FURTHER = ("healthy", "rotational_looseness", "compound_looseness")
 
 

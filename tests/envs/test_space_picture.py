@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from loose_env.arms import arm_from_file
+
 pytest.importorskip("matplotlib")
 
 from matplotlib.colors import to_rgb
 
-from loose_env.arms import DESK_ARM, Arm, planar, scara, six_axis
+from loose_env.arms import DESK_ARM, planar, scara, six_axis
 from loose_env.arms.response.linear import LinearArm
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.episode.state import Episode
@@ -39,7 +41,7 @@ from loose_env.thesis.rigs import cylindrical
 ARMS = {
     "six_axis": six_axis,
     "scara": scara,
-    "desk": lambda: Arm.from_file(DESK_ARM),
+    "desk": lambda: arm_from_file(DESK_ARM),
     "cylindrical": cylindrical,
 }
 STOPS = {"gap": 2e-4, "stiffness": (1e6, 1e6), "damping": (100.0, 100.0)}

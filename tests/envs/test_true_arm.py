@@ -13,7 +13,7 @@ import loose_env  # noqa: F401  (registers the ids)
 from agents.base import Problem
 from agents.evaluation import evaluate
 from agents.registry import belief_agent
-from loose_env.arms import Arm, planar
+from loose_env.arms import Arm, planar, servoed, with_compliance
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import Mismatch
 from loose_env.diagnosis.records.prediction import predict
@@ -24,7 +24,7 @@ from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import InvalidSetting
 
 SETTINGS = DiagnosisSettings(engine="reduced", raw=True)
-TRUE = planar(2).with_compliance(mode_hz=60.0)
+TRUE = with_compliance(planar(2), mode_hz=60.0)
 
 FILE = """<mujoco><compiler angle="radian"/><worldbody><body name="one">
   <joint name="a" axis="0 0 1" armature="0.4" damping="1" actuatorfrcrange="-60 60"/>
@@ -48,7 +48,7 @@ def played(arm: Arm, true: Arm | None, seed: int = 3) -> tuple[DiagnosisEnv, Any
 
 
 def test_every_nominal_arm_meets_the_same_hidden_arms() -> None:
-    arms = (planar(2), TRUE, planar(2).with_servo())
+    arms = (planar(2), TRUE, servoed(planar(2)))
     for seed in range(4):
         hidden = []
         for arm in arms:
@@ -64,7 +64,7 @@ def test_the_true_arm_is_measured_and_the_nominal_one_predicted() -> None:
     exact = Difficulty(kinds={"healthy": 1.0}, mismatch=Mismatch().scaled(0.0))
     settings = DiagnosisSettings(engine="reduced", raw=True, difficulty=exact)
     shown, foreseen = {}, {}
-    true = planar(2).with_compliance(mode_hz=20.0)  # below the band: no resonance in it
+    true = with_compliance(planar(2), mode_hz=20.0)  # below the band: no resonance in it
     for name, arm in (("nominal", planar(2)), ("true", true)):
         env = DiagnosisEnv(arm, settings, true_arm=true, threads=1)
         env.reset(seed=5, options={"pose": [0.2, 0.9]})

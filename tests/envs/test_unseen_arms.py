@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import loose_env  # noqa: F401  (registers the ids)
-from loose_env.arms import Arm
+from loose_env.arms import arm_from_file
 from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.settings import DiagnosisSettings
@@ -194,7 +194,7 @@ def test_every_kind_of_fault_is_measured_on_it(file: Path, hold: str) -> None:
 def test_it_is_drawn_whatever_its_size(file: Path) -> None:
     pytest.importorskip("matplotlib")
     settings = DiagnosisSettings(kinds=KINDS, durations=(0.1,))
-    env = DiagnosisEnv(Arm.from_file(file), settings, render_mode="rgb_array", threads=1)
+    env = DiagnosisEnv(arm_from_file(file), settings, render_mode="rgb_array", threads=1)
     env.reset(seed=1, options={"fault": "compound_looseness@link1"})
     env.step(env.actions.encode(levels=np.full(env.arm.n, 1), duration=0))
     measured = env.render()
@@ -206,7 +206,7 @@ def test_a_drive_too_weak_for_its_load_shakes_nothing(tmp_path: Path) -> None:
     path = tmp_path / "weak.urdf"
     path.write_text(MIMIC_FINGERS.replace('effort="40"', 'effort="20"', 1))  # the lift bears 30 N
     settings = DiagnosisSettings(kinds=KINDS, durations=(0.1,))
-    env = DiagnosisEnv(Arm.from_file(path), settings, threads=1)
+    env = DiagnosisEnv(arm_from_file(path), settings, threads=1)
     env.reset(seed=0, options={"fault": "backlash@joint2"})
     for levels, filled in (([3, 0, 0], 0), ([3, 3, 0], 1)):
         observation, _, _, truncated, info = env.step(
@@ -221,7 +221,7 @@ def test_a_drive_too_weak_for_its_load_shakes_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize("file", ["bare_long.xml"], indirect=True)
 def test_without_rotors_the_worst_mismatch_does_not_let_it_diverge(file: Path) -> None:
     # Behind play in joint 3 only a flange of 5e-5 kg·m² is left of the 0.2 that the joint holds.
-    arm = Arm.from_file(file)
+    arm = arm_from_file(file)
     exact = MismatchDraw.none(arm)
     worst = replace(exact, rotor=0.91 * exact.rotor, damping=1.3 * exact.damping)
     rig = SimulatedRig(arm, threads=1)
@@ -251,4 +251,4 @@ def test_what_stops_it_is_said(tmp_path: Path) -> None:
         path = tmp_path / "arm.xml"
         path.write_text(text)
         with pytest.raises(InvalidData, match=said):
-            Arm.from_file(path)
+            arm_from_file(path)

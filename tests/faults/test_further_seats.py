@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, planar, scara, six_axis, vera
+from loose_env.arms import Arm, arm_from_file, planar, scara, six_axis, vera
 from loose_env.arms.response.linear import LinearArm
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, SeatDrive, at_levels
@@ -44,7 +44,7 @@ NAMES = ["vera", "planar3", "six_axis", "scara", *(["ur5e"] if UR5E.exists() els
 @cache
 def arm_of(name: str) -> Arm:
     if name == "ur5e":
-        return Arm.from_file(UR5E)
+        return arm_from_file(UR5E)
     made = {"vera": vera, "six_axis": six_axis, "scara": scara}
     return planar(3) if name == "planar3" else made[name]()
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from loose_env.arms import DESK_ARM, Arm, planar
+from loose_env.arms import DESK_ARM, Arm, arm_from_file, planar
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.envs.rendering.spatial.correlation_surface import Surface
 from loose_env.instrument.result import Diagnosis, Fault, Loop, NextMeasurement, RecordSeen
@@ -16,7 +16,7 @@ ANGLES = np.linspace(0.0, 180.0, 91)
 
 
 def desk() -> Arm:
-    return Arm.from_file(DESK_ARM)
+    return arm_from_file(DESK_ARM)
 
 
 def flat() -> Arm:

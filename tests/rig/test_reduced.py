@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loose_env.arms import planar, scara, six_axis, vera
+from loose_env.arms import planar, scara, servoed, six_axis, vera, with_compliance
 from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
 from loose_env.diagnosis.records.record_statistics import statistics_of
 from loose_env.envs.episode.batch import EpisodeBatch
@@ -24,8 +24,8 @@ ARMS = {
     "vera": vera,
     "six_axis": six_axis,
     "scara": scara,
-    "servo": lambda: planar(2).with_servo(),
-    "compliant": lambda: planar(3).with_compliance(),
+    "servo": lambda: servoed(planar(2)),
+    "compliant": lambda: with_compliance(planar(3)),
 }
 
 

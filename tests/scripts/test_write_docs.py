@@ -6,6 +6,8 @@ import importlib.util
 from pathlib import Path
 from types import ModuleType
 
+from loose_env.arms import six_axis
+
 ROOT = Path(__file__).resolve().parents[2]
 
 

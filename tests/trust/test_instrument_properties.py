@@ -15,7 +15,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from loose_env.arms import DESK_ARM, Arm, planar, scara
+from loose_env.arms import DESK_ARM, Arm, arm_from_file, planar, scara
 from loose_env.errors import LooseEnvError
 from loose_env.instrument.diagnose import diagnose
 from loose_env.instrument.inspect import inspect_model, screen
@@ -67,7 +67,7 @@ ARMS: dict[str, Callable[[], Arm]] = {
     "planar": lambda: planar(2),
     "vertical": lambda: planar(3, vertical=True),
     "scara": scara,
-    "desk": lambda: Arm.from_file(DESK_ARM),
+    "desk": lambda: arm_from_file(DESK_ARM),
 }
 
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from loose_env.arms import arm_from_file
 from loose_env.errors import InvalidData, LooseEnvError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -136,10 +137,9 @@ def _recording(suffix: str) -> Read:
 
 
 def _arm(place: Path, data: bytes) -> Any:
-    from loose_env.arms import Arm
 
     place.joinpath("arm.xml").write_bytes(data)
-    return Arm.from_file(place / "arm.xml")
+    return arm_from_file(place / "arm.xml")
 
 
 def _result(place: Path, data: bytes) -> Any:

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from loose_env.arms import Arm, planar, scara, vera
+from loose_env.arms import Arm, arm_from_file, planar, scara, vera
 from loose_env.arms.files.load import describe_file
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.settings import DiagnosisSettings
@@ -82,7 +82,7 @@ def test_any_chain_is_refused_in_words_or_measured(tmp_path: Path, text: str, se
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # figures that the file does not give
         try:
-            arm = Arm.from_file(file)
+            arm = arm_from_file(file)
         except LooseEnvError as error:
             assert "arm" in str(error) and "\n" not in str(error)
             return

@@ -31,7 +31,7 @@ from loose_env.errors import InvalidSetting, UnknownName
 
 __all__ = ["DESK_ARM", "FileReport", "FoundJoint", "Payload", "arm_from_file", "describe_file"]
 
-DESK_ARM = Path(__file__).parent / "models" / "desk_arm.xml"
+DESK_ARM = Path(__file__).parents[1] / "models" / "desk_arm.xml"
 """A small arm of six joints with a gripper, to try things on."""
 
 _POSES = 24

@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm, Holding, HoldKind
+from loose_env.arms.gear_parameters import Figures, Gears, each_joint
 from loose_env.arms.holding.gears import (
     WHEEL_TURN,
-    Figures,
-    Gears,
-    each_joint,
     geared_spec,
+    gears_of,
     inertias,
     poses_of,
     rotors,
@@ -24,7 +23,15 @@ from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.spec_parts import SERVO_DAMPING, held_inertia
 from loose_env.errors import InvalidSetting, UnknownName
 
-__all__ = ["compliant", "fastest_turn", "held", "servoed", "settling_time", "wind_up"]
+__all__ = [
+    "compliant",
+    "fastest_turn",
+    "held",
+    "servoed",
+    "settling_time",
+    "wind_up",
+    "with_compliance",
+]
 
 Array = NDArray[np.float64]
 
@@ -102,6 +109,41 @@ def servoed(
             damping=rounded(2 * ratio * np.sqrt(stiffness * inertia)),
         )
     return replace(arm, name=f"{arm.name.removesuffix('-servo')}-servo", hold="servo", servo=gains)
+
+
+def with_compliance(
+    arm: Arm,
+    *,
+    stiffness: Figures | None = None,
+    mode_hz: Figures | None = None,
+    damping_ratio: Figures | None = None,
+) -> Arm:
+    """Return the arm with elastic gears of a given stiffness or natural frequency.
+
+    Parameters
+    ----------
+    arm : Arm
+        Any arm.
+    stiffness : float or sequence of n floats, optional
+        Stiffness of the gears at the joint [N·m/rad, or N/m where it slides].
+    mode_hz : float or sequence of n floats, optional
+        Natural frequency of each gear with what it carries [Hz]; give this or the stiffness. With
+        neither the gears are the arm's own, `Arm.gears`.
+    damping_ratio : float or sequence of n floats, optional
+        Damping ratio of that mode [1].
+
+    Raises
+    ------
+    InvalidSetting
+        If both are given, do not fit the joints, or are too stiff to simulate.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> with_compliance(planar(3), mode_hz=30.0).gear_joints
+    ('gear1', 'gear2', 'gear3')
+    """
+    return compliant(arm, gears_of(arm, stiffness, mode_hz, damping_ratio))
 
 
 def compliant(arm: Arm, gears: Gears | None = None) -> Arm:

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
+from loose_env.arms.gear_parameters import GEAR_MODE_HZ, Figures, Gears, each_joint
 from loose_env.arms.spec_parts import held_inertia
 from loose_env.errors import InvalidSetting
 
 __all__ = [
     "BARE_ROTOR",
-    "GEAR_DAMPING",
-    "GEAR_MODE_HZ",
     "STIFFNESS_PER_TORQUE",
     "WHEEL_TURN",
-    "Figures",
-    "Gears",
     "add_wheel",
-    "each_joint",
     "geared_spec",
     "gears_of",
     "inertias",
@@ -33,67 +28,20 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-Figures = float | Sequence[float]
 
-GEAR_MODE_HZ = 60.0
-"""Mode of each gear with all that it carries, where no stiffness is known [Hz]: the upper part
-of the 10 to 80 Hz at which industrial arms sway on their drives, as small arms do."""
-GEAR_DAMPING = 0.05
-"""Damping ratio of that mode [1]; an estimate between steel (0.01) and a lubricated gear (0.1)."""
+
 STIFFNESS_PER_TORQUE = 300.0
 """Gear stiffness per peak torque of the drive [1/rad], where no stiffness is known: an estimate, a
 wind-up of 3.3 mrad under peak torque."""
+
+
 BARE_ROTOR = 0.25
 """Rotor inertia over the inertia it carries [1], for a joint without any; an estimate."""
+
 
 WHEEL_TURN = 0.8
 """Angle a gear's output side alone on its spring may turn in one simulation step [rad]; the rest
 of the stable range is left to a stop that pushes on it."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Gears:
-    """Elastic gears of an arm: stiffness, or the mode that it gives, and damping.
-
-    Drives of industrial arms have 1e4 to 1e6 N·m/rad, those of small wrists less.
-    """
-
-    stiffness: tuple[float, ...] | None = None
-    """Stiffness of each joint's gear, at the joint [N·m/rad, or N/m where it slides]."""
-    mode_hz: float | tuple[float, ...] = GEAR_MODE_HZ
-    """Mode of each gear, motor braked, all other gears stiff, the arm where it is heaviest for the
-    joint [Hz]. Not looked at where a stiffness is given."""
-    damping_ratio: float | tuple[float, ...] = GEAR_DAMPING
-    """Damping ratio of that mode [1]."""
-
-    def __post_init__(self) -> None:
-        for name in ("stiffness", "mode_hz", "damping_ratio"):
-            value = getattr(self, name)
-            if value is None:
-                continue
-            figures = np.atleast_1d(_numbers(value))
-            low = figures < 0 if name == "damping_ratio" else figures <= 0
-            if figures.ndim != 1 or not np.isfinite(figures).all() or low.any():
-                raise InvalidSetting(
-                    f"{name} of the gears must be finite and positive, one number or one for each "
-                    f"joint; got {value!r}"
-                )
-
-    def figures(self, carried: Array) -> tuple[Array, Array]:
-        """Stiffness and damping of each gear that carries an inertia [kg·m², or kg] (n,).
-
-        Raises
-        ------
-        InvalidSetting
-            If there are not as many figures as joints.
-        """
-        n = len(carried)
-        ratio = each_joint("damping_ratio", self.damping_ratio, n)
-        if self.stiffness is None:
-            stiffness = carried * (2 * np.pi * each_joint("mode_hz", self.mode_hz, n)) ** 2
-        else:
-            stiffness = each_joint("stiffness", self.stiffness, n)
-        return stiffness, 2 * ratio * np.sqrt(stiffness * carried)
 
 
 def gears_of(
@@ -255,25 +203,6 @@ def poses_of(arm: Arm) -> Array:
     """The zero pose and random ones, always the same."""
     rng = np.random.default_rng(0)
     return np.array([np.zeros(arm.n), *(arm.random_pose(rng) for _ in range(24))])
-
-
-def each_joint(name: str, value: Figures, n: int) -> Array:
-    """Check figures of the joints, one for all or one for each, and return (n,) of them."""
-    figures = _numbers(value)
-    wrong = figures < 0 if name == "damping_ratio" else figures <= 0
-    if figures.shape not in ((), (n,)) or not np.isfinite(figures).all() or wrong.any():
-        raise InvalidSetting(
-            f"{name} is one positive number, or one for each of {n} joints; got {value!r}"
-        )
-    return np.broadcast_to(figures, n).astype(float)
-
-
-def _numbers(value: object) -> Array:
-    """What was given as floats; NaN, which no check lets pass, where it is no number."""
-    try:
-        return np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        return np.array(np.nan)
 
 
 def _tuple(name: str, value: Figures, n: int) -> tuple[float, ...]:

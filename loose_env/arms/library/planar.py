@@ -23,7 +23,7 @@ def planar(n_links: int = 4, *, vertical: bool = False, hold: HoldKind = "brake"
     reflected rotor inertia is half the inertia it moves with the arm straight, as on
     industrial arms (PUMA 560: 1.1 and 4.7 kg·m² at the first two joints). Torque limits
     are what the top level asks of each joint with the arm straight, peaks included. Elastic
-    gears have a mode of 60 Hz each (`loose_env.arms.holding.gears.GEAR_MODE_HZ`): for three
+    gears have a mode of 60 Hz each (`loose_env.arms.gear_parameters.GEAR_MODE_HZ`): for three
     links 3e5, 8.4e4 and 1.1e4 N·m/rad, within what industrial drives have.
 
     Parameters

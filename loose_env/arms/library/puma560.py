@@ -6,8 +6,9 @@ import mujoco
 import numpy as np
 
 from loose_env.arms.arm import Arm, HoldKind
+from loose_env.arms.gear_parameters import Gears
 from loose_env.arms.holding.compliance import held
-from loose_env.arms.holding.gears import STIFFNESS_PER_TORQUE, Gears
+from loose_env.arms.holding.gears import STIFFNESS_PER_TORQUE
 from loose_env.arms.spec_parts import holdings, new_spec
 
 __all__ = ["TOOL", "six_axis"]

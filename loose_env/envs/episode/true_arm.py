@@ -34,8 +34,8 @@ def checked_true_arm(true_arm: Arm | None, arm: Arm) -> Arm:
 
     Examples
     --------
-    >>> from loose_env.arms import planar
-    >>> checked_true_arm(planar(2).with_compliance(mode_hz=60.0), planar(2)).name
+    >>> from loose_env.arms import planar, with_compliance
+    >>> checked_true_arm(with_compliance(planar(2), mode_hz=60.0), planar(2)).name
     'planar2-compliant'
     >>> checked_true_arm(planar(3), planar(2))
     Traceback (most recent call last):
@@ -46,7 +46,7 @@ def checked_true_arm(true_arm: Arm | None, arm: Arm) -> Arm:
     if true_arm is None:
         return arm
     if not isinstance(true_arm, Arm):
-        raise InvalidSetting(f"true_arm is an Arm, as `Arm.from_file` makes it; got {true_arm!r}")
+        raise InvalidSetting(f"true_arm is an Arm, as `arm_from_file` makes it; got {true_arm!r}")
     for name in ("joints", "sliding", "joint_ranges", "axes", "band"):
         own, other = getattr(true_arm, name), getattr(arm, name)
         if not _alike(own, other):

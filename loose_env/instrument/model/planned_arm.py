@@ -13,6 +13,7 @@ from typing import Literal
 import mujoco
 import numpy as np
 
+from loose_env.arms import arm_from_file
 from loose_env.arms.arm import Arm, HoldKind
 from loose_env.arms.files.model_reader import ModelFile, load_spec, read_model_file
 from loose_env.arms.files.report import FileReport, report
@@ -156,7 +157,7 @@ def load_model_arm(
         python_warnings.simplefilter("always")
         copy = Path(folder, f"{file.name}.xml")
         copy.write_text(made.xml, encoding="utf-8")
-        arm = Arm.from_file(copy, tool=made.site, hold=own)
+        arm = arm_from_file(copy, tool=made.site, hold=own)
     notes += [str(w.message).removeprefix(f"{copy.name}: ") for w in said]
     joints = tuple(joint.name for joint in found.joints)
     if len(arm.joints) != len(joints):

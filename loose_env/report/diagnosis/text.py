@@ -35,8 +35,8 @@ def joint_words(arm: Arm, joint: str) -> str:
 
     Examples
     --------
-    >>> from loose_env.arms import DESK_ARM, Arm
-    >>> joint_words(Arm.from_file(DESK_ARM), "elbow")
+    >>> from loose_env.arms import DESK_ARM, arm_from_file
+    >>> joint_words(arm_from_file(DESK_ARM), "elbow")
     'joint 3 (elbow)'
     """
     return _named("joint", arm.joints, joint, arm)

@@ -152,11 +152,11 @@ def direction_by_dynamics(
     Examples
     --------
     >>> import numpy as np
-    >>> from loose_env.arms import planar
+    >>> from loose_env.arms import planar, with_compliance
     >>> from loose_env.excitation import Excitation
     >>> from loose_env.faults import StructuralLooseness
     >>> from loose_env.rig import SimulatedRig
-    >>> arm = planar(2).with_compliance(mode_hz=70.0)
+    >>> arm = with_compliance(planar(2), mode_hz=70.0)
     >>> rig, pose = SimulatedRig(arm), np.array([0.1, 1.2])
     >>> shakes = [
     ...     Excitation(torque_rms=t, duration=0.6, band=arm.band) for t in ((9.0, 0.0), (0.0, 4.0))

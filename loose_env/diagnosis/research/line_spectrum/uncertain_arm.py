@@ -65,8 +65,8 @@ class UncertainArm:
 
     Examples
     --------
-    >>> from loose_env.arms import planar
-    >>> arm = UncertainArm(LinearArm(planar(2).with_compliance()), Mismatch())
+    >>> from loose_env.arms import planar, with_compliance
+    >>> arm = UncertainArm(LinearArm(with_compliance(planar(2))), Mismatch())
     >>> arm.names[-7:]
     ('drive_gain1', 'drive_gain2', 'sensor1', 'sensor2', 'sensor3', 'sensor4', 'sensor5')
     """
