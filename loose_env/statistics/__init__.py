@@ -5,25 +5,7 @@ shape (d, N) in the tool frame, d = 2 or 3; the last axis is time and means are 
 Functions ending in `_from` take covariances computed once by `covariances`.
 """
 
-from loose_env.statistics.angles import (
-    axial_angle,
-    axial_difference,
-    axial_mean,
-    axial_vector,
-    wrap_axial,
-)
-from loose_env.statistics.change_direction import ChangeDirection, change_direction
-from loose_env.statistics.change_rank import ChangeRank, change_rank
-from loose_env.statistics.coherence import (
-    LowestCoherence,
-    RankTest,
-    lowest_coherence_direction,
-    lowest_coherence_direction_from,
-    rank_test,
-    rank_test_from,
-)
-from loose_env.statistics.confidence import DirectionInterval
-from loose_env.statistics.correlation import (
+from loose_env.statistics.correlation.by_direction import (
     MaximumCorrelation,
     correlation_along,
     correlation_along_from,
@@ -35,38 +17,59 @@ from loose_env.statistics.correlation import (
     maximum_correlation,
     maximum_correlation_from,
 )
-from loose_env.statistics.covariance import (
-    Covariances,
-    RecordCovariances,
-    covariances,
-    record_covariances,
+from loose_env.statistics.correlation.coherence import (
+    LowestCoherence,
+    RankTest,
+    lowest_coherence_direction,
+    lowest_coherence_direction_from,
+    rank_test,
+    rank_test_from,
 )
-from loose_env.statistics.effective_samples import effective_samples
-from loose_env.statistics.index import ComparativeIndex, comparative_index
-from loose_env.statistics.intervals import change_direction_interval, direction_interval
-from loose_env.statistics.moments import (
-    DirectionalMoments,
-    kurtosis,
-    moments_by_direction,
-    shape_of,
-    skewness,
+from loose_env.statistics.correlation.comparative_index import ComparativeIndex, comparative_index
+from loose_env.statistics.correlation.zero_correlation import (
+    lowest_coherence_of_records,
+    uncorrelated_axis,
+    uncorrelated_plane,
 )
-from loose_env.statistics.planning import direction_sd, record_length_for
-from loose_env.statistics.spectra import (
-    TransferFunction,
-    acceleration_from_angle,
-    bandpass,
-    spectral_flatness,
-    transfer_function,
+from loose_env.statistics.directions.angles import (
+    axial_angle,
+    axial_difference,
+    axial_mean,
+    axial_vector,
+    wrap_axial,
 )
-from loose_env.statistics.sphere import (
+from loose_env.statistics.directions.sphere import (
     HemisphereSearch,
     axes_grid,
     axial_angle_between,
     hemisphere_search,
     tangents,
 )
-from loose_env.statistics.transmission import (
+from loose_env.statistics.intervals.axis import DirectionInterval
+from loose_env.statistics.intervals.direction import change_direction_interval, direction_interval
+from loose_env.statistics.intervals.record_length import direction_sd, record_length_for
+from loose_env.statistics.records.covariance import (
+    Covariances,
+    RecordCovariances,
+    covariances,
+    record_covariances,
+)
+from loose_env.statistics.records.moments import (
+    DirectionalMoments,
+    kurtosis,
+    moments_by_direction,
+    shape_of,
+    skewness,
+)
+from loose_env.statistics.records.spectra import (
+    TransferFunction,
+    acceleration_from_angle,
+    bandpass,
+    spectral_flatness,
+    transfer_function,
+)
+from loose_env.statistics.sampling.effective_samples import effective_samples
+from loose_env.statistics.transmission.change import (
     TransmissionChange,
     apparent_inertia,
     apparent_inertia_from,
@@ -76,17 +79,14 @@ from loose_env.statistics.transmission import (
     transmission_change,
     transmission_from,
 )
-from loose_env.statistics.transmission_estimate import (
+from loose_env.statistics.transmission.direction import ChangeDirection, change_direction
+from loose_env.statistics.transmission.estimate import (
     TransmissionEstimate,
     estimate_transmission,
     join_transmissions,
     pool_transmissions,
 )
-from loose_env.statistics.zero_correlation import (
-    lowest_coherence_of_records,
-    uncorrelated_axis,
-    uncorrelated_plane,
-)
+from loose_env.statistics.transmission.rank import ChangeRank, change_rank
 
 __all__ = [
     "ChangeDirection",

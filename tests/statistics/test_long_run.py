@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import lfilter
 
-from loose_env.statistics.long_run import long_run_covariance
+from loose_env.statistics.sampling.autocorrelation import long_run_covariance
 
 
 def two_first_order_series(rng: np.random.Generator, count: int) -> np.ndarray:

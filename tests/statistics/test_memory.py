@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal as scipy_signal
 
-from loose_env.statistics.memory import memory_of
+from loose_env.statistics.sampling.autocorrelation import memory_of
 
 
 def remembering(rng, memory, count=1200):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from loose_env.statistics.resampling import resampled_covariances
+from loose_env.statistics.sampling.block_bootstrap import resampled_covariances
 
 
 def centred(signal):

@@ -44,9 +44,14 @@ def test_the_function_of_every_equation_exists(key: str) -> None:
 
 
 def test_a_wrong_path_is_noticed() -> None:
-    assert callable(function("loose_env.statistics.index.comparative_index"))
+    assert callable(
+        function("loose_env.statistics.correlation.comparative_index.comparative_index")
+    )
     assert callable(function("loose_env.errors.LooseEnvError.with_traceback"))
-    for path in ("loose_env.statistics.index.none_such", "loose_env.none_such.f"):
+    for path in (
+        "loose_env.statistics.correlation.comparative_index.none_such",
+        "loose_env.none_such.f",
+    ):
         with pytest.raises(AttributeError):
             function(path)
 

@@ -16,7 +16,7 @@ from loose_env.instrument.inference.evidence import (
     band_terms,
     seat_powers,
 )
-from loose_env.statistics.sphere import axes_grid, tangents
+from loose_env.statistics.directions.sphere import axes_grid, tangents
 
 __all__ = ["MODEL_ERRORS", "Fit", "best_powers", "fit_hypothesis", "seats_of"]
 

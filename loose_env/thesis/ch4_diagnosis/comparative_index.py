@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loose_env.errors import InvalidData
-from loose_env.statistics.angles import axial_difference
-from loose_env.statistics.index import comparative_index
+from loose_env.statistics.correlation.comparative_index import comparative_index
+from loose_env.statistics.directions.angles import axial_difference
 from loose_env.thesis.printed import printed
 
 __all__ = [

@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 __all__ = ["EQUATIONS", "index_figure", "section"]
 
 EQUATIONS: dict[str, str] = dict.fromkeys(
-    ("6.15", "6.16", "6.17", "6.18"), "loose_env.statistics.index.comparative_index"
+    ("6.15", "6.16", "6.17", "6.18"),
+    "loose_env.statistics.correlation.comparative_index.comparative_index",
 )
 """Function of each equation."""
 

@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 __all__ = ["EQUATIONS", "scaled_normal", "section", "uniform_across"]
 
 EQUATIONS: dict[str, str] = {
-    "4.10": "loose_env.statistics.correlation.correlation_along",
-    "4.11": "loose_env.statistics.correlation.correlation_along",
-    "4.12": "loose_env.statistics.correlation.correlation_along",
-    "4.13": "loose_env.statistics.correlation.correlation_along",
-    "4.14": "loose_env.statistics.correlation.correlation_loop",
-    "4.15": "loose_env.statistics.correlation.lowest_correlation_search",
+    "4.10": "loose_env.statistics.correlation.by_direction.correlation_along",
+    "4.11": "loose_env.statistics.correlation.by_direction.correlation_along",
+    "4.12": "loose_env.statistics.correlation.by_direction.correlation_along",
+    "4.13": "loose_env.statistics.correlation.by_direction.correlation_along",
+    "4.14": "loose_env.statistics.correlation.by_direction.correlation_loop",
+    "4.15": "loose_env.statistics.correlation.by_direction.lowest_correlation_search",
 }
 """Function of each equation."""
 

@@ -39,7 +39,7 @@ from loose_env.diagnosis.research.line_spectrum.uncertain_arm import Answer, Unc
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.rig.measurement import Measurement
 from loose_env.sensors import SensorSuite
-from loose_env.statistics.sphere import axes_grid, tangents
+from loose_env.statistics.directions.sphere import axes_grid, tangents
 
 __all__ = ["DynamicDirection", "direction_by_dynamics"]
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from loose_env.diagnosis.research.line_spectrum.record_lines import RecordLines
 from loose_env.diagnosis.research.line_spectrum.uncertain_arm import Answer, UncertainArm
-from loose_env.statistics.sphere import tangents
+from loose_env.statistics.directions.sphere import tangents
 
 __all__ = ["ErrorFit", "answers_of", "fit_errors", "misfit_along", "residual_of", "sound_misfit"]
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Channel
 from loose_env.gap.residuals.random_excitation.frequency_response import CommandResponse, Incoherent
-from loose_env.statistics.memory import memory_of
+from loose_env.statistics.sampling.autocorrelation import memory_of
 
 __all__ = ["RestFeatures"]
 

@@ -37,8 +37,8 @@ from loose_env.thesis.shared.signal_panels import rms
 __all__ = ["EQUATIONS", "section"]
 
 EQUATIONS: dict[str, str] = {
-    "4.10": "loose_env.statistics.correlation.correlation_along",
-    "6.18": "loose_env.statistics.index.comparative_index",
+    "4.10": "loose_env.statistics.correlation.by_direction.correlation_along",
+    "6.18": "loose_env.statistics.correlation.comparative_index.comparative_index",
 }
 """Function of each equation."""
 

@@ -32,9 +32,9 @@ from loose_env.thesis.shared.plots import LoopPanel, Points, by_category, loop_p
 __all__ = ["EQUATIONS", "Trial", "section", "trials"]
 
 EQUATIONS: dict[str, str] = {
-    "4.10": "loose_env.statistics.correlation.correlation_along",
-    "4.19": "loose_env.statistics.moments.skewness",
-    "4.20": "loose_env.statistics.moments.kurtosis",
+    "4.10": "loose_env.statistics.correlation.by_direction.correlation_along",
+    "4.19": "loose_env.statistics.records.moments.skewness",
+    "4.20": "loose_env.statistics.records.moments.kurtosis",
 }
 """Function of each equation."""
 

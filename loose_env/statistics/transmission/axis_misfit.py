@@ -11,9 +11,9 @@ import numpy as np
 
 from loose_env.errors import InvalidData
 from loose_env.statistics._checks import FloatArray
-from loose_env.statistics.angles import axial_vector
-from loose_env.statistics.sphere import axes_grid, tangents
-from loose_env.statistics.transmission_estimate import TransmissionEstimate
+from loose_env.statistics.directions.angles import axial_vector
+from loose_env.statistics.directions.sphere import axes_grid, tangents
+from loose_env.statistics.transmission.estimate import TransmissionEstimate
 
 _GRID = {2: 90, 3: 400}
 """Axes at which the misfit is looked at first."""

@@ -7,9 +7,9 @@ from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData
 from loose_env.statistics._checks import FloatArray, as_floats
-from loose_env.statistics.confidence import DirectionInterval, Resampling, interval
-from loose_env.statistics.covariance import centred, covariances, planar_excitation
-from loose_env.statistics.transmission import transmission_by_instrument_from
+from loose_env.statistics.intervals.axis import DirectionInterval, Resampling, interval
+from loose_env.statistics.records.covariance import centred, covariances, planar_excitation
+from loose_env.statistics.transmission.change import transmission_by_instrument_from
 
 
 def direction_interval(

@@ -9,8 +9,8 @@ from scipy.special import chdtrc, fdtrc
 
 from loose_env.errors import InvalidSetting
 from loose_env.statistics._checks import FloatArray
-from loose_env.statistics.axis_misfit import Misfit, lowest_axis
-from loose_env.statistics.transmission_estimate import TransmissionEstimate
+from loose_env.statistics.transmission.axis_misfit import Misfit, lowest_axis
+from loose_env.statistics.transmission.estimate import TransmissionEstimate
 
 _DRAWS = 10000
 

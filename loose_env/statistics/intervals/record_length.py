@@ -7,8 +7,8 @@ from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidSetting
 from loose_env.statistics._checks import as_record, require_rate
-from loose_env.statistics.covariance import centred, covariances, planar_excitation
-from loose_env.statistics.effective_samples import effective_samples
+from loose_env.statistics.records.covariance import centred, covariances, planar_excitation
+from loose_env.statistics.sampling.effective_samples import effective_samples
 
 
 def direction_sd(x: ArrayLike, a: ArrayLike, rate: float) -> float:

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData
 from loose_env.statistics._checks import FloatArray, as_floats, require_finite
-from loose_env.statistics.angles import axial_vector
-from loose_env.statistics.covariance import Covariances, covariances, excitation_factor
+from loose_env.statistics.directions.angles import axial_vector
+from loose_env.statistics.records.covariance import Covariances, covariances, excitation_factor
 
 # Correlation of command and joint acceleration below which the command instruments nothing.
 UNRELATED = 1e-9

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidSetting
 from loose_env.statistics._checks import FloatArray, as_direction, as_floats
-from loose_env.statistics.angles import axial_vector
+from loose_env.statistics.directions.angles import axial_vector
 
 
 class HemisphereSearch(NamedTuple):

@@ -15,9 +15,9 @@ from scipy.special import ndtri, stdtrit
 
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.statistics._checks import FloatArray, require_rate
-from loose_env.statistics.angles import axial_difference, wrap_axial
-from loose_env.statistics.memory import memory_of
-from loose_env.statistics.resampling import resampled_covariances
+from loose_env.statistics.directions.angles import axial_difference, wrap_axial
+from loose_env.statistics.sampling.autocorrelation import memory_of
+from loose_env.statistics.sampling.block_bootstrap import resampled_covariances
 
 METHODS = ("block", "hac")
 

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.statistics._checks import FloatArray, as_angles, as_direction
-from loose_env.statistics.angles import wrap_axial
-from loose_env.statistics.covariance import (
+from loose_env.statistics.directions.angles import wrap_axial
+from loose_env.statistics.records.covariance import (
     STILL,
     Covariances,
     covariances,

@@ -24,10 +24,10 @@ from scipy.special import chdtri, fdtri
 
 from loose_env.errors import InvalidSetting
 from loose_env.statistics._checks import FloatArray, as_direction
-from loose_env.statistics.angle_information import angle_information
-from loose_env.statistics.axis_misfit import Misfit, lowest_axis
-from loose_env.statistics.sphere import tangents
-from loose_env.statistics.transmission_estimate import TransmissionEstimate
+from loose_env.statistics.directions.angle_information import angle_information
+from loose_env.statistics.directions.sphere import tangents
+from loose_env.statistics.transmission.axis_misfit import Misfit, lowest_axis
+from loose_env.statistics.transmission.estimate import TransmissionEstimate
 
 _AZIMUTHS, _RADII = 24, 90
 _DRAWS = 10000

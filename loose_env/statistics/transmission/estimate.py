@@ -8,9 +8,9 @@ from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData
 from loose_env.statistics._checks import FloatArray, as_floats, require_finite, require_rate
-from loose_env.statistics.covariance import centred, covariances
-from loose_env.statistics.long_run import long_run_covariance
-from loose_env.statistics.transmission import transmission_by_instrument_from
+from loose_env.statistics.records.covariance import centred, covariances
+from loose_env.statistics.sampling.autocorrelation import long_run_covariance
+from loose_env.statistics.transmission.change import transmission_by_instrument_from
 
 
 @dataclass(frozen=True, slots=True, eq=False)

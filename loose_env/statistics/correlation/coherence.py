@@ -9,8 +9,8 @@ from scipy.special import chdtrc
 
 from loose_env.errors import InvalidData
 from loose_env.statistics._checks import FloatArray
-from loose_env.statistics.angles import axial_vector
-from loose_env.statistics.covariance import (
+from loose_env.statistics.directions.angles import axial_vector
+from loose_env.statistics.records.covariance import (
     Covariances,
     covariances,
     excitation_factor,
