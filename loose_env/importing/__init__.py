@@ -1,9 +1,9 @@
 """Import of measured data from loggers: MCAP, tables in text, universal files of recorders."""
 
-from loose_env.importing.describing import describe_sources
-from loose_env.importing.importing import ImportSettings, import_recording
-from loose_env.importing.mapping import ImportMapping
-from loose_env.importing.mapping_file import read_mapping
+from loose_env.importing.describe import describe_sources
+from loose_env.importing.import_recording import ImportSettings, import_recording
+from loose_env.importing.mapping.mapping import ImportMapping
+from loose_env.importing.mapping.mapping_file import read_mapping
 
 __all__ = [
     "ImportMapping",

@@ -109,7 +109,7 @@ def _rows(around: Surroundings, rng: Rng) -> Attempt:
 
 
 def _mapping(around: Surroundings, rng: Rng) -> Attempt:
-    from loose_env.importing.mapping_file import read_mapping
+    from loose_env.importing.mapping.mapping_file import read_mapping
 
     damage, data = damaged_text(documents.MAPPING, rng)
     home = around.fresh({"map.toml": data})

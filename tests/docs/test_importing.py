@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from loose_env.cli.main import main
-from loose_env.importing.mapping_file import mapping_of
+from loose_env.importing.mapping.mapping_file import mapping_of
 from loose_env.recording import read_recording
 from tests.importing.sample_files import ARM, motion
 

@@ -12,7 +12,7 @@ import pytest
 
 from loose_env.cli.main import main
 from loose_env.importing import describe_sources, import_recording, read_mapping
-from loose_env.importing.csv_list import list_csv
+from loose_env.importing.readers.csv_list import list_csv
 from tests.importing.sample_files import ARM, motion, write_csv, write_robot, write_uff
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData
-from loose_env.importing.even_stamps import straightened
+from loose_env.importing.timing.even_stamps import straightened
 
 STEP = 1e-3
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from loose_env.importing.alignment import shift_between
-from loose_env.importing.resampling import bridged, held, is_even, resampled, rows_of
+from loose_env.importing.timing.clock_alignment import shift_between
+from loose_env.importing.timing.resampling import bridged, held, is_even, resampled, rows_of
 
 
 def band(time: np.ndarray, low: float, high: float, seed: int = 0) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData
-from loose_env.importing.resampling import resampled
+from loose_env.importing.timing.resampling import resampled
 from loose_env.instrument.data.held_pose import held_in
 from loose_env.instrument.data.sensor_selection import readings_in
 from loose_env.instrument.data.spectral_lines import Lines, lines_of

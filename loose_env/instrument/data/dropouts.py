@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
-from loose_env.importing.resampling import median_step
+from loose_env.importing.timing.resampling import median_step
 from loose_env.recording import Run
 
 __all__ = ["FEWEST", "unbroken"]

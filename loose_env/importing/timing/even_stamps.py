@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
-from loose_env.importing.resampling import median_step
+from loose_env.importing.timing.resampling import median_step
 
 __all__ = ["straightened"]
 

@@ -8,13 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from loose_env.errors import InvalidData
-from loose_env.importing.channel_list import Channel, FileList, Stream
-from loose_env.importing.csv_file import number_of
-from loose_env.importing.csv_lines import cells, header_of, open_text
-from loose_env.importing.mapping import CsvLayout
-from loose_env.importing.samples import ChannelKey
-from loose_env.importing.times import date_ns
-from loose_env.importing.units import UNITS, unit_named
+from loose_env.importing.mapping.mapping import CsvLayout
+from loose_env.importing.mapping.units import UNITS, unit_named
+from loose_env.importing.readers.csv_file import number_of
+from loose_env.importing.readers.csv_lines import cells, header_of, open_text
+from loose_env.importing.samples import Channel, ChannelKey, FileList, Stream
+from loose_env.importing.timing.dates import date_ns
 
 __all__ = ["list_csv"]
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import IO
 
 from loose_env.errors import InvalidData
-from loose_env.importing.mapping import CsvLayout
+from loose_env.importing.mapping.mapping import CsvLayout
 
 __all__ = ["cells", "header_of", "open_text"]
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from loose_env.errors import InvalidData
-from loose_env.importing.fields import Fields, got, number
-from loose_env.importing.mapping import (
+from loose_env.importing.mapping.checked_fields import Fields, got, number
+from loose_env.importing.mapping.mapping import (
     Align,
     ColumnEntry,
     CsvLayout,
@@ -21,9 +21,9 @@ from loose_env.importing.mapping import (
     SourceEntry,
     TimeSource,
 )
+from loose_env.importing.mapping.units import unit_named
 from loose_env.importing.samples import ChannelKey
-from loose_env.importing.times import date_ns
-from loose_env.importing.units import unit_named
+from loose_env.importing.timing.dates import date_ns
 from loose_env.recording import Condition
 from loose_env.recording.columns import nearest
 from loose_env.recording.text_file import read_text

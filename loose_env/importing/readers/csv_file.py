@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
-from loose_env.importing.csv_lines import cells, header_of, open_text
-from loose_env.importing.mapping import CsvLayout, TimeSource
+from loose_env.importing.mapping.mapping import CsvLayout, TimeSource
+from loose_env.importing.mapping.units import unit_named
+from loose_env.importing.readers.csv_lines import cells, header_of, open_text
 from loose_env.importing.samples import ChannelKey, Samples, checked
-from loose_env.importing.times import date_ns
-from loose_env.importing.units import unit_named
+from loose_env.importing.timing.dates import date_ns
 from loose_env.recording.columns import nearest
 
 __all__ = ["column_index", "number_of", "read_csv_logger"]

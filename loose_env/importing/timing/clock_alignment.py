@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import fft, signal
 
 from loose_env.errors import InvalidData
-from loose_env.importing.resampling import bridged, median_step, resampled
+from loose_env.importing.timing.resampling import bridged, median_step, resampled
 
 __all__ = ["Shift", "shift_between"]
 

@@ -7,15 +7,20 @@ from dataclasses import replace
 from pathlib import Path
 
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.importing.channel_list import FileList
-from loose_env.importing.csv_file import read_csv_logger
-from loose_env.importing.csv_list import list_csv
-from loose_env.importing.even_stamps import straightened
-from loose_env.importing.mapping import FileKind, ImportMapping, RunPlan, SourceEntry, TimeSource
-from loose_env.importing.mcap_file import list_mcap, read_mcap
-from loose_env.importing.mcap_records import MAGIC
-from loose_env.importing.samples import ChannelKey, Samples
-from loose_env.importing.uff_file import list_uff, read_uff
+from loose_env.importing.mapping.mapping import (
+    FileKind,
+    ImportMapping,
+    RunPlan,
+    SourceEntry,
+    TimeSource,
+)
+from loose_env.importing.readers.csv_file import read_csv_logger
+from loose_env.importing.readers.csv_list import list_csv
+from loose_env.importing.readers.mcap_file import list_mcap, read_mcap
+from loose_env.importing.readers.mcap_records import MAGIC
+from loose_env.importing.readers.uff_file import list_uff, read_uff
+from loose_env.importing.samples import ChannelKey, FileList, Samples
+from loose_env.importing.timing.even_stamps import straightened
 from loose_env.recording.columns import nearest
 
 __all__ = ["Given", "files_of_runs", "given_files", "kind_of", "list_file", "read_source"]

@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData, MissingExtra
-from loose_env.importing.channel_list import Channel, FileList, Stream
-from loose_env.importing.mapping import TimeSource
-from loose_env.importing.samples import ChannelKey, Samples, checked
-from loose_env.importing.units import unit_named
+from loose_env.importing.mapping.mapping import TimeSource
+from loose_env.importing.mapping.units import unit_named
+from loose_env.importing.samples import Channel, ChannelKey, FileList, Samples, Stream, checked
 from loose_env.recording.columns import nearest
 
 __all__ = ["list_uff", "read_uff"]

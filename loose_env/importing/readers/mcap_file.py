@@ -12,13 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loose_env.errors import InvalidData
-from loose_env.importing.channel_list import Channel, FileList, Stream
-from loose_env.importing.field_path import FieldPath, fields_of, leaves, stamp_ns
-from loose_env.importing.mapping import TimeSource
-from loose_env.importing.mcap_messages import Decoder, decoder_of, encoding_of
-from loose_env.importing.mcap_records import Message, walk
-from loose_env.importing.samples import ChannelKey, Samples, checked
-from loose_env.importing.units import unit_named
+from loose_env.importing.mapping.mapping import TimeSource
+from loose_env.importing.mapping.units import unit_named
+from loose_env.importing.readers.field_path import FieldPath, fields_of, leaves, stamp_ns
+from loose_env.importing.readers.mcap_messages import Decoder, decoder_of, encoding_of
+from loose_env.importing.readers.mcap_records import Message, walk
+from loose_env.importing.samples import Channel, ChannelKey, FileList, Samples, Stream, checked
 from loose_env.recording.columns import nearest
 
 __all__ = ["list_mcap", "read_mcap"]

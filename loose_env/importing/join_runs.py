@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
-from loose_env.importing.alignment import shift_between
-from loose_env.importing.mapping import ColumnEntry, ImportMapping, RunPlan
-from loose_env.importing.resampling import bridged, held, median_step, resampled, rows_of
+from loose_env.importing.mapping.mapping import ColumnEntry, ImportMapping, RunPlan
+from loose_env.importing.mapping.units import UNITS, column_quantity, unit_named
 from loose_env.importing.samples import ChannelKey, Samples
-from loose_env.importing.units import UNITS, column_quantity, unit_named
+from loose_env.importing.timing.clock_alignment import shift_between
+from loose_env.importing.timing.resampling import bridged, held, median_step, resampled, rows_of
 from loose_env.recording import Run, joint_sensors
 from loose_env.recording.columns import ModelColumns
 from loose_env.recording.table import FEWEST_SAMPLES, MOST_VALUES
