@@ -2,8 +2,8 @@
 
 It answers the same calls as `SimulatedRig`, draws the same torques, noise and starting
 places from the same generators, and reads its records with the same sensors. Only the engine
-differs: no collision, no solver, one compiled loop (see `loose_env.rig.small_motion`). It needs
-numba, which ``pip install 'loose-env[fast]'`` brings.
+differs: no collision, no solver, one compiled loop (see `loose_env.rig.simulation.small_motion`).
+It needs numba, which ``pip install 'loose-env[fast]'`` brings.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.errors import InvalidSetting
 from loose_env.faults import Fault, Healthy
-from loose_env.rig.controls import controls
 from loose_env.rig.jobs import Job, Run, check_jobs, whole_factor
 from loose_env.rig.measurement import Measurement
 from loose_env.rig.plant import Plant, PlantShop
-from loose_env.rig.reading import read_record
-from loose_env.rig.slots import SlotRig
-from loose_env.rig.small_motion import require_one_part, small_motion
+from loose_env.rig.simulation.controls import controls
+from loose_env.rig.simulation.reading import read_record
+from loose_env.rig.simulation.slots import SlotRig
+from loose_env.rig.simulation.small_motion import require_one_part, small_motion
 from loose_env.sensors import SensorSuite, decimation_filter
 
 __all__ = ["ReducedRig"]
@@ -76,7 +76,7 @@ class ReducedRig(SlotRig):
         timestep: float | None = None,
     ) -> None:
         try:
-            from loose_env.rig.small_motion_loop import integrate
+            from loose_env.rig.simulation.small_motion_loop import integrate
         except ImportError as error:
             raise InvalidSetting(
                 "the reduced engine needs numba: pip install 'loose-env[fast]', or take the "

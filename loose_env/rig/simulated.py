@@ -17,13 +17,13 @@ from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.errors import InvalidSetting
 from loose_env.faults import Fault, Healthy
-from loose_env.rig.controls import controls
-from loose_env.rig.engines import Engine, Engines
 from loose_env.rig.jobs import Job, Run, check_jobs, whole_factor
 from loose_env.rig.measurement import Measurement
 from loose_env.rig.plant import Plant, PlantShop
-from loose_env.rig.reading import read_record
-from loose_env.rig.slots import SlotRig
+from loose_env.rig.simulation.controls import controls
+from loose_env.rig.simulation.engines import Engine, Engines
+from loose_env.rig.simulation.reading import read_record
+from loose_env.rig.simulation.slots import SlotRig
 from loose_env.sensors import SensorSuite, decimation_filter
 
 __all__ = ["Job", "SimulatedRig"]

@@ -87,7 +87,7 @@ def integrate(
     Parameters
     ----------
     mobility, stiffness, damping, force, start, drives, readings, tilting, still, encoders, zero
-        As in `loose_env.rig.small_motion.SmallMotion`.
+        As in `loose_env.rig.simulation.small_motion.SmallMotion`.
     excited : ndarray of int
         Drives whose torque changes or is not zero.
     seat : int
