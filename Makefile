@@ -29,7 +29,7 @@ help: ## list the verbs
 		printf '  make %-9s %s\n' "$$verb" "$$does"; done
 
 run: $(RUN) ## let four agents find hidden faults: a table, and a page with pictures
-	$(BIN)/python scripts/run.py $(ARGS)
+	$(BIN)/python scripts/run_demo.py $(ARGS)
 
 thesis: $(RUN) ## run the thesis's experiments and set them beside what it printed
 	$(BIN)/python scripts/reproduce_thesis.py $(ARGS)
@@ -43,13 +43,13 @@ test: $(DEV) ## run the tests and the examples in the docstrings
 	$(ONE_THREAD) $(BIN)/python -m pytest --numprocesses auto --dist loadfile $(ARGS)
 
 bench: $(RUN) ## time the simulation and the diagnosis on this machine
-	$(BIN)/python scripts/benchmark.py $(ARGS)
+	$(BIN)/python scripts/dev/benchmark.py $(ARGS)
 
 study: $(RUN) ## halve the time step and see what the results depend on
-	$(BIN)/python scripts/step_halving.py $(ARGS)
+	$(BIN)/python scripts/studies/step_halving.py $(ARGS)
 
 gap-suite: $(DEV) ## grade the gap tool on blind recordings (hours; ARGS=--quick a quarter of an hour)
-	$(ONE_THREAD) $(BIN)/python -m scripts.run_gap_suite $(ARGS)
+	$(ONE_THREAD) $(BIN)/python -m scripts.suites.gap.run $(ARGS)
 
 check: $(DEV) ## formatting, lint and types; changes nothing
 	$(BIN)/ruff format --check .

@@ -13,6 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 PARTS = (
     "errors",
+    "io",
     "arms",
     "faults",
     "excitation",
@@ -21,15 +22,24 @@ PARTS = (
     "importing",
     "rig",
     "statistics",
+    "kinematics",
     "diagnosis",
     "gap",
     "envs",
+    "evaluation",
     "instrument",
     "report",
 )
 """Parts of the package in the order in which data flow, without the command line and the thesis."""
 
-AGENTS = ("base", "belief", "belief_agent", "evaluation", "policies", "registry")
+AGENTS = (
+    "core/base",
+    "core/belief_tracker",
+    "core/belief_agent",
+    "evaluation/evaluate",
+    "policies/policies",
+    "registry",
+)
 """Modules of the agents that somebody who adds one meets."""
 
 
@@ -61,6 +71,8 @@ def modules(part: str) -> Iterator[Module]:
 def module_of(file: Path) -> Module | None:
     """What a file offers; None where it is private or has no words."""
     inside = file.relative_to(ROOT).with_suffix("").parts
+    if inside[0] == "agents":  # the folder, not a package
+        inside = inside[1:]
     name = ".".join(inside[:-1] if inside[-1] == "__init__" else inside)
     if any(part.startswith("_") for part in name.split(".")):
         return None
@@ -103,8 +115,9 @@ def write(folder: Path) -> None:
 
 def _pages() -> Iterator[tuple[str, str]]:
     groups = [(f"loose_env.{part}", list(modules(part))) for part in PARTS]
-    agents = [module_of(ROOT / "agents" / f"{name}.py") for name in ("__init__", *AGENTS)]
-    groups.append(("agents", [module for module in agents if module is not None]))
+    home = ROOT / "agents" / "loose_agents"
+    agents = [module_of(home / f"{name}.py") for name in ("__init__", *AGENTS)]
+    groups.append(("loose_agents", [module for module in agents if module is not None]))
     names = [name for name, found in groups if found]
     yield (
         "index.rst",

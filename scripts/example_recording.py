@@ -14,9 +14,9 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from loose_agents.execution.script_errors import errors_in_one_line
 from numpy.typing import NDArray
 
-from agents.one_line_errors import errors_in_one_line
 from loose_env.recording import Recording, Run, write_recording
 
 FRICTION = 2.0

@@ -164,7 +164,7 @@ def test_no_file_is_too_long() -> None:
         ("statistics/moments.py", "from loose_env.rig import Measurement", False),
         ("statistics/moments.py", "import mujoco", False),
         ("envs/arm.py", "from agents.classical import Classical", False),
-        ("cli.py", "import scripts.train", False),
+        ("cli.py", "import scripts.agents.train", False),
         ("helpers.py", "import numpy", False),
     ],
 )

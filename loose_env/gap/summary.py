@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.diagnostics.experiment_advice import Identifiability, identifiability_words
+from loose_env.gap.diagnostics.experiment_advice import identifiability_words
 from loose_env.gap.diagnostics.feature_localisation import (
     StruckChannel,
     struck_channels,
@@ -22,10 +22,10 @@ from loose_env.gap.diagnostics.feature_localisation import (
 )
 from loose_env.gap.diagnostics.identifiability import identifiability
 from loose_env.gap.diagnostics.joint_torque_residual import JointMotion, joint_motion
-from loose_env.gap.diagnostics.localisation import Location, locate, where_it_lives
+from loose_env.gap.diagnostics.localisation import locate, where_it_lives
 from loose_env.gap.diagnostics.prediction_horizon import HorizonError, horizon_errors
 from loose_env.gap.diagnostics.remaining_error import left_motions, left_words
-from loose_env.gap.diagnostics.residual_tests import LeftOver, left_over
+from loose_env.gap.diagnostics.residual_tests import left_over
 from loose_env.gap.fitting.gauss_newton import UNNAMED
 from loose_env.gap.fitting.holdout_score import Judged, machine_part
 from loose_env.gap.fitting.uncertain_parameters import NominalFigures
@@ -33,6 +33,7 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import candidates
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.output.checkpoints import Stage, fresh
+from loose_env.gap.output.evidence_schema import Identifiability, LeftOver, Location
 from loose_env.gap.output.export_check import Exported, exported
 from loose_env.gap.output.export_mjcf import (
     correction_code,

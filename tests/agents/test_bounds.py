@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loose_agents.core.base import Problem
+from loose_agents.evaluation.record_bounds import bound_line, record_bound
 
-from agents.base import Problem
-from agents.bounds import bound_line, record_bound
 from loose_env.arms import planar
 from loose_env.diagnosis.experiment_design.record_bound import (
     entropy,

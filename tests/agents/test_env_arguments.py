@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import gymnasium
 import pytest
+from loose_agents.evaluation.env_arguments import arguments_of, diagnosis_env
+from loose_agents.execution.script_errors import errors_in_one_line
+from loose_agents.rl.hyperparameters import key_values
 
-from agents.env_arguments import arguments_of, diagnosis_env
-from agents.hyperparameters import key_values
-from agents.one_line_errors import errors_in_one_line
 from loose_env.errors import InvalidSetting, LooseEnvError, UnknownName
 
 

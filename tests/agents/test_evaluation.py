@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loose_agents.core.base import Problem
+from loose_agents.evaluation.evaluate import EVALUATION_SEED, check_training_seed, evaluate
+from loose_agents.policies.link_finding import LinkFindingAgent
+from loose_agents.registry import AGENTS, make_agent
 
-from agents.base import Problem
-from agents.evaluation import EVALUATION_SEED, check_training_seed, evaluate
-from agents.link_finding import LinkFindingAgent
-from agents.registry import AGENTS, make_agent
 from loose_env.arms import planar, vera
 from loose_env.diagnosis.link_finding.planar import LinkFindingSettings
 from loose_env.envs.settings import DiagnosisSettings

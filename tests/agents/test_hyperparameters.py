@@ -9,13 +9,14 @@ import pytest
 pytest.importorskip("sb3_contrib")
 pytest.importorskip("yaml")
 
-from agents.hyperparameters import (
+from loose_agents.rl.hyperparameters import (
     HYPERPARAMETERS,
     LinearSchedule,
     key_values,
     model_arguments,
     read_hyperparameters,
 )
+
 from loose_env.envs.registration import IDS
 from loose_env.errors import InvalidSetting, LooseEnvError, UnknownName
 

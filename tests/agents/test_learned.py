@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loose_agents.core.base import Problem
+from loose_agents.core.belief_agent import BeliefAgent, Sure
+from loose_agents.core.belief_tracker import Tracker, record_from
+from loose_agents.core.shipped_weights import setting_name
+from loose_agents.evaluation.evaluate import EpisodeRow, evaluate
+from loose_agents.policies.random_and_constant import RandomPolicy
+from loose_agents.registry import make_agent
+from loose_agents.rl.learned_policy import CONFIGURATION, LearnedAgent, PolicyForm
+from loose_agents.rl.network import FORMAT, load_network, network_of, save_network
 
-from agents.base import Problem
-from agents.belief import Tracker, record_from
-from agents.belief_agent import BeliefAgent, Sure
-from agents.evaluation import EpisodeRow, evaluate
-from agents.learned import CONFIGURATION, LearnedAgent, PolicyForm
-from agents.network import FORMAT, load_network, network_of, save_network
-from agents.policies import setting_name
-from agents.random_agent import RandomPolicy
-from agents.registry import make_agent
 from loose_env.arms import planar, scara, vera
 from loose_env.diagnosis.records.record_statistics import statistics_of
 from loose_env.envs.diagnosis_env import DiagnosisEnv
@@ -93,10 +93,10 @@ def untrained(problem: Problem, algorithm: str, kwargs: dict[str, Any] | None = 
     """A model whose every weight is random, so that no two options are alike."""
     pytest.importorskip("sb3_contrib")
     import torch
+    from loose_agents.rl.hyperparameters import ALGORITHMS as KNOWN
+    from loose_agents.rl.hyperparameters import algorithm_named
+    from loose_agents.rl.training_env import TrackedVecEnv
 
-    from agents.hyperparameters import ALGORITHMS as KNOWN
-    from agents.hyperparameters import algorithm_named
-    from agents.training import TrackedVecEnv
     from loose_env.envs.vector_env import DiagnosisVectorEnv
 
     vec = TrackedVecEnv(DiagnosisVectorEnv(problem.arm, problem.settings, num_envs=2), problem)
@@ -319,7 +319,7 @@ def test_the_registry_plays_the_weights_of_the_arm(
     problem: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_policy(problem, tmp_path / f"ppo-{setting_name(problem)}")
-    monkeypatch.setattr("agents.registry.WEIGHTS", tmp_path)
+    monkeypatch.setattr("loose_agents.registry.WEIGHTS", tmp_path)
     assert isinstance(make_agent("ppo", problem), LearnedAgent)
 
 

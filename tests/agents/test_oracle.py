@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loose_agents.core.base import Problem
+from loose_agents.core.belief_tracker import Tracker
+from loose_agents.core.estimators import ESTIMATORS
+from loose_agents.evaluation.evaluate import evaluate
+from loose_agents.policies.oracle import OracleAgent, Told, oracle_agent, restricted
+from loose_agents.registry import belief_agent, make_agent
 from scipy import stats
 
-from agents.base import Problem
-from agents.belief import Tracker
-from agents.estimators import ESTIMATORS
-from agents.evaluation import evaluate
-from agents.oracle import OracleAgent, Told, oracle_agent, restricted
-from agents.registry import belief_agent, make_agent
 from loose_env.arms import Arm, planar, six_axis
 from loose_env.diagnosis.likelihood.posterior import FaultPosterior, PosteriorSettings
 from loose_env.envs.faults.sampler import FaultSampler

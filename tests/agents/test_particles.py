@@ -7,12 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from loose_agents.core.base import Problem
+from loose_agents.research.particle_calibration import calibration_cases
+from loose_agents.research.particle_check import (
+    Weighed,
+    by_size,
+    compare,
+    draw_check,
+    play,
+    probabilities_of,
+)
+from loose_agents.research.particle_posterior import ParticlePosterior, SimulatedRecords
 from scipy.special import ndtr
 
-from agents.base import Problem
-from agents.particle_calibration import calibration_cases
-from agents.particle_check import Weighed, by_size, compare, draw_check, play, probabilities_of
-from agents.particles import ParticlePosterior, SimulatedRecords
 from loose_env.arms import planar, vera
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import Mismatch

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from loose_agents.core.base import Problem
+from loose_agents.core.belief_agent import Situation
+from loose_agents.core.belief_tracker import Tracker
+from loose_agents.policies.candidate_records import candidate_at, excitations, poses
+from loose_agents.policies.policies import POLICIES, information_of, make_policy
+from loose_agents.policies.random_and_constant import ConstantPolicy
 
-from agents.base import Problem
-from agents.belief import Tracker
-from agents.belief_agent import Situation
-from agents.candidates import candidate_at, excitations, poses
-from agents.constant import ConstantPolicy
-from agents.policies import POLICIES, information_of, make_policy
 from loose_env.arms import planar
 from loose_env.envs.settings import DiagnosisSettings, Prices
 from loose_env.errors import InvalidSetting, UnknownName

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from agents.base import Problem
-from agents.belief import Tracker
-from agents.belief_agent import BeliefAgent, Situation, Sure
-from agents.evaluation import evaluate
-from agents.pose_set import (
+from loose_agents.core.base import Problem
+from loose_agents.core.belief_agent import BeliefAgent, Situation, Sure
+from loose_agents.core.belief_tracker import Tracker
+from loose_agents.evaluation.evaluate import evaluate
+from loose_agents.registry import make_agent
+from loose_agents.research.pose_set_policies import (
     GreedySeparation,
     MovesOf,
     PoseSetPolicy,
@@ -19,7 +19,7 @@ from agents.pose_set import (
     levels_for,
     nearest_moves,
 )
-from agents.pose_set_trials import (
+from loose_agents.research.pose_set_trials import (
     GREEDY,
     Directions,
     Records,
@@ -29,7 +29,7 @@ from agents.pose_set_trials import (
     link_log_likelihoods,
     records_block,
 )
-from agents.registry import make_agent
+
 from loose_env.arms import planar, six_axis
 from loose_env.arms.arm import Arm
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames

@@ -7,12 +7,18 @@ import io
 import numpy as np
 import pytest
 import torch
+from loose_agents.core.base import Problem
+from loose_agents.posterior_training.bank_storage import (
+    BankPlan,
+    build_bank,
+    build_figures,
+    read_bank,
+    read_figures,
+)
+from loose_agents.posterior_training.record_features import figures_of
+from loose_agents.posterior_training.simulated_records import BankSettings, play_episodes
+from loose_agents.posterior_training.train import PosteriorTraining, TrainingSettings
 
-from agents.banks import BankPlan, build_bank, build_figures, read_bank, read_figures
-from agents.base import Problem
-from agents.place_figures import figures_of
-from agents.posterior_training import PosteriorTraining, TrainingSettings
-from agents.record_bank import BankSettings, play_episodes
 from loose_env.arms import planar
 from loose_env.arms.response.mismatch import Mismatch
 from loose_env.diagnosis.learned.amortised_posterior import AmortisedPosterior
@@ -84,7 +90,7 @@ def test_the_pass_in_numpy_is_that_of_torch(problem, bank, features, figures):
         SeatNetwork(made.tensors()),
         directions=DIRECTIONS,
     )
-    from agents.belief import record_from
+    from loose_agents.core.belief_tracker import record_from
 
     observation = np.zeros(problem.layout.size, dtype=np.float32)
     slots = problem.layout.slots_of(observation)

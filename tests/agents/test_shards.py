@@ -18,13 +18,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from agents.backends import BACKENDS, BackendSettings, add_backend_options
-from agents.configuration import configuration_hash
-from agents.progress_line import ProgressLine
-from agents.shard_pools import load_extra
-from agents.shard_store import ArrayCodec, RowCodec, ShardStore
-from agents.shards import (
+from loose_agents.execution.backends import BACKENDS, BackendSettings, add_backend_options
+from loose_agents.execution.configuration_hash import configuration_hash
+from loose_agents.execution.local_pools import load_extra
+from loose_agents.execution.progress import ProgressLine
+from loose_agents.execution.shard_store import ArrayCodec, RowCodec, ShardStore
+from loose_agents.execution.shards import (
     Shard,
     ShardFailed,
     episode_seed,
@@ -32,6 +31,7 @@ from agents.shards import (
     run_shards,
     shard_of,
 )
+
 from loose_env.errors import InvalidData, InvalidSetting, MissingExtra, UnknownName
 
 SHARDS = shard_of(11, 3)
@@ -123,8 +123,7 @@ EXPECTED = [row for shard in SHARDS for row in rows_of(shard)]
 def ray_session() -> Iterator[None]:
     """One Ray cluster for all tests: it takes seconds to start."""
     import ray
-
-    from agents.cluster_pools import RayPool
+    from loose_agents.execution.cluster_pools import RayPool
 
     first = RayPool(BackendSettings(backend="ray", workers=2), 2)
     yield
@@ -406,8 +405,8 @@ def test_a_stopped_command_keeps_what_is_done_and_ends_its_workers(
 STOPPED = """
 import os, time
 from pathlib import Path
-from agents.shard_store import RowCodec, ShardStore
-from agents.shards import run_shards, shard_of
+from loose_agents.execution.shard_store import RowCodec, ShardStore
+from loose_agents.execution.shards import run_shards, shard_of
 
 def work(shard):
     if shard.index == 1:

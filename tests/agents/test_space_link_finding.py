@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from loose_agents.core.base import Problem
+from loose_agents.evaluation.evaluate import EpisodeRow, evaluate
+from loose_agents.policies.link_finding import LinkFindingAgent
+from loose_agents.policies.spatial_link_finding import (
+    SpaceLinkFindingAgent,
+    SpaceLinkFindingSettings,
+)
+from loose_agents.registry import make_agent
 
-from agents.base import Problem
-from agents.evaluation import EpisodeRow, evaluate
-from agents.link_finding import LinkFindingAgent
-from agents.registry import make_agent
-from agents.space_link_finding import SpaceLinkFindingAgent, SpaceLinkFindingSettings
 from loose_env.arms import planar, scara, six_axis
 from loose_env.arms.arm import Arm
 from loose_env.envs.episode.batch import EpisodeBatch

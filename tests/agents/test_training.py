@@ -10,17 +10,18 @@ from numpy.typing import NDArray
 
 pytest.importorskip("stable_baselines3")
 
-from agents.base import Problem
-from agents.belief import Tracker
-from agents.estimators import make_estimator
-from agents.evaluation import EVALUATION_SEEDS
-from agents.training import (
+from loose_agents.core.base import Problem
+from loose_agents.core.belief_tracker import Tracker
+from loose_agents.core.estimators import make_estimator
+from loose_agents.evaluation.evaluate import EVALUATION_SEEDS
+from loose_agents.rl.training_env import (
     TrackedVecEnv,
     evaluation_seed,
     forced_records,
     log_posterior,
     training_seed,
 )
+
 from loose_env.arms import planar, scara
 from loose_env.arms.arm import Arm
 from loose_env.envs.settings import DiagnosisSettings

@@ -7,20 +7,11 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
+import loose_agents.benchmark.tuning_sharded as module
 import numpy as np
 import pytest
-
-import agents.tuning_shards as module
-from agents.backends import BackendSettings
-from agents.base import Problem
-from agents.belief_agent import BeliefAgent, Sure
-from agents.evaluation import evaluate
-from agents.evaluation_shards import problem_of
-from agents.link_finding import LinkFindingAgent
-from agents.oracle import oracle_agent
-from agents.registry import belief_agent
-from agents.shards import ShardFailed
-from agents.tuning import (
+from loose_agents.benchmark.sharded import problem_of
+from loose_agents.benchmark.tuning import (
     THRESHOLDS,
     Trails,
     best_constant,
@@ -30,7 +21,16 @@ from agents.tuning import (
     unseen_return,
     write_tuned,
 )
-from agents.tuning_shards import Player, names_of, play_player, trained
+from loose_agents.benchmark.tuning_sharded import Player, names_of, play_player, trained
+from loose_agents.core.base import Problem
+from loose_agents.core.belief_agent import BeliefAgent, Sure
+from loose_agents.evaluation.evaluate import evaluate
+from loose_agents.execution.backends import BackendSettings
+from loose_agents.execution.shards import ShardFailed
+from loose_agents.policies.link_finding import LinkFindingAgent
+from loose_agents.policies.oracle import oracle_agent
+from loose_agents.registry import belief_agent
+
 from loose_env.arms import planar
 from loose_env.diagnosis.link_finding.planar import LinkFindingSettings
 from loose_env.envs.settings import DiagnosisSettings, Prices

@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loose_agents.benchmark.out_of_distribution import OFF, OtherArmRig, UnlikeTask
+from loose_agents.core.base import Problem
+from loose_agents.core.belief_agent import BeliefAgent, Sure, surprise_of
+from loose_agents.execution.shard_store import ArrayCodec, ShardStore
+from loose_agents.policies.random_and_constant import RandomPolicy
+from loose_agents.posterior_training.bank_storage import BankPlan
+from loose_agents.posterior_training.novelty import NoveltySettings, fit_reference, with_reference
+from loose_agents.posterior_training.simulated_records import BankSettings, play_episodes
 
-from agents.banks import BankPlan
-from agents.base import Problem
-from agents.belief_agent import BeliefAgent, Sure, surprise_of
-from agents.novelty_training import NoveltySettings, fit_reference, with_reference
-from agents.random_agent import RandomPolicy
-from agents.record_bank import BankSettings, play_episodes
-from agents.shard_store import ArrayCodec, ShardStore
-from agents.unlike_arms import OFF, OtherArmRig, UnlikeTask
 from loose_env.arms import planar
 from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
 from loose_env.diagnosis.learned.amortised_posterior import (
@@ -191,7 +191,7 @@ def test_a_reference_is_added_to_weights_that_stay_as_they_are(
 ) -> None:
     pytest.importorskip("safetensors")
     pytest.importorskip("torch")
-    from scripts.train_posterior import add_reference
+    from scripts.agents.train_posterior import add_reference
 
     plan = BankPlan(
         env_id="loose_env/Planar-v0",

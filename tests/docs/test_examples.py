@@ -89,7 +89,7 @@ def test_pages_with_tests_of_their_own_have_them() -> None:
 
 
 def test_the_tables_of_environments_are_those_of_the_code() -> None:
-    from scripts.write_docs import DOCS, environments
+    from scripts.dev.write_docs import DOCS, environments
 
     assert (DOCS / "environments.md").read_text(encoding="utf-8") == environments()
 
@@ -145,7 +145,7 @@ def test_getting_started_finds_the_fault(
 
 
 def test_the_table_of_sensors_is_the_stored_study(capsys: pytest.CaptureFixture[str]) -> None:
-    from scripts.study_sensors import main
+    from scripts.studies.sensors import main
 
     main(["--show", str(ROOT / "docs" / "figures" / "sensors_number.json")])
     page = (ROOT / "docs" / "space.md").read_text(encoding="utf-8")

@@ -16,8 +16,8 @@ from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.episode.state import Episode
+from loose_env.envs.rendering.correlation_loop import measured_loop, predicted_loop
 from loose_env.envs.rendering.picture import Picture
-from loose_env.envs.rendering.planar.correlation_loop import measured_loop, predicted_loop
 from loose_env.envs.rendering.planar.view import PlanarView
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidSetting, LooseEnvError

@@ -17,14 +17,14 @@ from loose_env.arms import DESK_ARM, planar, scara, six_axis
 from loose_env.arms.response.linear import LinearArm
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.episode.state import Episode
-from loose_env.envs.rendering.palette import TRUTH
-from loose_env.envs.rendering.picture import Picture
-from loose_env.envs.rendering.planar.correlation_loop import loop_of
-from loose_env.envs.rendering.spatial.correlation_surface import (
+from loose_env.envs.rendering.correlation_loop import loop_of
+from loose_env.envs.rendering.correlation_surface import (
     measured_surface,
     predicted_surface,
     surface_of,
 )
+from loose_env.envs.rendering.palette import TRUTH
+from loose_env.envs.rendering.picture import Picture
 from loose_env.envs.rendering.spatial.view import SpaceView
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.faults import Backlash, Fault, Healthy, RotationalLooseness, StructuralLooseness

@@ -8,11 +8,11 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from loose_agents.core.base import Problem
+from loose_agents.evaluation.evaluate import evaluate
+from loose_agents.registry import belief_agent
 
 import loose_env  # noqa: F401  (registers the ids)
-from agents.base import Problem
-from agents.evaluation import evaluate
-from agents.registry import belief_agent
 from loose_env.arms import Arm, planar, servoed, with_compliance
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import Mismatch

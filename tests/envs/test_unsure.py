@@ -7,11 +7,11 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from loose_agents.core.base import Problem
+from loose_agents.core.belief_agent import best_verdict
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
-from agents.base import Problem
-from agents.belief_agent import best_verdict
 from loose_env.arms import Arm, planar, scara, six_axis, vera
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import MismatchDraw

@@ -7,11 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Channel, lay_out
-from loose_env.gap.diagnostics.experiment_advice import (
-    Identifiability,
-    how_to_see,
-    identifiability_words,
-)
+from loose_env.gap.diagnostics.experiment_advice import how_to_see, identifiability_words
 from loose_env.gap.diagnostics.identifiability import identifiability
 from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.fitting.uncertain_parameters import NominalFigures
@@ -19,6 +15,7 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.output.evidence_schema import Identifiability
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.recording import Run
 from tests.gap.effect_arms import PLANAR

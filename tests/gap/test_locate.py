@@ -7,19 +7,12 @@ from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.diagnostics.joint_torque_residual import JointMotion, joint_motion
-from loose_env.gap.diagnostics.localisation import (
-    Band,
-    ChannelGap,
-    Location,
-    locate,
-    main_band,
-    strongest,
-    where_it_lives,
-)
+from loose_env.gap.diagnostics.localisation import locate, main_band, strongest, where_it_lives
 from loose_env.gap.diagnostics.regressors import REGRESSORS, binned, dependence, direction_of
 from loose_env.gap.diagnostics.residual_spectra import band_edges, density, series_of, spectrum
 from loose_env.gap.diagnostics.residual_tests import left_over
 from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.output.evidence_schema import Band, ChannelGap, Location
 from loose_env.gap.residuals.residual_model import Rows
 
 Array = NDArray[np.float64]

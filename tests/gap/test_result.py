@@ -7,9 +7,14 @@ from pathlib import Path
 import pytest
 
 from loose_env.errors import InvalidData
-from loose_env.gap.diagnostics.localisation import Band, ChannelGap, JointGap, Location
-from loose_env.gap.diagnostics.regressors import Dependence
-from loose_env.gap.diagnostics.residual_tests import LeftOver
+from loose_env.gap.output.evidence_schema import (
+    Band,
+    ChannelGap,
+    Dependence,
+    JointGap,
+    LeftOver,
+    Location,
+)
 from loose_env.gap.output.result import (
     UNIT,
     Gap,

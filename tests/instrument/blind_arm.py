@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from loose_env.recording import Run
-from scripts.diagnosis_suite.cases import Case
-from scripts.diagnosis_suite.measuring import motion, taken
-from scripts.gap_suite.build import Factors
-from scripts.gap_suite.effects import Effect, Place
-from scripts.gap_suite.figures import planar3
-from scripts.gap_suite.model_xml import model_xml
-from scripts.gap_suite.sensing import Noise
-from scripts.gap_suite.truth import TrueArm
+from scripts.suites.diagnosis.cases import Case
+from scripts.suites.diagnosis.measuring import motion, taken
+from scripts.suites.gap.cases.sensing import Noise
+from scripts.suites.gap.cases.true_arm import TrueArm
+from scripts.suites.gap.effects.types import Effect, Place
+from scripts.suites.gap.simulator.arms import planar3
+from scripts.suites.gap.simulator.build import Factors
+from scripts.suites.gap.simulator.model_xml import model_xml
 
 STOPS = {"stop_mode": 110.0, "stop_damping_ratio": 0.3}
 SLIDE = Effect(

@@ -17,13 +17,8 @@ pytest.importorskip("matplotlib")
 
 from loose_env.cli.gap import summary
 from loose_env.errors import MissingExtra
-from loose_env.gap.diagnostics.experiment_advice import (
-    Alike,
-    Identifiability,
-    Unseen,
-    how_to_separate,
-    identifiability_words,
-)
+from loose_env.gap.diagnostics.experiment_advice import how_to_separate, identifiability_words
+from loose_env.gap.output.evidence_schema import Alike, Identifiability, Unseen
 from loose_env.gap.output.result import Gap, GapResult, NamedEffect, Place, Ranked
 from loose_env.gap.summary import Evidence, GapOutputs, gather, result_of
 from loose_env.report.gap import write as gap_report

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from loose_env.rig.reduced import ReducedRig
-from scripts import benchmark
+from scripts.dev import benchmark
 
 
 def test_both_engines_are_timed_in_one_run(capsys: pytest.CaptureFixture[str]) -> None:

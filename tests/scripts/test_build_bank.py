@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("numba")
 
-from scripts import build_bank
+from scripts.agents import build_bank
 
 SMALL = [
     *("--env", "loose_env/Planar-v0", "--episodes", "3", "--directions", "4"),

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loose_agents.core.base import Problem
+from loose_agents.evaluation.evaluate import EVALUATION_SEED
 
-from agents.base import Problem
-from agents.evaluation import EVALUATION_SEED
 from loose_env.arms import planar, vera
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.evaluation.rows import read_rows
-from scripts import compare
+from scripts.agents import compare
 
 ARGUMENTS = json.dumps({"durations": [0.2], "max_records": 3})
 FAST = [
@@ -156,7 +156,7 @@ def test_errors_teach_before_anything_is_played(
 
 
 def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from agents import evaluation_shards
+    from loose_agents.benchmark import sharded as evaluation_shards
 
     played: list[int] = []
     real = evaluation_shards.evaluate_shard

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 
 from loose_env.recording import read_recording, write_recording
-from scripts.diagnosis_suite.blind import kept, marks
-from scripts.diagnosis_suite.cases import KINDS, draw
-from scripts.diagnosis_suite.grade import table
-from scripts.diagnosis_suite.measuring import random_motion, taken
-from scripts.gap_suite.model_xml import model_xml
+from scripts.suites.diagnosis.blind import kept, marks
+from scripts.suites.diagnosis.cases import KINDS, draw
+from scripts.suites.diagnosis.grade import table
+from scripts.suites.diagnosis.measuring import random_motion, taken
+from scripts.suites.gap.simulator.model_xml import model_xml
 from tests.instrument.test_result import diagnosis
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from loose_agents.execution.backends import BackendSettings
+from loose_agents.research.pose_set_trials import LIMIT, Directions, Records, Task, records_block
 
-from agents.backends import BackendSettings
-from agents.pose_set_trials import LIMIT, Directions, Records, Task, records_block
-from scripts import evaluate_pose_sets as script
+from scripts.studies import pose_sets as script
 
 SMALL = Directions(arms=("planar2", "planar3"), sds=(10.0,), cases=6, block=3, poses=3, samples=500)
 

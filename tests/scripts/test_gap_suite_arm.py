@@ -8,17 +8,26 @@ import mujoco
 import numpy as np
 import pytest
 
+from scripts.suites.gap.effects.catalogue import apply_effect
+
 pytest.importorskip("numba")
 
-from scripts.gap_suite.build import Factors, build
-from scripts.gap_suite.chain import add_mass, free_link, mass_matrix, split_link
-from scripts.gap_suite.effects import CATALOGUE, OUTSIDE, Effect, Readings, kinds
-from scripts.gap_suite.figures import ARMS, GRAVITY, planar3, spatial3
-from scripts.gap_suite.laws import DEAD, FRICTION, SMOOTH_SPEED, STRIBECK_SPEED
-from scripts.gap_suite.model_xml import model_xml
-from scripts.gap_suite.motions import FAMILIES, Motion, free_motion, rich_motion, shaken_motion
-from scripts.gap_suite.simulate import System, simulate
-from scripts.gap_suite.truth import TrueArm, steps_inside
+from scripts.suites.gap.cases.motions import (
+    FAMILIES,
+    Motion,
+    free_motion,
+    rich_motion,
+    shaken_motion,
+)
+from scripts.suites.gap.cases.true_arm import TrueArm, steps_inside
+from scripts.suites.gap.effects.catalogue import CATALOGUE, OUTSIDE, kinds
+from scripts.suites.gap.effects.types import Effect, Readings
+from scripts.suites.gap.simulator.arms import ARMS, GRAVITY, planar3, spatial3
+from scripts.suites.gap.simulator.build import Factors, build
+from scripts.suites.gap.simulator.chain import add_mass, free_link, mass_matrix, split_link
+from scripts.suites.gap.simulator.laws import DEAD, FRICTION, SMOOTH_SPEED, STRIBECK_SPEED
+from scripts.suites.gap.simulator.model_xml import model_xml
+from scripts.suites.gap.simulator.simulate import System, simulate
 
 NAMES = list(ARMS)
 
@@ -227,7 +236,8 @@ def test_stiff_laws_take_more_steps():
     figures = planar3()
     system, _ = exact(figures).assemble()
     assert steps_inside(system, figures, 10) == 10
-    some_effect("coulomb_friction", figures, at=1.0, place=2).apply(system, Readings(), figures)
+    effect = some_effect("coulomb_friction", figures, at=1.0, place=2)
+    apply_effect(effect, system, Readings(), figures)
     assert steps_inside(system, figures, 10) > 10
 
 

@@ -12,9 +12,7 @@ pytest.importorskip("pyarrow")
 
 from loose_env.gap.data.holdout_split import split_runs
 from loose_env.recording import read_recording
-from scripts.gap_suite.alternatives import Comparison
-from scripts.gap_suite.build import TOLERANCE, Factors
-from scripts.gap_suite.cases import (
+from scripts.suites.gap.cases.cases import (
     HELD_OUT,
     RUNS,
     Case,
@@ -24,14 +22,17 @@ from scripts.gap_suite.cases import (
     quick_list,
     role_of,
 )
-from scripts.gap_suite.effects import CATALOGUE, OUTSIDE, Effect, kinds
-from scripts.gap_suite.figures import planar3
-from scripts.gap_suite.inverse import torque_residual
-from scripts.gap_suite.motions import motions, rich_motion, shaken_motion
-from scripts.gap_suite.recordings import is_written, runs_of, truth_of, write_case
-from scripts.gap_suite.sensing import Noise, add_noise
-from scripts.gap_suite.sizing import VISIBLE, Visibility, visible_size
-from scripts.gap_suite.truth import TrueArm
+from scripts.suites.gap.cases.effect_sizing import VISIBLE, Visibility, visible_size
+from scripts.suites.gap.cases.inverse import torque_residual
+from scripts.suites.gap.cases.motions import motions, rich_motion, shaken_motion
+from scripts.suites.gap.cases.recordings import is_written, runs_of, truth_of, write_case
+from scripts.suites.gap.cases.sensing import Noise, add_noise
+from scripts.suites.gap.cases.true_arm import TrueArm
+from scripts.suites.gap.effects.catalogue import CATALOGUE, OUTSIDE, kinds
+from scripts.suites.gap.effects.types import Effect
+from scripts.suites.gap.grading.separability import Comparison
+from scripts.suites.gap.simulator.arms import planar3
+from scripts.suites.gap.simulator.build import TOLERANCE, Factors
 
 
 @pytest.fixture(scope="module")

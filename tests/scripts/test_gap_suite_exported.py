@@ -15,7 +15,7 @@ from loose_env.gap.model.effects.friction import ViscousFriction
 from loose_env.gap.model.effects.joint_elasticity import JointCompliance
 from loose_env.gap.model.effects.sensors import SensorGain
 from loose_env.gap.preparation.prepare import Prepared
-from scripts.gap_suite.exported import exported_gap
+from scripts.suites.gap.grading.exported import exported_gap
 from tests.gap.exported_case import judged_with, prepared_arm
 
 

@@ -6,9 +6,9 @@ import pytest
 
 pytest.importorskip("numba")
 
-from scripts.gap_suite.effects import CATALOGUE
-from scripts.gap_suite.grade import LISTED, PARAMETERS, grade
-from scripts.gap_suite.tables import confusion, markdown, summary, text, wrong_cases
+from scripts.suites.gap.effects.catalogue import CATALOGUE
+from scripts.suites.gap.grading.grade import LISTED, PARAMETERS, grade
+from scripts.suites.gap.grading.tables import confusion, markdown, summary, text, wrong_cases
 
 
 def truth(role: str, *effects: tuple[str, str, dict]) -> dict:

@@ -16,14 +16,16 @@ import pytest
 
 pytest.importorskip("numba")
 
-from agents.backends import BackendSettings
+from loose_agents.execution.backends import BackendSettings
+
 from loose_env.errors import InvalidSetting
 from loose_env.gap.output.result import NamedEffect, read_result
-from scripts import run_gap_suite as script
-from scripts.gap_suite import cases, one_case
-from scripts.gap_suite.cases import full_list, name_of, quick_list, role_of
-from scripts.gap_suite.one_case import Folders, grade_of, run_case, shard_for
-from scripts.gap_suite.tool import EXPORTED, quick_result, run_tool
+from scripts.suites.gap import run as script
+from scripts.suites.gap.cases import cases
+from scripts.suites.gap.cases.cases import full_list, name_of, quick_list, role_of
+from scripts.suites.gap.grading import one_case
+from scripts.suites.gap.grading.one_case import Folders, grade_of, run_case, shard_for
+from scripts.suites.gap.grading.tool import EXPORTED, quick_result, run_tool
 
 NUMBERS = [0, 1, 1000, 1001, 3000]
 SAID = {0: "no_gap", 1: "payload", 1000: "payload", 1001: "backlash", 3000: "unexplained"}

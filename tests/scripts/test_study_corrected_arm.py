@@ -25,7 +25,7 @@ MODE = 60.0
 @pytest.fixture(scope="module")
 def study() -> ModuleType:
     name = "study_corrected_arm"
-    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / f"{name}.py")
+    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / "studies" / f"{name}.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses look their module up

@@ -26,7 +26,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def load(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / f"{name}.py")
+    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / "studies" / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -37,7 +37,7 @@ def load(name: str) -> ModuleType:
 
 @pytest.fixture(scope="module")
 def holding() -> ModuleType:
-    return load("study_holding")
+    return load("holding")
 
 
 def test_the_true_direction_is_that_of_the_column_the_seat_adds(holding: ModuleType) -> None:
@@ -88,12 +88,12 @@ def test_an_interrupted_study_goes_on_with_the_same_settings_only(
 ) -> None:
     settings = holding.quick(holding.Settings())
     path = tmp_path / "rows.json"
-    document = study_head("scripts/study_holding.py", settings, version=loose_env.__version__)
+    document = study_head("scripts/studies/holding.py", settings, version=loose_env.__version__)
     write_study(path, document, [{"mode_hz": 70.0}])
-    assert json.loads(path.read_text())["made_by"] == "scripts/study_holding.py"
+    assert json.loads(path.read_text())["made_by"] == "scripts/studies/holding.py"
     assert stored_rows(path, document) == [{"mode_hz": 70.0}]
     other = study_head(
-        "scripts/study_holding.py",
+        "scripts/studies/holding.py",
         dataclasses.replace(settings, level=1.0),
         version=loose_env.__version__,
     )
@@ -101,7 +101,7 @@ def test_an_interrupted_study_goes_on_with_the_same_settings_only(
 
 
 def test_gravity_along_the_seat_shuts_it() -> None:
-    opening = load("study_opening")
+    opening = load("opening")
     settings = dataclasses.replace(
         opening.Settings(), gravities=(0.0, 1.0), gaps=(4e-4,), levels=(1.0,), repeats=2
     )

@@ -21,9 +21,10 @@ pytest.importorskip("sb3_contrib")
 pytest.importorskip("safetensors")
 pytest.importorskip("yaml")
 
-from agents.hyperparameters import HYPERPARAMETERS
-from agents.training import evaluation_seed
-from agents.training_run import RunState, git_commit
+from loose_agents.rl.hyperparameters import HYPERPARAMETERS
+from loose_agents.rl.training_env import evaluation_seed
+from loose_agents.rl.training_run import RunState, git_commit
+
 from loose_env.envs.episode.batch import EpisodeBatch
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -36,7 +37,7 @@ NAME = "loose_env-Planar-v0_1"
 
 
 def load(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / f"{name}.py")
+    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / "agents" / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -165,7 +166,7 @@ def test_evaluations_take_the_same_episodes_every_time_and_others_than_the_train
 def test_a_killed_run_goes_on_from_its_last_checkpoint(
     train: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command = [sys.executable, str(ROOT / "scripts" / "train.py")]
+    command = [sys.executable, str(ROOT / "scripts" / "agents" / "train.py")]
     process = subprocess.Popen(
         [*command, *options(tmp_path, 10**6, "--forced-share", "0")],
         cwd=ROOT,
@@ -210,7 +211,7 @@ def test_a_checkpoint_keeps_the_optimiser_and_the_generators(
 def test_checkpoints_keep_their_distance(
     train: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from agents import training_run
+    from loose_agents.rl import training_run
 
     written = []
     write = training_run.write_model
@@ -323,7 +324,7 @@ def test_words_that_are_no_options_are_refused_in_one_line(
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        ([], "scripts/train.py makes one"),
+        ([], "scripts/agents/train.py makes one"),
         (["--n-episodes", "0"], "--n-episodes must be"),
         (["--weights", "nowhere"], "nowhere"),
         (["--seed", "-1"], "--seed must be"),

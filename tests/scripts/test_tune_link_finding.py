@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from scripts import tune_link_finding
+from scripts.agents import tune_link_finding
 
 SMALL = [
     *("--env", "loose_env/Planar-v0", "--orders", "inward", "--candidates", "2"),

@@ -19,7 +19,7 @@ pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
 from loose_env.cli.main import main as loose
-from scripts.trust.commands import make_recording, make_shaken_recording
+from scripts.suites.trust.kills.commands import make_recording, make_shaken_recording
 
 ROOT = Path(__file__).resolve().parents[2]
 ROOM = 96
@@ -69,7 +69,7 @@ def script(name: str, *words: str) -> Callable[[], None]:
         finally:
             sys.argv, sys.path[:] = before, path
 
-    run.words = words  # type: ignore[attr-defined]
+    run.script, run.words = name, words  # type: ignore[attr-defined]
     return run
 
 
@@ -99,9 +99,9 @@ def commands(out: Path, recording: Path) -> dict[str, Callable[[], None]]:
     imports = ["import", table, "--mapping", str(mapping_beside(recording)), "--quiet"]
 
     return {
-        "train": script("train", *TINY, "-f", str(out), "--eval-freq", "-1", *training),
-        "compare": script("compare", *TINY, *two, *agents, *short, "--out", str(out)),
-        "run": script("run", *TINY, *two, *agents, *short, "--out", str(out)),
+        "train": script("agents/train", *TINY, "-f", str(out), "--eval-freq", "-1", *training),
+        "compare": script("agents/compare", *TINY, *two, *agents, *short, "--out", str(out)),
+        "run": script("run_demo", *TINY, *two, *agents, *short, "--out", str(out)),
         "reproduce_thesis": script(
             "reproduce_thesis", "--only", "index_tables", "--workers", "1", "--out", str(out)
         ),
@@ -185,7 +185,7 @@ In a process of its own: the limit would hold for what the tests themselves writ
 def test_a_file_that_cannot_grow_is_said_in_one_line(tmp_path: Path, name: str) -> None:
     run = commands(tmp_path / "out", tmp_path)[name]
     words = run.words  # type: ignore[attr-defined]
-    program = str(ROOT / "scripts" / f"{name}.py")
+    program = str(ROOT / "scripts" / f"{run.script}.py")  # type: ignore[attr-defined]
     ended = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", SHORT_FILES, program, *words],
         capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)},

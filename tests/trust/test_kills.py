@@ -1,6 +1,6 @@
 """Killed at any moment, a command goes on: nothing half-written counts, no row is lost or doubled.
 
-`python -m scripts.trust_kills` kills each 20 times; here a few times.
+`python -m scripts.suites.trust.kills_run` kills each 20 times; here a few times.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ pytest.importorskip("yaml")
 pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
-from agents.evaluation_shards import EvaluationTask, play_task
+from loose_agents.benchmark.sharded import EvaluationTask, play_task
+
 from loose_env.cli.main import COMMANDS as LOOSE
-from scripts.trust.commands import commands
-from scripts.trust.killing import Command, kill_often
+from scripts.suites.trust.kills.commands import commands
+from scripts.suites.trust.kills.killing import Command, kill_often
 
 NAMES = ("training", "comparison", "gap", *(("diagnosis",) if "diagnose" in LOOSE else ()))
 KILLS = 2
@@ -108,7 +109,7 @@ def test_a_command_whose_result_depends_on_kills_is_found_out(tmp_path: Path) ->
 def test_a_run_killed_while_it_tidies_up_plays_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import agents.evaluation_shards as shards
+    import loose_agents.benchmark.sharded as shards
 
     task = EvaluationTask(
         agent="random",

@@ -1,6 +1,6 @@
 """Damaged files of every kind are refused with a name, or read; nothing else is touched or run.
 
-`python -m scripts.trust_malformed` reads 10,000; here are some of them.
+`python -m scripts.suites.trust.malformed_run` reads 10,000; here are some of them.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ pytest.importorskip("sb3_contrib")
 pytest.importorskip("mcap")
 pytest.importorskip("pyuff")
 
-from scripts.trust.cases import KINDS
-from scripts.trust.hostile import ELEMENTS
-from scripts.trust.surroundings import Surroundings
-from scripts.trust.watch import BAD, Attempt, Watch, judged, snapshot
-from scripts.trust_malformed import rows_of
+from scripts.suites.trust.fuzz.cases import KINDS
+from scripts.suites.trust.fuzz.hostile import ELEMENTS
+from scripts.suites.trust.fuzz.surroundings import Surroundings
+from scripts.suites.trust.fuzz.watch import BAD, Attempt, Watch, judged, snapshot
+from scripts.suites.trust.malformed_run import rows_of
 
 EACH = 20
 """Files of a kind."""
@@ -38,7 +38,7 @@ def test_damaged_files_are_refused_by_name_or_read(kind: str) -> None:
 def test_a_file_that_kills_its_process_is_a_row_and_the_next_is_read(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    import scripts.trust_malformed as malformed
+    import scripts.suites.trust.malformed_run as malformed
 
     # A process that dies at the second file of three, each time it comes to it.
     script = tmp_path / "worker.sh"
@@ -88,7 +88,7 @@ def test_no_hostile_element_gets_another_file_code_or_all_memory(
     tmp_path: Path, watch: Watch, number: int
 ) -> None:
     from loose_env.arms.files.model_reader import compile_spec, load_spec
-    from scripts.trust.documents import MODEL, tetrahedron
+    from scripts.suites.trust.fuzz.documents import MODEL, tetrahedron
 
     around = Surroundings(tmp_path)
     element = ELEMENTS[number].replace("{secret}", str(around.secret))

@@ -50,7 +50,7 @@ def test_the_trap_works(tmp_path: Path) -> None:
 
 OWN = {
     (
-        "agents/shard_pools.py",
+        "agents/loose_agents/execution/local_pools.py",
         "pickle.loads",
     ): "what the same line has pickled, to see if it can be",
     (
@@ -58,7 +58,7 @@ OWN = {
         "ctypes.CDLL",
     ): "MuJoCo's own library, and only if `import mujoco` has loaded it already",
     (
-        "scripts/trust_soak.py",
+        "scripts/suites/trust/soak_run.py",
         "ctypes.CDLL",
     ): "the C library of the process, by which the soak gives memory back to the system",
 }
@@ -126,7 +126,7 @@ Read = Callable[[Path, bytes], Any]
 def _recording(suffix: str) -> Read:
     def read(place: Path, data: bytes) -> Any:
         from loose_env.recording import read_recording
-        from scripts.trust.documents import recording
+        from scripts.suites.trust.fuzz.documents import recording
 
         names = {"csv": "run.csv", "parquet": "run.parquet", "xml": "model.xml"}
         for name, own in {**recording(), names[suffix]: data}.items():
@@ -158,7 +158,7 @@ def _rows(place: Path, data: bytes) -> Any:
 
 def _shard(kind: str) -> Read:
     def read(place: Path, data: bytes) -> Any:
-        from agents.shard_store import ArrayCodec, RowCodec
+        from loose_agents.execution.shard_store import ArrayCodec, RowCodec
 
         file = place / "shard"
         file.write_bytes(data)
@@ -169,7 +169,7 @@ def _shard(kind: str) -> Read:
 
 def _hyperparameters(place: Path, data: bytes) -> Any:
     pytest.importorskip("yaml")
-    from agents.hyperparameters import read_hyperparameters
+    from loose_agents.rl.hyperparameters import read_hyperparameters
 
     place.joinpath("a.yml").write_bytes(data)
     return read_hyperparameters(place / "a.yml", "loose_env/Vera-v0")
@@ -177,8 +177,8 @@ def _hyperparameters(place: Path, data: bytes) -> Any:
 
 def _policy(place: Path, data: bytes) -> Any:
     pytest.importorskip("safetensors")
-    from scripts.trust.cases import _policy as load
-    from scripts.trust.documents import WEIGHTS
+    from scripts.suites.trust.fuzz.cases import _policy as load
+    from scripts.suites.trust.fuzz.documents import WEIGHTS
 
     source = WEIGHTS / "ppo-vera-default"
     place.joinpath("configuration.json").write_bytes((source / "configuration.json").read_bytes())
@@ -188,7 +188,7 @@ def _policy(place: Path, data: bytes) -> Any:
 
 def _model(place: Path, data: bytes) -> Any:
     pytest.importorskip("torch")
-    from agents.checkpoint import read_model
+    from loose_agents.rl.checkpoint import read_model
 
     place.joinpath("checkpoint.zip").write_bytes(data)
     return read_model(place / "checkpoint.zip")
@@ -248,7 +248,7 @@ def zipped(tmp_path: Path, *, tensors: object, described: dict[str, Any]) -> Pat
 
 def test_the_settings_of_a_stored_model_are_not_unpickled(tmp_path: Path, trap: bytes) -> None:
     pytest.importorskip("sb3_contrib")
-    from agents.checkpoint import network_arguments, read_model
+    from loose_agents.rl.checkpoint import network_arguments, read_model
 
     serialized = base64.b64encode(trap).decode()
     kwargs = {":type:": "<class 'dict'>", ":serialized:": serialized, "net_arch": [4]}
@@ -262,7 +262,7 @@ def test_the_settings_of_a_stored_model_are_not_unpickled(tmp_path: Path, trap: 
 
 
 def test_tensors_of_a_stored_model_are_tensors(tmp_path: Path, trap: bytes) -> None:
-    from agents.checkpoint import read_model
+    from loose_agents.rl.checkpoint import read_model
 
     file = zipped(tmp_path, tensors={"a": Trap(tmp_path / "executed")}, described={})
     with pytest.raises(InvalidData, match=r"model\.zip holds no model that can be read"):
@@ -274,7 +274,7 @@ def test_a_training_is_not_continued_from_a_model_that_would_run_something(
 ) -> None:
     pytest.importorskip("sb3_contrib")
     pytest.importorskip("yaml")
-    from scripts import train
+    from scripts.agents import train
 
     described = {"policy_kwargs": {":serialized:": base64.b64encode(trap).decode()}}
     file = zipped(tmp_path, tensors={"a": Trap(tmp_path / "executed")}, described=described)
@@ -285,7 +285,7 @@ def test_a_training_is_not_continued_from_a_model_that_would_run_something(
 
 def test_the_posterior_s_checkpoint_is_read_without_its_code(tmp_path: Path, trap: bytes) -> None:
     torch = pytest.importorskip("torch")
-    from agents.posterior_training import PosteriorTraining
+    from loose_agents.posterior_training.train import PosteriorTraining
 
     file = tmp_path / "checkpoint.pt"
     torch.save({"layers": Trap(tmp_path / "executed")}, file)
@@ -294,7 +294,7 @@ def test_the_posterior_s_checkpoint_is_read_without_its_code(tmp_path: Path, tra
 
 
 def test_words_of_a_command_line_are_not_run(tmp_path: Path) -> None:
-    from agents.hyperparameters import value_of
+    from loose_agents.rl.hyperparameters import value_of
 
     place = tmp_path / "executed"
     for text in (

@@ -19,7 +19,7 @@ from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidData, LooseEnvError
 from loose_env.recording import Run, read_recording, write_recording
-from scripts.trust.documents import MODEL
+from scripts.suites.trust.fuzz.documents import MODEL
 
 HANGS = 120
 """Time after which an example hangs [s]; it takes less than one."""
@@ -260,8 +260,8 @@ def test_any_numbers_are_written_and_read_to_the_last_bit_or_refused(
 @given(st.text(max_size=40))
 def test_any_text_is_a_value_or_is_refused(text: str) -> None:
     signal.alarm(HANGS)
-    from agents.env_arguments import arguments_of
-    from agents.hyperparameters import key_values, value_of
+    from loose_agents.evaluation.env_arguments import arguments_of
+    from loose_agents.rl.hyperparameters import key_values, value_of
 
     for read in (value_of, arguments_of, lambda word: key_values([word], "--env-kwargs")):
         try:

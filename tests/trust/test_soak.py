@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-import scripts.trust_soak as trust_soak
-from scripts.trust_soak import ARMS, MOST_GROWTH, Soak, memory, play_round, words
+import scripts.suites.trust.soak_run as trust_soak
+from scripts.suites.trust.soak_run import ARMS, MOST_GROWTH, Soak, memory, play_round, words
 
 
 @pytest.mark.parametrize("engine", ["reduced", "mujoco"])

@@ -97,7 +97,8 @@ class Expectation:
 
 
 USUAL_FACTORS = InformationFactors(length=0.06, together=-0.46)
-"""Fitted on records of planar4; `agents.information_fit` fits those of other arms."""
+"""Fitted on records of planar4; `loose_agents.posterior_training.information_calibration` fits
+those of other arms."""
 
 
 class RecordInformation:

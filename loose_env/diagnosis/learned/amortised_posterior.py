@@ -243,7 +243,7 @@ class AmortisedPosterior:
         if configuration["arm"] != linear.arm.name:
             raise InvalidData(
                 f"the posterior in {folder} was trained for arm {configuration['arm']!r:.60}, not "
-                f"{linear.arm.name!r}; train one with scripts/train_posterior.py"
+                f"{linear.arm.name!r}; train one with scripts/agents/train_posterior.py"
             )
         start = len(REFERENCE)
         known = {k[start:]: v for k, v in tensors.items() if k.startswith(REFERENCE)}
@@ -300,7 +300,7 @@ def read_network(folder: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
     except FileNotFoundError as error:
         raise InvalidData(
             f"no trained posterior in {where}: {CONFIGURATION} and {WEIGHTS} are needed; train one "
-            "with scripts/train_posterior.py"
+            "with scripts/agents/train_posterior.py"
         ) from error
     except (ValueError, RecursionError, OSError, SafetensorError) as error:
         reason = " ".join(str(error).split())[:200]
@@ -309,13 +309,13 @@ def read_network(folder: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
     if found != FORMAT:
         raise InvalidData(
             f"the posterior in {where} has format {found!r:.60}, not {FORMAT!r}; train it again "
-            "with scripts/train_posterior.py"
+            "with scripts/agents/train_posterior.py"
         )
     missing = [name for name in ("arm", "directions", "friction") if name not in configuration]
     if missing:
         raise InvalidData(
             f"{where / CONFIGURATION} says nothing of {missing}; train the posterior again with "
-            "scripts/train_posterior.py"
+            "scripts/agents/train_posterior.py"
         )
     return configuration, tensors
 

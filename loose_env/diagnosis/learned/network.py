@@ -74,7 +74,7 @@ class SeatNetwork:
             if not np.isfinite(tensors[name]).all():
                 raise InvalidData(
                     f"tensor {name!r} of the network holds values that are not finite; train it "
-                    "again with scripts/train_posterior.py"
+                    "again with scripts/agents/train_posterior.py"
                 )
         self.sizes = sizes
         self.tensors = {name: np.asarray(tensors[name], dtype=np.float32) for name in _SHAPES}

@@ -250,7 +250,7 @@ class NoveltyReference:
         if missing:
             raise InvalidData(
                 f"the reference of the trained kind lacks {missing}; work it out again with "
-                "scripts/train_posterior.py --reference-only"
+                "scripts/agents/train_posterior.py --reference-only"
             )
         found = {name: np.asarray(values, dtype=float) for name, values in tensors.items()}
         count = sum(name.startswith("scores.") for name in found)
@@ -265,7 +265,7 @@ class NoveltyReference:
             raise InvalidData(
                 f"the reference of the trained kind has {wrong[0]!r} of shape "
                 f"{found[wrong[0]].shape}, not {expected[wrong[0]]}: it belongs to another "
-                "version; work it out again with scripts/train_posterior.py --reference-only"
+                "version; work it out again with scripts/agents/train_posterior.py --reference-only"
             )
         return cls(
             **{name: found[name] for name in ("mean", "scale", "usual", "spread")},

@@ -4,8 +4,8 @@ The table says how openings and loose motion are distributed. Two figures decide
 force over the friction, which holds a seat wherever it is, and the share of gravity beside
 the driving force, which presses it against a stop. A pressed seat that does not stick gives by
 the compliance of its stop, and parts from it where the drive overcomes gravity. The table was
-measured on simulated arms by ``scripts/measure_opening.py``: stops and gaps are averaged over
-as they occur.
+measured on simulated arms by ``scripts/agents/measure_opening.py``: stops and gaps are averaged
+over as they occur.
 """
 
 from __future__ import annotations

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from loose_env.arms.response.linear import LinearArm
 from loose_env.envs.episode.state import Episode
+from loose_env.envs.rendering.correlation_loop import LoopPair
+from loose_env.envs.rendering.correlation_surface import SurfacePair
 from loose_env.envs.rendering.fault_text import (
     fault_words,
     hypothesis_words,
@@ -17,8 +19,6 @@ from loose_env.envs.rendering.fault_text import (
     shaking_words,
 )
 from loose_env.envs.rendering.palette import EDGE, INK, MEASURED, MUTED, SHAKEN, TRUTH
-from loose_env.envs.rendering.planar.correlation_loop import LoopPair
-from loose_env.envs.rendering.spatial.correlation_surface import SurfacePair
 from loose_env.faults import UNSURE, Backlash, Fault, parts_of
 from loose_env.rig.measurement import Measurement
 

@@ -5,65 +5,13 @@ Motions and measurements that show effects, and that separate those which look a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from loose_env.gap.output.evidence_schema import Identifiability, Unseen
 from loose_env.io.text import duration_words
 
-__all__ = [
-    "Alike",
-    "Identifiability",
-    "Unseen",
-    "how_to_see",
-    "how_to_separate",
-    "identifiability_words",
-]
+__all__ = ["how_to_see", "how_to_separate", "identifiability_words"]
 
 _LISTED = 3
 """Effects, and pairs, that are told of one by one."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Unseen:
-    """An effect that would not be seen at a size that matters."""
-
-    kind: str
-    """Identifier of the catalogue."""
-    where: str
-    """Its place."""
-    parameters: dict[str, float]
-    """The size."""
-    sureness: float
-    """What it changes beyond all that can be mistaken for it, in standard deviations; 5 needed."""
-    more_s: float | None
-    """How much more of the same runs would show it [s]; None where no length would."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Alike:
-    """Two effects that these motions do not tell apart."""
-
-    kind: str
-    """Of the first; a named one, if either is."""
-    where: str
-    """Its place."""
-    other_kind: str
-    """Of the second."""
-    other_where: str
-    """Its place."""
-    sureness: float
-    """What of the first the second cannot take up, in standard deviations; 5 are needed."""
-    more_s: float | None
-    """How much more of the same runs would tell them apart [s]; None where no length would."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Identifiability:
-    """What these motions can show."""
-
-    unseen: tuple[Unseen, ...] = ()
-    """Effects that they do not show."""
-    alike: tuple[Alike, ...] = ()
-    """Pairs that they do not tell apart, those with a named effect first."""
 
 
 def identifiability_words(found: Identifiability) -> list[str]:
@@ -189,7 +137,11 @@ _PAIRS = {
     ("structural_looseness", "backlash"): "Shake one joint at a time with an accelerometer at the "
     "tool: a loose link moves along a direction of its own, a joint about its axis.",
 }
+
+
 _GRAVITY = "hold many poses, the level ones and the stretched ones among them"
+
+
 _SEE = {
     "viscous_friction": "move at several constant speeds, the highest included",
     "coulomb_friction": "reverse the joint slowly, many times",
@@ -215,6 +167,8 @@ _SEE = {
     "torque_ripple": "turn slowly at a constant speed over a whole turn or as far as it goes",
     "joint_spring": "hold the joint at many angles over its whole range",
 }
+
+
 _OF_KIND = {
     "sensor": "Let a second sensor see the same motion.",
     "actuator": "Hold known loads at rest, and move at several speeds and accelerations.",

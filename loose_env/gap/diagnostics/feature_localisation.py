@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Trial
 from loose_env.gap.diagnostics.joint_torque_residual import JointMotion
-from loose_env.gap.diagnostics.localisation import Band, ChannelGap, depends_on
-from loose_env.gap.diagnostics.regressors import Dependence
+from loose_env.gap.diagnostics.localisation import depends_on
 from loose_env.gap.diagnostics.residual_spectra import Series, band_edges, density
-from loose_env.gap.diagnostics.residual_tests import LeftOver
 from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.output.evidence_schema import Band, ChannelGap, Dependence, LeftOver
 from loose_env.gap.residuals.residual_model import LONGEST, Comparison
 
 __all__ = ["StruckChannel", "struck_channels", "struck_left"]

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.diagnostics.experiment_advice import Alike, Identifiability, Unseen
 from loose_env.gap.fitting.gauss_newton import (
     UNNAMED,
     Fit,
@@ -27,6 +26,7 @@ from loose_env.gap.fitting.gauss_newton import (
 )
 from loose_env.gap.fitting.refit import refined
 from loose_env.gap.model.effect import Effect
+from loose_env.gap.output.evidence_schema import Alike, Identifiability, Unseen
 from loose_env.gap.residuals.autocorrelation import independent_rows
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.residuals.windows import windowed

@@ -8,7 +8,6 @@ drove it, or held it back, beyond the nominal model.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -16,105 +15,43 @@ from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.diagnostics.joint_torque_residual import JointMotion
-from loose_env.gap.diagnostics.regressors import REGRESSORS, Dependence, dependence
+from loose_env.gap.diagnostics.regressors import REGRESSORS, dependence
 from loose_env.gap.diagnostics.residual_spectra import Series, band_edges, density, series_of
+from loose_env.gap.output.evidence_schema import Band, ChannelGap, Dependence, JointGap, Location
 from loose_env.gap.residuals.autocorrelation import Structure, largest
 from loose_env.gap.residuals.residual_model import LONGEST, Rows
 
-__all__ = [
-    "Band",
-    "ChannelGap",
-    "JointGap",
-    "Location",
-    "depends_on",
-    "locate",
-    "main_band",
-    "strongest",
-    "where_it_lives",
-]
+__all__ = ["depends_on", "locate", "main_band", "strongest", "where_it_lives"]
 
 Array = NDArray[np.float64]
 
+
 _SAMPLES = 2500
 """Samples of a run that are held against motion and load, at most."""
+
+
 _SURE = 3.0
 """Sureness from which on a dependence is worth telling [standard deviations]."""
+
+
 _LEAST = 0.05
 """Share of a residual's power from which on a dependence is worth telling."""
+
+
 _VISIBLE = 1.2
 """Residual over the noise floor from which on it is told of."""
+
+
 _NO_NOISE = 4.0
 """Sureness from which on what hangs together in time is told of, however small: of hundreds of
 runs and channels with nothing but noise none passes it."""
+
+
 _AS_GOOD = 0.85
 """Share of the strongest dependence from which on a simpler one is named in its place."""
+
+
 _SIMPLEST = ("direction", "position", "velocity", "load", "acceleration")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Band:
-    """A residual within a frequency band."""
-
-    low: float
-    """[Hz]."""
-    high: float
-    """[Hz]."""
-    over_floor: float
-    """Root mean square over that of the channel's noise in the same band; 1: noise alone."""
-    share: float
-    """Share of the residual's power (0 to 1)."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ChannelGap:
-    """The disagreement of one channel in one run."""
-
-    run: str
-    """File of the run."""
-    channel: str
-    """As in the recording."""
-    over_floor: float
-    """Root mean square residual over the noise floor."""
-    offset: float
-    """Mean residual, in noise standard deviations."""
-    bands: tuple[Band, ...]
-    """From low frequencies to high ones."""
-    depends: tuple[Dependence, ...]
-    """For each regressor the joint that explains most; explained parts in noise deviations."""
-    together: float = 0.0
-    """The part that hangs together in time, which noise does not, in noise standard deviations."""
-    sureness: float = 0.0
-    """Of that part, over what white noise shows by chance, in standard deviations."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class JointGap:
-    """Torque or force at one joint that the nominal model does not explain, in one run."""
-
-    run: str
-    """File of the run."""
-    joint: str
-    """Its name."""
-    unit: str
-    """ "N·m", or "N" where it slides."""
-    missing: float
-    """Root mean square, in that unit."""
-    floor: float
-    """What the noise of the readings makes of it."""
-    load: float
-    """Root mean square of what the nominal model needs for the motion."""
-    depends: tuple[Dependence, ...]
-    """On the joint's own motion and load; explained parts in that unit."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Location:
-    """Where the nominal model, fitted within its tolerance, disagrees with the measurement."""
-
-    channels: tuple[ChannelGap, ...] = ()
-    """By run and channel."""
-    joints: tuple[JointGap, ...] = ()
-    """By run and joint; empty where the machine's motion was not measured."""
 
 
 def locate(

@@ -2,39 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["REGRESSORS", "Dependence", "binned", "dependence", "direction_of"]
+from loose_env.gap.output.evidence_schema import Dependence
+
+__all__ = ["REGRESSORS", "binned", "dependence", "direction_of"]
 
 Array = NDArray[np.float64]
+
+
 Labels = NDArray[np.intp]
+
 
 REGRESSORS = ("position", "velocity", "direction", "acceleration", "load")
 """What residuals are held against."""
+
+
 _BINS = 12
 """Bins of as many samples each; a regressor of fewer levels has a bin for each level."""
+
+
 _STILL = 0.05
 """Share of the large speeds (95th percentile) below which a joint counts as standing."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Dependence:
-    """How much of a residual one regressor explains."""
-
-    on: str
-    """One of `REGRESSORS`."""
-    of: str
-    """Joint whose position, velocity, ... it is."""
-    share: float
-    """Share of the residual's power, its mean left out, that blocks of time not looked at confirm
-    (0 to 1)."""
-    explained: float
-    """Root mean square of that part, in the unit of the residual."""
-    sureness: float
-    """Over the scatter from block to block, in standard deviations."""
 
 
 def direction_of(speed: Array) -> Array:

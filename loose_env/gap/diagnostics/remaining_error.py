@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.diagnostics.joint_torque_residual import JointMotion, joint_motion
-from loose_env.gap.diagnostics.localisation import Location, where_it_lives
+from loose_env.gap.diagnostics.localisation import where_it_lives
 from loose_env.gap.fitting.holdout_score import Judged
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.output.evidence_schema import Location
 from loose_env.gap.residuals.autocorrelation import largest
 from loose_env.gap.residuals.residual_model import Comparison
 

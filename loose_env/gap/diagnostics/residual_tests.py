@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,49 +10,25 @@ from numpy.typing import NDArray
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.diagnostics.joint_torque_residual import JointMotion
 from loose_env.gap.diagnostics.localisation import depends_on
-from loose_env.gap.diagnostics.regressors import Dependence
 from loose_env.gap.diagnostics.residual_spectra import Series, series_of
+from loose_env.gap.output.evidence_schema import LeftOver
 from loose_env.gap.residuals.residual_model import Rows
 
-__all__ = ["LeftOver", "autocorrelation", "left_over"]
+__all__ = ["autocorrelation", "left_over"]
 
 Array = NDArray[np.float64]
 
+
 _LAGS = 50
 """Lags of the autocorrelation that is looked at."""
+
+
 _SURE = 3.0
 """Sureness of a dependence that is told of [standard deviations]."""
+
+
 _LEAST = 0.15
 """Explained part that is told of, in noise standard deviations."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class LeftOver:
-    """What is left of one channel on the held-out runs."""
-
-    channel: str
-    """As in the recording."""
-    over_floor: float
-    """Root mean square over the noise floor; 1: noise alone."""
-    autocorrelation: float
-    """Of neighbouring samples; 0 for white noise."""
-    whiteness_95: float
-    """What the largest autocorrelation of white noise stays below, 95 times in 100."""
-    largest: float
-    """Largest autocorrelation over all lags looked at."""
-    correlation_time: float
-    """Time over which what is left hangs together [s]; the sample interval for white noise."""
-    trend: float
-    """Growth from the beginning of a run to its end, in noise standard deviations."""
-    trend_sureness: float
-    """Over its scatter from block to block, in standard deviations."""
-    depends: tuple[Dependence, ...]
-    """On motion and load, those that are sure and matter; explained parts in noise deviations."""
-
-    @property
-    def white(self) -> bool:
-        """Whether it cannot be told from white noise by its autocorrelation."""
-        return self.largest <= self.whiteness_95
 
 
 def autocorrelation(residual: Array, *, lags: int = _LAGS) -> Array:

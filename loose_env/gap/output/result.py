@@ -12,9 +12,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from loose_env.errors import InvalidData
-from loose_env.gap.diagnostics.experiment_advice import Identifiability
-from loose_env.gap.diagnostics.localisation import Location
-from loose_env.gap.diagnostics.residual_tests import LeftOver
+from loose_env.gap.output.evidence_schema import Identifiability, LeftOver, Location
 from loose_env.gap.residuals.physical_units import quantity_words
 from loose_env.io.files import write_text
 from loose_env.io.json_codec import json_text, read_result_file, restored, whole_of

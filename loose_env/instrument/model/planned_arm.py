@@ -8,7 +8,6 @@ import warnings as python_warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import mujoco
 import numpy as np
@@ -23,13 +22,12 @@ from loose_env.instrument.model.actuators import JointDrive, drives_of, held_by_
 from loose_env.instrument.model.clearance import Collisions
 from loose_env.instrument.model.recording_model import Recordable, recordable
 from loose_env.instrument.model.tool_site import sensed_sites, tool_site
+from loose_env.instrument.settings.arm_and_plan import Hold
 
-__all__ = ["Hold", "ModelArm", "load_model_arm"]
+__all__ = ["ModelArm", "load_model_arm"]
 
 _APART = 1e-3
 """Distance from the last link's frame at which a fixed body counts as farther out [m]."""
-Hold = Literal["model", "brake", "servo", "compliant"]
-"""How joints are held: as the model's actuators do, or one of `loose_env.arms.HoldKind`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from loose_env.errors import InvalidSetting
-from loose_env.instrument.model.planned_arm import Hold
 from loose_env.instrument.settings.validation import check_types
 
-__all__ = ["ModelSettings", "PlanSettings"]
+__all__ = ["Hold", "ModelSettings", "PlanSettings"]
+
+Hold = Literal["model", "brake", "servo", "compliant"]
+"""How joints are held: as the model's actuators do, or one of `loose_env.arms.HoldKind`."""
 
 
 @dataclass(frozen=True, kw_only=True)

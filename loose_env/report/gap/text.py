@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from loose_env.gap.diagnostics.experiment_advice import Identifiability, how_to_see, how_to_separate
+from loose_env.gap.diagnostics.experiment_advice import how_to_see, how_to_separate
 from loose_env.gap.diagnostics.remaining_error import CLOSED
+from loose_env.gap.output.evidence_schema import Identifiability
 from loose_env.gap.output.result import GapResult, NamedEffect, Place, Ranked
 from loose_env.gap.residuals.physical_units import quantity_words
 from loose_env.gap.settings import NamingSettings

@@ -25,7 +25,7 @@ SHAKEN_BAND = (20.0, 350.0)
 class ShakenVeraFigures:
     """Figures of the rig that the thesis does not print, one set for all its cases.
 
-    The defaults were identified by ``scripts/identify_shaken_vera.py`` from the printed
+    The defaults were identified by ``scripts/studies/identify_shaken_vera.py`` from the printed
     directions and magnitudes of the five healthy cases together.
     """
 

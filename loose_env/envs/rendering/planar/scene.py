@@ -15,17 +15,11 @@ from loose_env.envs.rendering.caption import (
     write_header,
     write_legend,
 )
+from loose_env.envs.rendering.correlation_loop import LoopPair, measured_loop, predicted_loop
 from loose_env.envs.rendering.fault_text import loose_links_of
 from loose_env.envs.rendering.palette import PAPER
 from loose_env.envs.rendering.planar.arm import ArmDrawing
-from loose_env.envs.rendering.planar.correlation_loop import (
-    LoopPair,
-    draw_healthy,
-    draw_measured,
-    draw_scale,
-    measured_loop,
-    predicted_loop,
-)
+from loose_env.envs.rendering.planar.correlation_loop import draw_healthy, draw_measured, draw_scale
 from loose_env.envs.rendering.planar.view import PlanarPose, PlanarView
 from loose_env.envs.rendering.scenery import draw_base, draw_measure
 from loose_env.rig.measurement import Measurement

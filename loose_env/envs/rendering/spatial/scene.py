@@ -16,16 +16,16 @@ from loose_env.envs.rendering.caption import (
     write_header,
     write_legend,
 )
+from loose_env.envs.rendering.correlation_surface import (
+    SurfacePair,
+    measured_surface,
+    predicted_surface,
+)
 from loose_env.envs.rendering.fault_text import loose_links_of
 from loose_env.envs.rendering.palette import MUTED, PAPER
 from loose_env.envs.rendering.scenery import arrow, half_height
 from loose_env.envs.rendering.spatial.arm import SpaceDrawing
-from loose_env.envs.rendering.spatial.correlation_surface import (
-    SurfacePair,
-    draw_sections,
-    measured_surface,
-    predicted_surface,
-)
+from loose_env.envs.rendering.spatial.correlation_surface import draw_sections
 from loose_env.envs.rendering.spatial.view import SpacePose, SpaceView
 from loose_env.faults import Fault, StructuralLooseness, parts_of
 from loose_env.rig.measurement import Measurement

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect, added_name, fitted_rate
-from loose_env.gap.model.effects.mjcf.passive_actuators import add_limited_damper
+from loose_env.gap.model.effects.mjcf.passive_actuators import add_limited_damper, make_it_stick
 from loose_env.gap.model.parameter import Parameter
 
 __all__ = [
@@ -24,7 +24,6 @@ __all__ = [
     "QuadraticDrag",
     "StribeckFriction",
     "ViscousFriction",
-    "make_it_stick",
 ]
 
 Array = NDArray[np.float64]
@@ -91,9 +90,6 @@ class ViscousFriction(JointEffect):
         return ((self.parameters[0].clipped(fitted_rate(speed, torque)),),)
 
 
-_STIFF = 0.9999  # MuJoCo's largest constraint impedance
-
-
 class CoulombFriction(JointEffect):
     """Friction beyond that of the model; less than that down to none at all.
 
@@ -144,12 +140,6 @@ class CoulombFriction(JointEffect):
         moving = np.abs(speed) > 0.05 * np.nanmax(np.abs(speed), initial=0.0)
         rate = fitted_rate(np.sign(speed[moving]), torque[moving])
         return ((self.parameters[0].clipped(rate),),)
-
-
-def make_it_stick(joint: mujoco.MjsJoint, step: float) -> None:
-    """Make a joint's friction as stiff as a step [s] allows."""
-    joint.solimp_friction = [_STIFF, _STIFF, 0.001, 0.5, 2]
-    joint.solref_friction = [2 * step, 1.0]
 
 
 _START_SPEED = 0.3

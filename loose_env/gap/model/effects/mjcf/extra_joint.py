@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.model.effects.friction import make_it_stick
+from loose_env.gap.model.effects.mjcf.passive_actuators import make_it_stick
 from loose_env.gap.model.nominal_model import Machine
 
 __all__ = [

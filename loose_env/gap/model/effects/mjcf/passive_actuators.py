@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-__all__ = ["add_cogging", "add_limited_damper"]
+__all__ = ["add_cogging", "add_limited_damper", "make_it_stick"]
 
+_STIFF = 0.9999  # MuJoCo's largest constraint impedance
 _OPEN_CIRCUIT = 1e12
 """Resistance at which no current brakes the rotor [ohm]."""
 
@@ -71,3 +72,9 @@ def _drive(
         ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_NONE),
     )
     return drive
+
+
+def make_it_stick(joint: mujoco.MjsJoint, step: float) -> None:
+    """Make a joint's friction as stiff as a step [s] allows."""
+    joint.solimp_friction = [_STIFF, _STIFF, 0.001, 0.5, 2]
+    joint.solref_friction = [2 * step, 1.0]

@@ -1,0 +1,349 @@
+"""Stopping probabilities and constants, tuned on training episodes.
+
+An agent plays on without stopping. Its trail then says what every stopping probability would
+have brought, since what it measures does not depend on when it would have stopped. So each
+episode is played once, however many probabilities are weighed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_agents.core.base import Agent, Problem
+from loose_agents.core.belief_agent import best_verdict
+from loose_agents.evaluation.evaluate import goes_on
+from loose_env.envs.episode.batch import EpisodeBatch
+from loose_env.errors import InvalidSetting
+
+__all__ = [
+    "THRESHOLDS",
+    "TUNING_SEED",
+    "Trails",
+    "best_constant",
+    "best_threshold",
+    "play_trails",
+    "single_joints",
+    "unseen_return",
+    "write_tuned",
+]
+
+TUNING_SEED = 20_080_000
+"""Seed of the tuning episodes; evaluation, banks and the training of policies use others."""
+
+THRESHOLDS = 1 / (1 + np.exp(-np.arange(0.0, 7.65, 0.1)))
+"""Stopping probabilities that are weighed, 0.5 to 0.9995, even in log-odds."""
+
+SLACK = 0.005
+"""Difference in mean return that is taken for none: a tenth of a record's price."""
+RESAMPLES = 500
+DIVERGED = np.inf  # the confidence at which every agent stops
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trails:
+    """What E episodes would have come to, had the agent stopped after each of K records.
+
+    Where the simulation diverged, the episode ends at that record whatever the threshold; the
+    entries after it repeat.
+    """
+
+    confidence: Array
+    """Probability of the most probable hypothesis (E, K)."""
+    reward: Array
+    """Return, the records' price subtracted (E, K)."""
+    right: NDArray[np.bool_]
+    """Whether the verdict would be right (E, K)."""
+
+    def __len__(self) -> int:
+        """Return the number of episodes."""
+        return len(self.confidence)
+
+    def ends(self, threshold: float) -> NDArray[np.intp]:
+        """Index of the record after which each episode ends (E,)."""
+        sure = self.confidence >= threshold
+        return np.where(sure.any(1), sure.argmax(1), self.confidence.shape[1] - 1)
+
+    def returns(self, threshold: float) -> Array:
+        """Return of each episode (E,)."""
+        return np.asarray(self.reward[np.arange(len(self)), self.ends(threshold)])
+
+    def success(self, threshold: float) -> NDArray[np.bool_]:
+        """Whether each episode's verdict is right (E,)."""
+        return np.asarray(self.right[np.arange(len(self)), self.ends(threshold)])
+
+    def part(self, chosen: Any) -> Trails:
+        """Return some of the episodes."""
+        return Trails(**{name: values[chosen] for name, values in vars(self).items()})
+
+    @classmethod
+    def joined(cls, parts: Sequence[dict[str, Any]]) -> Trails:
+        """Put the trails of several ranges of episodes together."""
+        return cls(**{name: np.concatenate([p[name] for p in parts]) for name in parts[0]})
+
+
+def play_trails(
+    agent: Agent,
+    problem: Problem,
+    *,
+    episodes: int,
+    seed: int,
+    records: int,
+    first: int = 0,
+    width: int = 32,
+) -> Trails:
+    """Play episodes to the last record and note what stopping earlier would have brought.
+
+    Parameters
+    ----------
+    agent : Agent
+        One with a stopping rule, which is not asked, and with probabilities in its memory. One
+        that is ``informed`` is told the hidden faults, as
+        `loose_agents.evaluation.evaluate.evaluate` does.
+    problem : Problem
+        Arm and rules.
+    episodes, seed, first : int
+        Which episodes.
+    records : int
+        Records an episode.
+    width : int
+        Arms side by side; it changes nothing in the result.
+
+    Raises
+    ------
+    InvalidSetting
+        If the agent has no stopping rule, or the rules do not allow so many records.
+    """
+    most = problem.settings.max_records
+    if episodes < 1 or not 1 <= records <= most:
+        raise InvalidSetting(
+            f"trails need 1 or more episodes of 1 to {most} records (the settings' max_records), "
+            f"got {episodes} of {records}"
+        )
+    player = goes_on(agent, records)
+    batch = EpisodeBatch(problem.arm, problem.settings, num=min(width, episodes), threads=1)
+    stop = first + episodes
+    parts = [
+        _group(player, problem, batch, range(k, min(k + batch.num, stop)), seed, records)
+        for k in range(first, stop, batch.num)
+    ]
+    return Trails.joined(parts)
+
+
+def _group(
+    agent: Any, problem: Problem, batch: EpisodeBatch, numbers: range, seed: int, records: int
+) -> dict[str, Any]:
+    """Play as many episodes as the batch has arms."""
+    confidence = np.full((len(numbers), records), DIVERGED)
+    reward = np.zeros((len(numbers), records))
+    right = np.zeros((len(numbers), records), dtype=bool)
+    price = np.zeros(len(numbers))
+    states: list[Any] = [None] * len(numbers)
+    for slot, number in enumerate(numbers):
+        batch.start(slot, seed=seed, number=number)
+        if hasattr(agent, "informed"):
+            states[slot] = agent.informed(_truth(batch, slot), batch.observe(slot))
+    going = list(range(len(numbers)))
+    for taken in range(records + 1):
+        if not going:
+            break
+        actions, after = agent.predict(
+            np.stack([batch.observe(slot) for slot in going]),
+            [states[slot] for slot in going],
+            np.array([states[slot] is None for slot in going]),
+            deterministic=True,
+        )
+        for slot, state in zip(going, after, strict=True):
+            states[slot] = state
+            if taken > 0:
+                p = state.probabilities
+                truth, named = _truth(batch, slot).hypothesis, best_verdict(problem, p)
+                worth = problem.settings.prices.verdict(named, truth)
+                confidence[slot, taken - 1] = p.max()
+                reward[slot, taken - 1 :] = worth - price[slot]
+                right[slot, taken - 1 :] = named == truth
+        if taken == records:
+            break
+        outcomes = batch.step(going, list(actions))
+        for slot, outcome in zip(going, outcomes, strict=True):
+            price[slot] -= outcome.reward
+            reward[slot, taken:] = -price[slot]  # stays so where the simulation diverged
+            right[slot, taken:] = False
+        going = [slot for slot, o in zip(going, outcomes, strict=True) if not o.truncated]
+    return {"confidence": confidence, "reward": reward, "right": right}
+
+
+def _truth(batch: EpisodeBatch, slot: int) -> Any:
+    episode = batch.episode(slot)
+    assert episode is not None
+    return episode.fault
+
+
+def best_threshold(
+    trails: Trails, rng: np.random.Generator, *, resamples: int = RESAMPLES
+) -> float:
+    """Choose the stopping probability with the highest mean return.
+
+    The return is flat about its top and noisy, so its highest point on the episodes at hand is
+    a matter of luck. Taken instead is the median of the highest points over bootstrap resamples
+    of the episodes; where several thresholds share one, the middle of these. And of two that are
+    worth the same the surer verdict is better: from there the threshold is raised as long as the
+    mean return stays within `SLACK` of what it was.
+
+    Parameters
+    ----------
+    trails : Trails
+        Training episodes.
+    rng : numpy.random.Generator
+        Draws the resamples.
+    resamples : int
+        Number of resamples.
+
+    References
+    ----------
+    Breiman, Bagging Predictors, Machine Learning 24 (1996).
+
+    Examples
+    --------
+    >>> sure = np.array([[0.6, 0.99], [0.95, 0.99], [0.97, 0.99]] * 30)
+    >>> right = np.array([[False, True], [True, True], [True, True]] * 30)
+    >>> reward = np.where(right, 1.0, -1.0) - [0.1, 0.2]
+    >>> trails = Trails(confidence=sure, reward=reward, right=right)
+    >>> 0.6 < best_threshold(trails, np.random.default_rng(0)) < 0.95
+    True
+    """
+    returns = np.stack([trails.returns(t) for t in THRESHOLDS], axis=1)  # (E, T)
+    count = len(trails)
+    times = rng.multinomial(count, np.full(count, 1 / count), size=resamples)
+    means = times @ returns / count
+    top = means >= means.max(1, keepdims=True) - 1e-9
+    last = len(THRESHOLDS) - 1 - top[:, ::-1].argmax(1)
+    middle = int(np.median(top.argmax(1) + last)) // 2
+    mean = returns.mean(0)
+    equal = np.flatnonzero(mean >= mean[middle] - SLACK)
+    return round(float(THRESHOLDS[max(middle, int(equal.max()))]), 4)
+
+
+def unseen_return(trails: Trails, rng: np.random.Generator) -> float:
+    """Mean return of each half of the episodes at the threshold chosen on the other half."""
+    half = np.arange(len(trails)) % 2 == 0
+    if half.all():
+        raise InvalidSetting("two halves need two episodes or more, got 1")
+    found = [
+        trails.part(own).returns(best_threshold(trails.part(~own), rng)) for own in (half, ~half)
+    ]
+    return float(np.mean(np.concatenate(found)))
+
+
+def single_joints(problem: Problem, levels: Sequence[int] | None = None) -> list[tuple[int, ...]]:
+    """Every joint alone at every level: levels of all joints, 0 for off.
+
+    Parameters
+    ----------
+    problem : Problem
+        The arm.
+    levels : sequence of int, optional
+        Levels to try, 1 for the lowest; all by default.
+
+    Raises
+    ------
+    InvalidSetting
+        If the arm has no such level.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> from loose_env.envs.settings import DiagnosisSettings
+    >>> single_joints(Problem.of(planar(2), DiagnosisSettings()), [3])
+    [(3, 0), (0, 3)]
+    """
+    n, top = problem.arm.n, len(problem.arm.levels)
+    tried = range(top, 0, -1) if levels is None else levels
+    if not len(tried) or not all(1 <= level <= top for level in tried):
+        raise InvalidSetting(
+            f"levels of arm {problem.arm.name!r} are 1 to {top}, got {list(tried)}"
+        )
+    return [
+        tuple(level if k == joint else 0 for k in range(n)) for level in tried for joint in range(n)
+    ]
+
+
+def best_constant(
+    candidates: Sequence[tuple[int, ...]],
+    play: Callable[[tuple[int, ...], int], Trails],
+    *,
+    episodes: int,
+) -> tuple[int, ...]:
+    """Find the constant excitation of the highest return, by halving.
+
+    All candidates play a quarter of the episodes, the better half of them half of these, and so
+    on; whoever is left plays all. Each is judged at the threshold that suits it best.
+
+    Parameters
+    ----------
+    candidates : sequence of tuple of int
+        Levels of all joints.
+    play : callable
+        Takes a candidate and a number of episodes, the same ones for all.
+    episodes : int
+        Episodes of the last round.
+    """
+    left = list(candidates)
+    share = max(1, episodes // 4)
+    while True:
+        values = [_top_return(play(candidate, share)) for candidate in left]
+        order = np.argsort(values, kind="stable")[::-1]
+        if share == episodes or len(left) == 1:
+            return left[int(order[0])]
+        left = [left[int(k)] for k in order[: max(1, (len(left) + 1) // 2)]]
+        share = min(2 * share, episodes)
+
+
+def _top_return(trails: Trails) -> float:
+    return max(float(trails.returns(threshold).mean()) for threshold in THRESHOLDS)
+
+
+def write_tuned(
+    path: Path,
+    stop: Mapping[str, float],
+    *,
+    constant: Sequence[int] | None = None,
+    information: Mapping[str, object] | None = None,
+) -> None:
+    """Enter what was tuned into a file of settings; what else it holds is kept.
+
+    It is written beside its name and renamed, so a reader finds the old or the new one whole.
+
+    Parameters
+    ----------
+    path : Path
+        As `loose_agents.core.shipped_weights.tuned` reads it.
+    stop : dict
+        Stopping probability by ``estimator/policy``.
+    constant : sequence of int, optional
+        Best levels of one joint.
+    information : mapping, optional
+        Fields of `loose_env.diagnosis.experiment_design.information_gain.InformationFactors`.
+    """
+    known = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    known["stop"] = dict(sorted({**known.get("stop", {}), **stop}.items()))
+    if constant is not None:
+        known["constant"] = [int(level) for level in constant]
+    if information is not None:
+        known["information"] = dict(information)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f"{path.name}.{os.getpid()}.part")
+    try:
+        beside.write_text(json.dumps(known, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+        os.replace(beside, path)
+    finally:
+        beside.unlink(missing_ok=True)

@@ -1,0 +1,215 @@
+"""Agents made of three parts: an estimator, a policy that chooses poses, and a stopping rule.
+
+So that what the estimator gives and what the choice of poses gives can be told apart, any
+estimator plays with any policy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_agents.core.base import EpisodeAgent, Problem
+from loose_env.faults import UNSURE
+
+__all__ = [
+    "BeliefAgent",
+    "Estimator",
+    "Policy",
+    "Situation",
+    "StoppingRule",
+    "Sure",
+    "best_verdict",
+    "records_taken",
+    "surprise_of",
+    "verdict_of",
+]
+
+SURPRISING = 0.003
+"""p-value of an episode among those of the trained kind, below which nothing is named."""
+DECISIVE = 0.3
+"""Share of that p-value below which further records are not waited for."""
+
+
+class Estimator(Protocol):
+    """Turns the records of an episode into probabilities of the hypotheses."""
+
+    problem: Problem
+    """The nominal arm and the rules."""
+
+    def begin(self) -> Any:
+        """Return the memory of a new episode."""
+        ...
+
+    def follow(self, observation: NDArray[np.float32], memory: Any) -> NDArray[np.float64]:
+        """Take in the records that are new; return the probabilities (hypotheses,).
+
+        May change the memory. They stand in the order of ``problem.hypotheses``.
+        """
+        ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Situation:
+    """What is known when the next record is to be chosen."""
+
+    observation: NDArray[np.float32]
+    """The environment's flat observation."""
+    pose: NDArray[np.float64]
+    """Where the joints are [rad, m where one slides] (n,)."""
+    records: int
+    """Records taken so far."""
+    probabilities: NDArray[np.float64]
+    """Of the hypotheses, by the estimator (hypotheses,)."""
+    memory: Any
+    """The estimator's memory, for policies that know what is in it."""
+    rng: np.random.Generator
+    """The episode's own generator."""
+
+
+class Policy(Protocol):
+    """Chooses the next record."""
+
+    def choose(self, situation: Situation) -> NDArray[np.int64]:
+        """Return an action that measures, never one that gives a verdict."""
+        ...
+
+
+class StoppingRule(Protocol):
+    """Decides when to stop measuring."""
+
+    def stop(self, situation: Situation) -> bool:
+        """Whether the verdict is to be given now; asked after the first record at the earliest."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sure:
+    """Stop once the most probable hypothesis is probable enough."""
+
+    probability: float = 0.9
+    """From which probability on."""
+
+    def stop(self, situation: Situation) -> bool:
+        """Whether the most probable hypothesis has reached it."""
+        return bool(situation.probabilities.max() >= self.probability)
+
+
+@dataclass
+class _Memory:
+    """One episode: its generator and the estimator's memory."""
+
+    rng: np.random.Generator
+    estimate: Any
+    probabilities: NDArray[np.float64] | None = None
+    """Of the hypotheses, after the latest record (hypotheses,); read by the evaluator."""
+
+
+class BeliefAgent(EpisodeAgent):
+    """Measures as the policy says until the stopping rule is content, then gives a verdict.
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal arm and the rules.
+    estimator : Estimator
+        What the records say.
+    policy : Policy
+        What to measure next.
+    stopping : StoppingRule
+        When to stop. When the records have run out it is not asked.
+    surprising : float
+        Below which p-value an episode is so unlike all that the estimator knows that the verdict
+        is "unsure"; 0: never. See `surprise_of`.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        estimator: Estimator,
+        policy: Policy,
+        stopping: StoppingRule,
+        *,
+        seed: int = 0,
+        surprising: float = SURPRISING,
+    ) -> None:
+        super().__init__(problem, seed=seed)
+        self.estimator, self.policy, self.stopping = estimator, policy, stopping
+        self.surprising = surprising
+
+    def begin(self, rng: np.random.Generator) -> Any:
+        """Start from the prior."""
+        return _Memory(rng=rng, estimate=self.estimator.begin())
+
+    def act(self, observation: NDArray[np.float32], memory: _Memory) -> NDArray[np.int64]:
+        """Measure something, or give the verdict that is worth most."""
+        problem = self.problem
+        probabilities = self.estimator.follow(observation, memory.estimate)
+        memory.probabilities = probabilities
+        situation = Situation(
+            observation=observation,
+            pose=problem.layout.pose_of(observation),
+            records=records_taken(problem, observation),
+            probabilities=probabilities,
+            memory=memory.estimate,
+            rng=memory.rng,
+        )
+        done = situation.records >= problem.settings.max_records
+        if situation.records > 0 and (
+            done
+            or self.stopping.stop(situation)
+            or surprise_of(situation.memory) < DECISIVE * self.surprising
+        ):
+            return problem.verdict(verdict_of(problem, situation, self.surprising))
+        return self.policy.choose(situation)
+
+
+def records_taken(problem: Problem, observation: NDArray[np.float32]) -> int:
+    """Number of records that an observation shows."""
+    share = float(problem.layout.physical(observation, "spent")[0])
+    return round(share * problem.settings.max_records)
+
+
+def surprise_of(memory: Any) -> float:
+    """p-value of an episode among those that its estimator was made for.
+
+    Estimators say it in ``surprise`` of the belief that their memory holds; one for those that
+    say nothing.
+    """
+    return float(getattr(getattr(memory, "belief", None), "surprise", 1.0))
+
+
+def verdict_of(problem: Problem, situation: Situation, surprising: float = SURPRISING) -> str:
+    """Verdict that is worth most; "unsure" where the episode is unlike all that is known.
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal arm and the rules.
+    situation : Situation
+        What is known.
+    surprising : float
+        p-value below which nothing is named, see `surprise_of`.
+    """
+    if surprise_of(situation.memory) < surprising:
+        return UNSURE
+    return best_verdict(problem, situation.probabilities)
+
+
+def best_verdict(problem: Problem, probabilities: NDArray[np.float64]) -> str:
+    """Verdict of the highest expected reward at the prices of the environment.
+
+    "unsure" only where it is worth more than every name.
+    """
+    prices = problem.settings.prices
+    worth = [
+        sum(
+            p * prices.verdict(named, truth)
+            for p, truth in zip(probabilities, problem.hypotheses, strict=True)
+        )
+        for named in problem.verdicts
+    ]
+    return problem.verdicts[int(np.argmax(worth))]

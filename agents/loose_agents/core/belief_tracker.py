@@ -1,0 +1,196 @@
+"""Agents that keep a posterior over the hypotheses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from loose_agents.core.base import Problem
+from loose_agents.core.belief_agent import Situation, records_taken
+from loose_env.diagnosis.likelihood.posterior import Belief, FaultPosterior, PosteriorSettings
+from loose_env.diagnosis.records.record_statistics import RecordStatistics
+from loose_env.envs.episode.observation import ObservationLayout
+from loose_env.envs.faults.difficulty import difficulty_named
+from loose_env.errors import InvalidSetting
+
+__all__ = [
+    "Posterior",
+    "Tracker",
+    "analytic_posterior",
+    "belief_of",
+    "record_from",
+]
+
+
+def record_from(
+    layout: ObservationLayout, observation: NDArray[np.float32], slot: int
+) -> RecordStatistics | None:
+    """Read the statistics of one record back from an observation; None for an empty slot."""
+    row = layout.slots_of(observation)[slot]
+    if row[0] < 0.5:
+        return None
+    at = layout.groups_of(row)
+    arm = layout.arm
+    n, d = arm.n, len(arm.axes)
+    rms = at["tool_rms"]
+    covariance = np.diag(rms**2)
+    upper = np.triu_indices(d, 1)
+    covariance[upper] = at["tool_correlation"] * rms[upper[0]] * rms[upper[1]]
+    covariance.T[upper] = covariance[upper]
+    products = np.zeros((d, d))
+    products[np.triu_indices(d)] = at["lowest_direction"]
+    products = products + np.triu(products, 1).T
+    return RecordStatistics(
+        pose=at["pose"],
+        torque=at["torque"] * np.array(arm.torque_limits),
+        duration=float(at["duration"][0]),
+        transmission=at["transmission"].reshape(n, d).T,
+        transmission_by_instrument=at["transmission_by_instrument"].reshape(n, d).T,
+        joint_rms=at["joint_rms"],
+        inertia=at["inertia"],
+        tool_covariance=covariance,
+        lowest_direction=np.linalg.eigh(products)[1][:, -1],
+        lowest_coherence=float(at["coherence"][0]),
+        maximum_correlation=float(at["correlation"][0]),
+        skewness=at["skewness"],
+        kurtosis=at["kurtosis"],
+        lowest_skewness=float(at["lowest_skewness"][0]),
+        lowest_kurtosis=float(at["lowest_kurtosis"][0]),
+    )
+
+
+@dataclass
+class _Memory:
+    """Belief of one episode and how many records went into it."""
+
+    belief: Any
+    records: int = 0
+
+
+class Posterior(Protocol):
+    """What turns records into a belief: the analytic posterior or the learned one."""
+
+    hypotheses: tuple[str, ...]
+    """What its probabilities stand for."""
+
+    def start(self) -> Any:
+        """Return the prior; anything with ``probabilities``."""
+        ...
+
+    def update(self, belief: Any, record: RecordStatistics) -> Any:
+        """Take in one record."""
+        ...
+
+
+class Tracker:
+    """Turns observations into beliefs, one new record at a time.
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal arm and the rules.
+    posterior : Posterior, optional
+        What weighs the records; the analytic posterior by default.
+
+    Raises
+    ------
+    InvalidSetting
+        If a kind of fault that may come up has no model in the posterior.
+    """
+
+    def __init__(self, problem: Problem, posterior: Posterior | None = None) -> None:
+        self.problem = problem
+        self.posterior = analytic_posterior(problem) if posterior is None else posterior
+        known = self.posterior.hypotheses
+        unknown = [name for name in problem.hypotheses if name not in known]
+        if unknown:
+            raise InvalidSetting(
+                f"the posterior knows nothing of {unknown}; it knows {list(known)}"
+            )
+        self._order = [known.index(name) for name in problem.hypotheses]
+
+    def begin(self) -> _Memory:
+        """Return the memory of a new episode."""
+        return _Memory(belief=self.posterior.start())
+
+    def follow(self, observation: NDArray[np.float32], memory: _Memory) -> NDArray[np.float64]:
+        """Take in the records that are new; return the probabilities of the hypotheses."""
+        layout = self.problem.layout
+        taken = records_taken(self.problem, observation)
+        for slot in range(memory.records, taken):
+            record = record_from(layout, observation, slot)
+            if record is not None:
+                memory.belief = self.posterior.update(memory.belief, record)
+        memory.records = taken
+        return np.asarray(memory.belief.probabilities[self._order])
+
+    @property
+    def feature_size(self) -> int:
+        """How many numbers `features` gives."""
+        n, d = self.problem.arm.n, len(self.problem.arm.axes)
+        return n * (d * (d + 1) // 2) + 2 * n
+
+    def features(self, observation: NDArray[np.float32], memory: _Memory) -> NDArray[np.float32]:
+        """What a policy may want to know beside the probabilities.
+
+        For every link the mean of its sliding direction's products of components, in the link's
+        frame, times the probability that it is loose; then for every fault the mean place of its
+        friction among the nodes, from -1 for the lowest to 1 for the highest.
+        """
+        belief = getattr(memory.belief, "belief", memory.belief)
+        log = logsumexp(belief.loose, axis=0)
+        top = log.max()
+        weight = np.exp(log - top)
+        n, u = belief.links, belief.directions
+        total = weight.sum() + np.exp(belief.healthy - top).sum()
+        by_direction = weight[: n * len(u)].sum(1).reshape(n, len(u)) / total
+        upper = np.triu_indices(u.shape[1])
+        products = (u[:, upper[0]] * u[:, upper[1]])[None]
+        directions = (by_direction[..., None] * products).sum(1)
+        slides = weight[: n * len(u)].reshape(n, len(u), -1).sum(1)
+        by_node = np.concatenate([slides, weight[n * len(u) :]]) + 1e-12
+        nodes = np.linspace(-1.0, 1.0, by_node.shape[1])
+        friction = by_node @ nodes / by_node.sum(1)
+        return np.concatenate([directions.ravel(), friction]).astype(np.float32)
+
+
+def belief_of(situation: Situation) -> Belief:
+    """Log-weights of places and frictions behind the probabilities of a situation.
+
+    Raises
+    ------
+    InvalidSetting
+        If its estimator keeps none: the policy needs one of the posteriors.
+    """
+    belief = getattr(situation.memory, "belief", None)
+    belief = getattr(belief, "belief", belief)
+    if not isinstance(belief, Belief):
+        raise InvalidSetting(
+            "this policy needs an estimator that keeps a posterior over places and frictions, "
+            f"not one whose memory is {type(situation.memory).__name__}"
+        )
+    return belief
+
+
+def analytic_posterior(problem: Problem) -> FaultPosterior:
+    """Build the posterior whose likelihood follows from the nominal arm alone.
+
+    Raises
+    ------
+    InvalidSetting
+        If a kind of fault that may come up has no model in it.
+    """
+    difficulty = difficulty_named(problem.settings.difficulty)
+    return FaultPosterior(
+        problem.linear,
+        problem.settings.sensors,
+        PosteriorSettings(
+            friction=difficulty.friction,
+            mismatch=difficulty.mismatch,
+            kinds=difficulty.probabilities(problem.settings.kinds),
+        ),
+    )

@@ -1,0 +1,1 @@
+"""TODO room agents/loose_agents/evaluation."""

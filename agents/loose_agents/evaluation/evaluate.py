@@ -1,0 +1,351 @@
+"""One evaluator for every agent: the same hidden faults, one row an episode."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_agents.core.base import Agent
+from loose_agents.core.belief_agent import Situation
+from loose_env.arms.arm import Arm
+from loose_env.envs.episode.batch import BatchRig, EpisodeBatch
+from loose_env.envs.episode.state import Outcome
+from loose_env.envs.settings import DiagnosisSettings
+from loose_env.errors import InvalidSetting
+from loose_env.evaluation.fault_difficulty import HiddenFigures, hidden_figures
+
+__all__ = [
+    "EVALUATION_SEED",
+    "EVALUATION_SEEDS",
+    "AfterRecords",
+    "EpisodeRow",
+    "check_training_seed",
+    "evaluate",
+    "goes_on",
+]
+
+EVALUATION_SEEDS = range(20_260_000, 20_260_100)
+"""Seeds of episodes that no training, tuning or record bank may use."""
+
+EVALUATION_SEED = EVALUATION_SEEDS[0]
+"""Seed of the episodes that published comparisons are played on."""
+
+
+def check_training_seed(seed: int, *, count: int = 1) -> int:
+    """Return a seed that training may use.
+
+    Parameters
+    ----------
+    seed : int
+        First of the seeds.
+    count : int
+        How many are used, one after the other.
+
+    Raises
+    ------
+    InvalidSetting
+        If one of them is kept for evaluation.
+
+    Examples
+    --------
+    >>> check_training_seed(1, count=64)
+    1
+    """
+    first, last = EVALUATION_SEEDS[0], EVALUATION_SEEDS[-1]
+    if seed <= last and seed + count - 1 >= first:
+        raise InvalidSetting(
+            f"seeds {seed} to {seed + count - 1} meet those kept for evaluation, {first} to "
+            f"{last}; train with others"
+        )
+    return seed
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeRow:
+    """How one episode went, and what was hidden in it.
+
+    The trails have an entry for each record after which the agent was asked again, the first
+    record first. Those of probabilities are empty for agents that keep none.
+    """
+
+    agent: str
+    """Name of the agent."""
+    seed: int
+    """Seed of the episodes."""
+    episode: int
+    """Number of the episode; with the seed it fixes all that is hidden."""
+    difficulty: str
+    """Name of the difficulty; "own" for ranges without a name."""
+    truth: str
+    """The hypothesis that was true."""
+    verdict: str | None
+    """The one that was named."""
+    success: bool
+    """Whether the two are the same."""
+    link_success: bool
+    """Whether the right place was named, whatever the kind."""
+    poses: int
+    """Poses measured in."""
+    records: int
+    """Records taken."""
+    seconds: float
+    """Time of excitation [s]."""
+    excited: int
+    """Joints excited, counted anew in each record."""
+    price: float
+    """What the records cost."""
+    reward: float
+    """Return: the verdict's reward less the price."""
+    truncated: bool
+    """Whether the simulation diverged."""
+    gap: float | None
+    """Travel of the hidden seat [m, or rad where it turns]."""
+    friction: float | None
+    """Its Coulomb friction [N, or N·m where it turns]."""
+    friction_ratio: float | None
+    """Rms seat drive of the top level over the friction [1]; None on a healthy arm."""
+    opening_ratio: float | None
+    """The same over friction and gravity's load, in the best pose [1]; None on a healthy arm."""
+    direction: tuple[float, float, float] | None
+    """Direction of a slide or axis of a rocking link, link frame."""
+    confidence: float | None
+    """Probability of what was named, as the agent saw it."""
+    truth_probability: float | None
+    """Probability that the agent gave to the truth at the end."""
+    trail_best: tuple[str, ...] = ()
+    """Most probable hypothesis after each record."""
+    trail_confidence: tuple[float, ...] = ()
+    """Its probability."""
+    trail_truth: tuple[float, ...] = ()
+    """Probability of the truth after each record."""
+    trail_price: tuple[float, ...] = ()
+    """What the records so far cost."""
+    trail_seconds: tuple[float, ...] = ()
+    """Time of excitation so far [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AfterRecords:
+    """A stopping rule that lets an agent neither stop earlier nor go on longer."""
+
+    records: int
+    """Records before the verdict."""
+
+    def stop(self, situation: Situation) -> bool:
+        """Whether the records have been taken."""
+        return situation.records >= self.records
+
+
+def goes_on(agent: Agent, records: int) -> Agent:
+    """Return an agent that measures a given number of times, however sure it is.
+
+    Raises
+    ------
+    InvalidSetting
+        If the agent has no stopping rule that could be replaced.
+    """
+    if not hasattr(agent, "stopping"):
+        raise InvalidSetting(
+            f"{type(agent).__name__} has no stopping rule to replace: only agents made of an "
+            "estimator, a policy and a stopping rule can be made to go on"
+        )
+    changed = copy.copy(agent)
+    changed.stopping = AfterRecords(records=records)  # type: ignore[attr-defined]
+    return changed
+
+
+@dataclass(kw_only=True, eq=False)
+class _Run:
+    """One episode while it is played."""
+
+    number: int
+    state: Any = None
+    begun: bool = False
+    excited: int = 0
+    price: float = 0.0
+    probabilities: NDArray[np.float64] | None = None
+    trail: list[tuple[str, float, float]] = field(default_factory=list)
+    spent: list[tuple[float, float]] = field(default_factory=list)
+
+
+def evaluate(
+    agent: Agent,
+    name: str,
+    arm: Arm,
+    settings: DiagnosisSettings,
+    *,
+    episodes: int,
+    seed: int,
+    first: int = 0,
+    records: int | None = None,
+    width: int = 64,
+    threads: int = 0,
+    rig: BatchRig | None = None,
+    true_arm: Arm | None = None,
+    options: Mapping[str, Any] | None = None,
+    progress: Callable[[int], None] | None = None,
+    deterministic: bool = True,
+) -> list[EpisodeRow]:
+    """Play episodes ``first`` to ``first + episodes - 1`` of a seed.
+
+    Episode k hides the same fault in the same true arm for every agent, and goes the same way
+    at any ``width`` (number of arms side by side) and thread count, and in whatever range.
+
+    The agent is known by ``predict`` alone. A state that has ``probabilities`` of the hypotheses
+    (hypotheses,) is read for the trails. What has a method ``informed(fault, observation)`` is no
+    agent: it is told the hidden fault and returns its first state.
+
+    Parameters
+    ----------
+    agent : Agent
+        Who plays.
+    name : str
+        Its name in the rows.
+    arm, settings : Arm, DiagnosisSettings
+        The nominal arm and the rules.
+    episodes, seed, first : int
+        Which episodes.
+    records : int, optional
+        Make the agent take so many records, however sure it is: one run then tells by the trails
+        how often it is right after 1, 2, ... records. See `goes_on`.
+    width, threads : int
+        Arms side by side, and simulation threads (0: all processors).
+    rig : BatchRig, optional
+        Where measurements come from.
+    true_arm : Arm, optional
+        The arm that is measured, where it is not the nominal one
+        (`loose_env.envs.episode.true_arm`). What is hidden in episode k then depends on it alone,
+        whatever the nominal arm.
+    options : mapping, optional
+        Options of every episode, as `loose_env.envs.episode.reset_options` has them.
+    progress : callable, optional
+        Called with the number of finished episodes.
+    deterministic : bool
+        Passed on to the agent.
+
+    Raises
+    ------
+    InvalidSetting
+        If there are no episodes, or the agent cannot be made to take ``records``.
+    """
+    if episodes < 1:
+        raise InvalidSetting(f"episodes must be 1 or more, got {episodes}")
+    if records is not None:
+        if not 1 <= records <= settings.max_records:
+            raise InvalidSetting(
+                f"records must be 1 to {settings.max_records} (the settings' max_records), "
+                f"got {records}"
+            )
+        agent = goes_on(agent, records)
+    width = min(width, episodes)
+    batch = EpisodeBatch(arm, settings, num=width, threads=threads, rig=rig, true_arm=true_arm)
+    rows: dict[int, EpisodeRow] = {}
+    running: dict[int, _Run] = {}  # by slot
+    waiting = iter(range(first, first + episodes))
+
+    def begin(slot: int) -> None:
+        number = next(waiting, None)
+        running.pop(slot, None)
+        if number is None:
+            return
+        batch.start(slot, seed=seed, number=number, options=options)
+        run = running[slot] = _Run(number=number)
+        if hasattr(agent, "informed"):
+            episode = batch.episode(slot)
+            assert episode is not None
+            run.state, run.begun = agent.informed(episode.fault, batch.observe(slot)), True
+
+    for slot in range(width):
+        begin(slot)
+    while running:
+        slots = sorted(running)
+        runs = [running[s] for s in slots]
+        observations = np.stack([batch.observe(s) for s in slots])
+        starts = np.array([not run.begun for run in runs])
+        states = None if starts.all() else [run.state for run in runs]
+        actions, after = agent.predict(observations, states, starts, deterministic=deterministic)
+        for k, run in enumerate(runs):
+            run.state, run.begun = (None if after is None else after[k]), True
+            _note(batch, slots[k], run)
+        for k, outcome in enumerate(batch.step(slots, list(actions))):
+            run = runs[k]
+            if not outcome.terminated:  # a record was taken
+                run.price -= outcome.reward
+                run.excited += int(np.count_nonzero(batch.actions.decode(actions[k]).levels))
+            if outcome.terminated or outcome.truncated:
+                rows[run.number] = _row(batch, slots[k], run, outcome, name, seed)
+                if progress is not None:
+                    progress(len(rows))
+                begin(slots[k])
+    return [rows[number] for number in range(first, first + episodes)]
+
+
+def _note(batch: EpisodeBatch, slot: int, run: _Run) -> None:
+    """Write down what the agent thinks after the latest record, and what was spent on it."""
+    episode = batch.episode(slot)
+    assert episode is not None
+    found = getattr(run.state, "probabilities", None)
+    run.probabilities = None if found is None else np.array(found, dtype=float)
+    if episode.records == 0:
+        return
+    run.spent.append((run.price, episode.seconds))
+    p = run.probabilities
+    if p is not None:
+        best = int(np.argmax(p))
+        truth = _at(p, batch.hypotheses, episode.fault.hypothesis)
+        run.trail.append((batch.hypotheses[best], float(p[best]), truth or 0.0))
+
+
+def _row(
+    batch: EpisodeBatch, slot: int, run: _Run, outcome: Outcome, name: str, seed: int
+) -> EpisodeRow:
+    """Sum an episode up."""
+    info, names = outcome.info, batch.hypotheses
+    episode = batch.episode(slot)
+    assert episode is not None
+    hidden: HiddenFigures = hidden_figures(batch.sampler, episode.fault)
+    truth, verdict, p = info["fault"], info["verdict"], run.probabilities
+    level = batch.settings.difficulty
+    return EpisodeRow(
+        agent=name,
+        seed=seed,
+        episode=run.number,
+        difficulty=level if isinstance(level, str) else "own",
+        truth=truth,
+        verdict=verdict,
+        success=bool(info["is_success"]),
+        link_success=bool(info["link_success"]),
+        poses=info["poses"],
+        records=info["records"],
+        seconds=info["seconds"],
+        excited=run.excited,
+        price=run.price,
+        reward=(outcome.reward if outcome.terminated else 0.0) - run.price,
+        truncated=outcome.truncated,
+        gap=hidden.gap,
+        friction=hidden.friction,
+        friction_ratio=hidden.friction_ratio,
+        opening_ratio=hidden.opening_ratio,
+        direction=hidden.direction,
+        confidence=_at(p, names, verdict),
+        truth_probability=_at(p, names, truth),
+        trail_best=_column(run.trail, 0),
+        trail_confidence=_column(run.trail, 1),
+        trail_truth=_column(run.trail, 2),
+        trail_price=_column(run.spent, 0),
+        trail_seconds=_column(run.spent, 1),
+    )
+
+
+def _column(entries: Sequence[tuple[Any, ...]], k: int) -> tuple[Any, ...]:
+    return tuple(entry[k] for entry in entries)
+
+
+def _at(p: NDArray[np.float64] | None, names: Sequence[str], name: str | None) -> float | None:
+    """Probability of a hypothesis, where there is one."""
+    return float(p[names.index(name)]) if p is not None and name in names else None

@@ -1,0 +1,202 @@
+"""How few records could do: a bound for the agents of a comparison, from their own episodes.
+
+The bounds of `loose_env.diagnosis.experiment_design.record_bound` need the most that a record says
+and the most arms that k records allow to get right. Neither is known. Both are taken from whoever
+plays:
+
+- Information: for each player and each record, the mean rise of the log probability of the truth
+  over the arms still measured; the largest, at the upper end of its interval.
+- Success: the largest share of right best guesses after k records, at the upper end of its
+  interval.
+
+So the bound holds for whoever gets no more out of a record than the best player counted. Taken
+from the agents it can be beaten by a better posterior or better records than theirs: the log
+score of a posterior that is not the exact one falls short of the information in the records.
+Taken from the oracle too, which is told direction and friction, it hardly can, and is lower: both
+are drawn alike under all hypotheses, so what the records say to someone who knows them is at
+least what they say to someone who does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
+
+from loose_agents.core.base import Problem
+from loose_env.diagnosis.experiment_design.record_bound import least_records
+from loose_env.envs.faults.difficulty import difficulty_named
+from loose_env.evaluation.success_rates import Row, by_agent, standings, wilson
+
+__all__ = ["RecordBound", "bound_line", "record_bound"]
+
+STAR = "*"
+"""End of the names that are no agents."""
+
+FEWEST = 30
+"""Episodes that a mean is taken of, at least."""
+
+_LEAST = 1e-6  # probabilities below count as this: one arm does not decide a mean
+_LEVEL = 0.95
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RecordBound:
+    """Lower bound on the mean number of records at one difficulty."""
+
+    prior: Array
+    """Probability of each hypothesis beforehand (K,)."""
+    information: float
+    """Most that a record says about the hypothesis, on average [nat]."""
+    teller: str
+    """Who took the record that says most."""
+    record: int
+    """Which record of an episode that was, from 1."""
+    success: Array
+    """Highest share of right verdicts after 1, 2, ... records."""
+
+    def by_information(self, error: ArrayLike) -> Array:
+        """Bound by what a record says."""
+        return least_records(error, self.prior, information=self.information)
+
+    def by_success(self, error: ArrayLike) -> Array:
+        """Bound by what k records allow."""
+        return least_records(error, self.prior, success=self.success)
+
+    def records(self, error: ArrayLike) -> Array:
+        """Larger of the two bounds, for a line in a figure of records over success."""
+        return np.maximum(self.by_information(error), self.by_success(error))
+
+
+def record_bound(problem: Problem, rows: Sequence[Row]) -> RecordBound | None:
+    """Work the bound out from episodes of one difficulty.
+
+    Parameters
+    ----------
+    problem : Problem
+        Arm and rules; the difficulty that the rows name counts, not that of its settings.
+    rows : sequence of Row
+        Episodes of all players, with their trails.
+
+    Returns
+    -------
+    RecordBound or None
+        None where no player keeps probabilities on 30 arms or more.
+    """
+    prior = _prior(problem, str(rows[0].get("difficulty", "own")))
+    chance = dict(zip(problem.hypotheses, prior, strict=True))
+    most: tuple[float, str, int] | None = None
+    success: list[float] = []
+    for name, own in by_agent(rows).items():
+        for k, end in enumerate(_information(own, chance), 1):
+            if most is None or end > most[0]:
+                most = (end, name, k)
+        for k, end in enumerate(_success(own)):
+            success[k : k + 1] = [max(end, *success[k : k + 1])] if k < len(success) else [end]
+    if most is None or most[0] <= 0:
+        return None
+    return RecordBound(
+        prior=prior,
+        information=most[0],
+        teller=most[1],
+        record=most[2],
+        success=np.maximum.accumulate(success),
+    )
+
+
+def bound_line(problem: Problem, rows: Sequence[Row]) -> str:
+    """Say how few records would do for the errors of the best agent, difficulty by difficulty.
+
+    The best agent is the one of the highest mean return among those that are told nothing. The
+    bound is that of the agents; where an oracle plays, what is left of it with the oracle's
+    records is said too.
+    """
+    parts = []
+    levels = dict.fromkeys(str(row.get("difficulty", "own")) for row in rows)
+    for level in levels:
+        some = [row for row in rows if str(row.get("difficulty", "own")) == level]
+        where = f" ({level})" if len(levels) > 1 else ""
+        best = next((s for s in standings(some) if not s.agent.endswith(STAR)), None)
+        if best is None:
+            continue
+        own = [row for row in some if not str(row["agent"]).endswith(STAR)]
+        bound = record_bound(problem, own)
+        if bound is None:
+            parts.append(
+                f"Bound on records{where}: 1; more cannot be said, for no agent here keeps "
+                f"probabilities on {FEWEST} arms or more."
+            )
+            continue
+        error = 1 - best.success
+        told = "" if len(own) == len(some) else _told(record_bound(problem, some), error)
+        parts.append(
+            f"Bound on records{where}: {float(bound.records(error)):.2f} on average at the error "
+            f"of {best.agent}, {100 * error:.1f} %, which took {best.records:.2f}. By information "
+            f"(Fano) {float(bound.by_information(error)):.2f}, if no record says more than "
+            f"{bound.information:.2f} nat, the most that one says to an agent here "
+            f"({bound.teller}, record {bound.record}); by success "
+            f"{float(bound.by_success(error)):.2f}, if k records allow no more right verdicts than "
+            f"the agents here reached. Both with the upper ends of 95 % intervals.{told}"
+        )
+    return "\n".join(parts)
+
+
+def _told(bound: RecordBound | None, error: float) -> str:
+    """What is left of the bound where the oracle counts too."""
+    if bound is None:
+        return ""
+    return (
+        f" With the oracle's records, of up to {bound.information:.2f} nat, it is "
+        f"{float(bound.records(error)):.2f}."
+    )
+
+
+def _prior(problem: Problem, level: str) -> Array:
+    """Probability of each hypothesis: places are equally likely within a kind."""
+    difficulty = difficulty_named(problem.settings.difficulty if level == "own" else level)
+    shares: Mapping[str, float] = difficulty.probabilities(problem.settings.kinds)
+    kinds = [name.partition("@")[0] for name in problem.hypotheses]
+    return np.array([shares.get(kind, 0.0) / kinds.count(kind) for kind in kinds])
+
+
+def _information(rows: Sequence[Row], chance: Mapping[str, float]) -> list[float]:
+    """Upper ends of the mean gain in log score [nat], record by record."""
+    trails: list[list[float]] = []
+    for row in rows:
+        told: Sequence[Any] = row.get("trail_truth")
+        if told is not None and len(told) and chance.get(row["truth"], 0.0) > 0:
+            trails.append([chance[row["truth"]], *told])
+    logs = [np.log(np.maximum(np.asarray(trail, dtype=float), _LEAST)) for trail in trails]
+    found = []
+    for k in range(1, max(map(len, logs), default=0)):
+        gains = np.array([log[k] - log[k - 1] for log in logs if len(log) > k])
+        if len(gains) < FEWEST:  # fewer still go on after this
+            break
+        beyond = stats.norm.ppf(_LEVEL) * gains.std(ddof=1) / np.sqrt(len(gains))
+        found.append(float(gains.mean() + beyond))
+    return found
+
+
+def _success(rows: Sequence[Row]) -> list[float]:
+    """Upper ends of the share of right best guesses after 1, 2, ... records.
+
+    Who has stopped keeps the last guess.
+    """
+    trails = [(row["truth"], list(best)) for row in rows if _has(best := row.get("trail_best"))]
+    if len(trails) < FEWEST:
+        return []
+    longest = max(len(best) for _, best in trails)
+    return [
+        wilson(sum(best[min(k, len(best) - 1)] == truth for truth, best in trails), len(trails))[1]
+        for k in range(longest)
+    ]
+
+
+def _has(trail: Any) -> bool:
+    return trail is not None and len(trail) > 0

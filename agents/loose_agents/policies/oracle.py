@@ -1,0 +1,244 @@
+"""The oracle: an agent's own posterior and policy, told all about the fault but where it is.
+
+It is no agent: what it is told, no agent may know. It says how much of an agent's error comes
+from not knowing the direction of the slide and the friction of the guide.
+
+It is told the sliding direction in the frame of the loose link and the guide's friction over the
+seat's drive. Both are drawn alike under every hypothesis, so they say nothing about which one is
+true; arms that have none of them, healthy ones or joints with play, are told those of a fault
+that could have been hidden.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_agents.core.base import Problem
+from loose_agents.core.belief_agent import BeliefAgent, Policy, StoppingRule, Sure
+from loose_agents.core.belief_tracker import Tracker
+from loose_agents.core.estimators import make_estimator
+from loose_agents.core.shipped_weights import tuned
+from loose_agents.policies.policies import make_policy
+from loose_env.diagnosis.likelihood.posterior import Belief
+from loose_env.diagnosis.records.record_statistics import RecordStatistics
+from loose_env.envs.faults.difficulty import difficulty_named
+from loose_env.envs.faults.sampler import FaultSampler
+from loose_env.errors import InvalidSetting
+from loose_env.evaluation.fault_difficulty import hidden_figures
+from loose_env.faults import Backlash, Fault, StructuralLooseness
+
+__all__ = ["InformedBelief", "OracleAgent", "Told", "oracle_agent", "restricted"]
+
+SURE = 0.9
+"""Probability at which an oracle stops that was not tuned for its arm."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Told:
+    """What the oracle knows."""
+
+    direction: int
+    """Index of the sliding direction among those of the posterior, in the link's frame."""
+    friction: int
+    """Index of the node of friction over drive."""
+
+
+def restricted(belief: Belief, told: Told) -> Belief:
+    """Leave of a belief what agrees with what was told; the hypotheses' prior stays as it was.
+
+    Parameters
+    ----------
+    belief : Belief
+        Log-weights over variants, places and frictions, equal over directions and frictions
+        beforehand.
+    told : Told
+        The direction that a slide of any link has, and the friction that any fault has.
+
+    Examples
+    --------
+    >>> belief = Belief(
+    ...     healthy=np.log([0.5]),
+    ...     loose=np.log(np.full((1, 3, 2), [[0.1, 0.02], [0.02, 0.02], [0.06, 0.06]])),
+    ...     links=1,
+    ...     directions=np.eye(2),
+    ... )
+    >>> restricted(belief, Told(direction=0, friction=0)).probabilities.round(3).tolist()
+    [0.49, 0.392, 0.118]
+    """
+    count, nodes = len(belief.directions), belief.loose.shape[2]
+    slides = belief.links * count
+    loose = np.full_like(belief.loose, -np.inf)
+    at = np.arange(belief.links) * count + told.direction
+    # A share of the prior each; divided by it, a hypothesis keeps all of its own.
+    loose[:, at, told.friction] = belief.loose[:, at, told.friction] + math.log(count * nodes)
+    loose[:, slides:, told.friction] = belief.loose[:, slides:, told.friction] + math.log(nodes)
+    return replace(belief, loose=loose)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class InformedBelief:
+    """A posterior's belief, and what was told beside the records."""
+
+    base: Any
+    """As the posterior keeps it."""
+    told: Told | None
+    """None: nothing."""
+
+    @cached_property
+    def belief(self) -> Belief:
+        """Log-weights of everything still in question."""
+        whole = getattr(self.base, "belief", self.base)
+        return whole if self.told is None else restricted(whole, self.told)
+
+    @property
+    def probabilities(self) -> NDArray[np.float64]:
+        """Probability of each hypothesis, in the posterior's order."""
+        return self.belief.probabilities
+
+
+class _InformedPosterior:
+    """A posterior whose beliefs remember what was told."""
+
+    def __init__(self, base: Any) -> None:
+        self.base, self.hypotheses = base, base.hypotheses
+
+    def start(self, told: Told | None = None) -> InformedBelief:
+        """Return the prior."""
+        return InformedBelief(base=self.base.start(), told=told)
+
+    def update(self, belief: InformedBelief, record: RecordStatistics) -> InformedBelief:
+        """Take in one record."""
+        return InformedBelief(base=self.base.update(belief.base, record), told=belief.told)
+
+
+class OracleAgent(BeliefAgent):
+    """Plays like a `BeliefAgent` that is told direction and friction when an episode begins.
+
+    `loose_agents.evaluation.evaluate.evaluate` tells it, by ``informed``.
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal arm and the rules.
+    estimator : Tracker
+        Keeps a posterior over places and frictions.
+    policy : Policy
+        What to measure next; made for the same estimator.
+    stopping : StoppingRule
+        When to stop.
+    seed : int
+        Seed of what it draws.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        estimator: Tracker,
+        policy: Policy,
+        stopping: StoppingRule,
+        *,
+        seed: int = 0,
+    ) -> None:
+        self._posterior = _InformedPosterior(estimator.posterior)
+        super().__init__(problem, Tracker(problem, self._posterior), policy, stopping, seed=seed)
+        self._directions = self._posterior.start().belief.directions
+        self._frictions = np.asarray(estimator.posterior.frictions)  # type: ignore[attr-defined]
+        self._sampler = FaultSampler(
+            problem.linear,
+            difficulty_named(problem.settings.difficulty),
+            problem.settings.kinds,
+        )
+
+    def begin(self, rng: np.random.Generator) -> Any:
+        """Refuse to play without being told.
+
+        Raises
+        ------
+        InvalidSetting
+            Always.
+        """
+        raise InvalidSetting(
+            "the oracle must be told each hidden fault: play it with loose_agents.evaluation.evaluate.evaluate, "
+            "or take the estimator/policy of the same name, which needs no telling"
+        )
+
+    def informed(self, fault: Fault, observation: NDArray[np.float32]) -> Any:
+        """Return the memory of an episode in which a fault is hidden."""
+        rng = self._generator(np.asarray(observation))
+        memory = super().begin(rng)
+        # A stream of its own: the policy draws what it would have drawn untold.
+        memory.estimate.belief = self._posterior.start(self.told(fault, rng.spawn(1)[0]))
+        return memory
+
+    def told(self, fault: Fault, rng: np.random.Generator) -> Told:
+        """What is told of a fault: the nearest direction and node of friction.
+
+        Of what it does not have, that of a slide drawn as the environment draws faults.
+        """
+        slide = fault if isinstance(fault, StructuralLooseness) else self._drawn(rng)
+        rubbing = fault if isinstance(fault, Backlash) else slide
+        u = np.asarray(slide.direction)[: self._directions.shape[1]]
+        ratio = hidden_figures(self._sampler, rubbing).friction_ratio
+        assert ratio is not None
+        # A guide without friction is nearest to the lowest node.
+        share = max(1 / ratio, 1e-12)
+        return Told(
+            direction=int(np.argmax(np.abs(self._directions @ u))),
+            friction=int(np.argmin(np.abs(np.log(self._frictions / share)))),
+        )
+
+    def _drawn(self, rng: np.random.Generator) -> StructuralLooseness:
+        """Draw a slide that could have been hidden."""
+        link = 1 + int(rng.integers(self.problem.arm.n))
+        drawn = self._sampler.draw(rng, hypothesis=f"structural_looseness@link{link}")
+        assert isinstance(drawn, StructuralLooseness)
+        return drawn
+
+
+def oracle_agent(
+    problem: Problem,
+    *,
+    seed: int = 0,
+    estimator: str = "amortised",
+    policy: str = "greedy",
+    stop: float | None = None,
+) -> OracleAgent:
+    """Make the oracle of an estimator and a policy.
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal arm and the rules.
+    seed : int
+        Seed of what it draws.
+    estimator, policy : str
+        Names, as `loose_agents.registry.belief_agent` takes them.
+    stop : float, optional
+        Probability at which it stops; by default the one tuned for ``oracle/policy``.
+
+    Raises
+    ------
+    InvalidSetting
+        If the estimator keeps no posterior over places and frictions.
+    """
+    made = make_estimator(estimator, problem)
+    if not isinstance(made, Tracker) or not hasattr(made.posterior, "frictions"):
+        raise InvalidSetting(
+            f"the oracle needs an estimator with a posterior over places and frictions, not "
+            f"{estimator!r}"
+        )
+    if stop is None:
+        stop = tuned(problem).get("stop", {}).get(f"oracle/{policy}", SURE)
+    return OracleAgent(
+        problem,
+        made,
+        make_policy(policy, problem, made),
+        Sure(probability=stop),
+        seed=seed,
+    )

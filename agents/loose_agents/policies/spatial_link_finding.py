@@ -1,0 +1,298 @@
+"""Link finding by the direction of the transmission's change, on any arm, plane or space.
+
+All joints are excited at once: the regression of the tool's motion on theirs takes them apart, and
+one record then sees a slide in any direction. Where nothing stands out, the seat may be held shut
+by gravity or friction, or strike its stops all the time: the next record is taken in another pose
+at another level before the arm is called healthy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_agents.core.base import EpisodeAgent, Problem
+from loose_agents.core.belief_tracker import record_from
+from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places
+from loose_env.diagnosis.link_finding.measured_direction import (
+    ChangeModel,
+    ChangeSighting,
+    sight_change,
+)
+from loose_env.diagnosis.link_finding.moves import candidate_poses
+from loose_env.diagnosis.link_finding.opening_moves import choose_open_move
+from loose_env.diagnosis.link_finding.planar import LinkFindingSettings
+from loose_env.diagnosis.link_finding.search import TurnSearch
+from loose_env.diagnosis.link_finding.spatial import (
+    LinkPosterior,
+    link_posterior,
+    look_alikes,
+)
+from loose_env.diagnosis.records.model_uncertainty import stiffness_errors
+from loose_env.diagnosis.records.prediction import SensorFloor, predict
+from loose_env.envs.faults.difficulty import difficulty_named
+from loose_env.errors import InvalidSetting
+from loose_env.excitation import Excitation
+
+__all__ = ["Policy", "SpaceLinkFindingAgent", "SpaceLinkFindingSettings"]
+
+Policy = Literal["images", "images_one", "turns"]
+_POLICIES = ("images", "images_one", "turns")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpaceLinkFindingSettings:
+    """How the agent moves, and when it is content."""
+
+    policy: Policy = "images"
+    """Predicted images with all joints moving or one at a time, or turns judged by 4.31."""
+    sure: float = 0.95
+    """Probability, of a hypothesis and its look-alikes together, at which it stops."""
+    seen: float = 1.8
+    """Change over what errors leave from which a record shows something loose."""
+    healthy_poses: int = 5
+    """Records that show nothing before the verdict healthy."""
+    scales: tuple[float, ...] = (1.0, 2.0, 4.0)
+    """Factors by which the directions' standard deviations may be too small."""
+    candidates: int = 1024
+    """Moves of all joints that are weighed against each other."""
+    shortlist: int = 12
+    """The best of these by direction alone, looked at again for what gravity holds shut."""
+    rules: LinkFindingSettings = field(default_factory=LinkFindingSettings)
+    """For turns: the order of the joints, and 4.31's thresholds and retries."""
+
+    def __post_init__(self) -> None:
+        if self.policy not in _POLICIES:
+            raise InvalidSetting(f"policy is one of {_POLICIES}, got {self.policy!r}")
+        if not 0 < self.sure < 1:
+            raise InvalidSetting(f"sure is a probability between 0 and 1, got {self.sure}")
+        if not self.seen > 0 or self.healthy_poses < 1:
+            raise InvalidSetting(
+                f"seen and healthy_poses must be positive, got {self.seen}, {self.healthy_poses}"
+            )
+        if self.candidates < 1 or self.shortlist < 1:
+            raise InvalidSetting(
+                f"candidates and shortlist count from 1, got {self.candidates} and {self.shortlist}"
+            )
+
+
+@dataclass
+class _Search:
+    """Memory of one search."""
+
+    rng: np.random.Generator
+    search: TurnSearch
+    level: int
+    sightings: list[ChangeSighting] = field(default_factory=list)
+    tried: list[tuple[float, int]] = field(default_factory=list)
+    moved: int | None = None
+
+
+class SpaceLinkFindingAgent(EpisodeAgent):
+    """Look where the looseness points, move, look again (4.2.2, in space).
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal arm and the rules.
+    settings : SpaceLinkFindingSettings
+        Policy and thresholds.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        settings: SpaceLinkFindingSettings | None = None,
+        *,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(problem, seed=seed)
+        self.settings = SpaceLinkFindingSettings() if settings is None else settings
+        arm, rules = problem.arm, problem.settings
+        self.frames = ToolFrames(arm)
+        self.names = places(arm)
+        self.mismatch = difficulty_named(rules.difficulty).mismatch
+        self.model = ChangeModel.of(self.mismatch, joints=arm.n)
+        self.floor = SensorFloor.of(rules.sensors, arm.band)
+        # Hypotheses that the environment does not hold are left out.
+        self.prior = np.array([float(name in problem.hypotheses) for name in self.names])
+        if not self.prior.any():
+            raise InvalidSetting(
+                "link finding by direction needs structural looseness or backlash among the "
+                f"hypotheses, got {problem.hypotheses}"
+            )
+
+    def begin(self, rng: np.random.Generator) -> Any:
+        """Start with every link in question, at the top level."""
+        arm = self.problem.arm
+        return _Search(rng=rng, search=TurnSearch.over(arm.n), level=len(arm.levels))
+
+    def act(self, observation: NDArray[np.float32], memory: _Search) -> NDArray[np.int64]:
+        """Take in the latest record, then move on or decide."""
+        problem, settings = self.problem, self.settings
+        most = problem.settings.max_records
+        taken = round(float(problem.layout.physical(observation, "spent")[0]) * most)
+        if taken == 0:
+            return self._measure(memory, self._stay())
+        seen = self._sighting(observation, taken - 1)
+        if seen is not None:
+            memory.tried.append((seen.excess, memory.level))
+            visible = seen.excess >= settings.seen and np.trace(seen.precision) > 0
+            if settings.policy == "turns":
+                self._judge(memory, seen, visible)
+            # Once something is loose, faint sightings count for the little they say.
+            if visible or (memory.sightings and settings.policy != "turns"):
+                memory.sightings.append(seen)
+        if not memory.sightings:
+            if taken >= min(settings.healthy_poses, most):
+                return self._name("healthy", None)
+            # Another level, and gravity from another side.
+            memory.level = 1 + (memory.level - 2) % len(problem.arm.levels)
+            return self._measure(memory, self._random_move(observation, memory))
+        memory.level = max(memory.tried)[1]
+        if settings.policy == "turns":
+            return self._by_turns(observation, memory, taken >= most)
+        return self._by_images(observation, memory, taken >= most)
+
+    def _by_images(
+        self, observation: NDArray[np.float32], memory: _Search, last: bool
+    ) -> NDArray[np.int64]:
+        found = self._posterior(memory)
+        if last or found.of(self._alike(found)) >= self.settings.sure:
+            return self._name(found.best, found)
+        arm, actions = self.problem.arm, self.problem.actions
+        pose = self.problem.layout.pose_of(observation)
+        one = self.settings.policy == "images_one"
+        where = candidate_poses(
+            arm,
+            pose,
+            actions.moves,
+            joints="one" if one else "all",
+            sliding=self.frames.slides,
+            most=self.settings.candidates,
+            rng=memory.rng,
+        )
+        sd = self._clearest_sd(memory)
+        target = choose_open_move(
+            self.frames,
+            self.problem.linear,
+            found,
+            where,
+            sd=sd,
+            level=arm.levels[memory.level - 1],
+            shortlist=self.settings.shortlist,
+        )
+        return self._measure(memory, self._moves_to(pose, target))
+
+    def _by_turns(
+        self, observation: NDArray[np.float32], memory: _Search, last: bool
+    ) -> NDArray[np.int64]:
+        pose = self.problem.layout.pose_of(observation)
+        latest = memory.sightings[-1]
+        steps = self.problem.actions.steps
+        reach = np.abs(np.sin(steps)) * self.problem.actions.allowed_moves(pose)
+        joint = memory.search.joint(
+            self.frames,
+            latest,
+            moves=self.problem.actions.moves,
+            rules=self.settings.rules,
+            can_move=reach.max(axis=1) > 1e-6,
+        )
+        if joint is None or last:
+            return self._decide_by_turns(memory)
+        memory.moved = joint
+        # A retry takes the next best move, so that it does not repeat the first.
+        best = np.argsort(-reach[joint - 1], kind="stable")
+        best = best[reach[joint - 1][best] > 1e-6]
+        moves = self._stay()
+        moves[joint - 1] = best[memory.search.tries % len(best)]
+        return self._measure(memory, moves)
+
+    def _judge(self, memory: _Search, seen: ChangeSighting, visible: bool) -> None:
+        """Narrow the links in question by what the last move did."""
+        joint, memory.moved = memory.moved, None
+        if joint is None or not memory.sightings:
+            return
+        before = memory.sightings[-1]
+        others = np.delete(seen.pose - before.pose, joint - 1)
+        if np.abs(others).max(initial=0.0) > 1e-6:
+            return  # the direction before was seen in another pose
+        memory.search = memory.search.after(
+            self.frames,
+            before,
+            seen,
+            joint=joint,
+            rules=self.settings.rules,
+            visible=visible,
+        )
+
+    def _decide_by_turns(self, memory: _Search) -> NDArray[np.int64]:
+        """Name the link, unless some joint's play explains every direction better."""
+        found = self._posterior(memory)
+        slide = f"structural_looseness@link{memory.search.link(self.settings.rules)}"
+        play = [name for name in self.names if name.startswith("backlash")]
+        best = max(play, key=lambda name: found.of([name]))
+        explained = found.of([best]) > found.of([slide])
+        return self._name(best if explained else slide, found)
+
+    def _name(self, hypothesis: str, found: LinkPosterior | None) -> NDArray[np.int64]:
+        """Give a verdict; where it is no hypothesis here, the most probable one that is."""
+        if hypothesis not in self.problem.hypotheses:
+            likely = self.prior if found is None else found.probabilities
+            hypothesis = self.names[int(np.argmax(likely))]
+        return self.problem.verdict(hypothesis)
+
+    def _posterior(self, memory: _Search) -> LinkPosterior:
+        return link_posterior(
+            self.frames, memory.sightings, prior=self.prior, scales=self.settings.scales
+        )
+
+    def _alike(self, found: LinkPosterior) -> tuple[str, ...]:
+        """Return the best hypothesis and those that no move can tell from it."""
+        k = self.names.index(found.best)
+        direction = found.directions[k] if k < self.problem.arm.n else None
+        return look_alikes(self.frames, found.best, direction, tolerance=self.model.floor)
+
+    def _clearest_sd(self, memory: _Search) -> float:
+        """Standard deviation of the clearest direction so far [rad]."""
+        d = self.frames.dimension
+        return float(np.sqrt((d - 1) / max(np.trace(s.precision) for s in memory.sightings)))
+
+    def _stay(self) -> NDArray[np.intp]:
+        return np.full(self.problem.arm.n, self.problem.settings.stay, dtype=np.intp)
+
+    def _random_move(self, observation: NDArray[np.float32], memory: _Search) -> NDArray[np.intp]:
+        allowed = self.problem.actions.allowed_moves(self.problem.layout.pose_of(observation))
+        return np.array([memory.rng.choice(np.flatnonzero(row)) for row in allowed])
+
+    def _moves_to(self, pose: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.intp]:
+        """Index of the move of each joint that leads nearest to a pose."""
+        off = np.abs((target - pose)[:, None] - self.problem.actions.steps)
+        return np.argmin(off, axis=1).astype(np.intp)
+
+    def _measure(self, memory: _Search, moves: NDArray[np.intp]) -> NDArray[np.int64]:
+        levels = np.full(self.problem.arm.n, memory.level, dtype=np.intp)
+        return self.problem.actions.encode(moves=moves, levels=levels)
+
+    def _sighting(self, observation: NDArray[np.float32], slot: int) -> ChangeSighting | None:
+        """Direction of one record; None for an empty slot."""
+        problem = self.problem
+        record = record_from(problem.layout, observation, slot)
+        if record is None:
+            return None
+        excitation = Excitation(
+            torque_rms=tuple(float(t) for t in record.torque),
+            duration=record.duration,
+            band=problem.arm.band,
+        )
+        return sight_change(
+            record,
+            predict(problem.linear.at(record.pose), excitation, self.floor),
+            band=problem.arm.band,
+            floor=self.floor,
+            model=self.model,
+            springs=stiffness_errors(problem.linear, record.pose, record.excited, self.mismatch),
+        )

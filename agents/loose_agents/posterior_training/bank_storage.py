@@ -1,0 +1,198 @@
+"""Banks on disk: a folder of shards of records, and beside it the figures worked out from them.
+
+Options of the scripts that build and use banks.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import loose_env
+from loose_agents.benchmark.sharded import problem_of
+from loose_agents.core.base import Problem
+from loose_agents.evaluation.env_arguments import arguments_of
+from loose_agents.execution.backends import BackendSettings
+from loose_agents.execution.shard_store import ArrayCodec, ShardStore
+from loose_agents.execution.shards import Shard, run_shards, shard_of
+from loose_agents.posterior_training.record_features import PlaceFigures, figures_of
+from loose_agents.posterior_training.simulated_records import (
+    BANK_SEED,
+    BankSettings,
+    RecordBank,
+    play_episodes,
+)
+from loose_env.diagnosis.learned.features import PLACE_FEATURES, RECORD_FEATURES, SeatFeatures
+from loose_env.envs.faults.difficulty import difficulty_named
+from loose_env.errors import InvalidSetting
+
+__all__ = [
+    "BankPlan",
+    "add_bank_options",
+    "build_bank",
+    "build_figures",
+    "plan_of",
+    "read_bank",
+    "read_figures",
+    "seat_features",
+]
+
+SHARD = 500
+"""Episodes in one file."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BankPlan:
+    """A bank, said in names and numbers."""
+
+    env_id: str
+    """Id of the environment."""
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    """Arguments of the environment."""
+    episodes: int = 12_000
+    """Number of episodes."""
+    seed: int = BANK_SEED
+    """Seed of the episodes."""
+    records: BankSettings = field(default_factory=BankSettings)
+    """How records are taken."""
+    directions: int = 0
+    """Sliding directions of a link that figures are worked out for; 0: 24 in the plane, 100 in
+    space."""
+
+    @property
+    def configuration(self) -> dict[str, Any]:
+        """Everything that one episode of the bank depends on."""
+        return {
+            "env": self.env_id,
+            "arguments": dict(self.arguments),
+            "seed": self.seed,
+            "records": self.records,
+            "version": loose_env.__version__,
+        }
+
+    @property
+    def shards(self) -> tuple[Shard, ...]:
+        """Parts of the bank."""
+        return shard_of(self.episodes, SHARD)
+
+    def problem(self) -> Problem:
+        """Make the arm and the rules."""
+        return problem_of(self.env_id, self.arguments)
+
+
+def build_bank(plan: BankPlan, folder: Path, settings: BackendSettings | None = None) -> ShardStore:
+    """Make what is missing of a bank."""
+    store = ShardStore(folder / "records", plan.configuration, ArrayCodec())
+    run_shards(partial(_bank_shard, plan), plan.shards, store, settings=settings)
+    return store
+
+
+def build_figures(
+    plan: BankPlan, folder: Path, settings: BackendSettings | None = None
+) -> ShardStore:
+    """Work out what is missing of a bank's figures; the bank must be there."""
+    configuration = plan.configuration | {
+        "directions": directions_of(plan),
+        "place": PLACE_FEATURES,
+        "record": RECORD_FEATURES,
+    }
+    store = ShardStore(folder / "figures", configuration, ArrayCodec())
+    run_shards(partial(_figures_shard, plan, folder), plan.shards, store, settings=settings)
+    return store
+
+
+def read_bank(plan: BankPlan, folder: Path, shards: tuple[Shard, ...] | None = None) -> RecordBank:
+    """Read a bank, or some of its shards."""
+    store = ShardStore(folder / "records", plan.configuration, ArrayCodec())
+    chosen = plan.shards if shards is None else shards
+    return RecordBank.joined([RecordBank(**part) for part in store.read_all(chosen)])
+
+
+def read_figures(store: ShardStore, shards: tuple[Shard, ...]) -> PlaceFigures:
+    """Read the figures of some shards."""
+    return PlaceFigures.joined([PlaceFigures(**part) for part in store.read_all(shards)])
+
+
+def directions_of(plan: BankPlan) -> int:
+    """Sliding directions of a link that figures are worked out for."""
+    return plan.directions or (24 if len(_problem(plan).arm.axes) == 2 else 100)
+
+
+def seat_features(problem: Problem, directions: int) -> SeatFeatures:
+    """What works out the figures of a problem's records."""
+    return SeatFeatures(
+        problem.linear,
+        problem.settings.sensors,
+        difficulty_named(problem.settings.difficulty).mismatch,
+        directions=directions,
+    )
+
+
+_PROBLEMS: dict[str, Problem] = {}
+
+
+def _problem(plan: BankPlan) -> Problem:
+    key = f"{plan.env_id} {sorted(plan.arguments.items())}"
+    if key not in _PROBLEMS:
+        _PROBLEMS[key] = plan.problem()
+    return _PROBLEMS[key]
+
+
+def _bank_shard(plan: BankPlan, shard: Shard) -> dict[str, np.ndarray]:
+    bank = play_episodes(
+        _problem(plan), plan.records, seed=plan.seed, start=shard.start, stop=shard.stop
+    )
+    return vars(bank)
+
+
+def _figures_shard(plan: BankPlan, folder: Path, shard: Shard) -> dict[str, np.ndarray]:
+    problem = _problem(plan)
+    store = ShardStore(folder / "records", plan.configuration, ArrayCodec())
+    features = _features(problem, directions_of(plan))
+    return vars(figures_of(problem, features, RecordBank(**store.read(shard))))
+
+
+@lru_cache(maxsize=1)
+def _features(problem: Problem, directions: int) -> SeatFeatures:
+    return seat_features(problem, directions)
+
+
+def add_bank_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say which bank is meant."""
+    parser.add_argument("--env", default="loose_env/Planar-v0", help="environment id")
+    parser.add_argument(
+        "--arguments",
+        default='{"engine": "reduced"}',
+        help="its arguments, as JSON; the engine that simulates among them",
+    )
+    parser.add_argument("--episodes", type=int, default=12_000, help="episodes of the bank")
+    parser.add_argument("--seed", type=int, default=BANK_SEED, help="seed of the episodes")
+    parser.add_argument(
+        "--directions", type=int, default=0, help="sliding directions of a link, 0: as fits the arm"
+    )
+    parser.add_argument("--out", default="banks/bank", help="folder of the bank")
+
+
+def plan_of(options: argparse.Namespace) -> BankPlan:
+    """Read the options.
+
+    Raises
+    ------
+    InvalidSetting
+        If the arguments are no JSON object or there are no episodes.
+    """
+    if options.episodes < 1:
+        raise InvalidSetting(f"--episodes must be 1 or more, got {options.episodes}")
+    return BankPlan(
+        env_id=options.env,
+        arguments=arguments_of(options.arguments),
+        episodes=options.episodes,
+        seed=options.seed,
+        directions=options.directions,
+    )

@@ -1,0 +1,350 @@
+"""Training of the learned likelihood on the figures of a record bank.
+
+The loss is the log score of the hypotheses after each record, and beside it, in small part, of
+direction and friction where the truth is loose: the sums over them stay meaningful, and policies
+may read them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from torch import Tensor, nn
+
+from loose_agents.execution.progress import ProgressLine
+from loose_agents.posterior_training.record_features import PlaceFigures
+from loose_env.diagnosis.learned.network import SeatNetwork
+from loose_env.errors import InvalidData
+
+__all__ = ["PosteriorTraining", "TrainingSettings"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingSettings:
+    """Size of the network and course of its training."""
+
+    hidden: int = 48
+    """Hidden units."""
+    frictions: int = 6
+    """Nodes of friction."""
+    steps: int = 6000
+    """Steps of the optimiser."""
+    batch: int = 64
+    """Episodes a step."""
+    learning_rate: float = 2e-3
+    """Highest learning rate; it rises over 100 steps and falls as a cosine."""
+    further: float = 0.1
+    """Weight of the log score of direction and friction."""
+    seed: int = 1
+    """Seed of the first weights and of the order of episodes."""
+    checkpoint: int = 250
+    """Steps between two checkpoints."""
+
+
+class _Layers(nn.Module):
+    """The network of `SeatNetwork`, tensor by tensor."""
+
+    def __init__(self, figures: PlaceFigures, settings: TrainingSettings, hypotheses: int) -> None:
+        super().__init__()
+        c, q, w = figures.place.shape[-1], figures.record.shape[-1], settings.hidden
+        rng = np.random.default_rng(0)
+        some = rng.choice(len(figures.place), min(3000, len(figures.place)), replace=False)
+        rows = figures.place[some].astype(np.float32).reshape(-1, c)
+        self.register_buffer("place_mean", torch.from_numpy(rows.mean(0)))
+        self.register_buffer("place_scale", torch.from_numpy(rows.std(0) + 1e-3))
+        self.register_buffer("record_mean", torch.from_numpy(figures.record.mean(0)))
+        self.register_buffer("record_scale", torch.from_numpy(figures.record.std(0) + 1e-3))
+        self.place, self.record_in = nn.Linear(c, w), nn.Linear(q, w)
+        self.record_out, self.hidden = nn.Linear(w, w), nn.Linear(w, w)
+        self.hypothesis = nn.Linear(hypotheses, w, bias=False)
+        self.out = nn.Linear(w, settings.frictions)
+        nn.init.zeros_(self.out.weight)
+        nn.init.zeros_(self.out.bias)
+        self.temper = nn.Parameter(torch.zeros(12))
+
+    def forward(self, place: Tensor, record: Tensor, one_hot: Tensor) -> tuple[Tensor, Tensor]:
+        """Likelihood (N, P, F) and last hidden layer (N, P, W)."""
+        x = (place.float() - self.place_mean) / self.place_scale
+        r = (record - self.record_mean) / self.record_scale
+        whole = self.record_out(nn.functional.silu(self.record_in(r)))
+        y = self.place(x) + self.hypothesis(one_hot) + whole[:, None]
+        hidden = nn.functional.silu(self.hidden(nn.functional.silu(y)))
+        return self.out(hidden), hidden
+
+
+class PosteriorTraining:
+    """One training: data, network, optimiser; resumes from a checkpoint.
+
+    Parameters
+    ----------
+    figures : PlaceFigures
+        Figures of the training episodes.
+    joints : int
+        Joints of the arm, n.
+    directions : ndarray (A, axes)
+        Sliding directions of a link.
+    friction : (float, float)
+        Range of friction over the top level's drive.
+    settings : TrainingSettings, optional
+        Size and course.
+    """
+
+    def __init__(
+        self,
+        figures: PlaceFigures,
+        *,
+        joints: int,
+        directions: NDArray[np.float64],
+        friction: tuple[float, float],
+        settings: TrainingSettings | None = None,
+    ) -> None:
+        self.settings = s = TrainingSettings() if settings is None else settings
+        torch.manual_seed(s.seed)
+        self.figures, self.n = figures, joints
+        self.directions = torch.from_numpy(directions.astype(np.float32))
+        count = len(directions)
+        hypothesis = np.concatenate(
+            [np.repeat(np.arange(joints), count), joints + np.arange(joints)]
+        )
+        self.one_hot = nn.functional.one_hot(torch.from_numpy(hypothesis), 2 * joints).float()
+        self.layers = _Layers(figures, s, 2 * joints)
+        self.optimiser = torch.optim.AdamW(self.layers.parameters(), weight_decay=1e-4)
+        self.step = 0
+        third = np.log(1 / 3)
+        each = third - np.log(joints)
+        self.prior = torch.tensor([third] + [each] * (2 * joints), dtype=torch.float32)
+        # An arm in space has a finer grid for its size: neighbours share the truth.
+        axes = directions.shape[1]
+        self.spread = 1.2 * np.pi / count if axes == 2 else np.sqrt(2 * np.pi / count) / 2
+        with np.errstate(divide="ignore"):
+            level = np.log(1 / figures.ratio / friction[0]) / np.log(friction[1] / friction[0])
+        node = np.floor(np.nan_to_num(level, neginf=0.0, posinf=0.0) * s.frictions)
+        self.node = torch.from_numpy(np.clip(node, 0, s.frictions - 1).astype(np.int64))
+
+    def rows(self, episodes: NDArray[np.intp], records: int) -> NDArray[np.intp]:
+        """Where the first records of episodes lie (episodes * records,)."""
+        return (self.figures.first[episodes][:, None] + np.arange(records)).ravel()
+
+    def posterior(self, rows: NDArray[np.intp], records: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Log-probabilities (B, R, H), log-weights (B, R, P, F), hidden layer (B R, P, W)."""
+        place = torch.from_numpy(self.figures.place[rows])
+        record = torch.from_numpy(self.figures.record[rows])
+        each, hidden = self.layers(place, record, self.one_hot)
+        total = each.reshape(-1, records, *each.shape[1:]).cumsum(1)
+        log, tempered = self._log_probabilities(total, self.layers.temper[:records])
+        return log, tempered, hidden
+
+    def _log_probabilities(self, total: Tensor, temper: Tensor) -> tuple[Tensor, Tensor]:
+        """Log-probabilities (B, R, H) and tempered log-weights, from sums over records."""
+        total = total * torch.exp(temper)[None, :, None, None] - np.log(self.settings.frictions)
+        by_place = torch.logsumexp(total, -1)
+        slides = self.n * len(self.directions)
+        by_link = by_place[..., :slides].unflatten(-1, (self.n, len(self.directions)))
+        slide = torch.logsumexp(by_link, -1) - np.log(len(self.directions))
+        healthy = torch.zeros_like(slide[..., :1])
+        log = torch.cat([healthy, slide, by_place[..., slides:]], -1) + self.prior
+        return torch.log_softmax(log, -1), total
+
+    def train(
+        self,
+        folder: Path | None = None,
+        report: Callable[[int, float], None] | None = None,
+        *,
+        stream: TextIO | None = None,
+    ) -> None:
+        """Go on to the last step; keep checkpoints in a folder and start from the one there.
+
+        Parameters
+        ----------
+        folder : path, optional
+            Where the checkpoint lies; None keeps none.
+        report : callable, optional
+            Called after every checkpoint with the step and its loss [nat].
+        stream : text file, optional
+            Where the progress line goes; standard error if None.
+        """
+        s = self.settings
+        checkpoint = None if folder is None else folder / "checkpoint.pt"
+        if checkpoint is not None and checkpoint.is_file():
+            self._restore(checkpoint)
+        counts = np.unique(self.figures.count[self.figures.count > 0])
+        groups = [np.flatnonzero(self.figures.count == c) for c in counts]
+        # Lengths take turns by how many records they hold.
+        shares = np.array([len(g) * c for g, c in zip(groups, counts, strict=True)], dtype=float)
+        with ProgressLine(s.steps, done=self.step, unit="steps", stream=stream) as line:
+            while self.step < s.steps:
+                rng = np.random.default_rng([s.seed, self.step])
+                which = int(rng.choice(len(groups), p=shares / shares.sum()))
+                records = int(counts[which])
+                size = max(8, s.batch * int(counts.min()) // records)
+                loss = self._loss(rng.choice(groups[which], size), records, rng)
+                for group in self.optimiser.param_groups:
+                    group["lr"] = self._rate()
+                self.optimiser.zero_grad()
+                loss.backward()  # type: ignore[no-untyped-call]
+                nn.utils.clip_grad_norm_(self.layers.parameters(), 1.0)
+                self.optimiser.step()
+                self.step += 1
+                score = float(loss.detach())
+                line.advance(1, f"loss {score:.3f}")
+                if self.step % s.checkpoint == 0 or self.step == s.steps:
+                    if checkpoint is not None:
+                        self._keep(checkpoint)
+                    if report is not None:
+                        report(self.step, score)
+
+    def _rate(self) -> float:
+        s = self.settings
+        fall = 0.5 * (1 + np.cos(np.pi * self.step / s.steps))
+        return float(s.learning_rate * min(1.0, (self.step + 1) / 100) * fall + 1e-5)
+
+    def _loss(self, episodes: NDArray[np.intp], records: int, rng: np.random.Generator) -> Tensor:
+        rows = self.rows(episodes, records).reshape(-1, records)
+        rows = rng.permuted(rows, axis=1).ravel()  # the records of an episode have no order
+        log, total, _ = self.posterior(rows, records)
+        truth = torch.from_numpy(self.figures.truth[episodes])
+        score = -log.gather(-1, truth[:, None, None].expand(-1, records, 1)).mean()
+        return score + self.settings.further * self._further(episodes, truth, total)
+
+    def _further(self, episodes: NDArray[np.intp], truth: Tensor, total: Tensor) -> Tensor:
+        """Log score of direction and friction, given the hypothesis that is true."""
+        n, count = self.n, len(self.directions)
+        node = self.node[torch.from_numpy(episodes)]
+        loss = torch.zeros(())
+        slides = torch.nonzero((truth >= 1) & (truth <= n)).ravel()
+        if len(slides):
+            true = torch.from_numpy(self.figures.direction[episodes])[slides]
+            cosine = (true[:, : self.directions.shape[1]] @ self.directions.T).abs().clamp(max=1)
+            near = torch.softmax(-((torch.arccos(cosine) / self.spread) ** 2) / 2, -1)
+            own = total[:, :, : n * count].unflatten(2, (n, count))[slides, :, truth[slides] - 1]
+            log = torch.log_softmax(own.flatten(-2), -1).reshape(own.shape)
+            log = log[torch.arange(len(slides)), :, :, node[slides]]
+            loss = loss - (near[:, None] * log).sum(-1).mean() * len(slides) / len(truth)
+        plays = torch.nonzero(truth > n).ravel()
+        if len(plays):
+            own = torch.log_softmax(total[:, :, n * count :], -1)[plays, :, truth[plays] - 1 - n]
+            log = own[torch.arange(len(plays)), :, node[plays]]
+            loss = loss - log.mean() * len(plays) / len(truth)
+        return loss
+
+    def calibrate(self, figures: PlaceFigures) -> None:
+        """Set the tempers so that held-out episodes get the best log score.
+
+        One factor for each of the first four numbers of records, one for all above, where
+        held-out episodes are few. Training leaves the posterior a little less sure than it may be.
+        """
+        for first, last in ((1, 1), (2, 2), (3, 3), (4, 4), (5, len(self.layers.temper))):
+            chosen = np.flatnonzero(figures.count >= last)
+            if len(chosen) >= 50:
+                self._calibrate(figures, chosen, first, last)
+
+    def _calibrate(
+        self, figures: PlaceFigures, chosen: NDArray[np.intp], first: int, last: int
+    ) -> None:
+        seen, self.figures = self.figures, figures
+        truth = torch.from_numpy(figures.truth[chosen])[:, None, None]
+        with torch.no_grad():
+            temper = self.layers.temper[:last].clone()
+            parts = []
+            for some in (chosen[i : i + 50] for i in range(0, len(chosen), 50)):
+                _, tempered, _ = self.posterior(self.rows(some, last), last)
+                parts.append(tempered[:, first - 1 :])
+            tempered = torch.cat(parts) + np.log(self.settings.frictions)
+            total = tempered / torch.exp(temper[first - 1 :])[None, :, None, None]
+
+            def score(change: float) -> float:
+                log, _ = self._log_probabilities(total, temper[first - 1 :] + change)
+                return -float(log.gather(-1, truth.expand(-1, log.shape[1], 1)).mean())
+
+            best = minimize_scalar(
+                score, bounds=(-0.7, 0.7), method="bounded", options={"xatol": 0.02}
+            )
+            self.layers.temper[first - 1 : last] += float(best.x)
+        self.figures = seen
+
+    def scores(self, figures: PlaceFigures, *, most: int = 4) -> list[dict[str, float]]:
+        """How well held-out episodes are judged after one record, two, and so on.
+
+        Parameters
+        ----------
+        figures : PlaceFigures
+            Figures of episodes that were not trained on.
+        most : int
+            Records up to which.
+
+        Returns
+        -------
+        list of dict
+            ``records``, ``episodes``, ``success``, ``score`` (mean log score of the truth, [nat])
+            and ``ece`` (expected calibration error over ten bins of equal width).
+        """
+        seen, self.figures = self.figures, figures
+        try:
+            chosen = np.flatnonzero(figures.count >= most)
+            parts = [chosen[i : i + 50] for i in range(0, len(chosen), 50)]
+            with torch.no_grad():
+                log = torch.cat([self.posterior(self.rows(p, most), most)[0] for p in parts])
+        finally:
+            self.figures = seen
+        truth = figures.truth[chosen]
+        found = []
+        for k in range(most):
+            each = log[:, k].numpy()
+            right = each.argmax(1) == truth
+            found.append(
+                {
+                    "records": k + 1,
+                    "episodes": len(chosen),
+                    "success": float(right.mean()),
+                    "score": float(each[np.arange(len(truth)), truth].mean()),
+                    "ece": _calibration_error(np.exp(each.max(1)), right),
+                }
+            )
+        return found
+
+    def tensors(self) -> dict[str, NDArray[Any]]:
+        """Everything that `SeatNetwork` needs."""
+        state = self.layers.state_dict()
+        return {name: state[name].cpu().numpy().copy() for name in SeatNetwork.shapes}
+
+    def _keep(self, path: Path) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        beside = path.with_suffix(".part")
+        torch.save(
+            {
+                "layers": self.layers.state_dict(),
+                "optimiser": self.optimiser.state_dict(),
+                "step": self.step,
+            },
+            beside,
+        )
+        beside.replace(path)
+
+    def _restore(self, path: Path) -> None:
+        try:
+            kept = torch.load(path, weights_only=True)  # tensors and plain values, never code
+            self.layers.load_state_dict(kept["layers"])
+            self.optimiser.load_state_dict(kept["optimiser"])
+            self.step = int(kept["step"])
+        except Exception as error:  # torch and zipfile raise a dozen kinds
+            reason = " ".join(str(error).split())[:200]
+            raise InvalidData(
+                f"cannot go on from {path}; remove it to begin anew: {type(error).__name__}: "
+                f"{reason}"
+            ) from error
+
+
+def _calibration_error(confidence: NDArray[np.floating], right: NDArray[np.bool_]) -> float:
+    """Mean distance between confidence and share of right answers over ten bins [1]."""
+    bins = np.minimum((10 * confidence).astype(int), 9)
+    return float(
+        sum(abs(float((confidence[bins == b] - right[bins == b]).sum())) for b in range(10))
+        / len(right)
+    )

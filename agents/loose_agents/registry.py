@@ -1,0 +1,171 @@
+"""Agents by name, with the settings and weights that ship beside them.
+
+An agent is a name of `AGENTS`, or an estimator and a policy in the form ``estimator/policy``,
+such as ``posterior/random``.
+"""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Callable
+
+from loose_agents.core.base import Agent, Problem
+from loose_agents.core.belief_agent import BeliefAgent, Sure
+from loose_agents.core.estimators import ESTIMATORS, make_estimator
+from loose_agents.core.shipped_weights import WEIGHTS, setting_name, tuned
+from loose_agents.policies.link_finding import LinkFindingAgent
+from loose_agents.policies.oracle import oracle_agent
+from loose_agents.policies.policies import POLICIES, make_policy
+from loose_agents.policies.spatial_link_finding import (
+    SpaceLinkFindingAgent,
+    SpaceLinkFindingSettings,
+)
+from loose_env.diagnosis.link_finding.planar import LinkFindingSettings, Order
+from loose_env.errors import UnknownName
+
+__all__ = ["AGENTS", "WEIGHTS", "belief_agent", "describe", "make_agent"]
+
+SURE = 0.9
+"""Probability at which an agent stops that was not tuned for its arm."""
+
+
+def belief_agent(
+    estimator: str, policy: str, problem: Problem, *, seed: int = 0, stop: float | None = None
+) -> BeliefAgent:
+    """Make an agent of an estimator and a policy.
+
+    Parameters
+    ----------
+    estimator, policy : str
+        Names in `loose_agents.core.estimators.ESTIMATORS` and
+        `loose_agents.policies.policies.POLICIES`.
+    problem : Problem
+        The nominal arm and the rules.
+    seed : int
+        Seed of what it draws.
+    stop : float, optional
+        Probability at which it stops; by default the one tuned for the arm and difficulty.
+    """
+    made = make_estimator(estimator, problem)
+    if stop is None:
+        stop = tuned(problem).get("stop", {}).get(f"{estimator}/{policy}", SURE)
+    return BeliefAgent(
+        problem, made, make_policy(policy, problem, made), Sure(probability=stop), seed=seed
+    )
+
+
+def _of(estimator: str, policy: str) -> Callable[[Problem, int], Agent]:
+    return lambda problem, seed: belief_agent(estimator, policy, problem, seed=seed)
+
+
+def _link_finding(order: Order) -> Callable[[Problem, int], Agent]:
+    def make(problem: Problem, seed: int) -> Agent:
+        if len(problem.arm.axes) == 3:
+            # In space; its thresholds follow from the mismatch and need no tuning.
+            rules = LinkFindingSettings(order=order)
+            return SpaceLinkFindingAgent(
+                problem, SpaceLinkFindingSettings(policy="turns", rules=rules), seed=seed
+            )
+        path = WEIGHTS / f"{problem.arm.name}-{order}.json"
+        if not path.is_file():
+            warnings.warn(
+                f"link finding {order} is not tuned for arm {problem.arm.name!r}: it plays with "
+                "untuned thresholds; scripts/agents/tune_link_finding.py tunes them",
+                stacklevel=2,
+            )
+            return LinkFindingAgent(problem, LinkFindingSettings(order=order), seed=seed)
+        settings = LinkFindingSettings(**json.loads(path.read_text(encoding="utf-8")))
+        return LinkFindingAgent(problem, settings, seed=seed)
+
+    return make
+
+
+def _images(problem: Problem, seed: int) -> Agent:
+    return SpaceLinkFindingAgent(problem, seed=seed)
+
+
+def _oracle(problem: Problem, seed: int) -> Agent:
+    return oracle_agent(problem, seed=seed)
+
+
+def _learned(name: str, training: str = "") -> Callable[[Problem, int], Agent]:
+    def make(problem: Problem, seed: int) -> Agent:
+        from loose_agents.rl.learned_policy import LearnedAgent
+
+        folder = f"{LEARNED[name]}-{setting_name(problem)}"
+        agent = LearnedAgent.load(
+            problem, WEIGHTS / (f"{folder}-{training}" if training else folder)
+        )
+        stop = tuned(problem).get("stop", {}).get(name)
+        if stop is not None:  # better than its own word, by training episodes
+            agent.stopping = Sure(probability=stop)
+        return agent
+
+    return make
+
+
+LEARNED = {"ppo": "ppo", "recurrent_ppo": "ppo_lstm", "maskable_ppo": "maskable_ppo"}
+"""Learned agents, and the algorithm that trained each."""
+
+
+AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
+    "random": (_of("posterior", "random"), "random moves and shakes until its posterior is sure"),
+    "thesis": (_link_finding("outward"), "the thesis's link finding, from the base outward"),
+    "inward": (_link_finding("inward"), "the same, from the tool inward"),
+    "bisection": (_link_finding("bisection"), "the same, halving the arm"),
+    "images": (_images, "predicted directions of every hypothesis, all joints at once"),
+    "constant": (
+        _of("amortised", "constant"),
+        "the learned posterior, always the best single joint, random poses",
+    ),
+    "together": (
+        _of("amortised", "together"),
+        "the learned posterior, always all joints, random poses",
+    ),
+    "greedy": (_of("amortised", "greedy"), "the learned posterior, the most telling record next"),
+    "look_ahead": (_of("amortised", "look_ahead"), "the same, two records ahead"),
+    "oracle": (_oracle, "no agent: greedy, told the hidden direction and friction"),
+    "ppo": (_learned("ppo"), "a policy trained by PPO on the learned posterior"),
+    "recurrent_ppo": (_learned("recurrent_ppo"), "the same with a memory of its own"),
+    "maskable_ppo": (_learned("maskable_ppo"), "the same, allowed choices only"),
+}
+"""How each agent is made, and what it is in a few words."""
+
+
+def describe(name: str) -> str:
+    """Say in a few words what an agent is."""
+    if name in AGENTS:
+        return AGENTS[name][1]
+    estimator, _, policy = name.partition("/")
+    _require(name, estimator, policy)
+    return f"{ESTIMATORS[estimator][1]}; {POLICIES[policy][1]}"
+
+
+def make_agent(name: str, problem: Problem, *, seed: int = 0) -> Agent:
+    """Make an agent for a problem.
+
+    A learned agent's further trainings, from other seeds, are ``ppo#2``, ``ppo#3``, ...;
+    ``ppo#1`` is the first, ``ppo`` itself.
+
+    Raises
+    ------
+    UnknownName
+        If there is no agent of that name.
+    """
+    if name in AGENTS:
+        return AGENTS[name][0](problem, seed)
+    plain, _, training = name.partition("#")
+    if plain in LEARNED and training.isdigit():
+        return _learned(plain, "" if training == "1" else training)(problem, seed)
+    estimator, _, policy = name.partition("/")
+    _require(name, estimator, policy)
+    return belief_agent(estimator, policy, problem, seed=seed)
+
+
+def _require(name: str, estimator: str, policy: str) -> None:
+    if estimator not in ESTIMATORS or policy not in POLICIES:
+        raise UnknownName(
+            f"unknown agent {name!r}; agents are {list(AGENTS)}, or an estimator of "
+            f"{list(ESTIMATORS)} and a policy of {list(POLICIES)}, as in posterior/random"
+        )

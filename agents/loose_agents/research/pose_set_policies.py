@@ -1,0 +1,247 @@
+"""Policies that choose poses only: a set laid out beforehand, greedy separation, another's moves.
+
+All of them play the same excitation, so that what the choice of poses gives stands alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from loose_agents.core.base import Agent, Problem
+from loose_agents.core.belief_agent import Situation
+from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places
+from loose_env.diagnosis.link_finding.moves import candidate_poses
+from loose_env.diagnosis.link_finding.opening_moves import choose_open_move
+from loose_env.diagnosis.link_finding.spatial import LinkPosterior
+from loose_env.errors import InvalidSetting
+
+__all__ = [
+    "Excited",
+    "GreedySeparation",
+    "MovesOf",
+    "PoseSetPolicy",
+    "image_posterior",
+    "levels_for",
+    "nearest_moves",
+]
+
+Array = NDArray[np.float64]
+Excited = Literal["all", "first"]
+"""Joints that are shaken, at the top level: all of them, or joint 1."""
+
+
+def levels_for(problem: Problem, excited: Excited) -> NDArray[np.intp]:
+    """Level of every joint (n,).
+
+    Raises
+    ------
+    InvalidSetting
+        If ``excited`` is neither "all" nor "first".
+    """
+    if excited not in ("all", "first"):
+        raise InvalidSetting(f"excited joints are 'all' or 'first', got {excited!r}")
+    top = len(problem.arm.levels)
+    levels = np.full(problem.arm.n, top, dtype=np.intp)
+    if excited == "first":
+        levels[1:] = 0
+    return levels
+
+
+def nearest_moves(problem: Problem, pose: ArrayLike, target: ArrayLike) -> NDArray[np.intp]:
+    """Move of every joint that brings it nearest to a target, within its range (n,).
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal arm and the rules.
+    pose, target : array_like (n,)
+        Where the joints are, and where they are wanted [rad, m where one slides].
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> from loose_env.envs.settings import DiagnosisSettings
+    >>> problem = Problem.of(planar(2), DiagnosisSettings())
+    >>> problem.actions.moves[nearest_moves(problem, [0.0, 2.0], [0.9, 9.0])].round(2).tolist()
+    [0.79, 0.0]
+    """
+    q, wanted = np.asarray(pose, dtype=float), np.asarray(target, dtype=float)
+    actions = problem.actions
+    miss = q[:, None] + actions.steps - wanted[:, None]
+    for j, limits in enumerate(problem.arm.joint_ranges):
+        if limits is None:  # turns without end
+            miss[j] = (miss[j] + np.pi) % (2 * np.pi) - np.pi
+    # Of equals the smaller move, so that a joint which is there stays there.
+    away = np.abs(miss) + 1e-9 * np.abs(actions.steps)
+    return np.asarray(np.argmin(np.where(actions.allowed_moves(q), away, np.inf), axis=1))
+
+
+class PoseSetPolicy:
+    """Plays a set of poses one after the other, by the nearest reachable moves.
+
+    After the last pose it begins again.
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal arm and the rules.
+    poses : array_like (P, n)
+        The set [rad, m where a joint slides].
+    excited : {"all", "first"}
+        Joints that are shaken at the top level.
+
+    Raises
+    ------
+    InvalidSetting
+        If the set is empty or a pose does not fit the arm.
+    """
+
+    def __init__(self, problem: Problem, poses: ArrayLike, *, excited: Excited = "all") -> None:
+        rows = np.asarray(poses, dtype=float)
+        n = problem.arm.n
+        if rows.ndim != 2 or len(rows) < 1 or rows.shape[1] != n or not np.isfinite(rows).all():
+            raise InvalidSetting(
+                f"a pose set of {problem.arm.name!r} is one or more rows of {n} finite joint "
+                f"positions [rad or m], got shape {rows.shape}"
+            )
+        self.problem, self.poses = problem, rows
+        self.levels = levels_for(problem, excited)
+
+    def choose(self, situation: Situation) -> NDArray[np.int64]:
+        """Go to the pose whose turn it is."""
+        target = self.poses[situation.records % len(self.poses)]
+        moves = nearest_moves(self.problem, situation.pose, target)
+        return self.problem.actions.encode(moves=moves, levels=self.levels)
+
+
+class GreedySeparation:
+    """Goes where the images of the hypotheses, weighed by the posterior, lie farthest apart.
+
+    The first record is taken where the arm stands.
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal arm and the rules.
+    excited : {"all", "first"}
+        Joints that are shaken at the top level.
+    sd : float
+        Standard deviation that the direction of an open seat is expected to have [rad].
+    candidates : int
+        Moves of all joints that are weighed against each other.
+    sight : callable, optional
+        Makes of a situation what is known about the directions; by default `image_posterior`,
+        which reads the memory of `loose_agents.core.belief_tracker.Tracker`.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        *,
+        excited: Excited = "all",
+        sd: float = np.radians(8.0),
+        candidates: int = 512,
+        sight: Callable[[Problem, Situation], LinkPosterior] | None = None,
+    ) -> None:
+        self.problem, self.sd, self.candidates = problem, sd, candidates
+        self.frames = ToolFrames(problem.arm)
+        self.levels = levels_for(problem, excited)
+        self.sight = image_posterior if sight is None else sight
+
+    def choose(self, situation: Situation) -> NDArray[np.int64]:
+        """Weigh the moves within reach."""
+        problem = self.problem
+        if situation.records == 0:
+            return problem.actions.encode(levels=self.levels)
+        where = candidate_poses(
+            problem.arm,
+            situation.pose,
+            problem.actions.moves,
+            joints="all",
+            sliding=self.frames.slides,
+            most=self.candidates,
+            rng=situation.rng,
+        )
+        target = choose_open_move(
+            self.frames,
+            problem.linear,
+            self.sight(problem, situation),
+            where,
+            sd=self.sd,
+            level=problem.arm.levels[-1],
+        )
+        moves = nearest_moves(problem, situation.pose, target)
+        return problem.actions.encode(moves=moves, levels=self.levels)
+
+
+def image_posterior(problem: Problem, situation: Situation) -> LinkPosterior:
+    """Put the tracker's belief into the form that the choice of a move takes.
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal arm and the rules.
+    situation : Situation
+        With the memory of `loose_agents.core.belief_tracker.Tracker`.
+
+    Raises
+    ------
+    InvalidSetting
+        If the memory holds no belief about directions.
+    """
+    belief = getattr(situation.memory, "belief", None)
+    if belief is None:
+        raise InvalidSetting(
+            "the estimator's memory holds no belief about directions; use loose_agents.core.belief_tracker.Tracker or "
+            "give another `sight`"
+        )
+    names, n = places(problem.arm), problem.arm.n
+    weights = dict(zip(problem.hypotheses, situation.probabilities, strict=True))
+    probabilities = np.array([weights.get(name, 0.0) for name in names])
+    if probabilities.sum() <= 0:  # all weight on what has no direction
+        probabilities = np.ones(len(names))
+    axes = belief.directions
+    shares = np.array([belief.by_direction(link) for link in range(1, n + 1)])
+    values, vectors = np.linalg.eigh(np.einsum("ka,ai,aj->kij", shares, axes, axes))
+    across = vectors[:, :, :-1]
+    return LinkPosterior(
+        names=names,
+        probabilities=probabilities / probabilities.sum(),
+        log_likelihoods=np.log(np.maximum(probabilities, 1e-300)),
+        directions=vectors[:, :, -1],
+        covariances=np.einsum("kia,ka,kja->kij", across, values[:, :-1], across),
+    )
+
+
+class MovesOf:
+    """Moves as another agent does, at the common excitation.
+
+    Where that agent would give a verdict the arm stays. One instance plays one episode.
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal arm and the rules.
+    agent : Agent
+        Anything with ``predict``.
+    excited : {"all", "first"}
+        Joints that are shaken at the top level, whatever the agent asks for.
+    """
+
+    def __init__(self, problem: Problem, agent: Agent, *, excited: Excited = "all") -> None:
+        self.problem, self.agent = problem, agent
+        self.levels = levels_for(problem, excited)
+        self._state: Sequence[Any] | None = None
+
+    def choose(self, situation: Situation) -> NDArray[np.int64]:
+        """Ask the agent and keep its moves."""
+        start = np.array([situation.records == 0])
+        actions, self._state = self.agent.predict(
+            situation.observation[None], self._state, start, deterministic=True
+        )
+        moves = self.problem.actions.decode(np.asarray(actions)[0]).moves
+        return self.problem.actions.encode(moves=moves, levels=self.levels)

@@ -1,0 +1,375 @@
+"""How often pose sets name the loose link: blocks of cases, from directions and from records.
+
+Every block can be worked out alone and anywhere: all that is random in case k comes from streams of
+its own, the same for every strategy.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from loose_agents.core.base import Problem
+from loose_agents.core.belief_agent import Policy, Situation
+from loose_agents.core.belief_tracker import Tracker
+from loose_agents.registry import make_agent
+from loose_agents.research.pose_set_policies import (
+    Excited,
+    GreedySeparation,
+    MovesOf,
+    PoseSetPolicy,
+)
+from loose_env.arms import planar, six_axis
+from loose_env.arms.arm import Arm
+from loose_env.diagnosis.likelihood.axial_likelihood import log_mean_bingham
+from loose_env.diagnosis.likelihood.posterior import Belief, FaultPosterior
+from loose_env.diagnosis.link_finding.moves import candidate_poses, choose_move
+from loose_env.diagnosis.link_finding.spatial import DirectionSighting, link_posterior
+from loose_env.diagnosis.research.pose_sets.limits import (
+    bingham_width,
+    direction_limit,
+    scattered_axes,
+)
+from loose_env.diagnosis.research.pose_sets.pose_sets import PLANNED, PoseSets
+from loose_env.envs.episode.batch import EpisodeBatch
+from loose_env.envs.settings import DiagnosisSettings
+from loose_env.faults import StructuralLooseness
+
+__all__ = [
+    "ARMS",
+    "GREEDY",
+    "LIMIT",
+    "Directions",
+    "Records",
+    "Task",
+    "directions_block",
+    "informed_links",
+    "limit_rows",
+    "link_log_likelihoods",
+    "records_block",
+]
+
+Array = NDArray[np.float64]
+Row = dict[str, Any]
+
+ARMS: dict[str, Callable[[], Arm]] = {
+    **{f"planar{n}": functools.partial(planar, n) for n in range(2, 8)},
+    "six_axis": six_axis,
+}
+GREEDY, LIMIT = "greedy separation", "limit"
+MOVES = np.radians([m for m in range(-90, 91, 15) if m])
+"""Moves of a hinge at the level of directions [rad]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Directions:
+    """Directions with a stated scatter."""
+
+    arms: tuple[str, ...] = tuple(ARMS)
+    sds: tuple[float, ...] = (5.0, 10.0, 20.0)
+    """Standard deviations of a direction [deg]."""
+    cases: int = 400
+    poses: int = 7
+    block: int = 50
+    """Cases that are worked on together; changes no figure."""
+    samples: int = 40_000
+    """Draws for each limit."""
+    seed: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Records:
+    """Simulated records."""
+
+    arms: tuple[str, ...] = tuple(ARMS)
+    difficulty: str = "default"
+    cases: int = 400
+    poses: int = 7
+    block: int = 50
+    excited: Excited = "all"
+    engine: str = "mujoco"
+    learned: tuple[str, ...] = ()
+    """Agents of the registry whose moves are played as well."""
+    seed: int = 0
+
+    def rules(self) -> DiagnosisSettings:
+        """Rules of the environment, as its users find them."""
+        rules = DiagnosisSettings(difficulty=self.difficulty)
+        return rules if self.engine == "mujoco" else replace(rules, engine=self.engine)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """One block of cases for one strategy on one arm."""
+
+    arm: str
+    strategy: str
+    first: int
+    cases: int
+
+    def __str__(self) -> str:
+        """Return what it is, for messages."""
+        return f"{self.strategy} on {self.arm}, cases from {self.first}"
+
+
+@functools.cache
+def sets_of(arm: str, moves: tuple[float, ...]) -> PoseSets:
+    """Maker of pose sets, which remembers the poses it has scored."""
+    return PoseSets(ARMS[arm](), moves=np.array(moves))
+
+
+def stream(seed: int, arm: str, case: int, *kind: int) -> np.random.Generator:
+    """Generator of one kind of draw of one case: the same for every strategy and worker."""
+    key = (list(ARMS).index(arm), case, *kind)
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
+
+
+def link_log_likelihoods(images: Array, seen: Array, width: float) -> Array:
+    """Log-likelihood of each link after each pose; `link_posterior` for many cases at once.
+
+    Parameters
+    ----------
+    images : ndarray (cases, poses, n, d, d)
+        From each link's frame to the tool's.
+    seen : ndarray (cases, poses, d)
+        Axes seen.
+    width : float
+        Of their density, as from `bingham_width` [rad].
+
+    Returns
+    -------
+    ndarray (cases, poses, n)
+        Relative to uniform axes.
+    """
+    d = seen.shape[-1]
+    across = (np.eye(d) - seen[..., :, None] * seen[..., None, :]) / width**2
+    carried = np.einsum("ctkia,ctij,ctkjb->ctkab", images, across, images).cumsum(axis=1)
+    alone = np.cumsum(log_mean_bingham(across), axis=1)
+    return np.asarray(log_mean_bingham(carried) - alone[..., None])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Case:
+    """A loose link that shows its direction, scattered, wherever it is looked at."""
+
+    link: int
+    direction: Array
+    start: Array
+
+    @classmethod
+    def draw(cls, sets: PoseSets, rng: np.random.Generator) -> Case:
+        """Draw link, direction in the link's frame, and where the arm stands."""
+        z = rng.standard_normal(sets.frames.dimension)
+        link = 1 + int(rng.integers(sets.arm.n))
+        start = sets.arm.random_pose(rng)
+        return cls(link=link, direction=z / np.linalg.norm(z), start=start)
+
+    def seen(self, images: Array, width: float, rng: np.random.Generator) -> Array:
+        """Axes seen with given images (poses, n, d, d)."""
+        return scattered_axes(images[:, self.link - 1] @ self.direction, width, rng)
+
+
+def greedy_poses(
+    sets: PoseSets, case: Case, count: int, sd: float, rngs: Sequence[np.random.Generator]
+) -> Array:
+    """Go where the images of the links in question lie farthest apart, direction by direction."""
+    frames, width = sets.frames, bingham_width(sd, sets.frames.dimension)
+    noise, draw = rngs
+    n = sets.arm.n
+    prior = np.concatenate([np.ones(n), np.zeros(n)])
+    poses, sightings = [case.start], []
+    while len(poses) < count:
+        seen = case.seen(frames.images(poses[-1]), width, noise)[0]
+        sightings.append(DirectionSighting.of(poses[-1], seen, width))
+        known = link_posterior(frames, sightings, prior=prior)
+        where = candidate_poses(
+            sets.arm, poses[-1], MOVES, joints="all", sliding=frames.slides, most=192, rng=draw
+        )
+        poses.append(where[choose_move(frames, known, where, sd=sd)[0][0]])
+    return np.array(poses)
+
+
+def directions_block(task: Task, settings: Directions) -> list[Row]:
+    """Number of right links after each pose, for each scatter."""
+    sets = sets_of(task.arm, tuple(MOVES))
+    frames, count, seed = sets.frames, settings.poses, settings.seed
+    numbers = range(task.first, task.first + task.cases)
+    cases = [Case.draw(sets, stream(seed, task.arm, k, 0)) for k in numbers]
+    links = np.array([case.link for case in cases])
+    chosen: list[Array] = []
+    rows = []
+    for part, degrees in enumerate(settings.sds):
+        sd = float(np.radians(degrees))
+        if task.strategy == GREEDY:
+            chosen = [
+                greedy_poses(
+                    sets,
+                    case,
+                    count,
+                    sd,
+                    [stream(seed, task.arm, k, kind, part) for kind in (2, 3)],
+                )
+                for k, case in zip(numbers, cases, strict=True)
+            ]
+        elif not chosen:  # laid out once for every scatter
+            chosen = [
+                sets.make(task.strategy, case.start, count, stream(seed, task.arm, k, 1))
+                for k, case in zip(numbers, cases, strict=True)
+            ]
+        width = bingham_width(sd, frames.dimension)
+        images = np.array([frames.images(poses) for poses in chosen])
+        # Pose by pose, so that the greedy choice sees the axes that it is judged by.
+        seen = []
+        for k, case, image in zip(numbers, cases, images, strict=True):
+            noise = stream(seed, task.arm, k, 2, part)
+            seen.append([case.seen(image[t : t + 1], width, noise)[0] for t in range(count)])
+        log = link_log_likelihoods(images, np.array(seen), width)
+        # A fair draw among equals, or one link would be favoured before anything is known.
+        ties = np.array([stream(seed, task.arm, k, 4).random(sets.arm.n) for k in numbers])
+        named = 1 + np.argmax(log + 1e-7 * ties[:, None], axis=2)
+        right = (named == links[:, None]).sum(axis=0)
+        rows.append(
+            asdict(task) | {"links": sets.arm.n, "sd": degrees, "right": [int(r) for r in right]}
+        )
+    return rows
+
+
+def limit_rows(settings: Directions) -> list[Row]:
+    """The limits, for each arm and scatter."""
+    rows = []
+    for name in settings.arms:
+        arm = ARMS[name]()
+        for degrees in settings.sds:
+            # One stream for all arms: the limits differ by what is asked, not by luck.
+            rng = np.random.default_rng([settings.seed, 99])
+            best = direction_limit(
+                arm.n,
+                settings.poses,
+                float(np.radians(degrees)),
+                len(arm.axes),
+                rng,
+                samples=settings.samples,
+            )
+            rows.append(
+                {
+                    "arm": name,
+                    "strategy": LIMIT,
+                    "links": arm.n,
+                    "sd": degrees,
+                    "share": [float(b) for b in best],
+                }
+            )
+    return rows
+
+
+def policy_for(task: Task, problem: Problem, settings: Records, start: Array, k: int) -> Policy:
+    """Make the policy of one episode."""
+    if task.strategy == GREEDY:
+        return GreedySeparation(problem, excited=settings.excited)
+    if task.strategy in PLANNED:
+        sets = sets_of(task.arm, tuple(problem.actions.moves[problem.actions.moves != 0]))
+        rng = stream(settings.seed, task.arm, k, 5)
+        poses = sets.make(task.strategy, start, settings.poses, rng)
+        return PoseSetPolicy(problem, poses, excited=settings.excited)
+    agent = make_agent(task.strategy, problem, seed=settings.seed)
+    return MovesOf(problem, agent, excited=settings.excited)
+
+
+def records_block(task: Task, settings: Records) -> list[Row]:
+    """Number of right links after each record, and were direction and friction known.
+
+    The latter is worked out from the same records beside the episode; no strategy sees it.
+    """
+    arm, rules = ARMS[task.arm](), settings.rules()
+    problem = Problem.of(arm, rules)
+    tracker = Tracker(problem)
+    batch = EpisodeBatch(arm, rules, num=task.cases, threads=1)
+    links = [f"structural_looseness@link{i}" for i in range(1, arm.n + 1)]
+    place = [problem.hypotheses.index(name) for name in links]
+    truth, policies, rngs, secrets = [], [], [], []
+    for slot in range(task.cases):
+        k = task.first + slot
+        truth.append(k % arm.n)
+        batch.start(slot, seed=settings.seed, number=k, options={"fault": links[k % arm.n]})
+        hidden = batch.episode(slot)
+        assert hidden is not None and isinstance(hidden.fault, StructuralLooseness)
+        drive = batch.sampler.drive.slide(hidden.fault.link, hidden.fault.direction)
+        direction = np.array(hidden.fault.direction)[: len(arm.axes)]
+        secrets.append((direction, hidden.fault.friction / drive))
+        pose = problem.layout.pose_of(batch.observe(slot))
+        policies.append(policy_for(task, problem, settings, pose, k))
+        rngs.append(stream(settings.seed, task.arm, k, 6))
+    memories = [tracker.begin() for _ in truth]
+    among = np.full((task.cases, arm.n), 1 / arm.n)
+    right, informed = [], []
+    running = list(range(task.cases))
+    for t in range(settings.poses):
+        actions = []
+        for slot in running:
+            observation = batch.observe(slot)
+            shares = np.zeros(len(problem.hypotheses))
+            shares[place] = among[slot]
+            situation = Situation(
+                observation=observation,
+                pose=problem.layout.pose_of(observation),
+                records=t,
+                probabilities=shares,
+                memory=memories[slot],
+                rng=rngs[slot],
+            )
+            actions.append(policies[slot].choose(situation))
+        outcomes = batch.step(running, actions)
+        # A record that failed ends its episode; what was known before it stands.
+        running = [s for s, o in zip(running, outcomes, strict=True) if not o.truncated]
+        for slot in running:
+            # It is known that a link is loose, not which: the other hypotheses do not count.
+            found = tracker.follow(batch.observe(slot), memories[slot])[place]
+            among[slot] = found / found.sum() if found.sum() > 0 else 1 / arm.n
+        right.append(int(np.sum(np.argmax(among, axis=1) == truth)))
+        named = [
+            int(np.argmax(informed_links(tracker.posterior, m.belief, *known)))
+            for m, known in zip(memories, secrets, strict=True)
+        ]
+        informed.append(int(np.sum(np.array(named) == truth)))
+    failed = task.cases - len(running)
+    return [asdict(task) | {"links": arm.n, "right": right, "informed": informed, "failed": failed}]
+
+
+def informed_links(
+    posterior: FaultPosterior, belief: Belief, direction: Array, friction: float
+) -> Array:
+    """Log-weight of each link for one who knows the slide's direction and its friction.
+
+    Neither says which link it is: both are drawn alike for all. Nodes of the posterior's grid near
+    the truth count, those half a spacing away for 0.6.
+
+    Parameters
+    ----------
+    posterior : FaultPosterior
+        For the range of friction.
+    belief : Belief
+        What the records say.
+    direction : ndarray (d,)
+        Of the slide, in its link's frame.
+    friction : float
+        Over the seat drive of the top level [1].
+
+    Returns
+    -------
+    ndarray (n,)
+    """
+    axes, count = belief.directions, len(belief.directions)
+    spacing = np.pi / count if axes.shape[1] == 2 else np.sqrt(2 * np.pi / count)
+    angle = np.arccos(np.minimum(np.abs(axes @ direction) / np.linalg.norm(direction), 1.0))
+    variants, _, nodes = belief.loose.shape
+    low, high = np.log(posterior.settings.friction)
+    place = (np.log(friction) - low) / max(high - low, 1e-9) * nodes - 0.5
+    near = -2 * ((angle / spacing)[:, None] ** 2 + (np.arange(nodes) - place) ** 2)
+    slides = belief.loose[:, : belief.links * count].reshape(variants, belief.links, count, nodes)
+    return np.asarray(logsumexp(slides + near, axis=(0, 2, 3)))

@@ -1,0 +1,268 @@
+"""Hyperparameters in the format of the rl-zoo, and the short words of its command line."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from loose_env.errors import InvalidSetting, MissingExtra, UnknownName
+
+__all__ = [
+    "ALGORITHMS",
+    "HYPERPARAMETERS",
+    "LinearSchedule",
+    "algorithm_named",
+    "key_values",
+    "model_arguments",
+    "read_hyperparameters",
+    "shipped_file",
+    "value_of",
+]
+
+HYPERPARAMETERS = Path(__file__).parents[1] / "hyperparams"
+"""Where the hyperparameter files lie that ship with the agents."""
+
+ALGORITHMS = {
+    "ppo": ("ppo", "MlpPolicy"),
+    "ppo_lstm": ("ppo_lstm", "MlpLstmPolicy"),
+    "recurrent_ppo": ("ppo_lstm", "MlpLstmPolicy"),
+    "maskable_ppo": ("maskable_ppo", "MlpPolicy"),
+}
+"""Names of the algorithms: the rl-zoo's name, and the policy that can be shipped."""
+
+_SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf")
+_OF_THE_RUN = ("n_timesteps", "n_envs", "env_kwargs", "normalize")
+_GIVEN = ("self", "env", "tensorboard_log", "verbose", "seed", "device", "_init_setup_model")
+
+
+class LinearSchedule:
+    """Falls in proportion to what is left of the training, from a first value to zero.
+
+    Examples
+    --------
+    >>> LinearSchedule(3e-4)(0.5)
+    0.00015
+    """
+
+    def __init__(self, first: float) -> None:
+        self.first = float(first)
+
+    def __call__(self, left: float) -> float:
+        """Value at a share of the training left."""
+        return left * self.first
+
+    def __repr__(self) -> str:
+        return f"LinearSchedule({self.first})"
+
+
+def algorithm_named(name: str) -> type[Any]:
+    """Class of an algorithm, by the rl-zoo's name.
+
+    Raises
+    ------
+    UnknownName
+        If it is none of `ALGORITHMS`.
+    MissingExtra
+        If the package that has it is not installed.
+    """
+    if name not in ALGORITHMS:
+        raise UnknownName(f"unknown algorithm {name!r}; algorithms are {list(ALGORITHMS)}")
+    try:
+        if name == "ppo":
+            from stable_baselines3 import PPO
+
+            return PPO
+        from sb3_contrib import MaskablePPO, RecurrentPPO
+    except ImportError as error:
+        raise MissingExtra(
+            f"training needs {error.name}; install it with: pip install -e '.[train]'"
+        ) from error
+    return MaskablePPO if name == "maskable_ppo" else RecurrentPPO
+
+
+def shipped_file(algorithm: str) -> Path:
+    """File of hyperparameters that ships for an algorithm."""
+    return HYPERPARAMETERS / f"{ALGORITHMS[algorithm][0]}.yml"
+
+
+def value_of(text: str) -> Any:
+    """Read a value written in Python: numbers, strings, lists, ``dict(...)``, ``nn.ReLU``.
+
+    Nothing is run. A word alone is a string.
+
+    Raises
+    ------
+    InvalidSetting
+        If it is anything else.
+
+    Examples
+    --------
+    >>> value_of("dict(net_arch=[64, 64])")
+    {'net_arch': [64, 64]}
+    >>> value_of("brake"), value_of("'brake'"), value_of("-1e-3")
+    ('brake', 'brake', -0.001)
+    """
+    try:
+        tree = ast.parse(text.strip(), mode="eval").body
+        return tree.id if isinstance(tree, ast.Name) else _value(tree)
+    except (SyntaxError, ValueError, TypeError, RecursionError, MemoryError) as error:
+        raise InvalidSetting(
+            f"cannot read {text!r}: a value is a number, a string, a list, a dict or "
+            "dict(name=value)"
+        ) from error
+
+
+def _value(node: ast.expr) -> Any:
+    if isinstance(node, ast.Call):
+        if not isinstance(node.func, ast.Name) or node.func.id != "dict" or node.args:
+            raise ValueError("a call other than dict(name=value)")
+        if any(word.arg is None for word in node.keywords):
+            raise ValueError("an unpacked dict")
+        return {word.arg: _value(word.value) for word in node.keywords}
+    if isinstance(node, ast.Dict):
+        if None in node.keys:
+            raise ValueError("an unpacked dict")
+        return {
+            _value(key): _value(value)
+            for key, value in zip(node.keys, node.values, strict=True)
+            if key is not None
+        }
+    if isinstance(node, ast.List):
+        return [_value(part) for part in node.elts]
+    if isinstance(node, ast.Tuple):
+        return tuple(_value(part) for part in node.elts)
+    if (
+        isinstance(node, ast.Attribute)
+        and isinstance(node.value, ast.Name)
+        and node.value.id == "nn"
+        and node.attr in ("Tanh", "ReLU")
+    ):
+        from torch import nn
+
+        return getattr(nn, node.attr)
+    return ast.literal_eval(node)
+
+
+def key_values(words: Sequence[str], option: str) -> dict[str, Any]:
+    """Read ``key:value`` words as the rl-zoo's command line takes them.
+
+    Raises
+    ------
+    InvalidSetting
+        If a word has no colon, or a value cannot be read.
+
+    Examples
+    --------
+    >>> key_values(["n_links:3", 'hold:"servo"'], "--env-kwargs")
+    {'n_links': 3, 'hold': 'servo'}
+    """
+    found = {}
+    for word in words:
+        key, colon, value = word.partition(":")
+        if not colon or not key:
+            raise InvalidSetting(f"{option} takes key:value, such as n_links:3; got {word!r}")
+        try:
+            found[key] = value_of(value)
+        except InvalidSetting as error:
+            raise InvalidSetting(f"{option} {key}: {error}") from error
+    return found
+
+
+def read_hyperparameters(path: str | Path, env_id: str) -> dict[str, Any]:
+    """Read the hyperparameters of an environment: its own entry, or that named "default".
+
+    Raises
+    ------
+    InvalidSetting
+        If the file is no YAML of that form.
+    UnknownName
+        If it has neither entry.
+    MissingExtra
+        If PyYAML is not installed.
+    """
+    try:
+        import yaml
+    except ImportError as error:
+        raise MissingExtra(
+            "hyperparameter files need PyYAML; install it with: pip install -e '.[train]'"
+        ) from error
+    where = Path(path)
+    if not where.is_file():
+        raise InvalidSetting(f"no hyperparameter file at {where}")
+    try:
+        found = yaml.safe_load(where.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, ValueError, RecursionError, OSError) as error:
+        # PyYAML passes on what Python says of a number with too many digits.
+        one_line = " ".join(str(error).split())[:300]
+        raise InvalidSetting(f"{where} is no YAML file: {one_line}") from error
+    if not isinstance(found, dict):
+        raise InvalidSetting(f"{where} must have an entry for each environment id")
+    own = found.get(env_id, found.get("default"))
+    if own is None:
+        has = f"{[str(key)[:60] for key in list(found)[:12]]}"
+        raise UnknownName(f"{where} has no entry {env_id!r} nor 'default'; it has {has}")
+    if not isinstance(own, dict):
+        raise InvalidSetting(f"the entry of {env_id!r} in {where} must map names to values")
+    return dict(own)
+
+
+def model_arguments(given: dict[str, Any], algorithm: str) -> dict[str, Any]:
+    """Turn hyperparameters into arguments of the algorithm's class.
+
+    Schedules such as "lin_3e-4" become functions, and policy_kwargs in text becomes a dict.
+    What concerns the run and not the model is left out.
+
+    Raises
+    ------
+    InvalidSetting
+        If a value makes no sense, or asks for what these agents do not do.
+    UnknownName
+        If the algorithm has no such hyperparameter.
+    """
+    if given.get("normalize"):
+        raise InvalidSetting(
+            "normalize is not supported: what the policy sees is of the order of one already"
+        )
+    own = {key: value for key, value in given.items() if key not in _OF_THE_RUN}
+    known = [
+        name
+        for name in inspect.signature(algorithm_named(algorithm).__init__).parameters
+        if name not in _GIVEN
+    ]
+    unknown = sorted(set(own) - set(known))
+    if unknown:
+        raise UnknownName(
+            f"unknown hyperparameters {unknown}; those of {algorithm} are "
+            f"{sorted([*known, *_OF_THE_RUN])}"
+        )
+    wanted = ALGORITHMS[algorithm][1]
+    if own.setdefault("policy", wanted) != wanted:
+        raise InvalidSetting(f"{algorithm} takes the policy {wanted!r}, got {own['policy']!r}")
+    for key, value in own.items():
+        if isinstance(value, str) and key not in ("policy", "policy_kwargs"):
+            # YAML reads 3e-4, without a dot, as text.
+            own[key] = _schedule(key, value) if key in _SCHEDULED else _number(key, value)
+    kwargs = own.get("policy_kwargs")
+    if isinstance(kwargs, str):
+        kwargs = own["policy_kwargs"] = value_of(" ".join(kwargs.split()))
+    if kwargs is not None and not isinstance(kwargs, dict):
+        raise InvalidSetting(f"policy_kwargs must be a dict, got {kwargs!r}")
+    if "features_extractor_class" in (kwargs or {}):
+        raise InvalidSetting("a policy with its own features extractor cannot be shipped")
+    return own
+
+
+def _schedule(key: str, text: str) -> Any:
+    kind, _, first = text.partition("_")
+    return LinearSchedule(_number(key, first)) if kind == "lin" else _number(key, text)
+
+
+def _number(key: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        like = ", or a schedule like lin_3e-4" if key in _SCHEDULED else ""
+        raise InvalidSetting(f"{key} is a number{like}; got {text!r}") from None

@@ -1,0 +1,280 @@
+"""A policy trained by reinforcement learning on top of a posterior.
+
+The policy chooses a move and a level for every joint, the record length, and when to stop. What
+it names then is the verdict that is worth most under the posterior, or nothing where the records
+are unlike all that the posterior was made for.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from loose_agents.core.base import EpisodeAgent, Problem
+from loose_agents.core.belief_agent import (
+    Estimator,
+    Situation,
+    StoppingRule,
+    best_verdict,
+    records_taken,
+    verdict_of,
+)
+from loose_agents.core.estimators import feature_size, further_features, make_estimator
+from loose_agents.rl.network import FORMAT, PolicyNetwork, load_network
+from loose_env.errors import InvalidData
+
+__all__ = ["CONFIGURATION", "LearnedAgent", "PolicyForm"]
+
+CONFIGURATION = "configuration.json"
+"""File that says how a policy was trained, beside its weights."""
+
+FURTHER_BOUND = 5.0
+"""What an estimator shows beside its probabilities is clipped to this, either sign."""
+_LEAST = 1e-6
+
+
+class PolicyForm:
+    """What the policy sees and chooses, and how its choice becomes an action.
+
+    It sees, one after the other: the probabilities of the hypotheses; their logarithms (the
+    natural ones, those below 1e-6 cut off, divided by 7); the largest probability; the logarithm of
+    what is left beside it, from 0 to 1 at 0.1 %; the entropy as a share of the largest possible;
+    pose and spending as the environment shows them; what else the estimator has to show.
+
+    It chooses a move for every joint, a level for every joint (0 for off), a record length, and
+    whether to stop. If every joint is off, the last one shakes at its top level: a record
+    without excitation shows nothing.
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal arm and the rules.
+    further : int
+        How many numbers the estimator shows beside the probabilities.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> from loose_env.envs.settings import DiagnosisSettings
+    >>> PolicyForm(Problem.of(planar(2), DiagnosisSettings())).nvec.tolist()
+    [5, 5, 4, 4, 3, 2]
+    """
+
+    def __init__(self, problem: Problem, further: int = 0) -> None:
+        self.problem, self.further = problem, further
+        n, settings = problem.arm.n, problem.settings
+        self.nvec = np.array(
+            [len(settings.moves)] * n
+            + [1 + len(problem.arm.levels)] * n
+            + [len(settings.durations), 2]
+        )
+        kinds = len(problem.hypotheses)
+        start = problem.layout.global_elements
+        bounds = [
+            *[(0.0, 1.0)] * kinds,
+            *[(-2.0, 0.0)] * kinds,
+            *[(0.0, 1.0)] * 3,
+            *((e.low, e.high) for e in start),
+            *[(-FURTHER_BOUND, FURTHER_BOUND)] * further,
+        ]
+        low, high = np.array(bounds, dtype=np.float32).T
+        self.observation_space = spaces.Box(low, high, dtype=np.float32)
+        self.action_space = spaces.MultiDiscrete(self.nvec)
+
+    def features(
+        self,
+        observation: NDArray[np.float32],
+        probabilities: NDArray[np.float64],
+        further: NDArray[np.float32] | None = None,
+    ) -> NDArray[np.float32]:
+        """What the policy sees (features,)."""
+        p = np.asarray(probabilities, dtype=float)
+        logs = np.log(np.maximum(p, _LEAST)) / 7.0
+        entropy = -np.sum(p * np.log(np.maximum(p, 1e-12))) / np.log(max(len(p), 2))
+        start = observation[: len(self.problem.layout.global_elements)]
+        shown = np.zeros(0) if further is None else np.asarray(further, dtype=float)
+        if shown.shape != (self.further,):
+            raise InvalidData(
+                f"the estimator said that it shows {self.further} numbers, it showed {shown.shape}"
+            )
+        shown = np.clip(shown, -FURTHER_BOUND, FURTHER_BOUND)
+        doubt = np.log(np.maximum(1 - p.max(), 1e-3)) / np.log(1e-3)
+        summed = [p.max(), doubt, entropy]
+        both = np.concatenate([p, logs, summed, start, shown]).astype(np.float32)
+        space = self.observation_space
+        return np.asarray(np.clip(both, space.low, space.high))
+
+    def stops(self, choice: NDArray[np.int64], records: int, *, least: int = 1) -> bool:
+        """Whether a choice ends the episode: not before ``least`` records, always after the last.
+
+        Parameters
+        ----------
+        choice : ndarray (choices,)
+            What the policy chose.
+        records : int
+            Records taken so far.
+        least : int
+            Records before which stopping is refused.
+        """
+        most = self.problem.settings.max_records
+        return records >= most or (bool(choice[-1]) and records >= min(max(least, 1), most))
+
+    def action(
+        self,
+        choice: NDArray[np.int64],
+        probabilities: NDArray[np.float64],
+        records: int,
+        *,
+        least: int = 1,
+    ) -> NDArray[np.int64]:
+        """Turn a choice into an action of the environment; arguments as in `stops`."""
+        if self.stops(choice, records, least=least):
+            return self.problem.verdict(best_verdict(self.problem, probabilities))
+        return self.measuring(choice)
+
+    def measuring(self, choice: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Turn a choice into an action that measures, whether it stops or not."""
+        problem = self.problem
+        n = problem.arm.n
+        choice = np.asarray(choice)
+        levels = choice[n : 2 * n].astype(np.intp)
+        if not levels.any():
+            levels[-1] = len(problem.arm.levels)
+        return problem.actions.encode(
+            moves=choice[:n].astype(np.intp), levels=levels, duration=int(choice[2 * n])
+        )
+
+    def mask(self, pose: NDArray[np.float64], records: int, *, least: int = 1) -> NDArray[np.bool_]:
+        """Which options make sense, one choice after the other (options,).
+
+        No move past the range of a joint, no stop before ``least`` records, no going on after
+        the last. A pose read from an observation is known up to whole turns: of a joint that
+        turns more than once, a move may be masked that would be possible, or the other way round.
+        """
+        problem = self.problem
+        n, most = problem.arm.n, problem.settings.max_records
+        last = records >= most
+        stop = last or records >= min(max(least, 1), most)
+        return np.concatenate(
+            [
+                problem.actions.allowed_moves(pose).ravel(),
+                np.ones(int(self.nvec[n:-1].sum()), dtype=bool),
+                [not last, stop],
+            ]
+        )
+
+
+@dataclass
+class _Memory:
+    """One episode: its generator, and what the estimator and the network remember."""
+
+    rng: np.random.Generator
+    estimate: Any
+    state: Any
+    probabilities: NDArray[np.float64] | None = None
+    """Of the hypotheses, after the latest record (hypotheses,); read by the evaluator."""
+
+
+class LearnedAgent(EpisodeAgent):
+    """Plays a trained policy.
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal arm and the rules; must be those of the training.
+    network : PolicyNetwork
+        The policy.
+    estimator : Estimator, optional
+        What the records say; the analytic posterior by default. Must be that of the training.
+    stopping : StoppingRule, optional
+        When to stop; by default when the policy says so.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        network: PolicyNetwork,
+        estimator: Estimator | None = None,
+        stopping: StoppingRule | None = None,
+        *,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(problem, seed=seed)
+        self.estimator = make_estimator("posterior", problem) if estimator is None else estimator
+        self.form = PolicyForm(problem, feature_size(self.estimator))
+        self.network, self.stopping = network, stopping
+
+    @classmethod
+    def load(cls, problem: Problem, folder: str | Path) -> LearnedAgent:
+        """Load the weights that `scripts/agents/train.py` wrote.
+
+        Raises
+        ------
+        InvalidData
+            If there are none, if they are of another format, or if they were trained for
+            another arm or other spaces.
+        """
+        where = Path(folder)
+        described = where / CONFIGURATION
+        if not described.is_file():
+            raise InvalidData(
+                f"no trained policy for arm {problem.arm.name!r} in {where}; train one with "
+                f"scripts/agents/train.py --export {where}"
+            )
+        try:
+            configuration = json.loads(described.read_text(encoding="utf-8"))
+            found, arm = configuration["format"], configuration["arm"]
+        except (ValueError, RecursionError, KeyError, TypeError, OSError) as error:
+            reason = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+            raise InvalidData(f"{described} describes no trained policy: {reason}") from error
+        if found != FORMAT:
+            raise InvalidData(
+                f"{where} holds a policy of format {found!r:.60}, this version reads {FORMAT!r}; "
+                f"train it anew with scripts/agents/train.py --export {where}"
+            )
+        if arm != problem.arm.name:
+            raise InvalidData(f"{where} was trained for arm {arm!r:.60}, not {problem.arm.name!r}")
+        estimator = make_estimator(configuration.get("estimator", "posterior"), problem)
+        form = PolicyForm(problem, feature_size(estimator))
+        return cls(problem, load_network(where, form), estimator)
+
+    def begin(self, rng: np.random.Generator) -> Any:
+        """Start from the prior."""
+        return _Memory(rng=rng, estimate=self.estimator.begin(), state=self.network.begin())
+
+    def act(self, observation: NDArray[np.float32], memory: _Memory) -> NDArray[np.int64]:
+        """Ask the policy."""
+        problem, form = self.problem, self.form
+        probabilities = self.estimator.follow(observation, memory.estimate)
+        memory.probabilities = probabilities
+        further = further_features(self.estimator, observation, memory.estimate)
+        pose = problem.layout.pose_of(observation)
+        records = records_taken(problem, observation)
+        choice, memory.state = self.network.choose(
+            form.features(observation, probabilities, further),
+            memory.state,
+            form.mask(pose, records),
+        )
+        situation = Situation(
+            observation=observation,
+            pose=pose,
+            records=records,
+            probabilities=probabilities,
+            memory=memory.estimate,
+            rng=memory.rng,
+        )
+        if self.stopping is None:
+            done = form.stops(choice, records)
+        else:
+            done = records > 0 and (
+                records >= problem.settings.max_records or self.stopping.stop(situation)
+            )
+        if done:
+            return problem.verdict(verdict_of(problem, situation))
+        return form.measuring(choice)

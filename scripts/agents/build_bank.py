@@ -1,0 +1,82 @@
+"""Build a bank of simulated records, and work out the figures a posterior is trained on.
+
+Usage: python scripts/agents/build_bank.py --env loose_env/Planar-v0 --episodes 20000 --out
+banks/planar4
+
+A bank holds episodes of random records and the truth behind them (see
+agents/loose_agents/posterior_training/simulated_records.py). It is a folder with a file for every
+500 episodes; stopped at any moment, the same command goes on. Every episode has its own seed, so a
+bank is the same for any backend and number of workers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+# One thread each: the order in which threads add up changes the last digit of a figure.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from loose_agents.execution.backends import BackendSettings, add_backend_options
+from loose_agents.execution.script_errors import errors_in_one_line
+from loose_agents.execution.shard_store import ShardStore
+from loose_agents.posterior_training.bank_storage import (
+    BankPlan,
+    add_bank_options,
+    build_bank,
+    build_figures,
+    plan_of,
+)
+
+
+def parser() -> argparse.ArgumentParser:
+    """Options of the bank."""
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add_bank_options(options)
+    options.add_argument("--records-only", action="store_true", help="work out no figures")
+    add_backend_options(options)
+    return options
+
+
+def build(options: argparse.Namespace) -> None:
+    """Build, and say how large it is and how long it took."""
+    plan, folder = plan_of(options), Path(options.out)
+    settings = BackendSettings.of(options)
+    begin = time.perf_counter()
+    store = build_bank(plan, folder, settings)
+    made = time.perf_counter() - begin
+    records = sum(int((part["slots"][:, :, 0] > 0.5).sum()) for part in store.read_all(plan.shards))
+    print(
+        f"{plan.episodes} episodes, {records} records, {megabytes(store, plan):.1f} MB in "
+        f"{store.folder}; this run took {made:.1f} s"
+    )
+    if not options.records_only:
+        begin = time.perf_counter()
+        store = build_figures(plan, folder, settings)
+        made = time.perf_counter() - begin
+        print(
+            f"Figures of {records} records, {megabytes(store, plan):.1f} MB in {store.folder}; "
+            f"this run took {made:.1f} s"
+        )
+
+
+def megabytes(store: ShardStore, plan: BankPlan) -> float:
+    """Size of a bank's files in a folder [MB]; other episodes may lie there too."""
+    return sum(store.path(shard).stat().st_size for shard in plan.shards) / 1e6
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Build, with errors in one line."""
+    options = parser().parse_args(arguments)
+    with errors_in_one_line("build_bank", interrupted="run the same command again to go on"):
+        build(options)
+
+
+if __name__ == "__main__":
+    main()

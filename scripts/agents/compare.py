@@ -1,0 +1,338 @@
+"""Compare agents on the same hidden faults: tables, raw rows, and a page if asked.
+
+Usage: python scripts/agents/compare.py --env loose_env/Planar-v0 --agents random thesis --episodes
+400
+
+Estimators are crossed with ways of choosing poses by --estimators and --policies; both are named
+together as in --agents posterior/random. Agents called name#1, name#2, ... are trainings of one
+agent with several seeds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+# One thread each: the order in which threads add up changes the last digit of a row.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("MKL_NUM_THREADS", "1")
+
+import numpy as np
+from loose_agents.benchmark.sharded import EvaluationTask, play_task, problem_of
+from loose_agents.core.base import Problem
+from loose_agents.core.estimators import ESTIMATORS
+from loose_agents.core.shipped_weights import WEIGHTS, setting_name
+from loose_agents.evaluation.env_arguments import arguments_of
+from loose_agents.evaluation.evaluate import EVALUATION_SEED
+from loose_agents.evaluation.record_bounds import bound_line
+from loose_agents.execution.backends import BackendSettings, add_backend_options
+from loose_agents.execution.configuration_hash import canonical
+from loose_agents.execution.script_errors import errors_in_one_line
+from loose_agents.policies.policies import POLICIES
+from loose_agents.registry import AGENTS, make_agent
+
+import loose_env
+from loose_env.evaluation.rows import configuration_hash, need_format, write_rows
+from loose_env.evaluation.seed_aggregates import SEPARATOR
+from loose_env.evaluation.success_rates import Row, by_agent, standings
+from loose_env.report.comparison.text import comparison_text
+
+EPISODES = 4000
+"""Episodes of a published comparison."""
+
+NO_AGENTS = {"oracle": "knows the hidden direction and friction, which no agent is told"}
+"""Rows that are no agents, and why; their names get a star."""
+
+LINES: list[Callable[[Problem, Sequence[Row]], str]] = [bound_line]
+"""What else is to be said below the table, such as a bound on records: one line each."""
+
+BOOTSTRAP_SEED = 0
+"""Seed of the resamples behind the intervals."""
+
+
+def names_of(options: argparse.Namespace, problem: Problem) -> list[str]:
+    """Agents to play: those named, and every estimator with every policy."""
+    if bool(options.estimators) != bool(options.policies):
+        raise ValueError("--estimators and --policies are crossed: give both or neither")
+    crossed = [f"{e}/{p}" for p in options.policies for e in options.estimators]
+    named = options.agents
+    if named is None:
+        trained = (WEIGHTS / f"posterior-{setting_name(problem)}").is_dir()
+        usual = ["greedy", "constant"] if trained else ["posterior/greedy"]
+        named = [] if crossed else [*usual, "random", "thesis"]
+    return list(dict.fromkeys([*named, *crossed]))
+
+
+def reference_of(options: argparse.Namespace, names: Sequence[str]) -> str | None:
+    """Agent that the others are compared with: the thesis's method, or the first one."""
+    if options.reference is not None:
+        if options.reference not in names:
+            raise ValueError(f"--reference {options.reference} does not play; {list(names)} do")
+        return str(options.reference)
+    if len(names) < 2:
+        return None
+    return "thesis" if "thesis" in names else names[0]
+
+
+def levels_of(options: argparse.Namespace) -> list[dict[str, Any]]:
+    """Arguments of the environment, once for each difficulty."""
+    arguments = arguments_of(options.arguments)
+    if not options.difficulties:
+        return [arguments]
+    if "difficulty" in arguments:
+        raise ValueError("give the difficulty by --difficulties or by --arguments, not by both")
+    return [{**arguments, "difficulty": name} for name in options.difficulties]
+
+
+def play(
+    names: Sequence[str],
+    levels: Sequence[Mapping[str, Any]],
+    options: argparse.Namespace,
+    *,
+    records: int | None = None,
+) -> list[dict[str, Any]]:
+    """Let every agent play the same episodes; progress goes to standard error."""
+    settings = BackendSettings.of(options)
+    rows = []
+    for name in names:
+        for arguments in levels:
+            level = f", {arguments['difficulty']}" if len(levels) > 1 else ""
+            made = "" if records is None else f", {records} records each"
+            print(f"{name}{level}{made}", file=sys.stderr, flush=True)
+            task = EvaluationTask(
+                agent=name,
+                env_id=options.env,
+                arguments=arguments,
+                count=options.episodes,
+                seed=options.seed,
+                agent_seed=options.agent_seed,
+                records=records,
+                width=options.width,
+                threads=options.threads,
+            )
+            folder = Path(options.out) / "shards"
+            rows += play_task(
+                task, folder, settings=settings, shard=options.shard, keep=options.keep
+            )
+    return rows
+
+
+def words_of(name: str) -> str:
+    """What an agent is, in a few words."""
+    plain = name.partition(SEPARATOR)[0]
+    if plain in NO_AGENTS:
+        return f"{starred(name)}: no agent; it {NO_AGENTS[plain]}."
+    if plain in AGENTS:
+        return f"{name}: {AGENTS[plain][1]}."
+    estimator, _, policy = plain.partition("/")
+    if estimator in ESTIMATORS and policy in POLICIES:
+        return f"{name}: estimator, {ESTIMATORS[estimator][1]}; poses, {POLICIES[policy][1]}."
+    return f"{name}: estimator {estimator}, poses chosen by {policy}."
+
+
+def starred(name: str) -> str:
+    """Mark what is no agent."""
+    return f"{name}*" if name.partition(SEPARATOR)[0] in NO_AGENTS else name
+
+
+def shown(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows as tables and page show them: what is no agent gets its star."""
+    return [{**row, "agent": starred(row["agent"])} for row in rows]
+
+
+def write_page(
+    path: Path,
+    rows: Sequence[dict[str, Any]],
+    forced: Sequence[dict[str, Any]],
+    *,
+    problem: Problem,
+    options: argparse.Namespace,
+    made_by: str,
+    reference: str | None,
+) -> Path:
+    """Write the page: what was played, who won, tables, figures, one episode in pictures."""
+    from loose_env.report.comparison.episode_story import tell_episode
+    from loose_env.report.comparison.report import write_comparison
+
+    best = next(s.agent for s in standings(rows) if not s.agent.endswith("*"))
+    told = _told(rows, best, problem)
+    story = None
+    if told is not None:
+        agent = make_agent(best, problem, seed=options.agent_seed)
+        arm, settings = problem.arm, problem.settings
+        story = tell_episode(agent, arm, settings, seed=told["seed"], number=told["episode"])
+    own = by_agent(rows)
+    truths = Counter(row["truth"] for row in own[best])
+    return write_comparison(
+        path,
+        rows,
+        title=f"Finding the loose link on {problem.arm.name}",
+        played=[
+            f"{len(own[best])} arms, each with a fault hidden at random: nothing, a link that "
+            "slides on its flange, or a joint with play. Every agent met the same arms. It moved "
+            "joints, shook them, saw how the tool followed, and named the fault when it "
+            f"was sure. There are {len(problem.hypotheses)} hypotheses. A right verdict earns 1, a "
+            "wrong one loses 1, and every record costs a little. Simulated by "
+            f"{engine_words(problem)}.",
+            *(words_of(name.removesuffix("*")) for name in own),
+        ],
+        chance=max(truths.values()) / len(own[best]),
+        forced=forced,
+        reference=reference,
+        rng=np.random.default_rng(BOOTSTRAP_SEED),
+        said=[line(problem, rows) for line in LINES],
+        story=story,
+        story_of=best,
+        notes=made_by,
+    )
+
+
+def _told(rows: Sequence[dict[str, Any]], best: str, problem: Problem) -> dict[str, Any] | None:
+    """The first faulty arm that the best agent got right after more than one record."""
+    level = problem.settings.difficulty
+    own = [r for r in rows if r["agent"] == best and r["difficulty"] in (level, "own")]
+    right = (r for r in own if r["success"] and r["truth"] != "healthy" and r["records"] > 1)
+    return next(right, own[0] if own else None)
+
+
+def engine_words(problem: Problem) -> str:
+    """What simulates the arms."""
+    engine = getattr(problem.settings, "engine", "mujoco")
+    return "MuJoCo" if engine == "mujoco" else f"the {engine} engine"
+
+
+def parser() -> argparse.ArgumentParser:
+    """Options of the comparison."""
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    known = "; ".join(f"{name}, {words}" for name, (_, words) in AGENTS.items())
+    add = options.add_argument
+    add("--env", default="loose_env/Vera-v0", help="environment id")
+    add("--arguments", default="{}", help="its arguments, as JSON")
+    add("--agents", nargs="+", help=f"estimator/policy, or any of: {known}")
+    add("--estimators", nargs="+", default=[], help=f"of {list(ESTIMATORS)}, to cross")
+    add("--policies", nargs="+", default=[], help=f"of {list(POLICIES)}, to cross")
+    add("--reference", help="whose return is subtracted; default: thesis, or the first agent")
+    add("--difficulties", nargs="+", default=[], help="play all episodes at each of these")
+    add("--curve", type=int, metavar="K", help="play again, K records each: success after 1 to K")
+    add("--episodes", type=int, default=EPISODES, help="episodes for each agent and difficulty")
+    add("--seed", type=int, default=EVALUATION_SEED, help="seed of the episodes")
+    add("--agent-seed", type=int, default=0, help="seed of what agents draw")
+    add("--width", type=int, default=64, help="arms simulated side by side in a process")
+    add("--threads", type=int, default=0, help="simulation threads with --workers 1, 0 for all")
+    add("--shard", type=int, default=200, help="episodes that a worker plays at a time")
+    add("--out", default="out", help="folder of rows and page")
+    add(
+        "--keep",
+        action="store_true",
+        help="keep what was played: the same command with further agents plays only these",
+    )
+    add("--rows", default="parquet", help="raw rows as parquet or json")
+    add("--page", action="store_true", help="write a page with pictures too")
+    add_backend_options(options)
+    return options
+
+
+def compare(options: argparse.Namespace) -> None:
+    """Play, print the tables, write rows and page."""
+    begin = time.perf_counter()
+    form = need_format(options.rows)  # whatever is wrong shows now, not after an hour of play
+    if options.episodes < 1:
+        raise ValueError(f"--episodes must be 1 or more, got {options.episodes}")
+    levels = levels_of(options)
+    problems = [problem_of(options.env, arguments) for arguments in levels]
+    problem = problems[0]
+    names = names_of(options, problem)
+    reference = reference_of(options, names)
+    out = Path(options.out)
+    out.mkdir(parents=True, exist_ok=True)
+    made = {name: make_agent(name, problem, seed=options.agent_seed) for name in names}
+    goers = [name for name in names if hasattr(made[name], "stopping")]
+    if options.curve is not None and not 1 <= options.curve <= problem.settings.max_records:
+        raise ValueError(
+            f"--curve must be 1 to {problem.settings.max_records}, got {options.curve}"
+        )
+    played = play(names, levels, options)
+    more = [] if options.curve is None else play(goers, levels, options, records=options.curve)
+    rows, forced = shown(played), shown(more)
+    reference = None if reference is None else starred(reference)
+    configuration = canonical(
+        {
+            "env": options.env,
+            "engine": getattr(problem.settings, "engine", "mujoco"),
+            "arguments": list(levels),
+            "agents": list(names),
+            "agent_seed": options.agent_seed,
+            "episodes": options.episodes,
+            "seed": options.seed,
+            "curve": options.curve,
+            "settings": [problem.settings for problem in problems],
+            "version": loose_env.__version__,
+        }
+    )
+    digest = configuration_hash(configuration)
+    frozen = "the frozen one" if options.seed == EVALUATION_SEED else "for trials"
+    title = (
+        f"{options.env}, {engine_words(problem)}, "
+        f"{', '.join(options.difficulties) or problem.settings.difficulty}: {options.episodes} "
+        f"episodes for each agent\nseed {options.seed} ({frozen}), configuration {digest[:12]}"
+    )
+    stars = [f"* {words_of(name)}" for name in names if starred(name) != name]
+    told = comparison_text(
+        rows,
+        forced,
+        reference=reference,
+        rng=np.random.default_rng(BOOTSTRAP_SEED),
+        said=[*stars, *(line(problem, rows) for line in LINES)],
+    )
+    print(f"\n{title}\n\n{told}\n")
+    print(f"Rows: {write_rows(out, 'rows', played, configuration, form=form)}")
+    if more:
+        print(f"Rows of the curve: {write_rows(out, 'curve', more, configuration, form=form)}")
+    if options.page:
+        made_by = f"Made by: {command(options)}. Configuration {digest[:12]}."
+        page = write_page(
+            out / "index.html",
+            rows,
+            forced,
+            problem=problem,
+            options=options,
+            made_by=made_by,
+            reference=reference,
+        )
+        print(f"Page: {page}")
+    print(f"Took {time.perf_counter() - begin:.0f} s.")
+
+
+def command(options: argparse.Namespace) -> str:
+    """The command that gives the same rows."""
+    given: list[str] = []
+    for name in ("env", "arguments", "episodes", "seed", "agent_seed", "curve", "reference"):
+        value = getattr(options, name)
+        if value is not None:
+            given += [f"--{name.replace('_', '-')}", str(value)]
+    for name in ("agents", "estimators", "policies", "difficulties"):
+        if getattr(options, name):
+            given += [f"--{name}", *getattr(options, name)]
+    return shlex.join(["python", "scripts/agents/compare.py", "--page", *given])
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Compare, with errors in one line."""
+    options = parser().parse_args(arguments)
+    going_on = "the same command goes on from what was played"
+    with errors_in_one_line("compare", interrupted=going_on):
+        compare(options)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,194 @@
+"""Train the posterior's likelihood on a bank of records.
+
+Usage: python scripts/agents/train_posterior.py --env loose_env/Planar-v0 --out banks/planar4
+
+The bank is built first where it is missing (see scripts/agents/build_bank.py). A tenth of the
+episodes is held out: half of them set the tempers, the table at the end is of the others. Stopped
+at any moment, the same command goes on from the last checkpoint. Weights go to
+agents/loose_agents/weights, or to
+--weights. With them goes what arms of the trained kind leave unexplained, by which an agent knows
+an arm of another kind; --reference-only adds that to weights that were trained before.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from loose_agents.core.shipped_weights import WEIGHTS, setting_name
+from loose_agents.execution.backends import BackendSettings, add_backend_options
+from loose_agents.execution.script_errors import errors_in_one_line
+from loose_agents.execution.shards import Shard
+from loose_agents.posterior_training.bank_storage import (
+    BankPlan,
+    add_bank_options,
+    build_bank,
+    build_figures,
+    directions_of,
+    plan_of,
+    read_bank,
+    read_figures,
+    seat_features,
+)
+from loose_agents.posterior_training.novelty import fit_reference, seen_episodes, with_reference
+from loose_agents.posterior_training.train import PosteriorTraining, TrainingSettings
+from numpy.typing import NDArray
+
+from loose_env.diagnosis.learned.amortised_posterior import read_network, write_network
+from loose_env.diagnosis.learned.novelty import NoveltyReference, Seen
+from loose_env.envs.faults.difficulty import difficulty_named
+from loose_env.errors import InvalidSetting
+from loose_env.faults import DEFAULT_KINDS, hypotheses
+from loose_env.statistics import axes_grid
+
+HELD_OUT = 0.1
+"""Share of the bank's episodes that training does not see."""
+
+
+def parser() -> argparse.ArgumentParser:
+    """Options of the training."""
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add_bank_options(options)
+    defaults = TrainingSettings()
+    options.add_argument("--steps", type=int, default=defaults.steps, help="optimiser steps")
+    options.add_argument("--hidden", type=int, default=defaults.hidden, help="hidden units")
+    options.add_argument("--training-seed", type=int, default=defaults.seed, help="its seed")
+    options.add_argument("--weights", default=None, help="folder of the trained weights")
+    options.add_argument(
+        "--reference-only",
+        action="store_true",
+        help="train nothing; add to the weights what trained-kind arms leave unexplained",
+    )
+    add_backend_options(options)
+    return options
+
+
+def train(options: argparse.Namespace) -> None:
+    """Build what is missing, train, write the weights, print how well they do."""
+    import torch
+
+    torch.set_num_threads(1)
+    plan, folder = plan_of(options), Path(options.out)
+    backend = BackendSettings.of(options)
+    build_bank(plan, folder, backend)
+    store = build_figures(plan, folder, backend)
+    problem = plan.problem()
+    if problem.hypotheses != hypotheses(problem.arm, DEFAULT_KINDS):
+        raise InvalidSetting(
+            f"the posterior learns the kinds {list(DEFAULT_KINDS)}; leave the environment's kinds "
+            "as they are by default"
+        )
+    held = max(1, round(HELD_OUT * len(plan.shards)))
+    if len(plan.shards) <= held:
+        raise InvalidSetting(
+            f"a bank of {plan.episodes} episodes is too small to hold some out; take at least 1000"
+        )
+    out = Path(options.weights or WEIGHTS / f"posterior-{setting_name(problem)}")
+    directions = axes_grid(directions_of(plan), len(problem.arm.axes))
+    if options.reference_only:
+        add_reference(out, plan, folder, held)
+        return
+    difficulty = difficulty_named(problem.settings.difficulty)
+    seen = read_figures(store, plan.shards[held:])
+    training = PosteriorTraining(
+        seen,
+        joints=problem.arm.n,
+        directions=directions,
+        friction=difficulty.friction,
+        settings=TrainingSettings(
+            steps=options.steps, hidden=options.hidden, seed=options.training_seed
+        ),
+    )
+    begin = time.perf_counter()
+    training.train(folder / f"training-{options.training_seed}")
+    seconds = time.perf_counter() - begin
+    half = held // 2  # one part sets the tempers, the other judges
+    if half:
+        training.calibrate(read_figures(store, plan.shards[:half]))
+    found = training.scores(read_figures(store, plan.shards[half:held]))
+    tensors = training.tensors()
+    reference = reference_of(tensors, plan, folder, held)
+    write_network(
+        out,
+        {
+            "arm": problem.arm.name,
+            "difficulty": str(problem.settings.difficulty),
+            "directions": directions_of(plan),
+            "friction": list(difficulty.friction),
+            "bank": {**_described(plan), "held_out": held, "hash": store.hash},
+            "training": asdict(training.settings),
+            "held_out": found,
+        },
+        with_reference(tensors, reference),
+    )
+    print(f"Trained in {seconds:.0f} s; weights in {out}\n")
+    print(f"{'records':>8}{'episodes':>10}{'success':>10}{'log score':>11}{'ECE':>8}")
+    for row in found:
+        print(
+            f"{row['records']:>8}{row['episodes']:>10}{100 * row['success']:>8.1f} %"
+            f"{row['score']:>11.3f}{row['ece']:>8.3f}"
+        )
+
+
+def reference_of(
+    tensors: Mapping[str, NDArray[Any]], plan: BankPlan, folder: Path, held: int
+) -> NoveltyReference:
+    """Work the reference out from the bank's records; its first shards are the held-out ones."""
+    problem, directions = plan.problem(), directions_of(plan)
+    features = seat_features(problem, directions)
+
+    def episodes(shards: tuple[Shard, ...]) -> Iterator[list[Seen]]:
+        for shard in shards:  # one after the other: what all of them show is large
+            yield from seen_episodes(problem, features, read_bank(plan, folder, (shard,)))
+
+    return fit_reference(
+        tensors,
+        episodes(plan.shards[held:]),
+        episodes(plan.shards[:held]),
+        directions=axes_grid(directions, len(problem.arm.axes)),
+    )
+
+
+def add_reference(folder: Path, plan: BankPlan, bank: Path, held: int) -> None:
+    """Work the reference of trained weights out and store it beside them."""
+    configuration, tensors = read_network(folder)
+    if configuration["directions"] != directions_of(plan):
+        raise InvalidSetting(
+            f"the weights in {folder} have {configuration['directions']} directions a link, the "
+            f"bank's figures {directions_of(plan)}; give --directions"
+        )
+    reference = reference_of(tensors, plan, bank, held)
+    write_network(folder, configuration, with_reference(tensors, reference))
+    ranked = ", ".join(str(len(scores)) for scores in reference.scores)
+    print(f"Reference added to {folder}; held-out episodes after 1, 2, ... records: {ranked}")
+
+
+def _described(plan: BankPlan) -> dict[str, object]:
+    return {
+        "env": plan.env_id,
+        "arguments": dict(plan.arguments),
+        "episodes": plan.episodes,
+        "seed": plan.seed,
+        "records": asdict(plan.records),
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Train, with errors in one line."""
+    options = parser().parse_args(arguments)
+    with errors_in_one_line("train_posterior", interrupted="run the same command again to go on"):
+        train(options)
+
+
+if __name__ == "__main__":
+    main()

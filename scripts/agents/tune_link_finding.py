@@ -1,0 +1,177 @@
+"""Tune the thresholds of the thesis's method on training episodes.
+
+Random search: every candidate plays the same training episodes; the best tenth play more.
+The seed of the training episodes is never one of the evaluation's.
+
+Usage: python scripts/agents/tune_link_finding.py --env loose_env/Vera-v0 --out
+agents/loose_agents/weights
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+from loose_agents.benchmark.sharded import problem_of
+from loose_agents.core.base import Problem
+from loose_agents.evaluation.env_arguments import arguments_of
+from loose_agents.evaluation.evaluate import evaluate
+from loose_agents.execution.progress import ProgressLine
+from loose_agents.execution.script_errors import errors_in_one_line
+from loose_agents.policies.link_finding import LinkFindingAgent
+
+from loose_env.arms.response.mismatch import MismatchDraw
+from loose_env.diagnosis.link_finding.planar import LinkFindingSettings, Order
+from loose_env.envs.episode.batch import BatchRig, EpisodeBatch
+from loose_env.errors import InvalidSetting
+from loose_env.faults import Fault
+from loose_env.rig import Job, Measurement
+
+TRAINING_SEED = 1
+WIDTH = 64
+
+
+class RememberingRig:
+    """A simulated rig that does not simulate the same record twice.
+
+    Candidates that excite the same joint take the same first steps on the same arms; a record
+    depends on its arm, pose, excitation and generator alone.
+    """
+
+    def __init__(self, rig: BatchRig) -> None:
+        self.rig = rig
+        self._arms: dict[int, tuple[str, bytes]] = {}
+        self._pending: dict[int, tuple[Fault, MismatchDraw | None]] = {}
+        self._known: dict[tuple[object, ...], Measurement] = {}
+
+    def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
+        """Remember the arm; it is built when something new is asked of it."""
+        zero = b"" if mismatch is None else mismatch.joint_zero.tobytes()
+        self._arms[slot] = (repr(fault), zero)
+        self._pending[slot] = (fault, mismatch)
+
+    def measure_many(self, jobs: Sequence[Job]) -> list[Measurement]:
+        """Look records up; simulate the rest."""
+        keys = [self._key(job) for job in jobs]
+        new = [k for k, key in enumerate(keys) if key not in self._known]
+        for k in new:
+            slot = jobs[k].slot
+            if slot in self._pending:
+                self.rig.mount(slot, *self._pending.pop(slot))
+        if new:
+            measured = self.rig.measure_many([jobs[k] for k in new])
+            self._known.update(zip((keys[k] for k in new), measured, strict=True))
+        return [self._known[key] for key in keys]
+
+    def _key(self, job: Job) -> tuple[object, ...]:
+        shake = job.excitation
+        state = repr(job.rng.bit_generator.state)
+        return (
+            *self._arms[job.slot],
+            job.pose.tobytes(),
+            shake.torque_rms,
+            shake.duration,
+            state,
+        )
+
+
+def candidate(
+    order: Order, joints: int, levels: int, rng: np.random.Generator
+) -> LinkFindingSettings:
+    """Draw settings, the untuned defaults in the middle of the ranges."""
+    return LinkFindingSettings(
+        order=order,
+        joint=int(rng.integers(1, joints + 1)),
+        level=levels if rng.random() < 0.8 else levels - 1,
+        still=float(rng.uniform(0.05, 0.7)),
+        turned=float(rng.uniform(0.1, 0.7)),
+        retries=int(rng.integers(0, 3)),
+        index="e" if rng.random() < 0.5 else "d",
+        healthy_index=float(np.exp(rng.uniform(np.log(0.002), np.log(0.5)))),
+        healthy_poses=int(rng.integers(1, 4)),
+        backlash_angle=float(rng.uniform(2.0, 45.0)),
+        backlash_kurtosis=float(rng.uniform(-0.2, 2.0)),
+    )
+
+
+def parser() -> argparse.ArgumentParser:
+    """Options of the search."""
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add = options.add_argument
+    orders = list(get_args(Order))
+    add("--env", default="loose_env/Vera-v0", help="environment id")
+    add("--arguments", default="{}", help="its arguments, as JSON")
+    add("--orders", nargs="+", choices=orders, default=orders, help="orders of search to tune")
+    add("--candidates", type=int, default=300, help="settings to try an order")
+    add("--episodes", type=int, default=96, help="episodes each")
+    add("--out", default="agents/loose_agents/weights", help="folder of the results")
+    return options
+
+
+def tune(options: argparse.Namespace) -> None:
+    """Search, print the best settings of each order and write them."""
+    for name in ("candidates", "episodes"):
+        if getattr(options, name) < 1:
+            raise InvalidSetting(f"--{name} must be 1 or more, got {getattr(options, name)}")
+    problem = problem_of(options.env, arguments_of(options.arguments))
+    arm = problem.arm
+    # The rig of the engine that the arguments name.
+    rig = RememberingRig(EpisodeBatch(arm, problem.settings, num=WIDTH).rig)
+    for order in options.orders:
+        rng = np.random.default_rng([TRAINING_SEED, len(order)])
+        tried: list[tuple[float, LinkFindingSettings]] = []
+        print(order, file=sys.stderr, flush=True)
+        with ProgressLine(options.candidates, unit="candidates") as line:
+            for _ in range(options.candidates):
+                found = candidate(order, arm.n, len(arm.levels), rng)
+                tried.append((_score(problem, found, options.episodes, rig), found))
+                line.advance(1, f"best return {max(t[0] for t in tried):+.3f}")
+        finalists = sorted(tried, key=lambda t: -t[0])[: max(options.candidates // 10, 2)]
+        score, winner = max(
+            ((_score(problem, f, 4 * options.episodes, rig), f) for _, f in finalists),
+            key=lambda t: t[0],
+        )
+        print(
+            f"{arm.name} {order}: return {score:+.3f} on {4 * options.episodes} training episodes"
+        )
+        path = Path(options.out) / f"{arm.name}-{order}.json"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        beside = path.with_suffix(".part")
+        beside.write_text(json.dumps(asdict(winner), indent=1) + "\n")
+        beside.replace(path)
+
+
+def _score(
+    problem: Problem, found: LinkFindingSettings, episodes: int, rig: RememberingRig
+) -> float:
+    agent = LinkFindingAgent(problem, found)
+    rows = evaluate(
+        agent,
+        "",
+        problem.arm,
+        problem.settings,
+        episodes=episodes,
+        seed=TRAINING_SEED,
+        width=WIDTH,
+        rig=rig,
+    )
+    return float(np.mean([row.reward for row in rows]))
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Tune, with errors in one line."""
+    options = parser().parse_args(arguments)
+    with errors_in_one_line("tune_link_finding"):
+        tune(options)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,284 @@
+"""Draw the pictures that explain the method: what a loose link does to a record, and to the next.
+
+Usage: python scripts/dev/draw_method.py [--out docs/figures]
+
+Three files are written: method_loops.svg, one record of a sound and of a loose arm;
+method_turning.svg, the loose direction as the tool sees it in three poses; method_seat.svg, the
+dead zone of a loose seat and what it does at three levels. They follow the reader's choice of light
+or dark.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms import Arm, planar
+from loose_env.arms.response.linear import LinearArm
+from loose_env.diagnosis.records.prediction import SensorFloor, predict
+from loose_env.envs.rendering.correlation_loop import Loop, measured_loop, predicted_loop
+from loose_env.envs.rendering.palette import EDGE, FAINT, INK, MEASURED, MUTED, TRUTH
+from loose_env.envs.rendering.planar.arm import ArmDrawing
+from loose_env.envs.rendering.planar.view import PlanarView
+from loose_env.envs.rendering.scenery import arrow
+from loose_env.excitation import Excitation
+from loose_env.faults import Fault, Healthy, StructuralLooseness
+from loose_env.report.pages.svg import standalone, to_svg
+from loose_env.report.pages.template import write_whole
+from loose_env.rig import SimulatedRig
+from loose_env.sensors import SensorSuite
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FIGURES = Path(__file__).resolve().parents[2] / "docs" / "figures"
+LOOSE = 2
+"""The loose link of the pictures."""
+ALONG = (0.35, 0.94, 0.0)
+"""Direction in which it slides, in its own frame."""
+POSE = np.radians([25.0, -70.0, 60.0])
+SECONDS, BAND, SHAKEN, TORQUE = 1.2, (30.0, 150.0), 0, 6.0
+"""Of the record [s, Hz], the joint that is shaken, and its rms torque [N·m]."""
+WIDTH = 7.2
+"""Width of every picture [inch]."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Draw all of them."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--out", type=Path, default=FIGURES, help="folder of the pictures")
+    folder = parser.parse_args(arguments).out
+    arm = planar(3)
+    for name, figure in (
+        ("method_loops", loops(arm)),
+        ("method_turning", turning(arm)),
+        ("method_seat", seat()),
+    ):
+        print(write_whole(folder / f"{name}.svg", standalone(to_svg(figure), name)))
+
+
+def loose(link: int = LOOSE) -> StructuralLooseness:
+    """The fault of the pictures."""
+    return StructuralLooseness(
+        link=link, direction=ALONG, gap=2e-4, stiffness=(1e7, 1e7), damping=(200.0, 200.0),
+        friction=1.0,
+    )  # fmt: skip
+
+
+def loops(arm: Arm) -> Figure:
+    """The arm, and the correlation loops of one record: sound and with a loose link."""
+    figure = blank(3.0)
+    sketch = panel(figure, 0.0, 0.36)
+    draw_arm(sketch, arm, POSE, loose(), shaken=SHAKEN)
+    title(figure, 0.18, "link 2 slides, joint 1 is shaken")
+    expected = predicted_loop(
+        predict(LinearArm(arm).at(POSE), excitation(arm), SensorFloor.of(SensorSuite(), BAND))
+    )
+    for left, words, fault in ((0.36, "sound arm", Healthy()), (0.68, "loose link", loose())):
+        axes = panel(figure, left, 0.32)
+        found = measured(arm, fault)
+        dial(axes, expected.facing(found), found)
+        if isinstance(fault, StructuralLooseness):
+            lost = in_tool(arm, POSE, fault)
+            arrow(axes, -lost, lost, color=TRUTH, width=1.8, zorder=5, both=True, halo=True)
+        title(figure, left + 0.16, words)
+    key(
+        figure,
+        [("- -", MUTED, "sound, by the model"), ("■", MEASURED, "measured"),
+         ("↔", TRUTH, "the way the link slides")],
+    )  # fmt: skip
+    return figure
+
+
+def excitation(arm: Arm) -> Excitation:
+    """What is played."""
+    torque = [0.0] * arm.n
+    torque[SHAKEN] = TORQUE
+    return Excitation(torque_rms=tuple(torque), duration=SECONDS, band=BAND)
+
+
+def measured(arm: Arm, fault: Fault) -> Loop:
+    """The loop of a simulated record."""
+    rig = SimulatedRig(arm)
+    rig.mount(0, fault)
+    return measured_loop(rig.measure(POSE, excitation(arm), rng=np.random.default_rng(3)))
+
+
+def turning(arm: Arm) -> Figure:
+    """The loose direction in the tool frame: before, after a move of joint 1, of joint 3."""
+    moved = [
+        ("first pose", POSE),
+        ("joint 1 moved: it stays", POSE + np.radians([50.0, 0.0, 0.0])),
+        ("joint 3 moved: it turns", POSE + np.radians([0.0, 0.0, 60.0])),
+    ]
+    figure = blank(4.3)
+    first = in_tool(arm, POSE, loose())
+    for k, (words, pose) in enumerate(moved):
+        left, wide = k / 3, 1 / 3
+        axes = panel(figure, left, wide, bottom=0.46, height=0.42)
+        draw_arm(axes, arm, pose, loose())
+        below = panel(figure, left, wide, bottom=0.02, height=0.4)
+        circle(below)
+        if k:
+            below.plot(*np.outer([-1, 1], first).T, color=MUTED, linewidth=1.3, dashes=(4, 2.5))
+        now = in_tool(arm, pose, loose())
+        arrow(below, -now, now, color=TRUTH, width=2.0, zorder=5, both=True, halo=True)
+        title(figure, left + 0.5 * wide, words)
+    figure.text(0.02, 0.435, "seen from the tool:", color=MUTED, fontsize=9.5, va="center")
+    return figure
+
+
+def seat() -> Figure:
+    """The force of a loose seat over its travel, and what it lets through at three levels."""
+    figure = blank(2.9)
+    axes = figure.add_axes((0.07, 0.2, 0.38, 0.6))
+    gap, stiff = 1.0, 4.0
+    x = np.linspace(-0.95, 0.95, 400)
+    force = stiff * np.where(x > gap / 2, x - gap / 2, np.where(x < -gap / 2, x + gap / 2, 0.0))
+    axes.axvspan(-gap / 2, gap / 2, color=FAINT, alpha=0.45, linewidth=0)
+    axes.plot(x, force, color=MEASURED, linewidth=2.2)
+    axes.axhline(0.0, color=MUTED, linewidth=0.8, zorder=1)
+    look: dict[str, Any] = {"color": INK, "fontsize": 9.5, "ha": "center", "va": "center"}
+    axes.text(0.0, 1.25, "the gap:\nno force", **look)
+    axes.text(-0.71, -1.75, "stop", **look | {"ha": "left"})
+    axes.text(0.71, 1.75, "stop", **look | {"ha": "right"})
+    axes.set(xlim=(-0.95, 0.95), ylim=(-2.0, 2.0), xticks=[], yticks=[])
+    axes.set_xlabel("travel of the seat", color=MUTED, fontsize=9.5)
+    axes.set_ylabel("force it passes on", color=MUTED, fontsize=9.5)
+    bare(axes)
+    title(figure, 0.26, "a dead zone between two stops")
+    time = np.linspace(0.0, 1.0, 600)
+    push = np.sin(2 * np.pi * 3 * time) * (1 + 0.15 * np.sin(2 * np.pi * 1.3 * time))
+    for k, (level, words) in enumerate(
+        ((0.5, "too weak: friction holds the seat shut"),
+         (1.6, "right: it floats, the motion is lost"),
+         (5.0, "too strong: it strikes the stops"))
+    ):  # fmt: skip
+        own = figure.add_axes((0.54, 0.6 - 0.235 * k, 0.43, 0.15))
+        own.plot(time, push, color=MUTED, linewidth=1.1, dashes=(4, 2.5))
+        own.plot(time, passed_on(level * push, time) / level, color=MEASURED, linewidth=1.7)
+        own.set(xlim=(0.0, 1.0), ylim=(-1.5, 1.5), xticks=[], yticks=[])
+        bare(own)
+        figure.text(0.54, 0.775 - 0.235 * k, words, color=INK, fontsize=9.5, va="center")
+    title(figure, 0.755, "drive (dashed), and what gets across")
+    return figure
+
+
+def passed_on(drive: NDArray[np.float64], time: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Force across a seat with friction 1, a gap and stiff stops, on a mass that it drives.
+
+    The two sides are driven apart by the force; friction passes on up to 1, the stops the rest.
+    """
+    steps = 40
+    fine = np.linspace(time[0], time[-1], steps * (len(time) - 1) + 1)
+    force = np.interp(fine, time, drive)
+    dt, half, stiff, damp = float(fine[1] - fine[0]), 0.005, 2.0e4, 60.0
+    place, speed, found = 0.0, 0.0, np.empty_like(fine)
+    for k, push in enumerate(force):
+        over = place - np.clip(place, -half, half)
+        stop = stiff * over + (damp * speed if over else 0.0)
+        held = np.clip(push - stop + speed / dt, -1.0, 1.0)
+        speed += dt * (push - stop - held)
+        place += dt * speed
+        found[k] = held + stop
+    return found[::steps]
+
+
+def in_tool(arm: Arm, pose: NDArray[np.float64], fault: StructuralLooseness) -> Any:
+    """Direction of a slide along the two measured axes of the tool frame (2,)."""
+    at = PlanarView(arm).at(pose)
+    seen = at.frame.T @ at.seats[fault.link - 1] @ np.asarray(fault.direction)
+    return seen / np.linalg.norm(seen)
+
+
+def blank(height: float) -> Figure:
+    """An empty picture."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(WIDTH, height))
+
+
+def panel(
+    figure: Figure, left: float, width: float, *, bottom: float = 0.1, height: float = 0.78
+) -> Axes:
+    """A part of the picture without a frame, as wide as high within."""
+    axes = figure.add_axes((left, bottom, width, height))
+    axes.set_axis_off()
+    axes.set_aspect("equal")
+    axes.set(xlim=(-1.3, 1.3), ylim=(-1.3, 1.3))
+    return axes
+
+
+def draw_arm(
+    axes: Axes,
+    arm: Arm,
+    pose: NDArray[np.float64],
+    fault: StructuralLooseness,
+    *,
+    shaken: int | None = None,
+) -> None:
+    """The arm with its loose link and the way it slides."""
+    view = PlanarView(arm)
+    drawing, at = ArmDrawing(arm.reach, arm.n, vertical=False), view.at(pose)
+    room = drawing.room(at)
+    low, high = room.min(axis=0), room.max(axis=0)
+    half, middle = 0.57 * arm.reach, 0.5 * (low + high)
+    axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
+    drawing.links(axes, at, loose=(fault.link,))
+    excited = None if shaken is None else np.arange(arm.n) == shaken
+    drawing.joints(axes, at, excited)
+    drawing.tool(axes, at)
+    drawing.fault(axes, at, fault)
+
+
+def circle(axes: Axes) -> None:
+    """The circle on which the correlation is 1, with the axes of the tool frame."""
+    from matplotlib.patches import Circle
+
+    axes.add_patch(Circle((0, 0), 1.0, facecolor="none", edgecolor=FAINT, linewidth=1.2))
+    for end, name in (((1.08, 0.0), "x"), ((0.0, 1.08), "y")):
+        axes.plot([-end[0], end[0]], [-end[1], end[1]], color=FAINT, linewidth=0.9, zorder=1)
+        axes.text(1.1 * end[0], 1.1 * end[1], name, color=INK, fontsize=9.5, fontstyle="italic",
+                  ha="center", va="center")  # fmt: skip
+
+
+def dial(axes: Axes, expected: Loop, found: Loop) -> None:
+    """Two loops, the expected one dashed."""
+    from matplotlib.patches import Polygon
+
+    circle(axes)
+    axes.add_patch(Polygon(found.points, facecolor=MEASURED, alpha=0.22, linewidth=0, zorder=2))
+    axes.plot(*found.points.T, color=MEASURED, linewidth=2.0, zorder=3)
+    axes.plot(*expected.points.T, color=MUTED, linewidth=1.4, dashes=(4, 2.5), zorder=4)
+
+
+def title(figure: Figure, x: float, words: str) -> None:
+    """Name a part of the picture."""
+    figure.text(x, 0.955, words, color=INK, fontsize=10.5, ha="center", va="center")
+
+
+def key(figure: Figure, entries: Sequence[tuple[str, str, str]]) -> None:
+    """Name the colours at the bottom."""
+    x = 0.33
+    for mark, colour, words in entries:
+        figure.text(x, 0.045, mark, color=colour, fontsize=11, va="center")
+        figure.text(x + 0.03, 0.045, words, color=INK, fontsize=9.5, va="center")
+        x += 0.055 + 0.0105 * len(words)
+
+
+def bare(axes: Axes) -> None:
+    """Leave of the frame only what helps reading."""
+    axes.patch.set_alpha(0.0)
+    for spine in axes.spines.values():
+        spine.set_color(EDGE)
+        spine.set_linewidth(0.8)
+
+
+if __name__ == "__main__":
+    main()

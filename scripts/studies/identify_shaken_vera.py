@@ -1,0 +1,123 @@
+"""Identify the figures of VERA on its shaker that the thesis does not print.
+
+One set of figures must explain the directions of lowest correlation and the maximum correlations
+that were printed for the healthy arm in five poses (ten numbers). The arm's closed-form answer to
+white force is compared with them; differential evolution searches within stated bounds. Nothing
+is tuned pose by pose. The result goes by hand into `ShakenVeraFigures`.
+
+Usage: python scripts/studies/identify_shaken_vera.py [--seed 0] [--generations 40]
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import differential_evolution
+
+from loose_env.arms.response.shaken import ShakenArm
+from loose_env.statistics import axial_difference
+from loose_env.thesis.ch6_experiments.shaken_vera.cases import printed_healthy
+from loose_env.thesis.rigs.shaken_vera import PROXIMAL, ShakenVeraFigures, shaken_vera
+
+# Figure, lowest and highest value, and whether to search on a logarithmic scale.
+BOUNDS = (
+    ("pin_stiffness", 5e3, 5e5, True),
+    ("pin_damping", 3.0, 60.0, True),
+    ("link2_mode", 205.0, 320.0, False),
+    ("link2_damping", 0.01, 0.10, True),
+    ("link1_damping", 0.01, 0.10, True),
+    ("seat_mass", 0.4, 1.0, False),
+    ("joint_damping", 0.5, 5.0, True),
+    ("hitch", 0.14, 0.30, False),
+    ("accelerometer", 0.14, 0.30, False),
+    ("coil_mass", 0.2, 4.0, True),
+    ("suspension_stiffness", 2e4, 3e5, True),
+    ("suspension_damping", 20.0, 400.0, True),
+)
+DIRECTION, MAGNITUDE = np.radians(15.0), 0.15
+"""Differences of a direction [rad] and of a correlation that count as much as each other."""
+APART = 0.03
+"""Hitch and accelerometer sit side by side on link 1: their distance counts from here [m]."""
+
+
+def figures_of(x: NDArray[np.float64]) -> ShakenVeraFigures:
+    """Turn a point of the search into figures."""
+    values = {
+        name: float(np.exp(v)) if log else float(v)
+        for (name, _, _, log), v in zip(BOUNDS, x, strict=True)
+    }
+    return ShakenVeraFigures(**values)
+
+
+def healthy_cases(figures: ShakenVeraFigures, points: int = 200) -> NDArray[np.float64]:
+    """Direction of lowest correlation, from the tool's x axis [rad], and maximum correlation.
+
+    Returns
+    -------
+    ndarray (poses, 2)
+    """
+    shaken = ShakenArm(shaken_vera(figures=figures), points=points)
+    found = []
+    for theta2, _, _ in printed_healthy():
+        variance, c, s = shaken.at([0.0, theta2]).covariances(PROXIMAL, 1)
+        direction = np.arctan2(c[1], c[0]) + np.pi / 2
+        found.append((direction, np.sqrt(c @ np.linalg.solve(s, c) / variance)))
+    return np.array(found)
+
+
+def misfit(x: NDArray[np.float64]) -> float:
+    """Mean square difference from the printed figures, in the units above."""
+    figures = figures_of(x)
+    found = healthy_cases(figures)
+    total = 0.0
+    for (direction, magnitude), (_, phi, c) in zip(found, printed_healthy(), strict=True):
+        total += (axial_difference(direction, phi) / DIRECTION) ** 2
+        total += ((magnitude - c) / MAGNITUDE) ** 2
+    apart = (figures.hitch - figures.accelerometer) / APART
+    return (total + apart**2) / len(found)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Search, and print the figures with the cases they give."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--generations", type=int, default=40)
+    options = parser.parse_args(arguments)
+
+    def progress(intermediate_result: object) -> None:
+        print(f"\rmisfit {intermediate_result.fun:.3f}", end="", file=sys.stderr, flush=True)  # type: ignore[attr-defined]
+
+    result = differential_evolution(
+        misfit,
+        [(np.log(a), np.log(b)) if log else (a, b) for _, a, b, log in BOUNDS],
+        maxiter=options.generations,
+        popsize=8,
+        rng=np.random.default_rng(options.seed),
+        polish=False,
+        callback=progress,
+    )
+    print(file=sys.stderr)
+    figures = figures_of(result.x)
+    for name, _, _, _ in BOUNDS:
+        print(f"{name:22s} {getattr(figures, name):.3g}")
+    print(f"misfit {result.fun:.3f}\n")
+    print("pose   direction printed, found [deg]   magnitude printed, found")
+    for (theta2, phi, c), (direction, magnitude) in zip(
+        printed_healthy(), healthy_cases(figures, 400), strict=True
+    ):
+        # From the tool's y axis, as the thesis counts.
+        shown = [np.degrees(a) % 180 for a in (phi - np.pi / 2, direction - np.pi / 2)]
+        print(
+            f"{np.degrees(theta2):4.0f}   {shown[0]:12.0f} {shown[1]:12.0f}   {c:20.2f}"
+            f" {magnitude:6.2f}"
+        )
+
+
+if __name__ == "__main__":
+    main()

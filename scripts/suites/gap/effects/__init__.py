@@ -1,0 +1,1 @@
+"""TODO room scripts/suites/gap/effects."""

@@ -1,0 +1,384 @@
+"""Grade the gap tool on blind recordings: the table of targets and the confusion matrix.
+
+Each case is made by an arm that is integrated without MuJoCo, given to the tool as a recording and
+nothing else, and graded against its sealed truth once the result is written. A case that is done is
+stored: the same command goes on where it was stopped. No mark depends on the backend or the number
+of workers. Only rows of the same code are put together (comments aside).
+
+Usage: python -m scripts.suites.gap.run [--quick | --numbers 0-9 1004 2001] [--out FOLDER]
+           [--docs] [--backend loky|threading|ray|dask|slurm] [--workers N]
+       python -m scripts.suites.gap.run --show     (prints what is stored)
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import importlib.metadata
+import shutil
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from loose_agents.execution.backends import BackendSettings, add_backend_options
+from loose_agents.execution.local_pools import WorkerDied
+from loose_agents.execution.progress import ProgressLine
+from loose_agents.execution.script_errors import errors_in_one_line
+from loose_agents.execution.shard_store import RowCodec, ShardStore
+from loose_agents.execution.shards import Shard, ShardFailed, map_shards
+
+import loose_env
+from loose_env.errors import InvalidSetting
+from scripts.suites.gap.cases.cases import SEED, full_list, quick_list, role_of
+from scripts.suites.gap.grading.code_hash import code_hash
+from scripts.suites.gap.grading.one_case import (
+    Folders,
+    Row,
+    grade_of,
+    line_of,
+    lost,
+    run_case,
+    shard_for,
+)
+from scripts.suites.gap.grading.rows import take_rows, write_rows
+from scripts.suites.gap.grading.tables import markdown, text, wrong_cases
+from scripts.suites.gap.grading.tool import Tool, run_tool
+
+ROOT = Path(__file__).resolve().parents[3]
+OUT = ROOT / "out" / "gap_suite"
+DOCS = ROOT / "docs" / "gap_suite.md"
+ROWS = "gap_suite_rows.jsonl"
+"""File of the rows, beside the page."""
+LAST = 3999
+"""Largest number of a case."""
+BEGIN, END = "<!-- tables: begin -->", "<!-- tables: end -->"
+PAGE = f"""# How often a missing effect is named
+
+How often `loose gap` names what a model lacks and where, on recordings made by an arm that shares
+no code with it.
+
+    make gap-suite
+
+makes 211 cases and grades the tool on them: 100 with nothing missing, three of each kind of the
+catalogue, 24 with two effects, 18 with one that the catalogue does not have. Options go through
+`ARGS`: `--quick` for 20 cases, `--numbers 0-9 1004 2001` for chosen ones (from 0: nothing missing,
+1000: one effect, 2000: two, 3000: outside the catalogue), `--workers`, `--backend`. What is done is
+stored; the same command goes on where it stopped.
+
+A recording has four runs, of 6 s each at 1 kHz, or 3 s where nothing is missing; the last one is
+held out. The arm is integrated in closed form and without MuJoCo; the laws of its friction, play
+and stops are not those of the catalogue; its masses, inertias, dampings and gains are 1 to 3 % off
+the model in every case. Sizes are drawn from the one that is just visible (on held-out runs the
+true model leads by three standard deviations of what the nominal model leaves, with its figures
+fitted within the tolerance) to thirty times that. The tool sees the recording alone; its result is
+written before the truth is opened. An effect is right if kind and place are; one that the true
+parameters' own held-out likelihoods cannot tell from it counts too, a list that is too long does
+not. The model that is written is simulated once more by plain MuJoCo on the held-out runs, and what
+it leaves is held against what the tool says is left. Shares stand with Wilson's 95 % interval.
+
+What every case was, what was said and its marks stand in {{download}}`{ROWS}`; `--take` reads such
+a file, so that machines can share the work.
+
+{BEGIN}
+{END}
+"""
+
+
+def numbers_of(words: Iterable[str]) -> list[int]:
+    """Numbers of cases from words such as ``7`` and ``1000-1003``.
+
+    Raises
+    ------
+    InvalidSetting
+        If a word is neither, or a number lies outside 0 to 3999.
+
+    Examples
+    --------
+    >>> numbers_of(["2001", "0-2", "1"])
+    [2001, 0, 1, 2]
+    """
+    found: dict[int, None] = {}
+    for word in words:
+        ends = word.split("-")
+        if len(ends) > 2 or not all(end.isdecimal() for end in ends):
+            raise InvalidSetting(f"{word!r} is no case; give numbers as in 7 or 1000-1003")
+        first, last = int(ends[0]), int(ends[-1])
+        if not first <= last <= LAST:
+            raise InvalidSetting(
+                f"{word}: cases have numbers from 0 to {LAST}, the lower one first"
+            )
+        found.update(dict.fromkeys(range(first, last + 1)))
+    return list(found)
+
+
+def mixed(numbers: Sequence[int]) -> list[int]:
+    """The same numbers in an order in which a run cut short has a little of every role.
+
+    Examples
+    --------
+    >>> mixed([0, 1, 2, 3, 1000, 1001, 2000])
+    [0, 1000, 2000, 1, 2, 1001, 3]
+    """
+    roles: dict[str, list[int]] = {}
+    for number in sorted(set(numbers)):
+        roles.setdefault(role_of(number), []).append(number)
+    return sorted(
+        (number for own in roles.values() for number in own),
+        key=lambda n: (roles[role_of(n)].index(n) / len(roles[role_of(n)]), n),
+    )
+
+
+def configuration() -> dict[str, Any]:
+    """Everything that the rows depend on."""
+    package = Path(loose_env.__file__).parent
+    return {
+        "study": "gap suite",
+        "seed": SEED,
+        "tool": code_hash([package / "gap", package / "recording", package / "statistics"]),
+        "suite": code_hash(
+            [ROOT / "scripts" / "gap_suite"],
+            without=("__init__.py", "__main__.py", "tables.py", "rows.py", "fingerprint.py"),
+        ),
+        "versions": {
+            name: importlib.metadata.version(name) for name in ("mujoco", "numpy", "scipy")
+        },
+    }
+
+
+def store_in(out: Path, *, afresh: bool = False) -> ShardStore:
+    """The rows in a folder.
+
+    Raises
+    ------
+    InvalidSetting
+        If other code made them.
+    """
+    folder = out / "rows"
+    if afresh:
+        shutil.rmtree(folder, ignore_errors=True)
+    try:
+        return ShardStore(folder, configuration(), RowCodec())
+    except InvalidSetting as error:
+        raise InvalidSetting(f"{error} (--afresh removes the rows)") from error
+
+
+def run_suite(
+    numbers: Sequence[int],
+    folders: Folders,
+    store: ShardStore,
+    *,
+    tool: Tool = run_tool,
+    backend: BackendSettings | None = None,
+) -> list[Row]:
+    """Run the cases that the store lacks, and say how each went.
+
+    Parameters
+    ----------
+    numbers : sequence of int
+        Cases.
+    folders : Folders
+        Where recordings and results lie.
+    store : ShardStore
+        Where rows go as they come.
+    tool : callable
+        The tool; it travels to the workers.
+    backend : BackendSettings, optional
+        Where the work runs; no row depends on it, but for its times.
+
+    Returns
+    -------
+    list of Row
+        One for each case, in the order of their numbers.
+    """
+    work = functools.partial(run_case, folders=folders, tool=tool)
+    shards = [shard_for(number) for number in mixed(numbers)]
+    missing = store.missing(shards)
+    with ProgressLine(len(shards), done=len(shards) - len(missing), unit="cases") as line:
+
+        def keep(shard: Shard, rows: list[Row]) -> None:
+            store.write(shard, rows)
+            _say(line_of(rows[0]))
+            line.advance(1)
+
+        while missing:
+            try:
+                with closing(map_shards(work, missing, settings=backend)) as results:
+                    for position, rows in results:
+                        keep(missing[position], rows)
+                break
+            except ShardFailed as failure:
+                if not isinstance(failure.__cause__, WorkerDied):
+                    raise
+                # one case that ends its process every time must not end the suite
+                dead = next(shard for shard in missing if str(failure).startswith(f"{shard}:"))
+                keep(dead, [lost(dead.start, str(failure), folders)])
+                missing = store.missing(shards)
+    return stored(numbers, store)
+
+
+def stored(numbers: Sequence[int], store: ShardStore) -> list[Row]:
+    """Rows that the store has, in the order of their numbers."""
+    shards = [shard_for(number) for number in sorted(set(numbers))]
+    lacking = {shard.start for shard in store.missing(shards)}
+    return [row for s in shards if s.start not in lacking for row in store.read(s)]
+
+
+def _say(line: str) -> None:
+    # on a terminal the progress line stands there already: write over it
+    over = sys.stderr.isatty() and sys.stdout.isatty()
+    print(f"\r{line:<78}" if over else line, flush=True)
+
+
+# Showing
+
+
+def head_of(rows: Sequence[Row], asked: int) -> str:
+    """How many cases there are, and what they took.
+
+    Examples
+    --------
+    >>> head_of([{"times": {"making": 1800.0, "tool": 5400.0}}], 2)
+    '1 case of 2; 120 min of work: making 30, tool 90'
+    """
+    spent: dict[str, float] = {}
+    for row in rows:
+        for stage, seconds in row["times"].items():
+            spent[stage] = spent.get(stage, 0.0) + seconds / 60.0
+    parts = ", ".join(f"{stage} {minutes:.0f}" for stage, minutes in spent.items())
+    cases = "1 case" if len(rows) == 1 else f"{len(rows)} cases"
+    whole = "" if len(rows) == asked else f" of {asked}"
+    return f"{cases}{whole}; {sum(spent.values()):.0f} min of work: {parts}"
+
+
+def report(rows: Sequence[Row], asked: int) -> str:
+    """What is printed at the end."""
+    failures = [line_of(row) for row in rows if row["error"]]
+    parts = [head_of(rows, asked), "", text([grade_of(row) for row in rows])]
+    if failures:
+        parts += ["failed:", *(f"  {line}" for line in failures)]
+    return "\n".join(parts)
+
+
+def tables(rows: Sequence[Row], asked: int) -> str:
+    """The same as markdown, with a line for every case that is not right."""
+    marks = [grade_of(row) for row in rows]
+    wrong = [(r["number"], g, r["error"]) for r, g in zip(rows, marks, strict=True) if not g.right]
+    parts = [head_of(rows, asked) + ".", "", markdown(marks)]
+    if wrong:
+        parts += [
+            "Cases that are not right, with the gap on held-out runs before and after [noise sd]:",
+            "",
+            wrong_cases(wrong),
+        ]
+    return "\n".join(parts).rstrip() + "\n"
+
+
+def write_docs(page: Path, content: str) -> None:
+    """Put the tables between their marks on a page, which is made where there is none.
+
+    Raises
+    ------
+    InvalidSetting
+        If the page lacks the marks.
+    """
+    old = page.read_text(encoding="utf-8") if page.exists() else PAGE
+    before, begin, rest = old.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not (begin and end):
+        raise InvalidSetting(
+            f"{page} lacks the lines {BEGIN!r} and {END!r}, between which tables go"
+        )
+    page.parent.mkdir(parents=True, exist_ok=True)
+    page.write_text(f"{before}{BEGIN}\n\n{content}\n{END}{after}", encoding="utf-8")
+
+
+def parser_of() -> argparse.ArgumentParser:
+    """The options."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--quick", action="store_true", help="20 cases in a quarter of an hour")
+    which.add_argument(
+        "--numbers", nargs="+", metavar="CASE", help="chosen cases, as in 7 or 1000-1022"
+    )
+    parser.add_argument("--out", type=Path, default=OUT, help="folder of rows and results")
+    parser.add_argument(
+        "--blind",
+        type=Path,
+        help="folder of recordings and truth, made where they lack, never removed; "
+        "default: blind in --out",
+    )
+    parser.add_argument(
+        "--keep-recordings",
+        action="store_true",
+        help="keep recordings after their case is graded (about 3 MB each)",
+    )
+    parser.add_argument("--show", action="store_true", help="run nothing, print what is stored")
+    parser.add_argument(
+        "--take", type=Path, nargs="+", default=[], metavar="FILE",
+        help=f"take over rows of the same code, as in docs/{ROWS}",
+    )  # fmt: skip
+    parser.add_argument("--afresh", action="store_true", help="remove stored rows first")
+    parser.add_argument(
+        "--retry-failed",
+        action="store_true",
+        help="run cases again that failed, not the wrong ones",
+    )
+    parser.add_argument(
+        "--docs",
+        nargs="?",
+        type=Path,
+        const=DOCS,
+        metavar="PAGE",
+        help="write the tables to a page (docs/gap_suite.md if none is named), as a whole "
+        "run does by itself",
+    )
+    add_backend_options(parser)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the cases asked for and print how the tool did."""
+    chosen = parser_of().parse_args(arguments)
+    with errors_in_one_line("gap suite", interrupted="the same command goes on"):
+        if chosen.numbers:
+            numbers = numbers_of(chosen.numbers)
+        else:
+            numbers = quick_list() if chosen.quick else full_list()
+        out = chosen.out.resolve()
+        folders = Folders(
+            out=out,
+            blind=(chosen.blind or out / "blind").resolve(),
+            keep=chosen.keep_recordings or chosen.blind is not None,
+        )
+        store = store_in(out, afresh=chosen.afresh)
+        for file in chosen.take:
+            print(f"{take_rows(file, store)} rows taken from {file}", file=sys.stderr)
+        if chosen.retry_failed:
+            for row in stored(numbers, store):
+                if row["error"]:
+                    store.path(shard_for(row["number"])).unlink()
+        began = time.monotonic()
+        if chosen.show:
+            rows = stored(numbers, store)
+        else:
+            rows = run_suite(numbers, folders, store, backend=BackendSettings.of(chosen))
+        print("\n" + report(rows, len(numbers)))
+        content = tables(rows, len(numbers))
+        (out / "summary.md").write_text(content, encoding="utf-8")
+        (out / "cases.txt").write_text("".join(line_of(r) + "\n" for r in rows), encoding="utf-8")
+        page = chosen.docs
+        if page is None and not (chosen.quick or chosen.numbers) and len(rows) == len(numbers):
+            page = DOCS  # a whole run goes to the docs by itself
+        if page is not None:
+            write_docs(page, content)
+            write_rows(page.with_name(ROWS), store.configuration, rows)
+        print(f"{time.monotonic() - began:.0f} s; tables: {out / 'summary.md'}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()
