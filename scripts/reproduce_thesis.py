@@ -16,9 +16,9 @@ from pathlib import Path
 
 import loose_env
 from loose_env.errors import LooseEnvError, words_of
-from loose_env.thesis.page import write_thesis_page
-from loose_env.thesis.registry import SECTIONS, choose, first_line
-from loose_env.thesis.run import Outcome, run_sections
+from loose_env.thesis.shared.page import write_thesis_page
+from loose_env.thesis.shared.registry import SECTIONS, choose, first_line
+from loose_env.thesis.shared.run import Outcome, run_sections
 
 SEED = 1995
 PACKAGES = ("numpy", "scipy", "mujoco", "gymnasium", "matplotlib", "Jinja2", "odrpack")

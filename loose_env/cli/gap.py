@@ -23,10 +23,10 @@ from loose_env.cli.recorded import Said, add_recording_options, folder_of
 from loose_env.gap.model.effects.catalogue import read_effects
 from loose_env.gap.output.checkpoints import Stages, key_of
 from loose_env.gap.output.result import GapResult
-from loose_env.gap.pipeline import find_gap
 from loose_env.gap.residuals.physical_units import quantity_words
 from loose_env.gap.settings import GapSettings
-from loose_env.gap.summary import outputs_of
+from loose_env.gap.workflow.pipeline import find_gap
+from loose_env.gap.workflow.summary import outputs_of
 from loose_env.recording import read_recording
 from loose_env.report.gap.text import ranked_words, unsure
 from loose_env.report.gap.write import write_outputs

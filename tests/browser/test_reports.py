@@ -12,7 +12,7 @@ pytest.importorskip("matplotlib")
 
 from loose_env.arms import vera
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.gap.summary import gather, result_of
+from loose_env.gap.workflow.summary import gather, result_of
 from loose_env.instrument.planning.plan import plan
 from loose_env.instrument.settings.arm_and_plan import PlanSettings
 from loose_env.instrument.settings.measurement import NextSettings
@@ -26,8 +26,8 @@ from loose_env.report.pages.figures import success_bars
 from loose_env.report.pages.template import write_whole
 from tests.browser.chromium import Page
 from tests.browser.looks import WIDTHS, browser, fits_on_paper, is_in_order, pictures
-from tests.gap.gap_case import outputs_for, record
-from tests.instrument.plan_arms import SERVOED, written
+from tests.gap.cases.gap_case import outputs_for, record
+from tests.instrument.arms.plan_arms import SERVOED, written
 from tests.report.diagnosis_case import CASES
 from tests.report.test_page import ROWS, Guesser
 from tests.thesis.test_page import FAILED, outcome, render

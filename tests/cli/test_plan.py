@@ -12,7 +12,7 @@ from loose_env.cli.main import main
 from loose_env.instrument.planning.plan import load, next_for
 from loose_env.instrument.result import Diagnosis, Fault
 from loose_env.instrument.settings.measurement import NextSettings
-from tests.instrument.plan_arms import MOTORS, written
+from tests.instrument.arms.plan_arms import MOTORS, written
 
 
 def test_inspect_prints_a_screen_and_writes_the_file_asked_for(

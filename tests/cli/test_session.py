@@ -12,7 +12,7 @@ import pytest
 
 from loose_env.cli.main import main
 from loose_env.recording.csv_file import write_csv
-from tests.instrument.plan_arms import SERVOED, written
+from tests.instrument.arms.plan_arms import SERVOED, written
 
 STEP = 2e-4
 

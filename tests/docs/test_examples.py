@@ -17,7 +17,7 @@ from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.settings import GapSettings
 from tests.docs.pages import PAGES, ROOT, blocks, python
-from tests.gap.effect_arms import PLANAR
+from tests.gap.cases.effect_arms import PLANAR
 
 UR5E = ROOT.parent / "shared" / "models" / "ur5e_bare.xml"
 OWN = {

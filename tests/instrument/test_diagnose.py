@@ -14,7 +14,7 @@ from loose_env.instrument.diagnose import Workbench, diagnose
 from loose_env.instrument.result import Diagnosis, read_diagnosis
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import Run, read_recording, write_recording
-from tests.instrument.blind_arm import SLIDE, runs, write_model
+from tests.instrument.arms.blind_arm import SLIDE, runs, write_model
 
 QUICK = DiagnoseSettings(poses=2, seconds=1.0)
 

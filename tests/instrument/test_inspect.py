@@ -15,7 +15,7 @@ from loose_env.instrument.planning.excitation import SEEN, sensitivity
 from loose_env.instrument.planning.next_measurement import NextSettings, seat_features
 from loose_env.instrument.planning.plan import load
 from loose_env.instrument.settings.arm_and_plan import ModelSettings
-from tests.instrument.plan_arms import MOTORS, SERVOED, written
+from tests.instrument.arms.plan_arms import MOTORS, SERVOED, written
 
 FEW = NextSettings(poses=6)
 

@@ -14,7 +14,7 @@ from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import read_recording, write_recording
 from loose_env.rig.recorded import RecordedRig
 from scripts.suites.diagnosis.measuring import BlindArm
-from tests.instrument.blind_arm import case, runs, write_model
+from tests.instrument.arms.blind_arm import case, runs, write_model
 
 QUICK = DiagnoseSettings(poses=3, seconds=1.5)
 JOINTS = ("joint1", "joint2", "joint3")

@@ -20,7 +20,7 @@ from loose_env.errors import MissingExtra
 from loose_env.gap.diagnostics.experiment_advice import how_to_separate, identifiability_words
 from loose_env.gap.output.evidence_schema import Alike, Identifiability, Unseen
 from loose_env.gap.output.result import Gap, GapResult, NamedEffect, Place, Ranked
-from loose_env.gap.summary import Evidence, GapOutputs, gather, result_of
+from loose_env.gap.workflow.summary import Evidence, GapOutputs, gather, result_of
 from loose_env.report.gap import write as gap_report
 from loose_env.report.gap.figures import channel_bars, residual_panels
 from loose_env.report.gap.page import render_gap_page, write_gap_page
@@ -32,7 +32,7 @@ from loose_env.report.gap.text import (
     size_words,
 )
 from loose_env.report.gap.write import write_outputs
-from tests.gap.gap_case import outputs_for, record
+from tests.gap.cases.gap_case import outputs_for, record
 
 
 class Balanced(HTMLParser):

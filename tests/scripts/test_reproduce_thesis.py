@@ -13,10 +13,10 @@ pytest.importorskip("matplotlib")
 
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.report.pages.figure_card import Plate
-from loose_env.thesis import run
-from loose_env.thesis.registry import SECTIONS
-from loose_env.thesis.run import Outcome, run_section, run_sections
-from loose_env.thesis.section import Section
+from loose_env.thesis.shared import run
+from loose_env.thesis.shared.registry import SECTIONS
+from loose_env.thesis.shared.run import Outcome, run_section, run_sections
+from loose_env.thesis.shared.section import Section
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -58,7 +58,7 @@ def sections(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, ModuleType]]
         # `find_spec` asks the module itself once it is imported.
         module.__spec__ = importlib.util.spec_from_loader(key, None)
         monkeypatch.setitem(sys.modules, key, module)
-    monkeypatch.setattr("loose_env.thesis.registry.SECTIONS", {key: key for key in made})
+    monkeypatch.setattr("loose_env.thesis.shared.registry.SECTIONS", {key: key for key in made})
     yield made
 
 

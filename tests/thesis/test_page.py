@@ -15,9 +15,9 @@ from loose_env.errors import InvalidData
 from loose_env.report.pages.figure_card import Plate
 from loose_env.report.pages.figures import new_figure
 from loose_env.report.pages.svg import THEMED
-from loose_env.thesis.page import LEFT_OUT, ranges, render_thesis_page, write_thesis_page
-from loose_env.thesis.run import Outcome
-from loose_env.thesis.section import Section, Table
+from loose_env.thesis.shared.page import LEFT_OUT, ranges, render_thesis_page, write_thesis_page
+from loose_env.thesis.shared.run import Outcome
+from loose_env.thesis.shared.section import Section, Table
 
 SVG = b'<svg viewBox="0 0 5 4"><g id="a"/><use href="#a"/></svg>'
 PNG = b"\x89PNG\r\n\x1a\nrest"

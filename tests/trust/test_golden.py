@@ -22,7 +22,8 @@ ROOT = Path(__file__).resolve().parents[2]
 CHANGELOG = ROOT / "CHANGELOG.md"
 MEANT = (
     "the same seeds give other figures than before. If that is not meant, something broke. If it "
-    "is, put a line into CHANGELOG.md and run: python -m scripts.suites.trust.golden_run --because 'that line'"
+    "is, put a line into CHANGELOG.md and run: "
+    "python -m scripts.suites.trust.golden_run --because 'that line'"
 )
 # Another processor may round another way, and a simulation carries that on.
 RELATIVE, ABSOLUTE = 1e-4, 1e-5
@@ -83,7 +84,10 @@ def test_one_thread_and_many_give_the_same_to_the_last_digit(part: str) -> None:
 
 def test_threads_of_the_linear_algebra_change_no_digit_of_a_diagnosis() -> None:
     """They add up in another order: what comes out may differ in the last digits alone."""
-    code = "import json; from scripts.suites.trust.golden import instrument; print(json.dumps(instrument()))"
+    code = (
+        "import json; from scripts.suites.trust.golden import instrument; "
+        "print(json.dumps(instrument()))"
+    )
     found = []
     for threads in ("1", "3"):
         env = os.environ | {"OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads}
@@ -106,7 +110,10 @@ ANOTHER = {
 @pytest.mark.skipif(sys.platform != "linux", reason="asks the C library of Linux")
 @pytest.mark.parametrize("part", ["environments", "comparison", "diagnosis"])
 def test_a_processor_that_rounds_another_way_gives_the_same_figures(part: str) -> None:
-    code = f"import json; from scripts.suites.trust.golden import {part} as part; print(json.dumps(part()))"
+    code = (
+        f"import json; from scripts.suites.trust.golden import {part} as part; "
+        "print(json.dumps(part()))"
+    )
     command = [sys.executable, "-W", "ignore", "-c", code]
     env = os.environ | ANOTHER
     done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True)

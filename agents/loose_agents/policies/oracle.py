@@ -164,8 +164,9 @@ class OracleAgent(BeliefAgent):
             Always.
         """
         raise InvalidSetting(
-            "the oracle must be told each hidden fault: play it with loose_agents.evaluation.evaluate.evaluate, "
-            "or take the estimator/policy of the same name, which needs no telling"
+            "the oracle must be told each hidden fault: play it with "
+            "loose_agents.evaluation.evaluate.evaluate, or take the estimator/policy of the same "
+            "name, which needs no telling"
         )
 
     def informed(self, fault: Fault, observation: NDArray[np.float32]) -> Any:

@@ -196,8 +196,8 @@ def image_posterior(problem: Problem, situation: Situation) -> LinkPosterior:
     belief = getattr(situation.memory, "belief", None)
     if belief is None:
         raise InvalidSetting(
-            "the estimator's memory holds no belief about directions; use loose_agents.core.belief_tracker.Tracker or "
-            "give another `sight`"
+            "the estimator's memory holds no belief about directions; use "
+            "loose_agents.core.belief_tracker.Tracker or give another `sight`"
         )
     names, n = places(problem.arm), problem.arm.n
     weights = dict(zip(problem.hypotheses, situation.probabilities, strict=True))

@@ -13,7 +13,7 @@ from loose_env.gap.diagnostics.joint_torque_residual import JointMotion
 from loose_env.gap.diagnostics.localisation import main_band, strongest
 from loose_env.gap.output.evidence_schema import Dependence
 from loose_env.gap.output.result import GapResult
-from loose_env.gap.summary import Evidence, GapOutputs
+from loose_env.gap.workflow.summary import Evidence, GapOutputs
 from loose_env.io.text import duration_words, sentence
 from loose_env.report.gap.figures import (
     channel_bars,

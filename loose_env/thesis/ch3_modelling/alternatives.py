@@ -21,7 +21,7 @@ from loose_env.thesis.methods.looseness.modelling_alternatives import (
     weigh_alternatives,
 )
 from loose_env.thesis.methods.looseness.static_force_test import joint_torques
-from loose_env.thesis.section import Table
+from loose_env.thesis.shared.section import Table
 
 __all__ = [
     "DIRECTION",

@@ -28,7 +28,7 @@ from loose_env.thesis.methods.looseness.static_force_test import (
     remaining_motions,
     seat_twist,
 )
-from loose_env.thesis.section import Table
+from loose_env.thesis.shared.section import Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

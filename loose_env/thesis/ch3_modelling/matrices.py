@@ -24,7 +24,7 @@ from loose_env.thesis.methods.looseness.inertia_condition import (
     seated_inertia,
 )
 from loose_env.thesis.methods.looseness.looseness_joint import displaced, insert_looseness
-from loose_env.thesis.section import Table
+from loose_env.thesis.shared.section import Table
 
 __all__ = ["inertia_condition", "jacobian_columns", "jacobian_ranks"]
 

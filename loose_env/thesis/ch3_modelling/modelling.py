@@ -23,7 +23,7 @@ from loose_env.thesis.ch3_modelling.matrices import (
     jacobian_ranks,
 )
 from loose_env.thesis.printed import printed
-from loose_env.thesis.section import Section
+from loose_env.thesis.shared.section import Section
 
 __all__ = ["EQUATIONS", "section"]
 

@@ -24,7 +24,7 @@ from loose_env.thesis.ch4_diagnosis.comparative_index import (
     turns,
 )
 from loose_env.thesis.printed import printed
-from loose_env.thesis.section import Section, Table
+from loose_env.thesis.shared.section import Section, Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -33,7 +33,7 @@ from loose_env.thesis.ch4_diagnosis.pose_trials import (
     trial_words,
 )
 from loose_env.thesis.printed import printed
-from loose_env.thesis.section import Section, Table
+from loose_env.thesis.shared.section import Section, Table
 
 __all__ = ["EQUATIONS", "section"]
 

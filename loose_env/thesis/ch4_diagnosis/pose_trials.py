@@ -21,7 +21,7 @@ from loose_env.kinematics.pose_choice import (
 )
 from loose_env.kinematics.seat_loads import reactions
 from loose_env.thesis.ch4_diagnosis.pose_figures import Comparison
-from loose_env.thesis.section import Table
+from loose_env.thesis.shared.section import Table
 
 __all__ = ["RANDOM_SETS", "SET", "Trial", "move_table", "trial", "trial_table", "trial_words"]
 

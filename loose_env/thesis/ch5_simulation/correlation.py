@@ -21,7 +21,7 @@ from loose_env.statistics import (
     lowest_correlation_search,
 )
 from loose_env.thesis.printed import printed
-from loose_env.thesis.section import Section, Table
+from loose_env.thesis.shared.section import Section, Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -39,7 +39,7 @@ from loose_env.thesis.methods.motion.seat_motion import (
     transition_table,
 )
 from loose_env.thesis.printed import printed
-from loose_env.thesis.section import Section, Table
+from loose_env.thesis.shared.section import Section, Table
 
 __all__ = ["EQUATIONS", "section"]
 

@@ -28,7 +28,7 @@ from loose_env.thesis.methods.motion.monte_carlo import (
     draw_tool_velocity,
 )
 from loose_env.thesis.methods.motion.seat_motion import region_probabilities
-from loose_env.thesis.section import Table
+from loose_env.thesis.shared.section import Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -112,8 +112,8 @@ def diagnosis() -> dict[str, Any]:
 
 def gap(threads: int = 1) -> dict[str, Any]:
     """What `loose gap` finds on a small recording."""
-    from loose_env.gap.pipeline import find_gap
     from loose_env.gap.settings import GapSettings
+    from loose_env.gap.workflow.pipeline import find_gap
     from loose_env.recording import read_recording
     from scripts.suites.trust.kills.commands import make_recording
 

@@ -18,7 +18,6 @@ from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.actuators import ActuatorGain, ActuatorLag, CommandDelay
 from loose_env.gap.model.effects.backlash import Backlash
-from loose_env.gap.model.effects.base_tilt import BaseTilt
 from loose_env.gap.model.effects.drivetrain import RotorInertia, TorqueRipple
 from loose_env.gap.model.effects.friction import (
     CoulombFriction,
@@ -28,7 +27,7 @@ from loose_env.gap.model.effects.friction import (
 )
 from loose_env.gap.model.effects.joint_elasticity import JointCompliance, JointSpring
 from loose_env.gap.model.effects.link_flexibility import LinkFlexibility
-from loose_env.gap.model.effects.link_inertia import LinkCom, LinkMass, Payload
+from loose_env.gap.model.effects.link_inertia import BaseTilt, LinkCom, LinkMass, Payload
 from loose_env.gap.model.effects.sensors import (
     EncoderOffset,
     SensorBias,

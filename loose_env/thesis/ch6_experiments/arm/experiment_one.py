@@ -25,7 +25,7 @@ from loose_env.thesis.ch6_experiments.arm.guideway import (
 from loose_env.thesis.ch6_experiments.arm.strokes import Strokes, stroke_many
 from loose_env.thesis.printed import printed
 from loose_env.thesis.rigs.cylindrical import LIFT, REACH
-from loose_env.thesis.section import Section, Table
+from loose_env.thesis.shared.section import Section, Table
 from loose_env.thesis.shared.signal_panels import rms
 
 __all__ = [

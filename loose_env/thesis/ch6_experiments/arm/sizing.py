@@ -26,7 +26,7 @@ from loose_env.thesis.ch6_experiments.arm.sizing_figures import (
 )
 from loose_env.thesis.ch6_experiments.arm.structures import structures
 from loose_env.thesis.printed import printed
-from loose_env.thesis.section import Section, Table
+from loose_env.thesis.shared.section import Section, Table
 
 __all__ = ["EQUATIONS", "demand", "section"]
 

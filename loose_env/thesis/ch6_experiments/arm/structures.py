@@ -14,7 +14,7 @@ from loose_env.thesis.rigs.beams import (
     rod_stiffness,
     stinger_frequency,
 )
-from loose_env.thesis.section import Table
+from loose_env.thesis.shared.section import Table
 
 __all__ = ["structures"]
 

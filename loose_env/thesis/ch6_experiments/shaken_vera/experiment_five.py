@@ -50,7 +50,7 @@ from loose_env.thesis.ch6_experiments.shaken_vera.tables import (
 )
 from loose_env.thesis.printed import printed
 from loose_env.thesis.rigs.shaken_vera import PROXIMAL, ShakenVeraFigures, shaken_vera
-from loose_env.thesis.section import Section
+from loose_env.thesis.shared.section import Section
 from loose_env.thesis.shared.signal_panels import rms
 
 __all__ = ["EQUATIONS", "section"]

@@ -31,7 +31,7 @@ from loose_env.thesis.ch6_experiments.shaken_vera.tables import (
     spread_words,
 )
 from loose_env.thesis.printed import printed
-from loose_env.thesis.section import Section, Table
+from loose_env.thesis.shared.section import Section, Table
 from loose_env.thesis.shared.signal_panels import rms
 
 __all__ = ["EQUATIONS", "section"]

@@ -15,7 +15,7 @@ from loose_env.thesis.ch6_experiments.shaken_vera.tables import (
     turn_words,
 )
 from loose_env.thesis.printed import printed
-from loose_env.thesis.section import Table
+from loose_env.thesis.shared.section import Table
 
 __all__ = [
     "FINGER",

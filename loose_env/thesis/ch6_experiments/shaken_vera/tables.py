@@ -29,8 +29,8 @@ from loose_env.thesis.ch6_experiments.shaken_vera.cases import (
     poses,
 )
 from loose_env.thesis.rigs.shaken_vera import SHAKEN_BAND
-from loose_env.thesis.section import Table
 from loose_env.thesis.shared.plots import Points
+from loose_env.thesis.shared.section import Table
 
 __all__ = [
     "LOW_BAND",

@@ -25,9 +25,9 @@ from loose_env.thesis.ch6_experiments.shaken_vera.cases import RATE, Spread, fro
 from loose_env.thesis.ch6_experiments.shaken_vera.tables import axis_words, percent, spread_words
 from loose_env.thesis.printed import printed
 from loose_env.thesis.rigs.slide import BENCH, SLIDE, SLIDE_BAND, Mount, slide_rig
-from loose_env.thesis.section import Section, Table
 from loose_env.thesis.shared.looseness_joint_rig import finger_tight, loosened
 from loose_env.thesis.shared.plots import LoopPanel, Points, by_category, loop_panels
+from loose_env.thesis.shared.section import Section, Table
 
 __all__ = ["EQUATIONS", "Trial", "section", "trials"]
 

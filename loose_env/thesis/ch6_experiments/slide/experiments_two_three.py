@@ -24,7 +24,7 @@ from loose_env.thesis.ch6_experiments.slide.records import (
 from loose_env.thesis.ch6_experiments.slide.velocities import velocity_part
 from loose_env.thesis.methods.motion.signals import subtract_base
 from loose_env.thesis.printed import printed
-from loose_env.thesis.section import Section, Table
+from loose_env.thesis.shared.section import Section, Table
 from loose_env.thesis.shared.signal_panels import rms
 
 __all__ = ["EQUATIONS", "section"]

@@ -19,7 +19,7 @@ from loose_env.thesis.methods.motion.signals import (
     differentiate,
     quadrature_steps,
 )
-from loose_env.thesis.section import Table
+from loose_env.thesis.shared.section import Table
 from loose_env.thesis.shared.signal_panels import rms
 
 __all__ = ["order_table", "resolver_part"]

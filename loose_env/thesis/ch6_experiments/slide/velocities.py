@@ -16,7 +16,7 @@ from loose_env.thesis.methods.motion.signals import (
     line_of_motion,
     quadrature_steps,
 )
-from loose_env.thesis.section import Table
+from loose_env.thesis.shared.section import Table
 from loose_env.thesis.shared.signal_panels import centred, rms
 
 __all__ = ["velocity_correlations", "velocity_part"]

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.output.result import Gap, GapResult, read_result
-from loose_env.gap.pipeline import GapFound, find_gap
 from loose_env.gap.settings import GapSettings
+from loose_env.gap.workflow.pipeline import GapFound, find_gap
 from loose_env.recording import read_recording
 from scripts.suites.gap.grading.exported import exported_gap
 

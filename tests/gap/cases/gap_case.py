@@ -1,0 +1,129 @@
+"""A small finished comparison, made without a search: an arm that lacks viscous friction."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.data.aligned_run import channels_of, lay_out
+from loose_env.gap.data.noise_floor import noise_floor
+from loose_env.gap.fitting.gauss_newton import Fit
+from loose_env.gap.fitting.holdout_score import Judge
+from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.friction import ViscousFriction
+from loose_env.gap.model.effects.sensors import SensorGain
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.output.result import NamedEffect, Place, Ranked
+from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.workflow.summary import GapOutputs
+from loose_env.recording import Recording, Run, write_recording
+from tests.gap.cases.effect_arms import PLANAR
+
+Array = NDArray[np.float64]
+
+DAMPING, GAIN = 3.0, 1.25
+"""What the recorded arm has beyond its model: at joint2 [N·m·s/rad], and of the sensor rate3."""
+STEP, COUNT = 0.002, 1100
+MODEL = PLANAR.replace('timestep="0.001"', 'timestep="0.002"').replace(
+    'integrator="implicitfast"', 'integrator="RK4"'
+)
+
+
+def record(folder: Path, *, runs: int = 3) -> Recording:
+    """Write a recording of an arm with the two effects and with noise."""
+    spec = mujoco.MjSpec.from_string(MODEL)
+    spec.joint("joint2").damping = np.array([0.5 + DAMPING, 0, 0])
+    model = spec.compile()
+    time = np.arange(COUNT) * STEP
+    rng = np.random.default_rng(8)
+    found = []
+    for k in range(runs):
+        data = mujoco.MjData(model)
+        controls = 0.5 * np.sin(np.outer(time, [2.0 + k, 3.3 + 0.7 * k, 5.1 - k]))
+        controls *= np.minimum(2 * time, 1.0)[:, None]
+        shown = np.zeros((COUNT, model.nsensordata))
+        for row, command in zip(shown, controls, strict=True):
+            data.ctrl[:] = command
+            mujoco.mj_step(model, data)
+            row[:] = data.sensordata
+        shown[:, 3] *= GAIN
+        shown += rng.normal(0, [2e-5, 2e-5, 2e-5, 2e-3, 0.02, 0.02, 0.02], shown.shape)
+        names = ("encoder1", "encoder2", "encoder3", "rate3")
+        found.append(
+            Run(
+                name=f"run-{k + 1:02d}.csv",
+                time=time,
+                controls={f"servo{j + 1}": controls[:, j] for j in range(3)},
+                sensors={n: shown[:, j] for j, n in enumerate(names)} | {"shake": shown[:, 4:]},
+            )
+        )
+    return write_recording(folder, model_xml=MODEL, runs=found, file_format="csv")
+
+
+def stated(comparison: Comparison, effects: list[Effect], values: list[Array]) -> Fit:
+    """A fit that was stated and not searched for."""
+    parameters = [p for effect in effects for p in effect.parameters]
+    free = np.array([p.free(v) for p, v in zip(parameters, np.concatenate(values), strict=True)])
+    fitted = Fit(
+        effects=tuple(effects), free=free, residual=np.zeros(0), jacobian=np.zeros((0, 0)), cost=0.0
+    )
+    residual = comparison.residuals([fitted.hypothesis])[0]
+    return Fit(
+        effects=fitted.effects,
+        free=free,
+        residual=residual,
+        jacobian=np.zeros((len(residual), len(free))),
+        cost=float(residual @ residual),
+    )
+
+
+def outputs_for(recording: Recording) -> GapOutputs:
+    """The comparison as a search would have ended; the last run is held out."""
+    machine = Machine(recording.spec(), step=STEP)
+    channels = channels_of(list(recording.runs))
+    trials = [lay_out(run, machine, channels, step=STEP) for run in recording.runs]
+    floors = np.array(
+        [np.median([noise_floor(t.measured[:, c]) for t in trials]) for c in range(len(channels))]
+    )
+    fitted = Comparison(machine, trials[:-1], channels, floors, threads=1)
+    held = Comparison(machine, trials[-1:], channels, floors, threads=1)
+    judge = Judge(fitted, held)
+    nominal = NominalFigures(machine, tolerance=0.03)
+    ones = np.ones(len(nominal.parameters))
+    friction, gain = ViscousFriction(machine, "joint2"), SensorGain(machine, "rate3")
+    values = [ones, np.array([DAMPING]), np.array([GAIN])]
+    base = judge.judge(stated(fitted, [nominal], values[:1]))
+    best = judge.judge(stated(fitted, [nominal, friction, gain], values))
+    return GapOutputs(
+        machine=machine,
+        fit=fitted,
+        held=held,
+        base=base,
+        best=best,
+        verdict="named",
+        effects=(
+            NamedEffect(
+                kind="viscous_friction", where="joint2", parameters={"damping": DAMPING},
+                interval_95={"damping": (2.9, 3.1)}, units={"damping": "N·m·s/rad"},
+                ambiguous_with=(Place(kind="actuator_gain", where="servo2"),),
+            ),
+            NamedEffect(
+                kind="sensor_gain", where="rate3", parameters={"gain": GAIN},
+                interval_95={"gain": (1.24, 1.26)}, units={"gain": ""}, in_model=False,
+            ),
+        ),
+        ranking=(
+            Ranked(kind="viscous_friction", where="joint2", held_out=3.1, bic=-300.0, lead=12.0),
+            Ranked(kind="coulomb_friction", where="joint2", held_out=9.0, bic=-20.0, lead=2.0),
+            Ranked(kind="sensor_gain", where="rate3", held_out=1.0, bic=-90.0, step=2, lead=9.0),
+        ),
+        warnings=("the step is coarse",),
+        settings={"tolerance": 0.03, "seed": 1},
+        model_path=recording.model_path,
+        recording=recording.folder.name,
+        threads=1,
+    )  # fmt: skip

@@ -1,0 +1,152 @@
+"""Intervals of a fit, and when an effect may be nothing at all."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from loose_env.gap.fitting.confidence_intervals import Intervals, bootstrap, widened
+from loose_env.gap.fitting.gauss_newton import Fit
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.parameter import free_of
+from tests.gap.cases.effect_arms import machine_of
+
+
+def around(draws: np.ndarray, kind: str, where: str) -> tuple[Intervals, object]:
+    effect = CATALOGUE[kind](machine_of("planar"), where)
+    free = draws / np.array([p.scale for p in effect.parameters])
+    low, high = np.quantile(draws, (0.025, 0.975), axis=0)
+    assert np.allclose(free_of(effect.parameters, np.zeros(len(low))), 0.0)
+    spread = np.atleast_2d(np.cov(free, rowvar=False))
+    return Intervals(low=low, high=high, free=free.mean(axis=0), covariance=spread), effect
+
+
+def test_a_number_whose_interval_includes_nothing_may_be_nothing() -> None:
+    rng = np.random.default_rng(3)
+    for mean, nothing in ((0.5, True), (3.0, False)):
+        draws = rng.normal(mean, 1.0, (2000, 1))
+        intervals, effect = around(draws, "coulomb_friction", "joint2")
+        assert intervals.may_be_nothing(effect, slice(0, 1)) is nothing
+
+
+def test_parts_that_trade_against_each_other_are_judged_together() -> None:
+    rng = np.random.default_rng(4)
+    along = rng.normal(0.0, 0.05, 2000)  # neither part is known, their sum is
+    size = len(CATALOGUE["link_com"](machine_of("planar"), "link2").parameters)
+    assert size >= 2
+    for sum_of_both, nothing in ((0.0, True), (0.02, False)):
+        draws = rng.normal(0.0, 0.001, (2000, size))
+        draws[:, 0] += along + 0.5 * sum_of_both
+        draws[:, 1] += -along + 0.5 * sum_of_both
+        intervals, effect = around(draws, "link_com", "link2")
+        assert np.all((intervals.low < 0) & (intervals.high > 0))
+        assert intervals.may_be_nothing(effect, slice(0, size)) is nothing
+
+
+@pytest.mark.parametrize(
+    ("kind", "where", "name", "end"),
+    [
+        ("joint_compliance", "joint2", "stiffness", "high"),
+        ("link_flexibility", "link2", "stiffness", "high"),
+        ("backlash", "joint2", "gap", "low"),  # without it the stops are a spring
+        ("structural_looseness", "link2", "friction", "high"),
+        ("stribeck_friction", "joint2", "torque", "low"),
+    ],
+)
+def test_an_interval_that_reaches_the_limit_of_an_effect_includes_nothing(
+    kind: str, where: str, name: str, end: str
+) -> None:
+    effect = CATALOGUE[kind](machine_of("planar"), where)
+    parameters = effect.parameters
+    number = [p.name for p in parameters].index(name)
+    middle = np.array([np.sqrt(p.low * p.high) if p.log else 0.5 * (p.low + p.high)
+                       for p in parameters])  # fmt: skip
+    low, high = 0.9 * middle, 1.1 * middle
+    assert not effect.vanishes(low, high)
+    if end == "high":
+        high[number] = parameters[number].high
+    else:
+        low[number] = parameters[number].low
+    assert effect.vanishes(low, high)
+
+
+def test_runs_that_disagree_widen_an_interval_and_never_to_nothing() -> None:
+    machine = machine_of("planar")
+    effect = CATALOGUE["coulomb_friction"](machine, "joint2")
+    scale = effect.parameters[0].scale
+    rng = np.random.default_rng(5)
+    rows, runs = 300, 3
+    jacobian = np.ones((rows, 1))
+    residual = rng.normal(0.0, 0.1, rows) + np.repeat([-1.5, 0.0, 1.5], rows // runs)
+    comparison = SimpleNamespace(
+        rows=SimpleNamespace(trial=np.repeat(np.arange(runs), rows // runs))
+    )
+    fitted = SimpleNamespace(
+        effects=(effect,), free=np.array([1.0]), jacobian=jacobian, residual=residual
+    )
+    narrow = Intervals(
+        low=np.array([0.9 * scale]),
+        high=np.array([1.1 * scale]),
+        free=fitted.free,
+        covariance=np.eye(1),
+    )
+    wide = widened(comparison, fitted, narrow)  # type: ignore[arg-type]
+    assert wide.low[0] == narrow.low[0]
+    assert wide.high[0] > 1.5 * narrow.high[0]
+    # data without a contradiction are still no surer than the law itself
+    sharp = replace(narrow, low=np.array([scale]), high=np.array([scale]))
+    fitted.residual = np.zeros(rows)
+    least = widened(comparison, fitted, sharp)  # type: ignore[arg-type]
+    assert (least.low[0], least.high[0]) == pytest.approx((0.995 * scale, 1.005 * scale))
+
+
+def test_no_interval_comes_to_hold_nothing_because_no_law_is_exact() -> None:
+    effect = CATALOGUE["sensor_gain"](machine_of("planar"), "encoder1")
+    free = free_of(effect.parameters, np.array([1.003]))
+    fitted = SimpleNamespace(
+        effects=(effect,), free=free, jacobian=np.ones((9, 1)), residual=np.zeros(9)
+    )
+    narrow = Intervals(
+        low=np.array([1.00299]), high=np.array([1.00301]), free=free, covariance=np.eye(1)
+    )
+    comparison = SimpleNamespace(rows=SimpleNamespace(trial=np.zeros(9, dtype=int)))
+    found = widened(comparison, fitted, narrow)  # type: ignore[arg-type]
+    assert 1.0 < found.low[0] <= 1.00299 and found.high[0] >= 1.00301
+    assert not found.may_be_nothing(effect, slice(0, 1))
+
+
+def test_a_gain_of_a_twentieth_is_known_to_half_a_percent_of_itself() -> None:
+    effect = CATALOGUE["actuator_gain"](machine_of("planar"), "servo1")
+    free = free_of(effect.parameters, np.array([0.05]))
+    fitted = SimpleNamespace(
+        effects=(effect,), free=free, jacobian=np.ones((9, 1)), residual=np.zeros(9)
+    )
+    value = np.full(1, 0.05)
+    narrow = Intervals(low=value, high=value, free=free, covariance=np.eye(1))
+    comparison = SimpleNamespace(rows=SimpleNamespace(trial=np.zeros(9, dtype=int)))
+    found = widened(comparison, fitted, narrow)  # type: ignore[arg-type]
+    assert (found.low[0], found.high[0]) == pytest.approx((0.04975, 0.05025))
+
+
+@pytest.mark.parametrize(("first", "nothing"), [(0.0, True), (3.0, False)])
+def test_what_the_data_do_not_answer_to_may_be_anything(first: float, nothing: bool) -> None:
+    rng = np.random.default_rng(6)
+    effect = CATALOGUE["link_com"](machine_of("planar"), "link2")
+    count = len(effect.parameters)
+    assert count == 2
+    jacobian = np.stack([rng.normal(size=2000), np.zeros(2000)], axis=1)
+    fitted = Fit(
+        effects=(effect,),
+        free=np.array([first, 0.5]),  # nobody knows why the second one is not zero
+        residual=rng.normal(size=2000),
+        jacobian=jacobian,
+        cost=0.0,
+    )
+    comparison = SimpleNamespace(rows=SimpleNamespace(block=np.repeat(np.arange(50), 40)))
+    found = bootstrap(comparison, fitted, rng)
+    assert (found.low[1], found.high[1]) == (effect.parameters[1].low, effect.parameters[1].high)
+    assert found.high[0] - found.low[0] < 0.2 * effect.parameters[0].scale
+    assert found.may_be_nothing(effect, slice(0, 2)) is nothing

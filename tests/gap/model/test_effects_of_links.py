@@ -1,0 +1,382 @@
+"""What the effects of links, payload and base do, against formulas of their own."""
+
+from __future__ import annotations
+
+from math import cos, pi
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from loose_env.arms import DESK_ARM
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
+from loose_env.gap.model.effects.link_flexibility import parts
+from loose_env.gap.model.effects.mjcf.inertia import Inertial, inertial_of, make_explicit, steiner
+from loose_env.gap.model.nominal_model import Machine
+from tests.gap.cases.effect_arms import ARMS, machine_of
+
+Array = NDArray[np.float64]
+
+
+def edited(effect: Effect, *values: float) -> mujoco.MjModel:
+    spec = effect.machine.fresh()
+    effect.edit(spec, np.array(values))
+    return spec.compile()
+
+
+def poses(machine: Machine, count: int = 4) -> Array:
+    model = machine.model
+    spread = np.where(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE, 0.05, 0.6)
+    return np.asarray(
+        model.qpos0 + spread * np.random.default_rng(5).uniform(-1, 1, (count, model.nq))
+    )
+
+
+def posed(model: mujoco.MjModel, machine: Machine, pose: Array) -> mujoco.MjData:
+    """The machine's joints in a pose, whatever was added at zero."""
+    data = mujoco.MjData(model)
+    for name, value in zip(machine.joints, pose, strict=True):
+        data.joint(name).qpos[0] = value
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def inertia(model: mujoco.MjModel, data: mujoco.MjData, machine: Machine) -> Array:
+    """Mass matrix of the machine's joints, whatever was added held."""
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    own = [int(model.joint(name).dofadr[0]) for name in machine.joints]
+    return full[np.ix_(own, own)]
+
+
+def gravity(model: mujoco.MjModel, machine: Machine, pose: Array) -> Array:
+    """What gravity asks of the joints at rest."""
+    data = posed(model, machine, pose)
+    return np.array([float(data.joint(name).qfrc_bias[0]) for name in machine.joints])
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_a_split_link_is_the_link_it_was_while_it_does_not_bend(arm: str) -> None:
+    machine = machine_of(arm)
+    for effect in candidates(machine, ["link_flexibility"]):
+        model = edited(effect, *effect.starts[0])
+        assert model.body_subtreemass[0] == pytest.approx(machine.model.body_subtreemass[0])
+        for pose in poses(machine):
+            before, after = posed(machine.model, machine, pose), posed(model, machine, pose)
+            assert np.allclose(after.subtree_com[0], before.subtree_com[0], atol=1e-9)
+            whole = inertia(machine.model, before, machine)
+            assert np.allclose(inertia(model, after, machine), whole, atol=1e-9 * whole.max())
+            for k in range(machine.model.nsite):
+                name = machine.model.site(k).name
+                assert np.allclose(before.site(name).xpos, after.site(name).xpos, atol=1e-9)
+            assert np.allclose(
+                gravity(model, machine, pose), gravity(machine.model, machine, pose), atol=1e-8
+            )
+
+
+def test_a_link_bends_beyond_its_joint_by_moment_over_stiffness() -> None:
+    machine = machine_of("planar")
+    (effect,) = candidates(machine, ["link_flexibility"])[2:3]
+    assert effect.where == "link3"
+    stiffness = 250.0
+    model = edited(effect, stiffness, 1.0, 0.5)
+    data = mujoco.MjData(model)
+    body = model.site("tool").bodyid[0]
+    assert model.body(body).name == "link3_link_flexibility"
+    for _ in range(6000):
+        # A weight of 10 N at the tool, as an outer force.
+        data.xfrc_applied[:] = 0.0
+        lever = data.site("tool").xpos - data.xipos[body]
+        force = np.array([0.0, -10.0, 0.0])
+        data.xfrc_applied[body, :3], data.xfrc_applied[body, 3:] = force, np.cross(lever, force)
+        mujoco.mj_step(model, data)
+    bend = float(data.joint("link3_link_flexibility").qpos[0])
+    angle = float(data.qpos.sum())
+    far = model.body("link3_link_flexibility")
+    moment = 10.0 * 0.15 * cos(angle) + 9.81 * far.mass[0] * far.ipos[0] * cos(angle)
+    assert bend == pytest.approx(-moment / stiffness, rel=2e-3)
+
+
+def test_bending_is_about_the_joint_or_across_it() -> None:
+    machine = machine_of("spatial")
+    about, across = (
+        CATALOGUE["link_flexibility"](machine, "arm", variant) for variant in ("", "across")
+    )
+    axes = []
+    for effect in (about, across):
+        model = edited(effect, *effect.starts[0])
+        axes.append(model.joint("arm_" + effect.kind + ("_across" if effect.variant else "")).axis)
+    along = np.array([0.05, 0, 0.4]) / np.hypot(0.05, 0.4)
+    assert np.allclose(axes[0], [0, 1, 0])
+    assert np.allclose([axes[1] @ along, axes[1] @ axes[0]], 0, atol=1e-9)
+    planar = CATALOGUE["link_flexibility"](machine_of("planar"), "link2")
+    assert planar.forms(planar.machine, "link2") == ("",)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
+def test_two_parts_make_the_whole(share: float) -> None:
+    whole = Inertial(3.0, np.array([0.2, 0.01, 0.0]), np.diag([0.002, 0.05, 0.051]))
+    along = np.array([1.0, 0, 0])
+    pair = parts(whole, np.zeros(3), 0.4 * along, share)
+    total = np.zeros((3, 3))
+    for part in pair:
+        lever = part.centre - whole.centre
+        assert abs(lever @ along) == pytest.approx(np.linalg.norm(lever))
+        low, middle, high = np.linalg.eigvalsh(part.tensor)
+        assert low > 0
+        assert high <= low + middle
+        total += part.tensor + steiner(part.mass, lever)
+    near, far = pair
+    assert np.allclose(total, whole.tensor)
+    assert near.mass == pytest.approx(share * 3.0)
+    assert near.mass + far.mass == pytest.approx(3.0)
+    assert np.allclose((near.mass * near.centre + far.mass * far.centre) / 3.0, whole.centre)
+    assert (far.centre - near.centre) @ along == pytest.approx(0.2)  # half the length
+    # A lump cannot be stretched.
+    lump = Inertial(3.0, np.zeros(3), 1e-6 * np.eye(3))
+    far = parts(lump, -0.2 * along, 0.2 * along, share)[1]
+    assert np.linalg.norm(far.centre) < 0.01
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
+@pytest.mark.parametrize("fall", [0.0, 0.5])
+def test_a_bar_is_cut_into_bars(share: float, fall: float) -> None:
+    """Slices of a bar, heavier near its joint, summed up on either side of the cut."""
+    count, length, thick = 20_000, 0.4, 0.01
+    place = (np.arange(count) + 0.5) / count
+    slices = (1 + fall * (1 - 2 * place)) * 3.0 / count
+    start, end = np.array([0.0, 0.1, 0.0]), np.array([0.0, 0.1, length])
+
+    def summed(chosen: NDArray[np.bool_]) -> Inertial:
+        mass = float(slices[chosen].sum())
+        middle = float(slices[chosen] @ place[chosen]) / mass
+        across = length**2 * float(slices[chosen] @ (place[chosen] - middle) ** 2)
+        round_bar = mass * thick**2 * np.array([0.25, 0.25, 0.5])
+        tensor = np.diag(round_bar + np.array([across, across, 0.0]))
+        return Inertial(mass, start + middle * (end - start), tensor)
+
+    found = parts(summed(place > 0), start, end, share)
+    for piece, true in zip(found, (summed(place < share), summed(place > share)), strict=True):
+        assert piece.mass == pytest.approx(true.mass, rel=1e-3)
+        assert np.allclose(piece.centre, true.centre, atol=1e-4)
+        assert np.allclose(piece.tensor, true.tensor, atol=2e-3 * true.tensor.max())
+
+
+def test_a_link_that_is_cut_touches_nothing_that_it_did_not_touch() -> None:
+    """Neighbours overlap at their joint; MuJoCo lets no body touch the one that it hangs on."""
+    machine = machine_of("spatial")
+    for effect in candidates(machine, ["link_flexibility"]):
+        model = edited(effect, *effect.starts[0])
+        for pose in poses(machine):
+            before, after = posed(machine.model, machine, pose), posed(model, machine, pose)
+            assert after.ncon <= before.ncon, (effect, pose)
+        again = mujoco.MjSpec.from_string(machine.fresh().to_xml())
+        effect.edit(again, np.array(effect.starts[0]))
+        assert len(list(again.excludes)) > 0 or effect.where == "hand"
+    # a model that lets neighbours touch keeps that
+    spec = machine.fresh()
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
+    CATALOGUE["link_flexibility"](machine, "column").edit(spec, np.array([100.0, 0.1, 0.5]))
+    assert not list(spec.excludes)
+
+
+def test_a_payload_weighs_at_the_tool() -> None:
+    for arm in ("planar", "spatial"):
+        machine = machine_of(arm)
+        effect = CATALOGUE["payload"](machine, "tool")
+        model = edited(effect, 0.7)
+        for pose in poses(machine):
+            data = posed(machine.model, machine, pose)
+            jacobian = np.zeros((3, machine.model.nv))
+            mujoco.mj_jacSite(machine.model, data, jacobian, None, machine.model.site("tool").id)
+            added = -0.7 * machine.model.opt.gravity @ jacobian
+            change = gravity(model, machine, pose) - gravity(machine.model, machine, pose)
+            assert np.allclose(change, added, atol=1e-9)
+            moved = inertia(model, posed(model, machine, pose), machine)
+            extra = moved - inertia(machine.model, data, machine)
+            assert np.allclose(extra, 0.7 * jacobian.T @ jacobian, atol=2e-3 * extra.max())
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_mass_and_centre_of_a_link_change_its_weight(arm: str) -> None:
+    machine = machine_of(arm)
+    for effect in candidates(machine, ["link_mass", "link_com"]):
+        body = machine.model.body(effect.where).id
+        own = float(machine.model.body_mass[body])
+        values = np.array(effect.starts[-1])
+        model = edited(effect, *values)
+        for pose in poses(machine, 2):
+            data = posed(machine.model, machine, pose)
+            jacobian = np.zeros((3, machine.model.nv))
+            centre = np.array(data.xipos[body])
+            mujoco.mj_jac(machine.model, data, jacobian, None, centre, body)
+            if effect.kind == "link_mass":
+                wanted = -values[0] * machine.model.opt.gravity @ jacobian
+            else:
+                shift = np.zeros(3)
+                shift["xyz".index(effect.parameters[-1].name)] = values[-1]
+                moved = np.zeros_like(jacobian)
+                place = centre + data.xmat[body].reshape(3, 3) @ shift
+                mujoco.mj_jac(machine.model, data, moved, None, place, body)
+                wanted = -own * machine.model.opt.gravity @ (moved - jacobian)
+            change = gravity(model, machine, pose) - gravity(machine.model, machine, pose)
+            assert np.allclose(change, wanted, atol=1e-8), effect
+
+
+def test_a_tilted_base_is_an_arm_turned_about_its_root() -> None:
+    machine = machine_of("planar")
+    effect = CATALOGUE["base_tilt"](machine, "base")
+    assert [p.name for p in effect.parameters] == ["tilt_z"]
+    model = edited(effect, 0.1)
+    for pose in poses(machine):
+        turned = pose + np.array([0.1, 0, 0])
+        wanted = gravity(machine.model, machine, turned)
+        assert np.allclose(gravity(model, machine, pose), wanted)
+    spatial = CATALOGUE["base_tilt"](machine_of("spatial"), "base")
+    assert [p.name for p in spatial.parameters] == ["tilt_x", "tilt_y"]
+    tilted = edited(spatial, 0.1, 0.0)
+    assert np.allclose(tilted.opt.gravity, 9.81 * np.array([0, -np.sin(0.1), -np.cos(0.1)]))
+
+
+def pushed(model: mujoco.MjModel, name: str, force: float, steps: int = 3000) -> float:
+    """Where an added slide comes to rest under a force along it, all else held."""
+    for k in range(model.njnt):
+        if model.joint(k).name != name:
+            model.dof_damping[int(model.jnt_dofadr[k])] = 1e7
+    model.dof_damping[int(model.joint(name).dofadr[0])] += 40.0
+    model.opt.gravity[:] = 0.0
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
+    model.jnt_stiffness[:] = 0.0
+    data = mujoco.MjData(model)
+    data.qfrc_applied[int(model.joint(name).dofadr[0])] = force
+    for _ in range(steps):
+        mujoco.mj_step(model, data)
+    return float(data.joint(name).qpos[0])
+
+
+@pytest.mark.parametrize(("arm", "where"), [("planar", "link2"), ("spatial", "arm")])
+def test_a_loose_link_slides_from_stop_to_stop_against_friction(arm: str, where: str) -> None:
+    machine = machine_of(arm)
+    effect = CATALOGUE["structural_looseness"](machine, where)
+    direction = (0.7,) if arm == "planar" else (0.7, 0.4)
+    gap, friction = 0.003, 2.0
+    stiffness = effect.starts[0][-2]
+    values = (*direction, gap, friction, stiffness, 0.2)
+    name = f"{where}_structural_looseness"
+    wanted = np.array(
+        [cos(0.7), np.sin(0.7), 0]
+        if arm == "planar"
+        else [cos(0.4) * cos(0.7), cos(0.4) * np.sin(0.7), np.sin(0.4)]
+    )
+    model = edited(effect, *values)
+    assert np.allclose(model.joint(name).axis, wanted)
+    assert abs(pushed(model, name, 0.8 * friction)) < 2e-5
+    ends = [pushed(edited(effect, *values), name, sign * (friction + 5.0)) for sign in (1, -1)]
+    # The stiffness counts along the mean direction; elsewhere the contact mode is the same.
+    assert ends[0] > gap / 2
+    assert ends[1] < -gap / 2
+    assert ends[0] - ends[1] == pytest.approx(gap + 2 * 5.0 / stiffness, rel=0.1)
+
+
+def test_a_loose_link_turns_its_direction_with_its_own_joint() -> None:
+    machine = machine_of("planar")
+    effect = CATALOGUE["structural_looseness"](machine, "link2")
+    model = edited(effect, 0.0, 0.01, 1.0, *effect.starts[0][-2:])
+    data = mujoco.MjData(model)
+    data.joint("joint1").qpos[0], data.joint("joint2").qpos[0] = 0.3, 0.5
+    mujoco.mj_kinematics(model, data)
+    before = np.array(data.site("tool").xpos)
+    data.joint("link2_structural_looseness").qpos[0] = 0.004
+    mujoco.mj_kinematics(model, data)
+    moved = data.site("tool").xpos - before
+    assert np.allclose(moved, 0.004 * np.array([cos(0.8), np.sin(0.8), 0]), atol=1e-12)
+
+
+def test_inertia_can_be_read_however_it_was_written() -> None:
+    for arm in ARMS:
+        machine = machine_of(arm)
+        spec = machine.fresh()
+        make_explicit(machine, spec)
+        model = spec.compile()
+        assert np.allclose(model.body_mass, machine.model.body_mass)
+        pose = poses(machine, 1)[0]
+        first, second = posed(model, machine, pose), posed(machine.model, machine, pose)
+        whole = inertia(machine.model, second, machine)
+        assert np.allclose(inertia(model, first, machine), whole, atol=1e-9 * whole.max())
+        for link in machine.links:
+            figures = inertial_of(machine, spec, link)
+            assert figures.mass == pytest.approx(machine.model.body(link).mass[0])
+    # Geoms overrule the figures of a file that says so, but not those of an effect.
+    spec = machine_of("spatial").fresh()
+    spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    spec.body("hand").add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.02, 0, 0], mass=0.5)
+    ruled = Machine(spec)
+    heavier = edited(CATALOGUE["link_mass"](ruled, "ram"), 0.4)
+    wanted = np.array(ruled.model.body_mass)
+    wanted[ruled.model.body("ram").id] += 0.4
+    assert np.allclose(heavier.body_mass, wanted)
+
+
+def test_links_with_several_branches_can_bend_one_after_the_other() -> None:
+    machine = Machine(mujoco.MjSpec.from_file(str(DESK_ARM)))
+    spec = machine.fresh()
+    chosen = [e for e in candidates(machine, ["link_flexibility"]) if not e.variant]
+    assert {"upper_arm", "hand"} <= {effect.where for effect in chosen}
+    for effect in chosen:
+        effect.edit(spec, np.array(effect.starts[0]))
+    model = mujoco.MjModel.from_xml_string(spec.to_xml())
+    assert model.njnt == machine.model.njnt + len(chosen)
+    joints = [model.joint(k).name for k in range(model.njnt)]
+    assert [name for name in joints if name in machine.joints] == list(machine.joints)
+    assert np.allclose(model.actuator_gear, machine.model.actuator_gear)
+    for pose in poses(machine, 2):
+        before, after = posed(machine.model, machine, pose), posed(model, machine, pose)
+        assert np.allclose(before.site("tool").xpos, after.site("tool").xpos, atol=1e-5)
+        whole = inertia(machine.model, before, machine)
+        assert np.allclose(inertia(model, after, machine), whole, atol=1e-4 * whole.max())
+
+
+@pytest.mark.parametrize("kind", ["structural_looseness", "joint_compliance", "backlash"])
+def test_a_link_on_a_slide_without_rotor_can_be_loose_along_it(kind: str) -> None:
+    machine = Machine(mujoco.MjSpec.from_file(str(DESK_ARM)))
+    where = "left_finger"
+    effect = CATALOGUE[kind](machine, where)
+    values = np.array(effect.starts[0])
+    if kind == "structural_looseness":
+        values[:2] = pi / 2, 0.0  # along the finger's own slide
+    data = mujoco.MjData(edited(effect, *values))
+    for _ in range(300):
+        mujoco.mj_step(data.model, data)
+    assert np.isfinite(data.qpos).all()
+    assert np.abs(data.qvel).max() < 10
+
+
+def test_effects_add_up_in_one_model() -> None:
+    """Several edits, those that cut links and joints among them, in either order."""
+    machine = machine_of("spatial")
+    several = [
+        CATALOGUE["link_flexibility"](machine, "arm"),
+        CATALOGUE["payload"](machine, "tool"),
+        CATALOGUE["joint_compliance"](machine, "lift"),
+        CATALOGUE["link_mass"](machine, "ram"),
+        CATALOGUE["torque_ripple"](machine, "roll"),
+        CATALOGUE["structural_looseness"](machine, "hand"),
+        CATALOGUE["sensor_misalignment"](machine, "shake"),
+    ]
+    for order in (several, several[::-1]):
+        spec = machine.fresh()
+        for effect in order:
+            effect.export(spec, np.array(effect.starts[0]))
+        model = mujoco.MjModel.from_xml_string(spec.to_xml())
+        assert [model.actuator(k).name for k in range(model.nu)] == list(machine.actuators)
+        assert [model.sensor(k).name for k in range(model.nsensor)] == list(machine.sensors)
+        data = mujoco.MjData(model)
+        for _ in range(200):
+            mujoco.mj_step(model, data)
+        assert np.isfinite(data.qpos).all()
+        mass = machine.model.body_subtreemass[0] + sum(
+            effect.starts[0][0] for effect in order if effect.kind in ("payload", "link_mass")
+        )
+        assert model.body_subtreemass[0] == pytest.approx(mass, rel=1e-5)

@@ -1,0 +1,125 @@
+"""The corrected model's file does in plain MuJoCo what was fitted, or it says that it does not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from loose_env.gap.fitting.holdout_score import machine_part
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.actuators import ActuatorLag, CommandDelay
+from loose_env.gap.model.effects.friction import ViscousFriction
+from loose_env.gap.model.effects.sensors import SensorGain
+from loose_env.gap.output.export_check import Exported, exported, played
+from loose_env.gap.output.export_mjcf import corrected_spec
+from loose_env.gap.preparation.prepare import Prepared
+from loose_env.gap.residuals.residual_model import Comparison
+from tests.gap.cases.exported_case import judged_with, prepared_arm
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
+    return prepared_arm(tmp_path_factory.mktemp("exported") / "r")
+
+
+def export_of(prepared: Prepared, effect: Effect, values: list[float]) -> Exported:
+    best = judged_with(prepared, effect, values)
+    return exported(prepared.whole_held, machine_part(best), best.held_residual)
+
+
+def test_what_acts_slowly_needs_no_finer_step(prepared: Prepared) -> None:
+    found = export_of(prepared, ViscousFriction(prepared.machine, "joint2"), [3.0])
+    assert found.parts == 1 and not found.matters and found.words() == []
+    assert found.left == pytest.approx(found.fitted, rel=1e-3) and found.fitted < 1.1
+
+
+def export_as_fitted(prepared: Prepared, effect: Effect, value: float) -> Exported:
+    """Held against a fit that is right: the readings are its own, and it leaves nothing."""
+    hypothesis, held = machine_part(judged_with(prepared, effect, [value])), prepared.whole_held
+    (shown,) = held.predict([hypothesis])
+    measured = [trial.measured.copy() for trial in held.trials]
+    try:
+        for trial, values in zip(held.trials, shown, strict=True):
+            trial.measured[:] = values
+        return exported(held, hypothesis, np.zeros(len(held)))
+    finally:
+        for trial, values in zip(held.trials, measured, strict=True):
+            trial.measured[:] = values
+
+
+@pytest.mark.parametrize(
+    ("kind", "where", "late"),
+    [
+        (ActuatorLag, "servo2", 0.0002),
+        (ActuatorLag, "servo2", 0.0011),
+        (CommandDelay, "all", 0.0004),
+    ],
+)
+def test_what_is_shorter_than_a_step_is_written_with_a_finer_one(
+    kind: type[Effect], where: str, late: float, prepared: Prepared
+) -> None:
+    found = export_as_fitted(prepared, kind(prepared.machine, where), late)
+    assert not found.matters and found.apart < 0.3
+    assert found.parts > 1 or late > prepared.machine.step
+    if found.parts > 1:
+        assert found.step == pytest.approx(prepared.machine.step / found.parts)
+        assert "has a step of" in found.words()[0]
+
+
+@pytest.mark.parametrize("rate", [60.0, 100.0, 300.0, 1000.0])
+def test_samples_need_not_fall_on_steps_of_the_model(rate: float, tmp_path: Path) -> None:
+    prepared = prepared_arm(tmp_path / "r", rate=rate)
+    found = export_of(prepared, ViscousFriction(prepared.machine, "joint2"), [3.0])
+    assert found.parts == 1 and not found.words()
+    assert found.apart < 1e-3 and found.left == pytest.approx(found.fitted, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "where", "late"),
+    [(CommandDelay, "all", 0.1), (ActuatorLag, "servo2", 0.15)],
+)
+def test_what_comes_late_begins_with_the_first_command(
+    kind: type[Effect], where: str, late: float, tmp_path: Path
+) -> None:
+    prepared = prepared_arm(tmp_path / "r", first=0.5)
+    found = export_as_fitted(prepared, kind(prepared.machine, where), late)
+    assert found.parts == 1 and found.apart < 0.1 and not found.words()
+
+
+def test_runs_that_show_nothing_by_then_are_not_tried(prepared: Prepared) -> None:
+    best = judged_with(prepared, ViscousFriction(prepared.machine, "joint2"), [3.0])
+    held = prepared.whole_held
+    unread = np.full_like(held.trials[0].measured, np.nan)
+    late = [replace(held.trials[0], measured=unread), *held.trials]
+    runs = Comparison(held.machine, late, held.channels, held.floors, threads=1)
+    runs.trials[1] = replace(runs.trials[1], resting=False)
+    assert exported(runs, machine_part(best), np.zeros(len(runs))) == Exported()
+
+
+def test_a_filter_much_shorter_than_a_step_is_stable_in_plain_mujoco(prepared: Prepared) -> None:
+    machine, held = prepared.machine, prepared.whole_held
+    assert machine.integrator == int(mujoco.mjtIntegrator.mjINT_RK4)
+    lag = ActuatorLag(machine, "servo2")
+    model = corrected_spec(machine, [lag], [np.array([1e-5])]).compile()
+    nominal = corrected_spec(machine, [], []).compile()
+    with_lag, without = (played(held, m, held.trials[0]) for m in (model, nominal))
+    assert np.abs(with_lag - without).max() < 0.01
+
+
+def test_a_file_that_lacks_what_was_fitted_is_found_out(
+    prepared: Prepared, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ViscousFriction, "export", lambda *_: None)
+    found = export_of(prepared, ViscousFriction(prepared.machine, "joint2"), [3.0])
+    assert found.matters and found.parts == 1 and found.left > 3 * found.fitted
+    (words,) = found.words()
+    assert found.channel in words and "does not quite do what was fitted" in words
+
+
+def test_what_a_file_cannot_carry_is_not_tried(prepared: Prepared) -> None:
+    found = export_of(prepared, SensorGain(prepared.machine, "encoder1"), [1.1])
+    assert found == Exported() and np.isnan(found.left) and found.words() == []

@@ -1,0 +1,189 @@
+"""The corrected model as a file: it compiles, names stay valid, it does what was fitted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from loose_env.errors import InvalidData
+from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
+from loose_env.gap.model.effects.friction import CoulombFriction, ViscousFriction
+from loose_env.gap.model.effects.joint_elasticity import JointCompliance
+from loose_env.gap.model.effects.sensors import SensorBias, SensorGain
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.output.export_mjcf import correction_code, write_model
+from loose_env.recording.columns import ModelColumns
+from tests.gap.cases.effect_arms import (
+    PLANAR,
+    SPATIAL,
+    clock,
+    commands,
+    machine_of,
+    simulate,
+    with_effect,
+)
+
+RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
+ARMS = {"planar": PLANAR, "spatial": SPATIAL}
+
+
+def stepped(arm: str) -> Machine:
+    """A machine with another step and integrator than its file has, as a comparison chooses."""
+    return Machine(mujoco.MjSpec.from_string(ARMS[arm]), step=0.0005, integrator=RK4)
+
+
+def one_of(machine: Machine, kind: str) -> Effect:
+    """The effect of a kind at its last place."""
+    return candidates(machine, [kind])[-1]
+
+
+@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize("kind", CATALOGUE)
+def test_the_file_compiles_keeps_its_names_and_does_what_was_fitted(
+    arm: str, kind: str, tmp_path: Path
+) -> None:
+    machine = stepped(arm)
+    effect = one_of(machine, kind)
+    values = np.array(effect.starts[2 if effect.shifts else 0])  # several steps of time
+    written = write_model(tmp_path / "model.xml", machine, [effect], [values])
+    assert written == [tmp_path / "model.xml"] and list(tmp_path.iterdir()) == written
+    model = mujoco.MjModel.from_xml_path(str(written[0]))
+    before, after = ModelColumns.of(machine.model).known, ModelColumns.of(model).known
+    assert all(after[column] == meaning for column, meaning in before.items())
+    assert model.opt.timestep == 0.0005 and model.opt.integrator == RK4
+    if not effect.in_model:
+        assert effect.where in correction_code([effect], [values])
+        return
+    fine = Machine(machine.spec, step=0.0005, integrator=RK4)
+    fine.model.opt.timestep = 0.0005  # the step of the clock of the test's simulations
+    simulated = with_effect(fine, type(effect)(fine, effect.where, effect.variant), values)
+    readings = simulate(model, commands(fine, clock(fine)))
+    nominal = simulate(machine.fresh().compile(), commands(fine, clock(fine)))
+    begin = 120 if kind == "sensor_delay" else 0  # MuJoCo shows 0 before the first reading
+    for name, column in simulated.items():
+        off = float(np.abs(column - readings[name])[begin:].max())
+        visible = float(np.abs(column - nominal[name])[begin:].max())
+        # Six digits are kept of each number, which impacts enlarge.
+        scale = max(float(np.abs(column).max()), 1e-2)
+        # A Runge-Kutta method reads what is late within the step too. The motion is that of half a
+        # step later, so that an accelerometer, which reads at the step, is half a step in doubt.
+        doubtful = kind in ("actuator_lag", "command_delay") and column.ndim > 1
+        half = 0.5 * float(np.abs(np.diff(column, axis=0)).max()) if doubtful else 0
+        allowed = (2e-3 if effect.adds_motion else 3e-5) * scale + 0.02 * visible + half
+        assert off <= allowed, name
+
+
+def test_nominal_figures_and_several_effects_stand_in_one_file(tmp_path: Path) -> None:
+    machine = stepped("planar")
+    nominal = NominalFigures(machine, tolerance=0.03)
+    figures = np.linspace(0.98, 1.02, len(nominal.parameters))
+    effects = [
+        nominal,
+        ViscousFriction(machine, "joint1"),
+        JointCompliance(machine, "joint2"),
+        CoulombFriction(machine, "joint3"),
+    ]
+    values = [figures, np.array([1.5])] + [np.array(e.starts[0]) for e in effects[2:]]
+    file = write_model(tmp_path / "model.xml", machine, effects, values)[0]
+    model = mujoco.MjModel.from_xml_path(str(file))
+    spec = machine.fresh()
+    for effect, own in zip(effects, values, strict=True):
+        effect.edit(spec, own)
+    expected = spec.compile()
+    assert np.allclose(model.body_mass, expected.body_mass, rtol=1e-5)
+    assert np.allclose(model.dof_damping, expected.dof_damping, rtol=1e-5)
+    assert np.allclose(model.actuator_gainprm, expected.actuator_gainprm, rtol=1e-5)
+    assert not np.allclose(model.body_mass[1], machine.model.body_mass[1], rtol=1e-3)
+    assert model.nv == machine.model.nv + 1 and model.dof_frictionloss.any()
+
+
+def test_what_readings_need_stands_in_the_code_and_runs() -> None:
+    machine = machine_of("planar")
+    gain, bias = SensorGain(machine, "encoder1"), SensorBias(machine, "shake")
+    lines = correction_code(
+        [ViscousFriction(machine, "joint1"), gain, bias],
+        [np.array([1.0]), np.array([1.25]), np.array([0.5, 0.0, -0.5])],
+    )
+    data = mujoco.MjData(machine.model)
+    data.sensor("encoder1").data[:] = 2.0
+    exec(lines, {"data": data})  # as a user would
+    assert data.sensor("encoder1").data[0] == 2.5
+    assert np.array_equal(data.sensor("shake").data, [0.5, 0.0, -0.5])
+
+
+def test_keyframes_keep_the_positions_of_the_joints_they_name(tmp_path: Path) -> None:
+    xml = PLANAR.replace(
+        "</mujoco>",
+        '<keyframe><key name="home" qpos="0.1 0.2 0.3" qvel="1 2 3"/></keyframe></mujoco>',
+    )
+    machine = Machine(mujoco.MjSpec.from_string(xml))
+    effect = JointCompliance(machine, "joint1")
+    values = np.array(effect.starts[0])
+    file = write_model(tmp_path / "model.xml", machine, [effect], [values])[0]
+    model = mujoco.MjModel.from_xml_path(str(file))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    for joint, position, speed in (("joint1", 0.1, 1), ("joint2", 0.2, 2), ("joint3", 0.3, 3)):
+        assert data.joint(joint).qpos[0] == pytest.approx(position)
+        assert data.joint(joint).qvel[0] == pytest.approx(speed)
+    added = next(n for k in range(model.njnt) if (n := model.joint(k).name) not in machine.joints)
+    assert data.joint(added).qpos[0] == 0.0
+
+
+def test_meshes_and_files_that_are_included_are_taken_along(tmp_path: Path) -> None:
+    home, out = tmp_path / "arm", tmp_path / "out"
+    (home / "meshes").mkdir(parents=True)
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+    home.joinpath("meshes", "corner.obj").write_text(corners)
+    home.joinpath("motors.xml").write_text(
+        '<mujocoinclude><actuator><motor name="m" joint="turn"/></actuator></mujocoinclude>'
+    )
+    file = home / "arm.xml"
+    file.write_text(
+        '<mujoco><compiler meshdir="meshes"/><asset><mesh name="c" file="corner.obj"/></asset>'
+        '<worldbody><body name="link"><joint name="turn"/><geom type="mesh" mesh="c"/></body>'
+        '</worldbody><include file="motors.xml"/></mujoco>'
+    )
+    machine = Machine(mujoco.MjSpec.from_file(str(file)))
+    effect = ViscousFriction(machine, "turn")
+    written = write_model(
+        out / "model.xml", machine, [effect], [np.array([2.0])], source=file, notes=["a -- b"]
+    )
+    assert [p.relative_to(out).as_posix() for p in written] == ["model.xml", "meshes/corner.obj"]
+    for path in (home / "meshes" / "corner.obj", home / "motors.xml", file):
+        path.unlink()
+    model = mujoco.MjModel.from_xml_path(str(out / "model.xml"))
+    assert model.dof_damping[0] == 2.0 and model.nmesh == 1 and model.actuator("m").id == 0
+
+
+def test_an_effect_that_changes_a_name_is_refused_and_leaves_no_file(tmp_path: Path) -> None:
+    class Renaming(ViscousFriction):
+        kind = "renaming"
+
+        def edit(self, spec: mujoco.MjSpec, values: np.ndarray) -> None:
+            spec.sensor("encoder1").name = "other"
+
+    machine = machine_of("planar")
+    with pytest.raises(InvalidData, match=r"sensor\.encoder1"):
+        write_model(
+            tmp_path / "model.xml", machine, [Renaming(machine, "joint1")], [np.array([1.0])]
+        )
+    assert not list(tmp_path.iterdir())
+
+
+def test_keyframes_keep_the_state_of_each_actuator(tmp_path: Path) -> None:
+    two = PLANAR.replace('<position name="servo2"', '<position name="servo2" timeconst="0.05"')
+    xml = two.replace(
+        "</mujoco>", '<keyframe><key ctrl="0.1 0.2 0.3" act="0.7"/></keyframe></mujoco>'
+    )
+    machine = Machine(mujoco.MjSpec.from_string(xml))
+    lag = CATALOGUE["actuator_lag"](machine, "servo1")
+    file = write_model(tmp_path / "model.xml", machine, [lag], [np.array([0.02])])[0]
+    model = mujoco.MjModel.from_xml_path(str(file))
+    # servo1's filter, which is new, begins at its command; servo2's keeps its state
+    assert model.key_act[0] == pytest.approx([0.1, 0.7])

@@ -1,0 +1,211 @@
+"""Runs whose stops are struck are compared by features, and the loose link is still named."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from scipy import signal
+
+from loose_env.gap.data.aligned_run import channels_of, lay_out
+from loose_env.gap.diagnostics.feature_localisation import struck_channels
+from loose_env.gap.diagnostics.joint_torque_residual import joint_motion
+from loose_env.gap.fitting.holdout_score import Judge
+from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.effects.friction import ViscousFriction
+from loose_env.gap.model.effects.structural_looseness import StructuralLooseness
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.preparation import chaotic_runs as parting
+from loose_env.gap.preparation.chaotic_runs import parting_runs
+from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.windows import windowed
+from loose_env.gap.settings import GapSettings
+from loose_env.gap.workflow.pipeline import find_gap, prepare
+from loose_env.gap.workflow.summary import GapOutputs, gather, outputs_of, result_of
+from loose_env.recording import Recording, Run, write_recording
+from loose_env.report.gap.page import render_gap_page
+from tests.gap.cases.gap_case import stated
+from tests.gap.cases.level_arm import FINE, LEVEL, recorded
+
+COUNT = 3000
+POSES = ([0.3, 0.8, -0.5], [-0.4, 1.2, 0.6], [0.9, -0.9, 0.3])
+
+
+def record(folder: Path, *, loose: bool, gap: float = 2e-4) -> Recording:
+    """Held poses in which the first joint is shaken, with hard stops that ring or without."""
+    spec = mujoco.MjSpec.from_string(LEVEL)
+    spec.option.timestep = FINE
+    if loose:
+        machine = Machine(mujoco.MjSpec.from_string(LEVEL), step=FINE)
+        effect = StructuralLooseness(machine, "link2")
+        effect.edit(spec, np.array([1.0, gap, 1.0, 1e6, 0.03]))
+    model = spec.compile()
+    rng = np.random.default_rng(4)
+    band = signal.butter(4, (10, 120), "bandpass", fs=1000, output="sos")
+    runs = []
+    for k, pose in enumerate(POSES):
+        shake = signal.sosfilt(band, rng.normal(size=COUNT + 500))[500:]
+        controls = np.tile(pose, (COUNT, 1))
+        controls[:, 0] += 0.02 * shake / shake.std() * np.minimum(np.arange(COUNT) / 200, 1)
+        data = mujoco.MjData(model)
+        for j, angle in enumerate(pose):
+            data.joint(f"joint{j + 1}").qpos[0] = angle
+        data.ctrl[:] = pose
+        mujoco.mj_step(model, data, 2000)
+        runs.append(
+            recorded(data, controls, rng, name=f"run-{k + 1:02d}.parquet", excited=("joint1",))
+        )
+    return write_recording(folder, model_xml=LEVEL, runs=runs)
+
+
+def test_a_sound_arm_is_compared_sample_by_sample(tmp_path: Path) -> None:
+    prepared = prepare(record(tmp_path / "sound", loose=False), GapSettings(threads=1))
+    assert not prepared.search.parting
+    assert not prepared.search.rows.white.any()
+    assert not any("stops are struck" in warning for warning in prepared.warnings)
+
+
+@pytest.fixture(scope="module")
+def struck(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return record(tmp_path_factory.mktemp("struck") / "recording", loose=True)
+
+
+def shaken(name: str, count: int, rate: float, *, still: int = 0) -> Run:
+    """A run of random commands to the first joint, the last ones all alike; no model made it."""
+    rng = np.random.default_rng(len(name))
+    command = 0.02 * rng.normal(size=count)
+    command[count - still :] = 0.0
+    read = {f"encoder{j}": rng.normal(0, 1e-2, count) for j in (1, 2, 3)}
+    return Run(
+        name=name, time=np.arange(count) / rate, controls={"servo1": command}, sensors=read,
+        excited=("joint1",),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("rate", [50.0, 90.0])
+def test_a_run_too_short_for_features_is_compared_sample_by_sample(
+    rate: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine = Machine(mujoco.MjSpec.from_string(LEVEL), step=1e-3)
+    runs = [
+        shaken("long.csv", 300, rate),
+        shaken("resting.csv", 450, rate, still=240),
+        shaken("short.csv", 150, rate),
+        shaken("unmoved.csv", 300, rate, still=300),
+    ]
+    channels = channels_of(runs)
+    trials = [lay_out(run, machine, channels, step=1e-3) for run in runs]
+    trials[1].measured[230:] *= 5.0  # least like the model where its command rests
+    floors = np.full(len(channels), 1e-5)
+    monkeypatch.setattr(parting, "PARTED", -1.0)  # whatever is drawn anew is enough
+    striking = [CATALOGUE["backlash"](machine, "joint1")]
+    found = parting_runs(machine, trials, channels, floors, striking, threads=1)
+    assert found == {"long.csv", "resting.csv"}
+    comparison = Comparison(machine, trials, channels, floors, threads=1, parting=found)
+    short = windowed(comparison, 6.0)
+    by_features = {short.trials[t].name for t in short.features}
+    assert by_features == found & {trial.name for trial in short.trials}
+    assert all(len(short.trials[t].time) >= 200 for t in short.features)
+
+
+def test_struck_stops_are_compared_by_features(struck: Recording) -> None:
+    prepared = prepare(struck, GapSettings(threads=1))
+    assert prepared.search.parting == {run.name for run in struck.runs}
+    assert prepared.search.rows.white.all()
+    assert any("stops are struck" in warning for warning in prepared.warnings)
+
+
+def test_features_are_weighed_by_the_noise_there_is_whatever_counts_as_noise(
+    struck: Recording,
+) -> None:
+    prepared = prepare(struck, GapSettings(threads=1))
+    runs = prepared.search
+    assert runs.rows.white.all()
+    louder = prepared.louder(np.full(len(runs.channels), 30.0)).search
+    nothing = Hypothesis(effects=(), values=())
+    assert np.array_equal(runs.residuals([nothing]), louder.residuals([nothing]))
+    assert not runs.left_in_channels(np.ones(len(runs))).any()
+
+
+class Bump(ViscousFriction):
+    """Stops of somebody's own, whose figures have other names."""
+
+    kind = "bump"
+    has_stops = True
+
+
+def test_stops_of_ones_own_may_have_parameters_of_any_name(struck: Recording) -> None:
+    prepared = prepare(struck, GapSettings(threads=1))
+    runs = prepared.search
+    found = parting_runs(
+        prepared.machine,
+        runs.trials,
+        runs.channels,
+        runs.floors,
+        [Bump(prepared.machine, "joint1")],
+        threads=1,
+    )
+    assert found == frozenset()  # they draw nothing anew
+
+
+def test_the_loose_link_is_named_by_features(struck: Recording) -> None:
+    kinds = ("structural_looseness", "joint_compliance", "viscous_friction")
+    settings = GapSettings(threads=1, kinds=kinds, most_effects=1)
+    found = find_gap(struck, settings)
+    assert found.verdict == "named"
+    (effect,) = found.effects
+    assert (effect.kind, effect.where) == ("structural_looseness", "link2")
+    assert found.best.held_rms < 0.5 * found.base.held_rms
+    outputs = outputs_of(found, struck, settings)
+    result = result_of(outputs, gather(outputs))
+    assert result.gap.after < 0.5 * result.gap.before
+    assert result.effects[0].where == "link2"
+    names = {channel.name for channel in found.prepared.whole_held.channels}
+    assert set(result.gap.by_channel) == names
+    before, after = result.gap.by_channel["sensor.shake.y"]
+    assert before > 3 and after < 0.6 * before
+    assert {left.channel for left in result.left_over} == names
+
+
+def test_where_a_run_of_struck_stops_disagrees_is_told_from_its_features(struck: Recording) -> None:
+    prepared = prepare(struck, GapSettings(threads=1))
+    held = prepared.whole_held
+    machine = held.machine
+    judge = Judge(prepared.fit, held)
+    nominal = NominalFigures(machine, tolerance=0.03)
+    base = judge.judge(stated(prepared.fit, [nominal], [np.ones(len(nominal.parameters))]))
+    outputs = GapOutputs(
+        machine=machine, fit=prepared.fit, held=held, base=base, best=base, verdict="unexplained",
+        recording="struck", threads=1,
+    )  # fmt: skip
+    evidence = gather(outputs)
+    result = result_of(outputs, evidence)
+    assert {gap.run for gap in result.location.channels} == {run.name for run in struck.runs}
+    assert result.where_it_lives and all(".parquet" in words for words in result.where_it_lives)
+    assert any("Hz" in words for words in result.where_it_lives)
+    assert any("sensor.shake" in words for words in result.left)
+    assert result.left[0].startswith(f"{result.gap.after:.3g} noise standard deviations are left")
+    page = render_gap_page(outputs, evidence, result)
+    assert "Spectra before and after" in page and "By how much the power of sensor.shake" in page
+    assert "by features" in page and not re.search(r"\bnan\b", page, re.IGNORECASE)
+
+
+def test_a_right_model_of_struck_stops_disagrees_nowhere(struck: Recording) -> None:
+    """The simulation parts ways with the run, and its features, bands and motion do not."""
+    prepared = prepare(struck, GapSettings(threads=1))
+    held, machine = prepared.whole_held, prepared.machine
+    looseness = StructuralLooseness(machine, "link2")
+    right = Hypothesis(effects=(looseness,), values=(np.array([1.0, 2e-4, 1.0, 1e6, 0.03]),))
+    motions = [joint_motion(machine, t, held.channels, held.floors) for t in held.trials]
+    nothing = Hypothesis(effects=(), values=())
+    good, bad = (struck_channels(held, h, motions) for h in (right, nothing))
+    for one, other in zip(good, bad, strict=True):
+        assert one.gap.over_floor < 2.5
+        for a, b in zip(one.gap.bands, other.gap.bands, strict=True):
+            assert a.over_floor < max(2.0, 0.7 * b.over_floor)
+    assert max(one.gap.over_floor for one in bad) > 5

@@ -1,0 +1,227 @@
+"""What else is missing beside a part that strikes its stops, whose law is not quite the model's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from loose_env.gap.fitting.gauss_newton import Fit, parameters_of
+from loose_env.gap.fitting.holdout_score import Judge, lead_of
+from loose_env.gap.fitting.refit import refined
+from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.parameter import free_of
+from loose_env.gap.output.checkpoints import Stages, key_of
+from loose_env.gap.preparation.prepare import Prepared
+from loose_env.gap.selection.acceptance import Acceptance
+from loose_env.gap.selection.forward_selection import Named
+from loose_env.gap.selection.revision import Exchange
+from loose_env.gap.selection.reweighted_search import Searched, beside_stops
+from loose_env.gap.settings import GapSettings, NamingSettings
+from loose_env.gap.workflow.pipeline import GapFound, find_gap, prepare
+from loose_env.recording import Recording, write_recording
+from tests.gap.cases.level_arm import FINE, LEVEL, moving
+
+Array = NDArray[np.float64]
+NOTHING = Hypothesis(effects=(), values=())
+KINDS = ("backlash", "actuator_gain")
+COUNT = 2000
+GAP, GAIN = 0.01, 0.9
+
+
+def with_play(folder: Path) -> Recording:
+    """Runs of an arm with backlash between stops of another law, and a motor that is weak."""
+    spec = mujoco.MjSpec.from_string(LEVEL)
+    spec.option.timestep = FINE
+    machine = Machine(mujoco.MjSpec.from_string(LEVEL), step=FINE)
+    play = CATALOGUE["backlash"](machine, "joint2")
+    play.edit(spec, np.array([GAP, 4e3, 0.15]))
+    added = spec.joints[2]
+    assert added.name == "joint2_backlash"
+    added.solimp_limit[4] = 1.5  # force grows with travel by another power than on the model's
+    servo = spec.actuator("servo1")
+    servo.gainprm[0] *= GAIN
+    servo.biasprm[1:3] *= GAIN
+    speeds = [np.array([7.0 + k, 11.0 - 2 * k, 16.0 + k]) for k in range(3)]
+    runs = moving(spec.compile(), speeds, size=0.3, count=COUNT)
+    return write_recording(folder, model_xml=LEVEL, runs=runs)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return with_play(tmp_path_factory.mktemp("play") / "r")
+
+
+@pytest.fixture(scope="module")
+def prepared(recording: Recording) -> Prepared:
+    return prepare(recording, GapSettings(threads=1))
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("stages")
+
+
+@pytest.fixture(scope="module")
+def whole(recording: Recording, kept: Path) -> tuple[GapFound, list[str]]:
+    lines: list[str] = []
+    stages, settings = Stages(kept, key_of(recording, {})), GapSettings(threads=1, kinds=KINDS)
+    return find_gap(recording, settings, say=lines.append, stages=stages), lines
+
+
+def test_what_is_left_in_channels_is_their_root_mean_square(prepared: Prepared) -> None:
+    runs = prepared.search
+    wanted = np.arange(1.0, 1.0 + len(runs.channels))
+    residual = wanted[runs.rows.channel] * np.where(np.arange(len(runs)) % 2, 1.0, -1.0)
+    assert np.allclose(runs.left_in_channels(residual), wanted)
+
+
+def test_louder_noise_makes_residuals_as_much_smaller(prepared: Prepared) -> None:
+    factors = np.linspace(1.0, 5.0, len(prepared.search.channels))
+    louder = prepared.louder(factors)
+    for name in ("search", "fit", "held", "whole_held"):
+        one, other = getattr(prepared, name), getattr(louder, name)
+        before, after = (runs.residuals([NOTHING])[0] for runs in (one, other))
+        assert np.allclose(after * factors[one.rows.channel], before)
+    # what was the same runs stays so, or all of them would be fitted once more
+    assert (louder.fit is louder.search) == (prepared.fit is prepared.search)
+    assert (louder.held is louder.whole_held) == (prepared.held is prepared.whole_held)
+
+
+def test_what_was_found_in_louder_noise_is_told_in_the_noise_there_is(prepared: Prepared) -> None:
+    louder = prepared.louder(np.full(len(prepared.search.channels), 4.0))
+    effects = (
+        NominalFigures(prepared.machine, tolerance=0.03),
+        CATALOGUE["viscous_friction"](prepared.machine, "joint1"),
+    )
+    free = np.append(np.zeros(len(effects[0].parameters)), free_of(effects[1].parameters, [0.5]))
+    rng = np.random.default_rng(1)
+
+    def judged(runs: Prepared) -> Any:
+        residual = np.zeros(len(runs.fit))
+        jacobian = rng.normal(size=(len(runs.fit), len(parameters_of(effects))))
+        fitted = Fit(effects=effects, free=free, residual=residual, jacobian=jacobian, cost=0.0)
+        residual = runs.fit.residuals([fitted.hypothesis])[0]
+        return Judge(runs.fit, runs.whole_held).judge(replace(fitted, residual=residual))
+
+    first, second = judged(prepared), judged(louder)
+    base = Named(base=first)
+    parts = ((prepared, base), (louder, Named(base=second)))
+    found = Searched(prepared=prepared, parts=parts)
+    told = found.in_noise(second)
+    assert np.allclose(told.fitted.residual, 4 * second.fitted.residual)
+    assert np.allclose(told.fitted.jacobian, 4 * second.fitted.jacobian)
+    assert told.held_rms == pytest.approx(first.held_rms)
+    same = Searched(prepared=prepared, parts=parts[:1])
+    assert same.in_noise(first) is first
+
+
+def test_a_weak_motor_is_found_beside_play_of_another_law(
+    whole: tuple[GapFound, list[str]],
+) -> None:
+    found, lines = whole
+    assert found.verdict == "named"
+    assert {(e.kind, e.where) for e in found.effects} == {
+        ("backlash", "joint2"),
+        ("actuator_gain", "servo1"),
+    }
+    own = {e.kind: e for e in found.effects}
+    assert own["backlash"].parameters["gap"] == pytest.approx(GAP, rel=0.05)
+    low, high = own["actuator_gain"].interval_95["gain"]
+    assert 0.8 < low < GAIN < high < 1.0
+    assert any("goes on with what its stops leave as noise" in line for line in lines)
+    # told in the noise there is, of which stops leave several times as much
+    assert found.base.held_rms > 1.5 * found.best.held_rms > 4
+
+
+def test_noise_is_worked_out_anew_with_each_effect(whole: tuple[GapFound, list[str]]) -> None:
+    found, lines = whole
+    assert sum("goes on with what its stops leave as noise" in line for line in lines) == 2
+    # by its own noise the last part leaves about that much, for it is what it left before
+    assert found.named.base.held_rms < 0.5 * found.base.held_rms
+    assert 0.5 < found.named.best.held_rms < 1.5
+
+
+def test_steps_of_both_searches_are_listed_one_after_the_other(
+    whole: tuple[GapFound, list[str]],
+) -> None:
+    found, _ = whole
+    steps = [each.step for each in found.ranking]
+    assert steps == sorted(steps) and set(steps) >= {1, 2}
+    first = {each.step: each for each in reversed(found.ranking)}
+    assert (first[1].kind, first[2].kind) == ("backlash", "actuator_gain")
+    # in the noise there is; by that of its own part it leaves about one
+    assert first[2].held_out == pytest.approx(found.best.held_rms, rel=0.3)
+
+
+def test_an_interrupted_second_search_goes_on_where_it_was(
+    recording: Recording, kept: Path, whole: tuple[GapFound, list[str]]
+) -> None:
+    names = {file.stem for file in kept.iterdir()}
+    first = ["nominal", "effect-1", "part-2-begun"]
+    assert names > {*first, "part-2-effect-1", "part-3-begun", "part-3-effect-1"}
+    for name in names - set(first):
+        (kept / f"{name}.npz").unlink()
+    stages = Stages(kept, key_of(recording, {}))
+    again = find_gap(recording, GapSettings(threads=1, kinds=KINDS), stages=stages)
+    assert stages.taken_up == first
+    assert again.effects == whole[0].effects and again.ranking == whole[0].ranking
+
+
+def test_what_play_beside_it_does_alone_is_no_second_effect(prepared: Prepared) -> None:
+    runs, machine = prepared.search, prepared.machine
+    nominal = NominalFigures(machine, tolerance=0.03)
+    play = CATALOGUE["backlash"](machine, "joint2")
+    friction = CATALOGUE["viscous_friction"](machine, "joint3")
+    off, right = (np.array([gap, 1.0, 0.3]) for gap in (0.6 * GAP, GAP))
+    stiffness = play.parameters[1].scale
+    off[1], right[1] = stiffness, stiffness
+    judge = Judge(runs, prepared.held)
+
+    def judged(values: Array, *, beside: bool) -> Any:
+        effects = (nominal, play, friction) if beside else (nominal, play)
+        free = np.concatenate(
+            [
+                np.zeros(len(nominal.parameters)),
+                free_of(play.parameters, values),
+                free_of(friction.parameters, np.array([1e-4])) if beside else [],
+            ]
+        )
+        fitted = Fit(
+            effects=effects, free=free, residual=np.zeros(len(runs)),
+            jacobian=np.zeros((len(runs), len(free))), cost=0.0,
+        )  # fmt: skip
+        residual = runs.residuals([fitted.hypothesis])[0]
+        return judge.judge(refined(replace(fitted, residual=residual), runs))
+
+    before, later = judged(off, beside=False), judged(right, beside=True)
+    acceptance = Acceptance(runs, judge, before, before, NamingSettings())
+    assert acceptance.believed(lead_of(later, before))
+    assert not acceptance.needed_beside_stops(later)
+    assert acceptance.doubt(later) == "the play beside it does as well alone"
+
+
+def test_a_part_with_stops_is_not_exchanged_in_noise_that_it_makes(
+    prepared: Prepared, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs, machine = prepared.search, prepared.machine
+    effects = [CATALOGUE["backlash"](machine, "joint2"), CATALOGUE["payload"](machine, "tool")]
+    free = np.concatenate([free_of(e.parameters, np.array(e.starts[0])) for e in effects])
+    fitted = Fit(
+        effects=tuple(effects), free=free, residual=np.zeros(len(runs)),
+        jacobian=np.zeros((len(runs), len(free))), cost=0.0,
+    )  # fmt: skip
+    judge, tried = Judge(runs, prepared.held), list[str]()
+    best = judge.judge(fitted)
+    monkeypatch.setattr(Exchange, "_in_place_of", lambda _, effect, best: tried.append(effect.kind))
+    for settings in (NamingSettings(), beside_stops(NamingSettings())):
+        assert Exchange(runs, runs, judge, effects, best, settings).better_than(best) is best
+    assert tried == ["backlash", "payload", "payload"]

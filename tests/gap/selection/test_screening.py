@@ -1,0 +1,53 @@
+"""Screening sees an effect of several axes whichever way it lies."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from loose_env.gap.data.aligned_run import channels_of, lay_out
+from loose_env.gap.fitting.gauss_newton import fit
+from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.parameter import free_of
+from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.selection.screening.screening import Screened, screen
+from tests.gap.cases.gap_case import STEP, record
+
+FLOORS = np.array([2e-5] * 3 + [2e-3] + [0.02] * 3)
+
+
+def screened(folder: object, bias: tuple[float, float, float]) -> dict[str, Screened]:
+    """What a bias and a gain of the accelerometer promise where it has that bias [floors]."""
+    recording = record(folder, runs=2)  # type: ignore[arg-type]
+    machine = Machine(recording.spec(), step=STEP)
+    channels = channels_of(list(recording.runs))
+    trials = [lay_out(run, machine, channels, step=STEP) for run in recording.runs]
+    whole = Comparison(machine, trials, channels, FLOORS, threads=1)
+    shown = whole.predict([Hypothesis(effects=(), values=())])[0]
+    rng = np.random.default_rng(5)
+    added = np.concatenate([np.zeros(4), bias]) * FLOORS
+    measured = [
+        replace(trial, measured=values + added + rng.normal(0, FLOORS, values.shape))
+        for trial, values in zip(trials, shown, strict=True)
+    ]
+    comparison = Comparison(machine, measured, channels, FLOORS, threads=1)
+    figures = NominalFigures(machine, tolerance=0.03)
+    fitted = fit(comparison, [figures], free_of(figures.parameters, np.array(figures.starts[0])))
+    candidates = [CATALOGUE[kind](machine, "shake") for kind in ("sensor_bias", "sensor_gain")]
+    return {each.effect.kind: each for each in screen(comparison, fitted, candidates)}
+
+
+@pytest.mark.parametrize("bias", [(-2.0, 1.0, 1.0), (2.0, 2.0, 2.0), (0.0, 3.0, -3.0)])
+def test_a_bias_promises_what_it_explains_in_every_direction(
+    tmp_path_factory: pytest.TempPathFactory, bias: tuple[float, float, float]
+) -> None:
+    found = screened(tmp_path_factory.mktemp("screening") / "recording", bias)
+    explained = np.sum(np.square(bias)) / (7 + np.sum(np.square(bias)))
+    assert found["sensor_bias"].promise == pytest.approx(explained, abs=0.05)
+    values = np.array(found["sensor_bias"].values) / FLOORS[4:]
+    assert values == pytest.approx(bias, abs=0.3)

@@ -1,0 +1,72 @@
+"""Torques of a motion whose drives give way: how they begin, and what noise they carry."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from loose_env.gap.data.aligned_run import channels_of, lay_out
+from loose_env.gap.data.smoothing import motion_band, smooth_motion
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from tests.gap.cases.effect_arms import PLANAR
+from tests.gap.cases.recorded_runs import compared, measurable, torque_run
+
+NOTHING = Hypothesis(effects=(), values=())
+MACHINE = Machine(measurable(mujoco.MjSpec.from_string(PLANAR)))
+SPRING = CATALOGUE["joint_compliance"](MACHINE, "joint2")
+
+
+def spring(stiffness: float, ratio: float) -> Hypothesis:
+    return Hypothesis(effects=(SPRING,), values=(np.array([stiffness, ratio]),))
+
+
+def test_a_spring_hangs_in_its_sag_when_a_run_begins() -> None:
+    run = torque_run(MACHINE, MACHINE.model, np.random.default_rng(1))
+    comparison = compared(MACHINE, [run])
+    assert comparison.inverse is not None
+    motion = comparison.inverse._motions[0]
+    still = replace(
+        motion, position=np.tile(motion.position[:1], (len(motion.time), 1)),
+        speed=np.zeros_like(motion.speed), acceleration=np.zeros_like(motion.acceleration),
+    )  # fmt: skip
+    torque = comparison.inverse._drive.torque(spring(150.0, 0.005), still)
+    assert np.all(np.abs(torque[0]) > 1.0)  # it carries the arm
+    assert np.all(np.ptp(torque, axis=0) < 0.01 * np.abs(torque[0]))
+
+
+def test_a_soft_spring_shuts_out_noise_and_a_resonance_lets_it_in() -> None:
+    rngs = [np.random.default_rng(k) for k in range(2)]
+    runs = [torque_run(MACHINE, MACHINE.model, rng, noise=1e-4) for rng in rngs]
+    comparison = compared(MACHINE, runs)
+    channel = [c.name for c in comparison.channels].index("torque.joint2")
+    own = comparison.rows.channel == channel
+    end = comparison.inverse._motions[0].band.end  # type: ignore[union-attr]
+
+    def level(mode: float, ratio: float) -> float:
+        stiffness = SPRING.carried * (2 * np.pi * mode) ** 2  # type: ignore[attr-defined]
+        found = comparison.levels(spring(stiffness, ratio))
+        assert found.shape == comparison.measured.shape
+        return float(np.mean(found[own]))
+
+    assert np.all(comparison.levels(NOTHING) == 1.0)
+    soft, rings, stiff = level(0.2 * end, 0.5), level(0.7 * end, 0.01), level(10.0 * end, 0.1)
+    assert soft < 0.9 * stiff and rings > 1.5 * stiff
+
+
+@pytest.mark.parametrize("noise", [1e-4, 0.05])
+def test_the_band_ends_with_the_motion_or_where_the_torques_noise_is_the_less(noise: float) -> None:
+    run = torque_run(MACHINE, MACHINE.model, np.random.default_rng(1), noise=noise)
+    channels = channels_of([run])
+    trial = lay_out(run, MACHINE, channels, step=0.001)
+    motion = smooth_motion(trial, MACHINE, channels)
+    columns = [run.sensors[name] for name in run.sensors]
+    highest = motion_band(columns, trial.rate)
+    if noise == 0.05:
+        assert motion.band.end == pytest.approx(2 * highest)
+    else:
+        assert motion.band.end < 2 * highest

@@ -1,0 +1,320 @@
+"""Terms on the torque: what they do to a simulation, and what they say of a measured motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.gap.data.aligned_run import Channel, Trial, channels_of, lay_out
+from loose_env.gap.diagnostics.prediction_horizon import horizon_errors
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.catalogue import CATALOGUE, register
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.output.export_mjcf import correction_code, write_model
+from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.selection.screening.data_driven_starts import missing_torque
+from loose_env.gap.simulation.inverse_dynamics import InverseDynamics
+from loose_env.gap.simulation.simulator import Simulator
+from loose_env.gap.simulation.torque_terms import BatchWithTerms, torque_terms
+from tests.gap.cases.effect_arms import PLANAR
+from tests.gap.cases.own_effects import (
+    Cogging,
+    CubicSpring,
+    Damper,
+    LinearSpring,
+    OneTerm,
+    SlickFriction,
+)
+from tests.gap.cases.recorded_runs import PENDULUM, measurable, torque_run
+
+Array = NDArray[np.float64]
+STEP, INSIDE, COUNT = 0.001, 20, 1200
+RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
+IMPLICIT = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+CHANNELS = (
+    *(Channel(f"sensor.encoder{k}") for k in (1, 2, 3)),
+    *(Channel("sensor.shake", axis) for axis in range(2)),
+)
+NOISE = np.array([1e-5, 1e-5, 1e-5, 0.02, 0.02])
+"""Of good encoders and accelerometers [rad, m/s²]."""
+NOTHING = Hypothesis(effects=(), values=())
+
+
+def machine(integrator: int = RK4, step: float = STEP) -> Machine:
+    return Machine(mujoco.MjSpec.from_string(PLANAR), step=step, integrator=integrator)
+
+
+def of(effect: Effect, *values: float) -> Hypothesis:
+    return Hypothesis(effects=(effect,), values=(np.array(values),))
+
+
+def commands() -> Array:
+    """Fast ramps: a held command jumps at every sample."""
+    time = np.arange(COUNT) * STEP
+    return np.sin(np.outer(time, [9.0, 13.0, 17.0])) * np.minimum(4 * time, 1.0)[:, None]
+
+
+def trial(**given: object) -> Trial:
+    whole: dict[str, object] = {
+        "name": "run-01.csv", "form": "forward", "time": np.arange(COUNT) * STEP,
+        "measured": np.zeros((COUNT, len(CHANNELS))), "step": STEP, "steps": COUNT,
+        "controls": commands(), "position": np.zeros(3), "speed": np.zeros(3), "resting": True,
+        "joints": ("joint1", "joint2", "joint3"),
+    }  # fmt: skip
+    return Trial(**(whole | given))  # type: ignore[arg-type]
+
+
+@contextmanager
+def acting(hypothesis: Hypothesis) -> Iterator[None]:
+    """The terms as MuJoCo itself would have them, in every stage of its integrator."""
+
+    def passive(_: mujoco.MjModel, data: mujoco.MjData) -> None:
+        data.qfrc_passive[:] += torque_terms(hypothesis, np.array(data.qpos), np.array(data.qvel))
+
+    mujoco.set_mjcb_passive(passive)
+    try:
+        yield
+    finally:
+        mujoco.set_mjcb_passive(None)
+
+
+def fine(hypothesis: Hypothesis, delay: float = 0.0) -> Array:
+    """Encoders and accelerometer at the samples, by steps of 1/20."""
+    model = machine(step=STEP / INSIDE).fresh().compile()
+    data, controls = mujoco.MjData(model), commands()
+    shown = np.zeros((COUNT, len(CHANNELS)))
+    with acting(hypothesis):
+        for _ in range(400 * INSIDE):
+            mujoco.mj_step(model, data)
+        for k in range(COUNT * INSIDE):
+            late = int(np.floor(k / INSIDE - delay / STEP + 1e-9))
+            data.ctrl[:] = controls[max(late, 0)]
+            mujoco.mj_step(model, data)
+            if k % INSIDE == 0:
+                shown[k // INSIDE] = [*data.sensordata[:3], *data.sensordata[4:6]]
+    return shown
+
+
+TERMS = [
+    (CubicSpring, "joint2", 300.0),
+    (LinearSpring, "joint3", 400.0),
+    (Cogging, "joint2", 12.0),
+    (Damper, "joint1", 30.0),
+    (SlickFriction, "joint3", 3.0),
+]
+
+
+@pytest.mark.parametrize(("kind", "where", "value"), TERMS)
+def test_neither_encoder_nor_accelerometer_sees_that_it_is_held(
+    kind: type[OneTerm], where: str, value: float
+) -> None:
+    own = machine()
+    term = of(kind(own, where), value)
+    expected = fine(term)
+    simulator = Simulator(own, [trial()], CHANNELS, threads=1)
+    (shown,), (without,) = simulator.predict([term, NOTHING])
+    off = np.sqrt(np.mean((shown - expected) ** 2, axis=0))
+    visible = np.sqrt(np.mean((without - expected) ** 2, axis=0))
+    assert np.max(visible / NOISE) > 100
+    assert np.all(off[:3] < 0.5 * NOISE[:3]), (off / NOISE).round(3)
+    assert np.all(off[:3] < 0.002 * visible[:3]), (off / visible).round(4)
+    assert np.all(off[3:] < 0.02 * visible[3:]), (off / visible).round(4)
+
+
+def test_beside_a_delay_within_the_step_accelerations_are_those_of_the_sample() -> None:
+    own = machine()
+    late = CATALOGUE["command_delay"](own, "all")
+    term = Cogging(own, "joint2")
+    both = Hypothesis(effects=(late, term), values=(np.array([0.0024]), np.array([12.0])))
+    expected = fine(of(term, 12.0), delay=0.0024)
+    simulator = Simulator(own, [trial()], CHANNELS, threads=1)
+    (shown,), (without,) = simulator.predict([both, of(late, 0.0024)])
+    off = np.sqrt(np.mean((shown - expected) ** 2, axis=0))
+    visible = np.sqrt(np.mean((without - expected) ** 2, axis=0))
+    assert np.all(off[:3] < 0.01 * visible[:3]), (off / visible).round(4)
+    assert np.all(off[3:] < 0.05 * visible[3:]), (off / visible).round(4)
+
+
+@pytest.mark.parametrize("integrator", [RK4, IMPLICIT])
+@pytest.mark.parametrize("form", ["forward", "free"])
+def test_a_linear_spring_is_the_catalogues_spring(form: str, integrator: int) -> None:
+    own = machine(integrator, step=0.0005)
+    catalogue = CATALOGUE["joint_spring"](own, "joint2")
+    values = {"stiffness": 40.0}
+    known = of(catalogue, *(values.get(p.name, 0.0) for p in catalogue.parameters))
+    given = {"resting": False, "position": np.array([0.3, -0.5, 0.2])} if form == "free" else {}
+    run = trial(form=form, **given)
+    simulator = Simulator(own, [run], CHANNELS, threads=1)
+    (term,), (spring,), (without,) = simulator.predict(
+        [of(LinearSpring(own, "joint2"), 40.0), known, NOTHING]
+    )
+    off = np.sqrt(np.mean((term - spring) ** 2, axis=0))
+    visible = np.sqrt(np.mean((without - spring) ** 2, axis=0))
+    assert np.all(off < 0.005 * visible), (off / visible).round(5)
+
+
+def test_only_hypotheses_with_terms_are_stepped_from_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = machine()
+    plain = of(CATALOGUE["viscous_friction"](own, "joint2"), 3.0)
+    term = of(CubicSpring(own, "joint2"), 30.0)
+    rolled, rollout = [], BatchWithTerms.rollout
+
+    def counted(self: BatchWithTerms, *args: object, **given: object) -> object:
+        rolled.append(self.nsim)
+        return rollout(self, *args, **given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(BatchWithTerms, "rollout", counted)
+    alone = Simulator(own, [trial()], CHANNELS, threads=1).predict([NOTHING, plain])
+    assert not rolled
+    beside = Simulator(own, [trial()], CHANNELS, threads=1).predict([NOTHING, term, plain])
+    assert set(rolled) == {1}
+    assert np.array_equal(alone[0][0], beside[0][0])
+    assert np.array_equal(alone[1][0], beside[2][0])
+
+
+def test_each_run_and_each_hypothesis_has_its_own_term() -> None:
+    own = machine()
+    runs = [trial(), trial(name="run-02.csv", controls=-0.5 * commands())]
+    hypotheses = [of(CubicSpring(own, "joint2"), size) for size in (30.0, 90.0)]
+    together = Simulator(own, runs, CHANNELS, threads=1).predict(hypotheses)
+    for hypothesis, found in zip(hypotheses, together, strict=True):
+        for run, values in zip(runs, found, strict=True):
+            alone = Simulator(own, [run], CHANNELS, threads=1).predict([hypothesis])[0][0]
+            assert np.allclose(values, alone, atol=1e-9)
+
+
+def test_a_term_that_is_too_steep_makes_its_own_simulation_wild_and_no_other() -> None:
+    own = machine()
+    steep, mild = of(LinearSpring(own, "joint2"), 1e9), of(LinearSpring(own, "joint2"), 10.0)
+    (wild,), (fit,) = Simulator(own, [trial()], CHANNELS, threads=1).predict([steep, mild])
+    assert np.isnan(wild).all() and np.isfinite(fit).all()
+
+
+def test_a_term_of_the_wrong_shape_says_so() -> None:
+    class Short(CubicSpring):
+        kind = "short_spring"
+
+        def torque(self, position: Array, speed: Array, values: Array) -> Array:
+            return position[..., 0]
+
+    own = machine()
+    with pytest.raises(InvalidData, match=r"short_spring@joint2: torque .* each joint"):
+        Simulator(own, [trial()], CHANNELS, threads=1).predict([of(Short(own, "joint2"), 1.0)])
+
+
+def test_restarted_from_what_was_measured_the_truth_stays_on_it() -> None:
+    own = machine()
+    term = of(Cogging(own, "joint2"), 12.0)
+    seen = Simulator(own, [trial()], CHANNELS, threads=1).predict([term])[0][0]
+    motion = {f"joint{k}": seen[:, k - 1] for k in (1, 2, 3)}
+    run = trial(measured=seen, motion=motion)
+    right, wrong = (
+        horizon_errors(own, [run], CHANNELS, NOISE, h, every=0.3, horizons=(0.1, 0.5), threads=1)
+        for h in (term, NOTHING)
+    )
+    assert all(r.over_floor < 0.05 * w.over_floor for r, w in zip(right, wrong, strict=True))
+
+
+def test_backwards_a_linear_spring_is_the_catalogues_spring() -> None:
+    own = Machine(measurable(mujoco.MjSpec.from_string(PLANAR)))
+    run = torque_run(own, own.model, np.random.default_rng(5), duration=4.0)
+    channels = channels_of([run])
+    inverse = InverseDynamics(own, [lay_out(run, own, channels, step=0.001)], channels, threads=1)
+    catalogue = CATALOGUE["joint_spring"](own, "joint2")
+    known = of(catalogue, *(40.0 if p.name == "stiffness" else 0.0 for p in catalogue.parameters))
+    term = of(LinearSpring(own, "joint2"), 40.0)
+    assert inverse.shows(term.effects[0])
+    (a,), (b,), (nominal,) = inverse.predict([term, known, NOTHING])
+    scale = np.nanmax(np.abs(nominal - b))
+    assert scale > 1.0
+    assert np.nanmax(np.abs(a - b)) < 0.01 * scale
+    # and where the model is led because something in it moves unseen
+    soft = CATALOGUE["joint_compliance"](own, "joint3")
+    values = np.array(soft.starts[0])
+    led = [
+        Hypothesis(effects=(soft, *h.effects), values=(values, *h.values)) for h in (term, known)
+    ]
+    (a,), (b,) = inverse.predict(led)
+    assert np.nanmax(np.abs(a - b)) < 0.02 * scale
+
+
+def test_what_a_term_explains_is_no_longer_missing() -> None:
+    own = machine()
+    term = of(CubicSpring(own, "joint2"), 300.0)
+    seen = Simulator(own, [trial()], CHANNELS, threads=1).predict([term])[0][0]
+    motion = {f"joint{k}": seen[:, k - 1] for k in (1, 2, 3)}
+    comparison = compared_with(own, trial(measured=seen, motion=motion))
+    before, after = missing_torque(comparison, NOTHING), missing_torque(comparison, term)
+    assert before is not None and after is not None
+    explained = (before[3] - after[3])[:, 1]  # what the joint needed against the spring
+    assert np.allclose(explained, 300 * before[0][:, 1] ** 3) and explained.max() > 100
+
+
+def test_a_free_pendulum_with_a_cubic_spring() -> None:
+    own = Machine(mujoco.MjSpec.from_string(PENDULUM))
+    time = np.arange(400) * 0.01
+    inertia, moment, size = 0.01 + 0.5 * 0.3**2, 0.5 * 9.81 * 0.3, 2.0
+
+    def change(_: float, state: Array) -> list[float]:
+        angle, speed = state
+        return [speed, (-moment * np.sin(angle) - size * angle**3) / inertia]
+
+    truth = solve_ivp(change, (0, time[-1]), [0.8, 0.0], t_eval=time, rtol=1e-10, atol=1e-12).y[0]
+    run = Trial(
+        name="run", form="free", time=time, measured=truth[:, None], step=0.0025, steps=1597,
+        controls=np.zeros((1597, 0)), position=np.array([0.8]), speed=np.zeros(1), resting=False,
+        joints=("pivot",),
+    )  # fmt: skip
+    simulator = Simulator(own, [run], (Channel("sensor.encoder"),), threads=1)
+    (shown,) = simulator.predict([of(CubicSpring(own, "pivot"), size)])[0]
+    assert np.abs(shown[:, 0] - truth).max() < 2e-3
+
+
+def compared_with(own: Machine, run: Trial) -> Comparison:
+    return Comparison(own, [run], CHANNELS, NOISE, threads=1)
+
+
+def test_the_code_of_the_result_applies_a_term_to_the_written_model(tmp_path: Path) -> None:
+    own = machine()
+    term, gain = CubicSpring(own, "joint2"), CATALOGUE["sensor_gain"](own, "encoder2")
+    hinge = CATALOGUE["joint_compliance"](own, "joint1")  # shifts the numbers of the joints
+    effects = [hinge, term, gain]
+    values = [np.array(hinge.starts[0]), np.array([300.0]), np.array([1.1])]
+    file = write_model(tmp_path / "model.xml", own, effects, values)[0]
+    before, after = correction_code(effects, values).split("# after every mj_step")
+    model = mujoco.MjModel.from_xml_path(str(file))
+    data, shown = mujoco.MjData(model), np.zeros((COUNT, len(CHANNELS)))
+    names = {"model": model, "data": data}
+    given = np.vstack([np.zeros((400, 3)), commands()])
+    for k, command in enumerate(given):
+        data.ctrl[: len(command)] = command
+        exec(before, names)  # as a user would
+        mujoco.mj_step(model, data)
+        exec(after, names)
+        shown[max(k - 400, 0)] = [*data.sensordata[:3], *data.sensordata[4:6]]
+    hypothesis = Hypothesis(effects=tuple(effects), values=tuple(values))
+    simulator = Simulator(own, [trial()], CHANNELS, threads=1)
+    (expected,), (without,) = simulator.predict([hypothesis, of(hinge, *values[0])])
+    off = np.sqrt(np.mean((shown - expected) ** 2, axis=0))
+    visible = np.sqrt(np.mean((without - expected) ** 2, axis=0))
+    assert np.all(off[:3] < 0.001 * visible[:3]), (off / visible).round(4)
+    # it is the torque of half a step later that an accelerometer shows
+    assert np.all(off[3:] < 0.05 * visible[3:]), (off / visible).round(4)
+
+
+def test_a_term_that_nothing_applies_is_not_registered() -> None:
+    with pytest.raises(InvalidSetting, match=r"LinearSpring .* torque_code"):
+        register(LinearSpring)
+    try:
+        assert register(CubicSpring) is CubicSpring
+    finally:
+        del CATALOGUE["cubic_spring"]

@@ -1,0 +1,147 @@
+"""Effects of one's own tried step by step, and the whole search in one call."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.output.result import GapResult, read_result
+from loose_env.gap.settings import GapSettings
+from loose_env.gap.workflow.session import GapSteps, Tried
+from loose_env.gap.workflow.summary import explain_gap
+from loose_env.recording import Recording
+from tests.gap.cases.own_effects import CubicSpring
+from tests.gap.cases.sprung_arm import STIFFNESS, sprung
+
+SETTINGS = GapSettings(threads=1, kinds=("coulomb_friction", "joint_spring"))
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return sprung(tmp_path_factory.mktemp("arm") / "sprung")
+
+
+@pytest.fixture(scope="module")
+def steps(recording: Recording) -> GapSteps:
+    return GapSteps(recording, SETTINGS)
+
+
+@pytest.fixture(scope="module")
+def tried(steps: GapSteps) -> Tried:
+    return steps.try_effect(CubicSpring, "elbow")
+
+
+def test_an_effect_of_ones_own_is_fitted_and_judged(steps: GapSteps, tried: Tried) -> None:
+    assert tried.before == steps.nominal.held_rms > 5
+    assert tried.held_out < 1.1 and tried.believed
+    assert tried.lead.held > 2 and tried.lead.share > 0.9
+    assert tried.parameters["size"] == pytest.approx(STIFFNESS, rel=0.05)
+    assert str(tried).startswith("cubic_spring@elbow: size ") and str(tried).endswith(" believed")
+    assert "cubic_spring@elbow" in tried._repr_html_()
+
+
+def test_one_of_the_catalogue_is_tried_the_same_way(steps: GapSteps, tried: Tried) -> None:
+    friction = steps.try_effect("coulomb_friction", "elbow")
+    assert friction.held_out > tried.held_out and friction.effect.kind == "coulomb_friction"
+    again = steps.try_effect(CubicSpring(steps.machine, "elbow"), start=[30.0])
+    assert again.parameters["size"] == pytest.approx(tried.parameters["size"], rel=0.01)
+
+
+def test_what_is_added_stays_and_what_is_left_is_noise(
+    recording: Recording, tmp_path: Path
+) -> None:
+    said: list[str] = []
+    steps = GapSteps(recording, SETTINGS, say=said.append)
+    before = steps.missing_torque("elbow")
+    spring = steps.try_effect(CubicSpring, "elbow")
+    late = steps.try_effect("joint_spring", "elbow")
+    steps.add(spring)
+    assert [repr(effect) for effect in steps.added] == ["cubic_spring@elbow"]
+    with pytest.raises(InvalidSetting, match=r"before cubic_spring@elbow was added"):
+        steps.add(late)
+    left = steps.residuals()
+    assert {series.channel for series in left} == {"sensor.encoder", "sensor.rate"}
+    assert all(0.9 < series.rms < 1.1 for series in left)
+    after = steps.missing_torque("elbow")
+    cube = before.position**3
+    assert np.polyfit(cube, before.torque, 1)[0] == pytest.approx(STIFFNESS, rel=0.2)
+    assert abs(np.polyfit(cube, after.torque, 1)[0]) < 0.2 * STIFFNESS
+    friction = steps.try_effect("coulomb_friction", "elbow")
+    assert friction.before == steps.best.held_rms and not friction.believed
+    (named,) = steps.named()
+    low, high = named.interval_95["size"]
+    assert low < named.parameters["size"] < high and high - low < 0.2 * STIFFNESS
+    (file,) = steps.write_model(tmp_path / "model.xml")
+    assert mujoco.MjModel.from_xml_path(str(file)).nv == 1
+    assert "torque[0] -= " in steps.code and steps.code.startswith("# before every mj_step")
+    assert said[0].startswith("nominal model: ") and any("added" in line for line in said)
+
+
+def test_what_cannot_be_tried_is_refused(steps: GapSteps) -> None:
+    with pytest.raises(InvalidSetting, match=r"cubic_spring needs a place, one of \['elbow'\]"):
+        steps.try_effect(CubicSpring)
+    with pytest.raises(InvalidSetting, match="leave 'elbow' out"):
+        steps.try_effect(CubicSpring(steps.machine, "elbow"), "elbow")
+    with pytest.raises(UnknownName, match="shoulder"):
+        steps.try_effect(CubicSpring, "shoulder")
+    with pytest.raises(UnknownName, match="rust"):
+        steps.try_effect("rust", "elbow")
+    with pytest.raises(UnknownName, match="shoulder"):
+        steps.missing_torque("shoulder")
+
+    class Idle(CubicSpring):
+        kind = "idle"
+
+        def law(self, angle: np.ndarray, speed: np.ndarray) -> np.ndarray:
+            return 0.0 * angle
+
+    with pytest.raises(InvalidData, match="idle@elbow changes nothing"):
+        steps.try_effect(Idle, "elbow")
+
+
+def test_a_second_one_is_tried_beside_the_first(recording: Recording) -> None:
+    steps = GapSteps(recording, SETTINGS)
+    for _ in range(2):
+        tried = steps.try_effect("torque_ripple", "elbow", start=[0.5, 2.0, 0.0])
+        steps.add(tried)
+    assert [repr(effect) for effect in steps.added] == ["torque_ripple@elbow"] * 2
+
+
+def test_there_is_no_room_for_a_second_spring_at_a_joint(
+    steps: GapSteps, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spring = CATALOGUE["joint_compliance"](steps.machine, "elbow")
+    monkeypatch.setattr(GapSteps, "added", (spring,))
+    with pytest.raises(InvalidSetting, match=r"^joint_compliance@elbow was added already, .*other"):
+        steps.try_effect("joint_compliance", "elbow")
+    with pytest.raises(InvalidSetting, match="added already"):
+        steps.try_effect(spring)
+
+
+@pytest.fixture(scope="module")
+def result(
+    recording: Recording, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[GapResult, Path]:
+    folder = tmp_path_factory.mktemp("out") / "gap"
+    return explain_gap(recording, SETTINGS, folder=folder), folder
+
+
+def test_one_call_gives_what_the_result_file_holds(result: tuple[GapResult, Path]) -> None:
+    found, folder = result
+    assert read_result(folder).to_json() == found.to_json()
+    assert set(found.gap.by_horizon_s) == {"0.1", "0.5", "2.0"} and found.held_out_runs
+    assert mujoco.MjModel.from_xml_path(str(folder / "model.xml")).nu == 1
+    assert found.ranking and found.gap.after <= found.gap.before
+
+
+def test_a_notebook_shows_it_as_a_table(result: tuple[GapResult, Path]) -> None:
+    found, _ = result
+    shown = found._repr_html_()
+    assert shown.count("<table>") == shown.count("</table>") == 1 + bool(found.effects)
+    assert f"<td>{found.gap.before:.2f}</td>" in shown
+    assert all(f"<td>{effect.kind}</td>" in shown for effect in found.effects)

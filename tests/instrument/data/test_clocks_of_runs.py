@@ -1,0 +1,112 @@
+"""Commands, joint sensors and accelerometers whose clocks are apart, in every run otherwise."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loose_env.instrument.data.held_pose import held_in
+from loose_env.instrument.data.spectral_lines import lines_of
+from loose_env.instrument.diagnose import Workbench
+from loose_env.instrument.inference.evidence import Evidence
+from loose_env.instrument.inference.frequency_response import respond
+from loose_env.instrument.inference.laplace_fit import seats_of
+from loose_env.instrument.inference.uncertain_linear_arm import UncertainMachine
+from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.settings.diagnosis import DiagnoseSettings
+from loose_env.recording import Run
+from tests.instrument.arms.blind_arm import runs, write_model
+
+SETTINGS = DiagnoseSettings(poses=2, seconds=1.0)
+_PAD = 200
+
+
+def late(values: np.ndarray, seconds: float) -> np.ndarray:
+    """A column as a clock notes it that is behind."""
+    ends = ((_PAD, _PAD), *((0, 0),) * (values.ndim - 1))
+    padded = np.pad(values, ends, mode="edge")
+    frequency = np.fft.rfftfreq(len(padded), 1e-3)
+    turn = np.exp(-2j * np.pi * frequency * seconds).reshape(-1, *(1,) * (values.ndim - 1))
+    moved = np.fft.irfft(np.fft.rfft(padded, axis=0) * turn, len(padded), axis=0)
+    return np.asarray(moved[_PAD:-_PAD])
+
+
+def late_commands(run: Run, seconds: float) -> Run:
+    controls = {name: late(values, seconds) for name, values in run.controls.items()}
+    return dataclasses.replace(run, controls=controls)
+
+
+def late_tool(run: Run, seconds: float) -> Run:
+    sensors = {**run.sensors, "tool_acc": late(run.sensors["tool_acc"], seconds)}
+    return dataclasses.replace(run, sensors=sensors)
+
+
+@pytest.mark.parametrize(
+    ("moved", "seconds"), [(late_commands, 5e-4), (late_commands, 1e-3), (late_tool, 1e-4)]
+)
+def test_clocks_that_are_apart_otherwise_in_every_run_are_no_looseness(
+    tmp_path: Path, moved: object, seconds: float
+) -> None:
+    assert callable(moved)
+    bench = Workbench(write_model(tmp_path), SETTINGS)
+    for run, sign in zip(runs("healthy"), (1.0, -1.0), strict=True):
+        bench.add(moved(run, sign * seconds))
+    found = bench.diagnosis(plan=False)
+    assert found.fault.kind == "healthy"
+    assert found.probability > 0.9
+
+
+def test_the_allowance_can_be_set(tmp_path: Path) -> None:
+    none = dataclasses.replace(SETTINGS, command_delay=1e-6, sensor_delay=1e-6)
+    assert none.tolerances.command_delay == none.tolerances.sensor_delay == 1e-6
+    bench = Workbench(write_model(tmp_path), none)
+    for run, sign in zip(runs("healthy"), (1.0, -1.0), strict=True):
+        bench.add(late_commands(run, sign * 1e-3))
+    assert bench.diagnosis(plan=False).posterior["healthy"] < 0.5
+
+
+@pytest.mark.parametrize("noted", ["controls", "torques"])
+@pytest.mark.parametrize("number", [0, 2])
+def test_slopes_of_a_runs_delays_are_those_of_its_answer(
+    tmp_path: Path, noted: str, number: int
+) -> None:
+    run = runs("healthy", 1)[0]
+    if noted == "torques":
+        torques = {j: run.controls[f"motor{j[-1]}"] for j in run.excited}
+        run = dataclasses.replace(run, controls={}, torques=torques)
+    machine = Machine(write_model(tmp_path))
+    uncertain = UncertainMachine(machine, SETTINGS.tolerances)
+    held = held_in(machine, run)
+    lines = lines_of(machine, run, held.pose, held.excited, number=number)
+    at = uncertain.at(held.pose)
+    errors = np.zeros(uncertain.count(3))
+    answer = respond(at, lines, errors)
+    slopes = answer.slopes(np.zeros((len(lines.frequency), 4 * machine.n)))
+    for column in range(uncertain.count(0), uncertain.count(3)):
+        moved = errors.copy()
+        moved[column] = 1e-3
+        up = respond(at, lines, moved).mean
+        change = (up - answer.mean) / 1e-3
+        own = column in range(*uncertain.delays(number).indices(len(errors)))
+        assert np.abs(change).any() == own
+        # An accelerometer's delay acts on what the taper leaks in too, which is not followed.
+        close = 1e-3 if column % 2 == uncertain.count(0) % 2 else 0.1
+        scale = np.abs(change).max(axis=0) + 1e-300
+        assert (np.abs(slopes[:, :, column] - change) <= close * scale + 1e-30).all()
+
+
+def test_two_runs_of_one_name_are_two_runs(tmp_path: Path) -> None:
+    terms = []
+    for names in (("run", "run"), ("run-1", "run-2")):
+        bench = Workbench(write_model(tmp_path), SETTINGS)
+        for run, name in zip(runs("slide"), names, strict=True):
+            bench.add(dataclasses.replace(run, name=name))
+        seat = seats_of(bench.machine.hypotheses, bench.machine.n)["structural_looseness@link2"]
+        assert seat is not None
+        evidence = Evidence(machine=bench.uncertain, lines=bench.suspect)
+        pieces = evidence.pieces(np.zeros(len(bench.uncertain.names)), 0.05)
+        terms.append(evidence.seat_terms(pieces, seat, np.eye(3)))
+    np.testing.assert_allclose(*terms)

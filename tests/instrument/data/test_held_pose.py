@@ -1,0 +1,68 @@
+"""Which pose a run holds, and what is said where nobody knows."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from loose_env.errors import InvalidData
+from loose_env.instrument.data.held_pose import held_in
+from loose_env.instrument.diagnose import Workbench
+from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.planning.prior_knowledge import known_of
+from loose_env.instrument.settings.diagnosis import DiagnoseSettings
+from loose_env.recording import Run
+from tests.instrument.arms.blind_arm import runs, write_model
+
+
+def without(run: Run, *sensors: str) -> Run:
+    left = {name: values for name, values in run.sensors.items() if name not in sensors}
+    return dataclasses.replace(run, sensors=left)
+
+
+def test_actuators_that_are_named_like_joints_do_not_make_a_pose_known(tmp_path: Path) -> None:
+    path = write_model(tmp_path)
+    text = path.read_text("utf-8")
+    for joint in ("1", "2", "3"):
+        text = text.replace(f'name="motor{joint}"', f'name="joint{joint}"')
+    path.write_text(text, encoding="utf-8")
+    run = without(runs("healthy", 1)[0], "joint1_pos", "joint2_pos", "joint3_pos")
+    named = {name.replace("motor", "joint"): u for name, u in run.controls.items()}
+    run = dataclasses.replace(run, controls=named, pose=None)
+    with pytest.raises(InvalidData, match="the pose is not known"):
+        held_in(Machine(path), run)
+
+
+def test_a_pose_that_leaves_out_a_joint_that_nothing_reads_is_refused(tmp_path: Path) -> None:
+    machine = Machine(write_model(tmp_path))
+    run = runs("healthy", 1)[0]
+    assert run.pose is not None
+    partial = {joint: q for joint, q in run.pose.items() if joint != "joint2"}
+    run = dataclasses.replace(run, pose=partial)
+    assert held_in(machine, run).pose[1] == pytest.approx(0.62, abs=0.02)  # its encoder says
+    with pytest.raises(InvalidData, match="position of joint2 was recorded"):
+        held_in(machine, without(run, "joint2_pos"))
+
+
+def test_the_pose_of_a_record_is_the_one_that_was_reckoned_with(tmp_path: Path) -> None:
+    run = runs("healthy", 1)[0]
+    assert run.pose is not None
+    bench = Workbench(write_model(tmp_path), DiagnoseSettings(poses=2, seconds=1.0))
+    bench.add(dataclasses.replace(run, pose={**run.pose, "joint1": 0.5}))
+    seen = bench.diagnosis(plan=False).records[0]
+    assert seen.pose["joint1"] == pytest.approx(run.pose["joint1"], abs=0.02)
+    assert seen.pose["joint2"] == run.pose["joint2"]  # as it was noted, a round number
+    assert any("joint1 by" in note for note in seen.notes)
+
+
+def test_a_run_that_could_not_be_used_has_no_pose_but_what_was_noted(tmp_path: Path) -> None:
+    run = without(runs("healthy", 1)[0], "tool_acc")
+    bench = Workbench(write_model(tmp_path), DiagnoseSettings(poses=2, seconds=1.0))
+    bench.leave_out(dataclasses.replace(run, pose={"joint1": 0.5}), "no accelerometer")
+    bench.add(runs("healthy", 1)[0])
+    found = bench.diagnosis(plan=False)
+    assert found.records[0].pose == {"joint1": 0.5}
+    known = known_of(found, bench.machine.links, bench.machine.joints)
+    assert len(known.records) == 1

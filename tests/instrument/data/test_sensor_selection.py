@@ -1,0 +1,132 @@
+"""Sensors that are slow, that miss samples, that stand still, or that nobody asked for."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loose_env.errors import InvalidData
+from loose_env.importing.timing.resampling import resampled
+from loose_env.instrument.data.held_pose import held_in
+from loose_env.instrument.data.sensor_selection import readings_in
+from loose_env.instrument.data.spectral_lines import Lines, lines_of
+from loose_env.instrument.diagnose import Workbench
+from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.settings.diagnosis import DiagnoseSettings
+from loose_env.recording import Run
+from tests.instrument.arms.blind_arm import runs, write_model
+
+SETTINGS = DiagnoseSettings(poses=2, seconds=1.0)
+
+
+def with_sensors(run: Run, change: Callable[[str, np.ndarray], np.ndarray]) -> Run:
+    sensors = {name: change(name, values) for name, values in run.sensors.items()}
+    return dataclasses.replace(run, sensors=sensors)
+
+
+def slow_joints(run: Run, every: int, jitter: float = 0.0) -> Run:
+    """Joint sensors read at a part of the rate, brought to the rows as an import does."""
+    rng = np.random.default_rng(0)
+
+    def slow(name: str, values: np.ndarray) -> np.ndarray:
+        if name == "tool_acc":
+            return values
+        stamps = run.time[::every]
+        stamps = stamps + jitter * rng.normal(size=len(stamps))
+        read = np.interp(stamps, run.time, values)
+        return resampled(stamps, read, run.time, 0.1).values
+
+    return with_sensors(run, slow)
+
+
+def lines(folder: Path, run: Run) -> Lines:
+    machine = Machine(write_model(folder))
+    held = held_in(machine, run)
+    return lines_of(machine, run, held.pose, held.excited)
+
+
+@pytest.mark.parametrize(("every", "jitter"), [(8, 0.0), (8, 2e-4), (4, 0.0)])
+def test_encoders_slower_than_the_rows_do_not_make_a_sound_arm_loose(
+    tmp_path: Path, every: int, jitter: float
+) -> None:
+    bench = Workbench(write_model(tmp_path), SETTINGS)
+    for run in runs("healthy"):
+        bench.add(slow_joints(run, every, jitter))
+    found = bench.diagnosis(plan=False)
+    assert found.fault.kind == "healthy"
+    assert found.probability > 0.9
+    assert not any("no sensor of the excited joint" in words for words in found.warnings)
+
+
+@pytest.mark.parametrize(("every", "half"), [(16, 31.25), (8, 62.5), (4, 125.0)])
+def test_a_slow_sensor_is_read_below_half_its_own_rate_alone(
+    tmp_path: Path, every: int, half: float
+) -> None:
+    one = lines(tmp_path, slow_joints(runs("healthy")[0], every))
+    for k, (reading, _) in enumerate(one.row):
+        top = one.frequency[one.read[:, k]].max()
+        if reading.kind == "acceleration":
+            assert one.read[:, k].all()
+        else:
+            assert 0.6 * half < top < 1.15 * half
+
+
+def test_the_noise_of_a_slow_sensor_is_no_less_than_of_the_same_one_read_at_every_row(
+    tmp_path: Path,
+) -> None:
+    run = runs("healthy")[0]
+    own = {r.sensor: k for k, (r, _) in enumerate(lines(tmp_path, run).row)}
+    fast, slow = lines(tmp_path, run), lines(tmp_path, slow_joints(run, 8))
+    for k, (reading, _) in enumerate(slow.row):
+        if reading.kind == "velocity":
+            assert slow.noise[:, k].min() > 0.5 * fast.noise[:, own[reading.sensor]].min()
+
+
+def test_sensors_at_the_rate_of_the_rows_are_read_at_every_line(tmp_path: Path) -> None:
+    assert lines(tmp_path, runs("healthy")[0]).read.all()
+    quiet = with_sensors(runs("healthy")[0], _without_noise)
+    assert lines(tmp_path, quiet).read.all()
+
+
+def _without_noise(name: str, values: np.ndarray) -> np.ndarray:
+    """Nothing above the excited band, as in a simulation of perfect sensors."""
+    spectrum = np.fft.rfft(values - values.mean(axis=0), axis=0)
+    spectrum[np.fft.rfftfreq(len(values), 1e-3) > 150.0] = 0.0
+    return np.asarray(np.fft.irfft(spectrum, len(values), axis=0) + values.mean(axis=0))
+
+
+def test_a_missing_sample_costs_no_sensor(tmp_path: Path) -> None:
+    def missing(name: str, values: np.ndarray) -> np.ndarray:
+        values = values.copy()
+        values[700] = np.nan
+        return values
+
+    run = with_sensors(runs("healthy")[0], missing)
+    assert [r.sensor for r, _ in lines(tmp_path, run).row] == [
+        r.sensor for r, _ in lines(tmp_path, runs("healthy")[0]).row
+    ]
+
+
+def test_a_sensor_that_is_not_used_is_named(tmp_path: Path) -> None:
+    def dead(name: str, values: np.ndarray) -> np.ndarray:
+        return np.full_like(values, 0.25) if name == "joint2_vel" else values
+
+    run = with_sensors(runs("healthy")[0], dead)
+    machine = Machine(write_model(tmp_path))
+    used, notes = readings_in(machine, run)
+    assert "joint2_vel" not in [reading.sensor for reading in used]
+    assert any("joint2_vel is not used: it stands still" in note for note in notes)
+    bench = Workbench(write_model(tmp_path), SETTINGS)
+    bench.add(run)
+    assert any("joint2_vel" in note for note in bench.diagnosis(plan=False).records[0].notes)
+    assert readings_in(machine, runs("healthy")[0])[1] == ()
+
+
+def test_a_sensor_of_numbers_that_no_arm_makes_is_refused(tmp_path: Path) -> None:
+    run = with_sensors(runs("healthy")[0], lambda _, values: values * 1e9)
+    with pytest.raises(InvalidData, match="no arm does"):
+        readings_in(Machine(write_model(tmp_path)), run)
