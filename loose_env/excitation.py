@@ -17,6 +17,7 @@ from scipy import fft
 
 from loose_env.arms.response.linear import LinearArm, LinearPose
 from loose_env.errors import InvalidSetting
+from loose_env.typing import Array
 
 __all__ = [
     "CREST_FACTOR",
@@ -28,7 +29,6 @@ __all__ = [
     "torque_signals",
 ]
 
-Array = NDArray[np.float64]
 Shaping = Callable[[Array], Array]
 """Relative amplitude of the excitation at given frequencies [Hz]."""
 

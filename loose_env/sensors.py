@@ -12,6 +12,7 @@ from scipy.signal import upfirdn
 from loose_env.arms.arm import Arm
 from loose_env.arms.response.sensor_sites import Place
 from loose_env.errors import InvalidSetting
+from loose_env.typing import Array
 
 __all__ = [
     "Accelerometer",
@@ -24,7 +25,6 @@ __all__ = [
     "read_encoder",
 ]
 
-Array = NDArray[np.float64]
 STANDARD_GRAVITY = 9.80665
 
 

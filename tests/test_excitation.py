@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from loose_env.arms import planar, vera
 from loose_env.arms.response.linear import LinearArm
@@ -22,8 +21,8 @@ from loose_env.excitation import (
 from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import acceleration_from_angle, spectral_flatness, transfer_function
+from loose_env.typing import Array
 
-Array = NDArray[np.float64]
 BAND = (30.0, 150.0)
 STEP = 5e-4
 

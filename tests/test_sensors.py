@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidSetting
 from loose_env.sensors import (
@@ -17,8 +16,8 @@ from loose_env.sensors import (
     read_accelerometer,
     read_encoder,
 )
+from loose_env.typing import Array
 
-Array = NDArray[np.float64]
 RATE, FACTOR, COUNT, FIRST = 1000.0, 5, 2000, 100
 EXACT = Accelerometer(noise_density=0.0, resolution=0.0)
 

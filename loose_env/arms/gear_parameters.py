@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidSetting
+from loose_env.typing import Array
 
 __all__ = ["GEAR_DAMPING", "GEAR_MODE_HZ", "Figures", "Gears", "each_joint"]
 
-Array = NDArray[np.float64]
 Figures = float | Sequence[float]
 
 

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+
+from loose_env.typing import Array
 
 __all__ = ["largest_reach"]
 
-Array = NDArray[np.float64]
 Range = tuple[float, float] | None
 
 _STARTS = 12

@@ -11,7 +11,6 @@ from typing import Literal
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidSetting, UnknownName
@@ -26,6 +25,7 @@ from loose_env.faults.faults import (
     StructuralLooseness,
     unit,
 )
+from loose_env.typing import Array
 
 __all__ = [
     "SEAT",
@@ -49,8 +49,6 @@ SeatKind = Literal["slide", "hinge", "play"]
 
 SinglePart = Healthy | Preload | StructuralLooseness | Backlash | RotationalLooseness
 """A fault of one degree of freedom."""
-
-Array = NDArray[np.float64]
 
 
 def parts_of(fault: Fault) -> tuple[SinglePart, ...]:

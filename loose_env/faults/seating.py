@@ -22,7 +22,6 @@ from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidSetting, UnknownName
@@ -36,13 +35,13 @@ from loose_env.faults.faults import (
     unit,
 )
 from loose_env.faults.seat import SeatKind, SinglePart, parts_of, seat_name, seat_names
+from loose_env.typing import Array
 
 __all__ = ["FASTEST_STOP", "seated_spec", "set_seat"]
 
 FASTEST_STOP = 1.4
 """Largest angle [rad] by which a contact mode may turn in one simulation step."""
 
-Array = NDArray[np.float64]
 
 _SOFT, _STIFF = 1e-4, 0.9999  # MuJoCo's smallest and largest constraint impedance
 _FAR = 1.0  # a stop that is never reached [m or rad]

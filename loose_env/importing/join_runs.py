@@ -8,7 +8,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.importing.mapping.mapping import ColumnEntry, ImportMapping, RunPlan
@@ -19,10 +18,10 @@ from loose_env.importing.timing.resampling import bridged, held, median_step, re
 from loose_env.recording import Run, joint_sensors
 from loose_env.recording.columns import ModelColumns
 from loose_env.recording.table import FEWEST_SAMPLES, MOST_VALUES
+from loose_env.typing import Array
 
 __all__ = ["Joined", "Pool", "joined_run", "shifts_of"]
 
-Array = NDArray[np.float64]
 Pool = Mapping[tuple[str, Path, ChannelKey], Samples]
 """What was read: source, file and channel -> its samples."""
 

@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
+from loose_env.typing import Array
 
 __all__ = ["Channel", "ChannelKey", "FileList", "Samples", "Stream", "checked"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, order=True)

@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.instrument.data.dropouts import unbroken
@@ -38,7 +37,6 @@ from loose_env.recording import Recording, Run
 
 __all__ = ["Workbench", "diagnose"]
 
-Array = NDArray[np.float64]
 
 _LEAST_RUNS = 2
 """Runs before nothing more is asked for: neighbouring links can look alike in one pose."""

@@ -16,7 +16,6 @@ from textwrap import wrap
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.records.excitation_design import Proposal, holding_modes
@@ -29,10 +28,10 @@ from loose_env.instrument.planning.plan import load
 from loose_env.instrument.settings.arm_and_plan import ModelSettings
 from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.io.json_codec import json_text
+from loose_env.typing import Array
 
 __all__ = ["FORMAT", "Inspection", "JointSeen", "inspect_model", "screen"]
 
-Array = NDArray[np.float64]
 
 FORMAT = "loose-inspection/1"
 """Format of the file."""

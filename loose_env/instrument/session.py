@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import Excitation
@@ -23,10 +22,9 @@ from loose_env.instrument.result import Diagnosis, NextMeasurement
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import Run
 from loose_env.rig.measurement import Measurement
+from loose_env.typing import Array
 
 __all__ = ["Found", "Machinery", "Session", "find_fault", "run_of"]
-
-Array = NDArray[np.float64]
 
 
 class Machinery(Protocol):

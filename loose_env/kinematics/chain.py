@@ -7,14 +7,14 @@ from typing import Literal
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.typing import Array
 
 __all__ = ["Chain", "JointKind", "require_kind"]
 
-Array = NDArray[np.float64]
 JointKind = Literal["revolute", "prismatic"]
 
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.kinematics.chain import Chain
+from loose_env.typing import Array
 
 __all__ = [
     "Frame",
@@ -25,7 +26,6 @@ __all__ = [
     "velocity_error",
 ]
 
-Array = NDArray[np.float64]
 Frame = Literal["tool", "world", "base"]
 """Point and axes of a Jacobian: tool point in tool axes, tool point in world axes, or the point
 of the tool's body that lies on the world's origin, in world axes."""

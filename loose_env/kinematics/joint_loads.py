@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.typing import Array
 
 __all__ = [
     "JointLoads",
@@ -26,7 +27,6 @@ __all__ = [
     "two_link_loads",
 ]
 
-Array = NDArray[np.float64]
 GRAVITY = 9.81
 
 

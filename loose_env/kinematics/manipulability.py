@@ -7,12 +7,13 @@ from typing import Literal
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.kinematics.chain import Chain
 from loose_env.kinematics.jacobian import geometric_jacobian
+from loose_env.typing import Array
 
 __all__ = [
     "Ellipsoid",
@@ -26,7 +27,6 @@ __all__ = [
     "submanipulator_jacobian",
 ]
 
-Array = NDArray[np.float64]
 AngleFrom = Literal["x", "y"]
 LinkPoint = Literal["centre", "seat"]
 

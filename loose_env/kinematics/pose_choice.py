@@ -17,6 +17,7 @@ from loose_env.arms.arm import Arm
 from loose_env.arms.response.linear import LinearArm
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.kinematics.seat_loads import Others, reactions, wrench_rank
+from loose_env.typing import Array
 
 __all__ = [
     "Drive",
@@ -27,7 +28,6 @@ __all__ = [
     "worst_push",
 ]
 
-Array = NDArray[np.float64]
 Drive = Literal["torque", "tool"]
 """Unit of drive: torque at each joint, or motion of the tool."""
 MOST_POSES = 50_000

@@ -11,16 +11,16 @@ from typing import Literal
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.kinematics.joint_loads import carried_bodies
 from loose_env.kinematics.manipulability import LinkPoint
+from loose_env.typing import Array
 
 __all__ = ["Others", "Reactions", "reactions", "reciprocal_product", "wrench_rank"]
 
-Array = NDArray[np.float64]
 Others = Literal["held", "free"]
 """What the joints that are not driven do: they keep their place, or carry no torque."""
 

@@ -9,13 +9,12 @@ from typing import Literal
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
+from loose_env.typing import Array
 
 __all__ = ["ModelColumns", "nearest"]
 
-Array = NDArray[np.float64]
 Group = Literal["controls", "sensors", "torques"]
 
 _PREFIX: dict[str, Group] = {"ctrl": "controls", "sensor": "sensors", "torque": "torques"}

@@ -10,15 +10,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.recording.table import CheckHeader, Table, place, refuse_size
 from loose_env.recording.text_file import read_text
+from loose_env.typing import Array
 
 __all__ = ["read_csv", "write_csv"]
 
-Array = NDArray[np.float64]
 
 _MOST_BYTES = 2**31
 _ROWS_AT_ONCE = 16_384  # cells wait as Python strings, which are seven times their numbers

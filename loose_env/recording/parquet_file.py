@@ -7,14 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.recording.table import CheckHeader, Table, place, refuse_size
+from loose_env.typing import Array
 
 __all__ = ["read_parquet", "write_parquet"]
-
-Array = NDArray[np.float64]
 
 
 def read_parquet(path: Path, name: str, check_header: CheckHeader) -> Table:

@@ -7,13 +7,12 @@ from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
+from loose_env.typing import Array
 
 __all__ = ["Comparison", "Condition", "Run"]
 
-Array = NDArray[np.float64]
 
 Condition = Literal["suspect", "healthy"]
 """Whether the arm was as it is judged, or is known to have been sound."""

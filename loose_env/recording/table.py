@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
+from loose_env.typing import Array
 
 __all__ = [
     "FEWEST_SAMPLES",
@@ -20,7 +21,6 @@ __all__ = [
     "refuse_size",
 ]
 
-Array = NDArray[np.float64]
 
 CheckHeader = Callable[[Sequence[str]], None]
 """Is given the names of the columns before a number is read, and raises if they are wrong."""

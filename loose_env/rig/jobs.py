@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation
+from loose_env.typing import Array
 
 __all__ = ["Job", "Run", "check_jobs", "whole_factor"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.excitation import Excitation
+from loose_env.typing import Array
 
 __all__ = ["Measurement", "Rig"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation
 from loose_env.recording import Recording, Run
+from loose_env.typing import Array
 
 __all__ = ["RecordedRig"]
 
-Array = NDArray[np.float64]
 
 _JOINT = 3.0
 """Distance between poses that counts like another joint than the one asked for [rad or m]."""

@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.arms.response.linear import LinearArm
@@ -27,10 +26,9 @@ from loose_env.rig.simulation.reading import read_record
 from loose_env.rig.simulation.slots import SlotRig
 from loose_env.rig.simulation.small_motion import require_one_part, small_motion
 from loose_env.sensors import SensorSuite, decimation_filter
+from loose_env.typing import Array
 
 __all__ = ["ReducedRig"]
-
-Array = NDArray[np.float64]
 
 
 class ReducedRig(SlotRig):

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.arms.engine_warnings import quiet
@@ -25,10 +24,10 @@ from loose_env.rig.simulation.engines import Engine, Engines
 from loose_env.rig.simulation.reading import read_record
 from loose_env.rig.simulation.slots import SlotRig
 from loose_env.sensors import SensorSuite, decimation_filter
+from loose_env.typing import Array
 
 __all__ = ["Job", "SimulatedRig"]
 
-Array = NDArray[np.float64]
 _CHUNK = 16  # arms simulated in one call; reading one chunk overlaps with the next
 
 

@@ -3,16 +3,15 @@
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData
-
-FloatArray = NDArray[np.float64]
+from loose_env.typing import Array
 
 MIN_SAMPLES = 4
 
 
-def as_floats(values: ArrayLike, name: str) -> FloatArray:
+def as_floats(values: ArrayLike, name: str) -> Array:
     """Return `values` as an array of 64-bit floats."""
     try:
         return np.asarray(values, dtype=np.float64)
@@ -20,7 +19,7 @@ def as_floats(values: ArrayLike, name: str) -> FloatArray:
         raise InvalidData(f"{name} must be an array of real numbers: {error}") from error
 
 
-def as_samples(values: ArrayLike, name: str) -> FloatArray:
+def as_samples(values: ArrayLike, name: str) -> Array:
     """Return `values` as floats, with at least four samples along the last axis."""
     samples = as_floats(values, name)
     if samples.ndim == 0 or samples.size == 0 or samples.shape[-1] < MIN_SAMPLES:
@@ -31,14 +30,14 @@ def as_samples(values: ArrayLike, name: str) -> FloatArray:
     return samples
 
 
-def as_finite_samples(values: ArrayLike, name: str) -> FloatArray:
+def as_finite_samples(values: ArrayLike, name: str) -> Array:
     """Return `values` as samples, none of them NaN or infinite."""
     samples = as_samples(values, name)
     require_finite(samples, name)
     return samples
 
 
-def as_record(values: ArrayLike, name: str) -> FloatArray:
+def as_record(values: ArrayLike, name: str) -> Array:
     """Return `values`, of shape (N,) or (k, N), as samples of shape (k, N)."""
     samples = as_samples(values, name)
     if samples.ndim > 2:
@@ -46,7 +45,7 @@ def as_record(values: ArrayLike, name: str) -> FloatArray:
     return samples.reshape(-1, samples.shape[-1])
 
 
-def as_direction(direction: ArrayLike, dimension: int, name: str = "direction") -> FloatArray:
+def as_direction(direction: ArrayLike, dimension: int, name: str = "direction") -> Array:
     """Return `direction` as a unit vector with `dimension` components."""
     vector = as_floats(direction, name)
     if vector.shape != (dimension,):
@@ -57,7 +56,7 @@ def as_direction(direction: ArrayLike, dimension: int, name: str = "direction") 
     return vector / length
 
 
-def as_angles(angles: ArrayLike) -> FloatArray:
+def as_angles(angles: ArrayLike) -> Array:
     """Return `angles` as a finite array of shape (K,)."""
     values = np.atleast_1d(as_floats(angles, "angles"))
     if values.ndim != 1:
@@ -66,7 +65,7 @@ def as_angles(angles: ArrayLike) -> FloatArray:
     return values
 
 
-def require_finite(values: FloatArray, name: str) -> None:
+def require_finite(values: Array, name: str) -> None:
     """Raise unless every value is finite."""
     if not np.isfinite(values).all():
         raise InvalidData(f"{name} holds NaN or infinite values; every value must be finite")

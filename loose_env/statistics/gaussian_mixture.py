@@ -16,7 +16,8 @@ from scipy.linalg import solve_triangular
 from scipy.special import log_ndtr, logsumexp
 
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.statistics._checks import FloatArray, as_floats, require_finite
+from loose_env.statistics._checks import as_floats, require_finite
+from loose_env.typing import Array
 
 __all__ = ["GaussianMixture", "fit_gaussian_mixture"]
 
@@ -42,11 +43,11 @@ class GaussianMixture:
     [-1.8379, -3.8379]
     """
 
-    weights: FloatArray
+    weights: Array
     """Share of each Gaussian; they add up to one (K,)."""
-    means: FloatArray
+    means: Array
     """Means, unit of the points (K, D)."""
-    covariances: FloatArray
+    covariances: Array
     """Covariances, unit of the points squared (K, D, D)."""
 
     def __post_init__(self) -> None:
@@ -64,7 +65,7 @@ class GaussianMixture:
         _ = self._roots
 
     @cached_property
-    def _roots(self) -> FloatArray:
+    def _roots(self) -> Array:
         """Lower Cholesky factors of the covariances (K, D, D)."""
         try:
             return np.asarray(np.linalg.cholesky(self.covariances))
@@ -74,7 +75,7 @@ class GaussianMixture:
                 "regularisation or fewer components"
             ) from error
 
-    def log_densities(self, points: ArrayLike) -> FloatArray:
+    def log_densities(self, points: ArrayLike) -> Array:
         """Log of weight times density of each Gaussian (N, K).
 
         Parameters
@@ -92,7 +93,7 @@ class GaussianMixture:
         with np.errstate(divide="ignore"):
             return np.asarray(logs + np.log(self.weights))
 
-    def log_density(self, points: ArrayLike) -> FloatArray:
+    def log_density(self, points: ArrayLike) -> Array:
         """Log of the density, per unit of the points to the power D (N,).
 
         Parameters
@@ -107,7 +108,7 @@ class GaussianMixture:
         """
         return np.asarray(logsumexp(self.log_densities(points), axis=1))
 
-    def log_upper_tail(self, points: ArrayLike) -> FloatArray:
+    def log_upper_tail(self, points: ArrayLike) -> Array:
         """Log of the chance that the first dimension is larger than it is, given the others (N,).
 
         Given the others, each Gaussian is one in the first dimension, and its weight goes with
@@ -240,7 +241,7 @@ def fit_gaussian_mixture(
     return mixture
 
 
-def _from_shares(points: FloatArray, share: FloatArray, ridge: FloatArray) -> GaussianMixture:
+def _from_shares(points: Array, share: Array, ridge: Array) -> GaussianMixture:
     """Gaussians of points that belong to each of them in part (N, K): the M-step."""
     d = points.shape[1]
     number = share.sum(axis=0) + 1e-9
@@ -252,7 +253,7 @@ def _from_shares(points: FloatArray, share: FloatArray, ridge: FloatArray) -> Ga
     return GaussianMixture(weights=number / number.sum(), means=means, covariances=covariances)
 
 
-def _spread(points: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
+def _spread(points: Array, count: int, rng: np.random.Generator) -> Array:
     """Points far from each other: each is drawn by its squared distance to those before it."""
     chosen = [points[rng.integers(len(points))]]
     for _ in range(count - 1):
@@ -263,13 +264,13 @@ def _spread(points: FloatArray, count: int, rng: np.random.Generator) -> FloatAr
     return np.array(chosen)
 
 
-def _nearest(points: FloatArray, centres: FloatArray) -> NDArray[np.intp]:
+def _nearest(points: Array, centres: Array) -> NDArray[np.intp]:
     """Which centre each point is nearest to (N,)."""
     away = np.stack([((points - one) ** 2).sum(1) for one in centres], axis=1)
     return np.asarray(np.argmin(away, axis=1))
 
 
-def _points(points: ArrayLike, dimensions: int | None) -> FloatArray:
+def _points(points: ArrayLike, dimensions: int | None) -> Array:
     found = as_floats(points, "points")
     if found.ndim != 2 or (dimensions is not None and found.shape[1] != dimensions):
         wanted = "D" if dimensions is None else str(dimensions)

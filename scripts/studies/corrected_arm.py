@@ -28,7 +28,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 import loose_env
 from loose_env.arms import Arm, arm_from_file
@@ -52,8 +51,8 @@ from loose_env.report.studies import (
     study_head,
     write_study,
 )
+from loose_env.typing import Array
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -25,7 +25,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 import loose_env
 from loose_env.arms import Arm, planar, servoed, six_axis, with_compliance
@@ -58,8 +57,7 @@ from loose_env.statistics import (
     lowest_coherence_direction_from,
     transmission_change,
 )
-
-Array = NDArray[np.float64]
+from loose_env.typing import Array
 
 ROOT = Path(__file__).resolve().parents[2]
 ARMS: dict[str, Callable[[], Arm]] = {

@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms import arm_from_file, planar, scara, six_axis
 from loose_env.arms.arm import Arm
@@ -47,8 +46,8 @@ from loose_env.errors import InvalidData
 from loose_env.excitation import at_levels
 from loose_env.faults import StructuralLooseness
 from loose_env.rig import Job, SimulatedRig
+from loose_env.typing import Array
 
-Array = NDArray[np.float64]
 ARMS: dict[str, Callable[[], Arm]] = {
     "six_axis": six_axis,
     "scara": scara,

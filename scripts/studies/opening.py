@@ -19,7 +19,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 import loose_env
 from loose_env.arms import Arm, planar
@@ -41,8 +40,7 @@ from loose_env.report.studies import (
 )
 from loose_env.rig import Job, SimulatedRig
 from loose_env.statistics import transmission_change
-
-Array = NDArray[np.float64]
+from loose_env.typing import Array
 
 ROOT = Path(__file__).resolve().parents[2]
 OPENING_LINK, OPENING_SEAT, OPENING_BEND = 2, (0.6, 0.8, 0.0), (0.7, -0.6)

@@ -42,7 +42,6 @@ from loose_agents.research.pose_set_trials import (
     limit_rows,
     records_block,
 )
-from numpy.typing import NDArray
 
 import loose_env
 from loose_env.diagnosis.research.pose_sets.limits import one_by_one_share
@@ -61,8 +60,8 @@ from loose_env.report.studies import (
     study_head,
     write_study,
 )
+from loose_env.typing import Array
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -34,7 +34,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 import loose_env
@@ -57,8 +56,8 @@ from loose_env.report.studies import study_head, write_study
 from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import LinkAccelerometers, SensorSuite
 from loose_env.statistics import axial_angle_between
+from loose_env.typing import Array
 
-Array = NDArray[np.float64]
 Records = Sequence[StackedRecord] | None
 Score = tuple[float, bool, float, bool, float]
 """Log odds of a fault, whether the link is right, error of the direction [deg], whether that is

@@ -30,7 +30,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 import loose_env
 from loose_env.arms import Arm, planar, vera
@@ -42,8 +41,7 @@ from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import Fault, hypotheses
 from loose_env.rig import Job, SimulatedRig
 from loose_env.statistics import axial_angle, axial_difference, axial_mean
-
-Array = NDArray[np.float64]
+from loose_env.typing import Array
 
 ROOT = Path(__file__).resolve().parents[2]
 ARMS: dict[str, Callable[[], Arm]] = {

@@ -9,7 +9,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from loose_env.arms import Arm, arm_from_file, planar, scara, six_axis, vera, with_compliance
 from loose_env.arms.gear_parameters import Gears
@@ -29,7 +28,6 @@ from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import SensorSuite
 from loose_env.thesis.rigs import cylindrical
 
-Array = NDArray[np.float64]
 QUIET = SensorFloor(joint=0.0, tool=0.0)
 
 BARE_FILE = """<mujoco><compiler autolimits="true"/><worldbody>

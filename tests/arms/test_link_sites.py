@@ -7,15 +7,14 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from loose_env.arms import Arm, planar, scara, six_axis, vera
 from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
 from loose_env.arms.response.sensor_sites import CLEARANCE, link_site
 from loose_env.errors import UnknownName
+from loose_env.typing import Array
 
 ARMS: tuple[Callable[[], Arm], ...] = (vera, lambda: planar(3), six_axis, scara)
-Array = NDArray[np.float64]
 
 
 def velocity(arm: Arm, link: int, pose: Array) -> tuple[Array, Array]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from loose_env.arms import Arm, scara
 from loose_env.arms.library.scara import INNER, OUTER, STROKE
@@ -15,8 +14,7 @@ from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, Fault, StructuralLooseness
 from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import SensorSuite
-
-Array = NDArray[np.float64]
+from loose_env.typing import Array
 
 BRACKET = 0.08
 POSE = np.array([0.5, 0.9, -0.08, -0.4])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from loose_env.arms import Arm, six_axis
 from loose_env.arms.library.puma560 import TOOL
@@ -16,8 +15,7 @@ from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, Fault, StructuralLooseness
 from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import SensorSuite
-
-Array = NDArray[np.float64]
+from loose_env.typing import Array
 
 READY = np.array([0.0, -np.pi / 2, np.pi / 2, 0.0, 0.0, 0.0])
 A2, A3, D2, D3, D4 = 0.4318, -0.0203, 0.2435, -0.0934, 0.4331

@@ -7,7 +7,6 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from loose_env.faults import (
     Backlash,
@@ -18,6 +17,7 @@ from loose_env.faults import (
     seated_spec,
     set_seat,
 )
+from loose_env.typing import Array
 from tests.faults.thesis_equations import (
     Figures,
     Stops,
@@ -30,8 +30,6 @@ from tests.faults.thesis_equations import (
     thesis_arm,
     trajectory,
 )
-
-Array = NDArray[np.float64]
 
 KINDS: dict[SeatKind, System] = {"slide": loose, "play": backlash}
 WIDE = Stops(gap=1.0, stiffness=(150.0, 300.0), damping=(3.0, 8.0))

@@ -10,7 +10,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from loose_env.arms import Arm, arm_from_file, planar, scara, six_axis, vera
 from loose_env.arms.response.linear import LinearArm
@@ -35,8 +34,8 @@ from loose_env.faults import (
 from loose_env.rig.simulated import Job, SimulatedRig
 from loose_env.sensors import SensorSuite
 from loose_env.thesis.rigs import cylindrical
+from loose_env.typing import Array
 
-Array = NDArray[np.float64]
 UR5E = Path(__file__).parents[3] / "shared" / "models" / "ur5e_bare.xml"
 NAMES = ["vera", "planar3", "six_axis", "scara", *(["ur5e"] if UR5E.exists() else [])]
 

@@ -13,7 +13,6 @@ from math import ceil, sqrt
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from loose_env.arms import Arm, planar, vera
 from loose_env.arms.response.linear import LinearArm
@@ -33,8 +32,8 @@ from loose_env.faults import (
 )
 from loose_env.rig.simulated import Job, SimulatedRig
 from loose_env.sensors import SensorSuite
+from loose_env.typing import Array
 
-Array = NDArray[np.float64]
 Loose = StructuralLooseness | Backlash
 
 ARMS: dict[str, Callable[[], Arm]] = {"planar4": planar, "vera": vera}

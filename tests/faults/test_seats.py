@@ -34,8 +34,8 @@ from loose_env.faults import (
 )
 from loose_env.rig import SimulatedRig
 from loose_env.rig.plant import Plant, PlantShop
+from loose_env.typing import Array
 
-Array = NDArray[np.float64]
 KINDS: tuple[SeatKind, ...] = ("slide", "hinge", "play")
 ARMS: dict[str, Callable[[], Arm]] = {
     **{f"planar{n}": (lambda n=n: planar(n)) for n in range(2, 8)},  # type: ignore[misc]

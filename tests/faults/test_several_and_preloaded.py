@@ -9,7 +9,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from loose_env.arms import Arm, planar, scara, six_axis, vera
 from loose_env.arms.response.linear import LinearArm
@@ -41,8 +40,8 @@ from loose_env.faults import (
 from loose_env.rig.plant import Plant, PlantShop
 from loose_env.rig.simulated import Job, SimulatedRig
 from loose_env.sensors import SensorSuite
+from loose_env.typing import Array
 
-Array = NDArray[np.float64]
 ARMS: dict[str, Callable[[], Arm]] = {
     "planar3": lambda: planar(3),
     "vera": vera,

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from loose_env.arms import Arm, Holding
+from loose_env.typing import Array
 
-Array = NDArray[np.float64]
 System = Callable[["Figures", Array, Array], tuple[Array, Array]]
 """Inertia matrix and velocity-dependent forces, from the positions and the rates."""
 

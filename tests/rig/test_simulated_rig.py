@@ -10,7 +10,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from loose_env.arms import Arm, planar, vera
 from loose_env.arms.response.linear import LinearArm
@@ -30,8 +29,8 @@ from loose_env.faults import (
 )
 from loose_env.rig import Job, Measurement, SimulatedRig
 from loose_env.sensors import Accelerometer, Encoder, SensorSuite
+from loose_env.typing import Array
 
-Array = NDArray[np.float64]
 POSE = np.array([0.3, -0.7])
 SHAKE = Excitation(torque_rms=(3.0, 1.0), duration=0.2, band=(30.0, 150.0))
 ONE_JOINT = Excitation(torque_rms=(3.0, 0.0), duration=0.2, band=(30.0, 150.0))

@@ -22,6 +22,7 @@ from loose_agents.core.belief_agent import best_verdict
 from loose_agents.evaluation.evaluate import goes_on
 from loose_env.envs.episode.batch import EpisodeBatch
 from loose_env.errors import InvalidSetting
+from loose_env.typing import Array
 
 __all__ = [
     "THRESHOLDS",
@@ -45,8 +46,6 @@ SLACK = 0.005
 """Difference in mean return that is taken for none: a tenth of a record's price."""
 RESAMPLES = 500
 DIVERGED = np.inf  # the confidence at which every agent stops
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

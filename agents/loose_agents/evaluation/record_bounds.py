@@ -24,13 +24,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import stats
 
 from loose_agents.core.base import Problem
 from loose_env.diagnosis.experiment_design.record_bound import least_records
 from loose_env.envs.faults.difficulty import difficulty_named
 from loose_env.evaluation.success_rates import Row, by_agent, standings, wilson
+from loose_env.typing import Array
 
 __all__ = ["RecordBound", "bound_line", "record_bound"]
 
@@ -42,8 +43,6 @@ FEWEST = 30
 
 _LEAST = 1e-6  # probabilities below count as this: one arm does not decide a mean
 _LEVEL = 0.95
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

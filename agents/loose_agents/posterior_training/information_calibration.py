@@ -21,10 +21,10 @@ from loose_env.diagnosis.experiment_design.information_gain import (
     RecordInformation,
 )
 from loose_env.diagnosis.learned.amortised_posterior import AmortisedPosterior
+from loose_env.typing import Array
 
 __all__ = ["Transitions", "fit_factors", "transitions_of"]
 
-Array = NDArray[np.float64]
 _SURE = 0.97  # beyond it a record has little left to say, and agents have stopped
 _LEAST = 1e-6
 

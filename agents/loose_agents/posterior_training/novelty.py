@@ -22,10 +22,10 @@ from loose_env.diagnosis.learned.network import SeatNetwork
 from loose_env.diagnosis.learned.novelty import FIGURES, NoveltyReference, Seen, used_columns
 from loose_env.errors import InvalidData
 from loose_env.statistics.gaussian_mixture import fit_gaussian_mixture
+from loose_env.typing import Array
 
 __all__ = ["NoveltySettings", "episode_sights", "fit_reference", "seen_episodes", "with_reference"]
 
-Array = NDArray[np.float64]
 _RARE = 0.99  # what one episode in a hundred exceeds
 _EVEN = 1e-3  # spread of scores that are all alike
 

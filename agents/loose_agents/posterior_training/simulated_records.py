@@ -17,14 +17,13 @@ from loose_agents.core.base import Problem
 from loose_env.envs.episode.batch import EpisodeBatch
 from loose_env.evaluation.fault_difficulty import drive_over_friction
 from loose_env.faults import Fault, StructuralLooseness
+from loose_env.typing import Array
 
 __all__ = ["BANK_SEED", "BankSettings", "RecordBank", "play_episodes"]
 
 BANK_SEED = 19_950_000
 """Seed of the banks' episodes; evaluation and training of policies use others."""
 _ACTIONS = 16  # stream of the random actions, beyond those of the episode itself
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

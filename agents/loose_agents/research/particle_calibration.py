@@ -31,10 +31,10 @@ from loose_env.diagnosis.research.particles.synthetic_likelihood import (
 )
 from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.errors import InvalidData
+from loose_env.typing import Array
 
 __all__ = ["CalibrationCases", "calibration_cases"]
 
-Array = NDArray[np.float64]
 _FIRST_CASE = 10_000_000
 """Realisations of the cases begin here, far beyond those of the particles."""
 

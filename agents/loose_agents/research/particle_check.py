@@ -22,6 +22,7 @@ from loose_env.envs.episode.batch import EpisodeBatch
 from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.evaluation.calibration import expected_calibration_error
 from loose_env.report.studies import FAINT, INK, MUTED, pyplot, save_figure
+from loose_env.typing import Array
 
 __all__ = [
     "CHECK_SEED",
@@ -39,7 +40,6 @@ __all__ = [
     "probabilities_of",
 ]
 
-Array = NDArray[np.float64]
 
 CHECK_SEED = 19_960_000
 """Seed of the check's episodes; training, tuning and evaluation use others."""

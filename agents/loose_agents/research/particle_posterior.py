@@ -35,10 +35,10 @@ from loose_env.rig.jobs import Job
 from loose_env.rig.measurement import Measurement
 from loose_env.rig.reduced import ReducedRig
 from loose_env.rig.simulated import SimulatedRig
+from loose_env.typing import Array
 
 __all__ = ["ParticleBelief", "ParticlePosterior", "SimulatedRecords"]
 
-Array = NDArray[np.float64]
 _BELOW_ONE = 1 - 2.0**-53
 _SLOTS = 32
 """Arms at once on MuJoCo's batched engine."""

@@ -29,7 +29,6 @@ __all__ = [
     "nearest_moves",
 ]
 
-Array = NDArray[np.float64]
 Excited = Literal["all", "first"]
 """Joints that are shaken, at the top level: all of them, or joint 1."""
 

@@ -12,7 +12,6 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from loose_agents.core.base import Problem
@@ -40,6 +39,7 @@ from loose_env.diagnosis.research.pose_sets.pose_sets import PLANNED, PoseSets
 from loose_env.envs.episode.batch import EpisodeBatch
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.faults import StructuralLooseness
+from loose_env.typing import Array
 
 __all__ = [
     "ARMS",
@@ -55,7 +55,6 @@ __all__ = [
     "records_block",
 ]
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
 
 ARMS: dict[str, Callable[[], Arm]] = {

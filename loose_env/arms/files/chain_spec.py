@@ -6,15 +6,14 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.files.model_reader import ModelFile
 from loose_env.arms.files.serial_chain import Chain
 from loose_env.arms.spec_parts import new_spec
+from loose_env.typing import Array
 
 __all__ = ["BARE_MOTOR_SIDE", "MOTOR_SIDE", "TOOL_SITE", "ChainSpec", "chain_spec"]
 
-Array = NDArray[np.float64]
 
 MOTOR_SIDE = 0.05
 """Share of each link's mass and inertia that is the flange on the motor side [1]; an estimate."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm, Holding
 from loose_env.arms.holding.gears import rounded
 from loose_env.arms.library.planar import CREST_FACTOR
 from loose_env.arms.response.linear import LinearArm
 from loose_env.errors import InvalidData
+from loose_env.typing import Array
 
 __all__ = [
     "AT_LEAST",
@@ -21,7 +21,6 @@ __all__ = [
     "stable_timestep",
 ]
 
-Array = NDArray[np.float64]
 
 AT_LEAST = 1.0
 """Peak tool acceleration beyond gravity for which a proposed torque limit is made [g]."""

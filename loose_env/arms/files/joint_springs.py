@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.arms.holding.compliance import fastest_turn, settling_time
@@ -15,7 +14,6 @@ from loose_env.errors import InvalidData
 
 __all__ = ["FASTEST_TURN", "with_file_springs"]
 
-Array = NDArray[np.float64]
 
 FASTEST_TURN = 1.4
 """Angle that the fastest mode of springs may turn in one simulation step [rad]."""

@@ -22,6 +22,7 @@ from loose_env.arms.holding.gears import (
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.spec_parts import SERVO_DAMPING, held_inertia
 from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.typing import Array
 
 __all__ = [
     "compliant",
@@ -33,7 +34,6 @@ __all__ = [
     "with_compliance",
 ]
 
-Array = NDArray[np.float64]
 
 _FASTEST = 1.4  # angle a gear's mode may turn in one step [rad]
 _HALVINGS = 3

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.arms.gear_parameters import GEAR_MODE_HZ, Figures, Gears, each_joint
 from loose_env.arms.spec_parts import held_inertia
 from loose_env.errors import InvalidSetting
+from loose_env.typing import Array
 
 __all__ = [
     "BARE_ROTOR",
@@ -26,8 +26,6 @@ __all__ = [
     "rotors",
     "rounded",
 ]
-
-Array = NDArray[np.float64]
 
 
 STIFFNESS_PER_TORQUE = 300.0

@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidSetting
+from loose_env.typing import Array, ComplexArray
 
 __all__ = ["LinearArm", "LinearPose", "OpenResponse", "Response", "inertance_rate"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 _TURNS = {2: (5,), 3: (3, 4, 5)}  # rotations among the six motions of a link: in plane, in space
 
 
@@ -44,16 +43,16 @@ class Response:
 
     frequency: Array
     """Frequencies [Hz] (K,)."""
-    joint: Complex
+    joint: ComplexArray
     """Joint acceleration per torque [rad/s² per N·m], (K, n joints, m excited)."""
-    tool: Complex
+    tool: ComplexArray
     """Tool acceleration per torque, tool frame [m/s² per N·m], (K, d, m)."""
-    slide: Complex
+    slide: ComplexArray
     """Force each shut slide transmits per torque [N per N·m], (K, n links, s axes, m)."""
-    hinge: Complex
+    hinge: ComplexArray
     """Torque each joint's link side transmits per torque [1], force where the joint slides
     [N per N·m], (K, n joints, m)."""
-    twist: Complex | None = None
+    twist: ComplexArray | None = None
     """What each shut seat transmits per torque: forces, then moments about the link frame's
     origin [N or N·m per N·m], (K, n links, t, m); None without rotations. See
     `LinearArm.twist_dofs`."""
@@ -63,23 +62,23 @@ class Response:
 class OpenResponse:
     """How the arm would answer through each of its seats, were it open, over the band."""
 
-    tool_open_slide: Complex
+    tool_open_slide: ComplexArray
     """Change of tool acceleration per unit seat acceleration, (K, d, n links, s axes)."""
-    joint_open_slide: Complex
+    joint_open_slide: ComplexArray
     """Change of excited joint acceleration per unit seat acceleration, (K, m, n, s)."""
-    mass_slide: Complex
+    mass_slide: ComplexArray
     """Apparent mass seen by the seats' slides [kg], (K, n, s, s)."""
-    tool_open_hinge: Complex
+    tool_open_hinge: ComplexArray
     """As `tool_open_slide`, for play in a joint, (K, d, n)."""
-    joint_open_hinge: Complex
+    joint_open_hinge: ComplexArray
     """As `joint_open_slide`, for play in a joint, (K, m, n)."""
-    inertia_hinge: Complex
+    inertia_hinge: ComplexArray
     """Apparent inertia seen by the joints' link sides [kg·m², kg where it slides], (K, n)."""
-    tool_open_twist: Complex | None = None
+    tool_open_twist: ComplexArray | None = None
     """As `tool_open_slide`, for slides and rotations of links, (K, d, n, t); None without."""
-    joint_open_twist: Complex | None = None
+    joint_open_twist: ComplexArray | None = None
     """As `joint_open_slide`, for slides and rotations of links, (K, m, n, t); None without."""
-    mass_twist: Complex | None = None
+    mass_twist: ComplexArray | None = None
     """Apparent mass of slides and rotations of links [kg, kg·m, kg·m²], (K, n, t, t)."""
 
 
@@ -323,7 +322,7 @@ class LinearPose:
             found = self._responses[mask] = self._respond(np.array(mask))
         return found
 
-    def _stiffness(self, excited: NDArray[np.bool_]) -> Complex:
+    def _stiffness(self, excited: NDArray[np.bool_]) -> ComplexArray:
         """Dynamic stiffness of joints and bending modes (K, v, v)."""
         lin = self.linear
         arm, model, move = lin.arm, lin.model, self._moving
@@ -393,7 +392,7 @@ class LinearPose:
             mass_twist=apparent[:, at[:, :, None], at[:, None, :]] if lin.rotations else None,
         )
 
-    def _accelerations(self, excited: NDArray[np.bool_], force: Complex) -> Complex:
+    def _accelerations(self, excited: NDArray[np.bool_], force: ComplexArray) -> ComplexArray:
         """Accelerations of joints and bending modes under generalised forces (K, v, ...)."""
         omega = 2 * np.pi * self.linear.frequency
         motion = np.linalg.solve(self._stiffness(excited), force)

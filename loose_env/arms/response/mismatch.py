@@ -6,14 +6,13 @@ from dataclasses import dataclass, fields
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidSetting
+from loose_env.typing import Array
 
 __all__ = ["Mismatch", "MismatchDraw"]
 
-Array = NDArray[np.float64]
 _CUT = 3.0  # draws beyond three standard deviations are cut off
 _RELATIVE = ("length", "mass", "inertia", "stiffness", "damping", "gain", "cross_axis")
 

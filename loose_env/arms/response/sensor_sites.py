@@ -12,14 +12,13 @@ from typing import Literal
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.errors import UnknownName
+from loose_env.typing import Array
 
 __all__ = ["CLEARANCE", "LinkSite", "Place", "link_site"]
 
-Array = NDArray[np.float64]
 Place = Literal["proximal", "distal"]
 
 CLEARANCE = 0.05

@@ -7,17 +7,15 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loose_env.arms.arm import Arm
 from loose_env.arms.response.linear import inertance_rate
 from loose_env.arms.shaker import COIL, add_shaker, place_shaker
 from loose_env.errors import InvalidSetting
+from loose_env.typing import Array, ComplexArray
 
 __all__ = ["ShakenArm", "ShakenResponse"]
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,9 +24,9 @@ class ShakenResponse:
 
     frequency: Array
     """Frequencies [Hz] (K,)."""
-    tool: Complex
+    tool: ComplexArray
     """Tool acceleration in the tool frame [m/s² per N] (K, d)."""
-    probes: Mapping[str, Complex]
+    probes: Mapping[str, ComplexArray]
     """Acceleration of every probe along its own axes [m/s² per N] (K, 3)."""
 
     def covariances(self, probe: str, axis: int) -> tuple[float, Array, Array]:
@@ -117,7 +115,7 @@ class ShakenArm:
         )
         acceleration = -(omega**2)[:, None] * motion[..., 0]
 
-        def moves(site: str) -> Complex:
+        def moves(site: str) -> ComplexArray:
             jacobian = np.zeros((3, model.nv))
             mujoco.mj_jacSite(model, data, jacobian, None, model.site(site).id)
             frame = data.site(site).xmat.reshape(3, 3)
@@ -129,7 +127,7 @@ class ShakenArm:
             probes={site: moves(site) for site in arm.probe_sites},
         )
 
-    def _stiffness(self, data: mujoco.MjData, omega: Array) -> Complex:
+    def _stiffness(self, data: mujoco.MjData, omega: Array) -> ComplexArray:
         """Dynamic stiffness of every degree of freedom (K, nv, nv)."""
         arm, model = self.arm, self.model
         mass = np.zeros((model.nv, model.nv))

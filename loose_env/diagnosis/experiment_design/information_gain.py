@@ -18,6 +18,7 @@ from loose_env.diagnosis.likelihood.opening_table import OpeningTable, shipped_t
 from loose_env.diagnosis.likelihood.posterior import Belief
 from loose_env.diagnosis.likelihood.record_likelihood import LOOSE, OPENINGS
 from loose_env.diagnosis.likelihood.seat_response import predict_seats
+from loose_env.typing import Array
 
 __all__ = [
     "USUAL_FACTORS",
@@ -28,7 +29,6 @@ __all__ = [
     "RecordInformation",
 ]
 
-Array = NDArray[np.float64]
 
 _INERTIA_ERROR = 0.03
 _POWER_ERROR = 0.35

@@ -17,13 +17,12 @@ P(records > k) >= 1 - δ - s_k, and E[records] is the sum of P(records > k) over
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.typing import Array
 
 __all__ = ["entropy", "least_records", "needed_information"]
-
-Array = NDArray[np.float64]
 
 
 def entropy(probabilities: ArrayLike) -> float:

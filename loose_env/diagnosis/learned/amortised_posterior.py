@@ -30,6 +30,7 @@ from loose_env.diagnosis.records.record_statistics import RecordStatistics
 from loose_env.errors import InvalidData
 from loose_env.faults import DEFAULT_KINDS, hypotheses
 from loose_env.sensors import SensorSuite
+from loose_env.typing import Array
 
 __all__ = [
     "FORMAT",
@@ -40,7 +41,6 @@ __all__ = [
     "write_network",
 ]
 
-Array = NDArray[np.float64]
 
 FORMAT = "loose-posterior/1"
 """Format of a stored network's configuration."""

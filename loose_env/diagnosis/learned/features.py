@@ -22,10 +22,10 @@ from loose_env.diagnosis.records.record_statistics import RecordStatistics
 from loose_env.excitation import SeatDrive
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid
+from loose_env.typing import Array
 
 __all__ = ["PLACE_FEATURES", "RECORD_FEATURES", "SeatFeatures", "TransmissionChange"]
 
-Array = NDArray[np.float64]
 
 PLACE_FEATURES = (
     "opening",  # how far the seat would have to float, 1: freely

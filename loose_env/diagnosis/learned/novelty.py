@@ -31,6 +31,7 @@ from loose_env.diagnosis.learned.features import (
 from loose_env.diagnosis.learned.residual_change import Unexplained, unexplained
 from loose_env.errors import InvalidData
 from loose_env.statistics.gaussian_mixture import GaussianMixture
+from loose_env.typing import Array
 
 __all__ = [
     "COLUMNS",
@@ -43,7 +44,6 @@ __all__ = [
     "used_columns",
 ]
 
-Array = NDArray[np.float64]
 
 FIGURES = ("left", "second", "one_sided")
 """What may be unusual: log of the chi² left, what a second seat takes off it, skewness."""

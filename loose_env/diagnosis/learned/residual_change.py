@@ -11,13 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.diagnosis.learned.features import TransmissionChange
+from loose_env.typing import Array
 
 __all__ = ["Unexplained", "unexplained"]
 
-Array = NDArray[np.float64]
 
 MODEL_SHARE = 0.01
 """Errors beyond the first order, as a share of the arm's own in-step motion [1]."""

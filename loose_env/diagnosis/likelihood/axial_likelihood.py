@@ -10,14 +10,14 @@ out in closed form.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import i0e
 
 from loose_env.errors import InvalidData
+from loose_env.typing import Array
 
 __all__ = ["log_mean_bingham", "precision_of"]
 
-Array = NDArray[np.float64]
 
 # Polar angles, equally weighted in their logarithm: the peak may be as narrow as a microradian.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(96)

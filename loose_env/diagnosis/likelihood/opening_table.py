@@ -16,15 +16,13 @@ from functools import lru_cache
 from importlib.resources import files
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.diagnosis.likelihood.record_likelihood import LOOSE, OPENINGS
 from loose_env.errors import InvalidData
+from loose_env.typing import Array, IndexArray
 
 __all__ = ["PRESSES", "RATIOS", "OpeningTable", "shipped_table"]
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 RATIOS = np.geomspace(0.05, 100.0, 20)
 """Driving force over friction at the nodes of the table [1]."""
@@ -52,7 +50,7 @@ class OpeningTable:
                 )
 
     @staticmethod
-    def nodes(force: Array, friction: Array, load: Array) -> list[tuple[Indices, Array]]:
+    def nodes(force: Array, friction: Array, load: Array) -> list[tuple[IndexArray, Array]]:
         """Find the nodes about seats that are driven and held by given forces.
 
         Parameters
@@ -78,7 +76,7 @@ class OpeningTable:
         ]
 
 
-def _between(values: Array, nodes: Array) -> tuple[Indices, Array]:
+def _between(values: Array, nodes: Array) -> tuple[IndexArray, Array]:
     """Lower node of each value, and the share of the next one."""
     position = np.interp(values, nodes, np.arange(len(nodes)))
     lower = np.minimum(position.astype(np.intp), len(nodes) - 2)

@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from loose_env.arms.response.linear import LinearArm
@@ -26,10 +25,9 @@ from loose_env.excitation import SeatDrive
 from loose_env.faults import DEFAULT_KINDS, hypotheses
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid
+from loose_env.typing import Array
 
 __all__ = ["Belief", "FaultPosterior", "PosteriorSettings", "slide_directions", "variants"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

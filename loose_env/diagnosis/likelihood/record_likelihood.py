@@ -17,6 +17,7 @@ from loose_env.diagnosis.records.model_uncertainty import joint_zero_errors, sen
 from loose_env.diagnosis.records.prediction import SensorFloor
 from loose_env.diagnosis.records.record_statistics import RecordStatistics
 from loose_env.errors import InvalidData
+from loose_env.typing import Array
 
 __all__ = [
     "LOOSE",
@@ -29,7 +30,6 @@ __all__ = [
     "wishart_fit",
 ]
 
-Array = NDArray[np.float64]
 
 OPENINGS = np.linspace(-0.4, 1.2, 21)
 """Openings s that are tried [1]: 0 shut, 1 floating freely."""

@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.response.linear import LinearPose
+from loose_env.typing import Array, ComplexArray
 
 __all__ = ["SeatPrediction", "predict_seats"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 _CHUNK = 400_000
 """Complex numbers worked on at once: what the processor's cache holds, and little memory."""
 
@@ -93,7 +92,7 @@ def predict_seats(
     link, u = asked[of_slide] // len(directions), directions[asked[of_slide] % len(directions)]
     joint = asked[~of_slide] - slides
 
-    def placed(of_slides: Complex, of_hinges: Complex) -> Complex:
+    def placed(of_slides: ComplexArray, of_hinges: ComplexArray) -> ComplexArray:
         """Put slides and hinges where they were asked for, along the second axis."""
         both = np.empty((count, len(asked), *of_slides.shape[2:]), dtype=complex)
         both[:, of_slide], both[:, ~of_slide] = of_slides, of_hinges

@@ -14,10 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.typing import Array
 
 __all__ = ["ToolFrames", "places", "predicted_images"]
-
-Array = NDArray[np.float64]
 
 
 def places(arm: Arm) -> tuple[str, ...]:

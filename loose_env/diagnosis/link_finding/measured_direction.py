@@ -22,10 +22,9 @@ from loose_env.diagnosis.records.prediction import Prediction, SensorFloor
 from loose_env.diagnosis.records.record_statistics import RecordStatistics
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.statistics import axial_vector
+from loose_env.typing import Array
 
 __all__ = ["ChangeModel", "ChangeSighting", "sight_change"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

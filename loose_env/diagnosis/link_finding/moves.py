@@ -13,10 +13,10 @@ from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.diagnosis.link_finding.planar import Order, next_joint
 from loose_env.diagnosis.link_finding.spatial import LinkPosterior
 from loose_env.errors import InvalidSetting
+from loose_env.typing import Array
 
 __all__ = ["JointChoice", "blind_joints", "candidate_poses", "choose_move", "next_seeing_joint"]
 
-Array = NDArray[np.float64]
 JointChoice = Literal["one", "all"]
 
 

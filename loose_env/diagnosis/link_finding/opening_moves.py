@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.diagnosis.link_finding.moves import choose_move
 from loose_env.diagnosis.link_finding.spatial import LinkPosterior
 from loose_env.excitation import at_levels
+from loose_env.typing import Array
 
 __all__ = ["choose_open_move", "expected_openness"]
 
-Array = NDArray[np.float64]
 _LEAST = 0.05
 """Openness below which a seat counts as shut."""
 

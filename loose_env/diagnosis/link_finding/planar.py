@@ -21,11 +21,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.response.linear import LinearArm
 from loose_env.errors import InvalidSetting
 from loose_env.statistics import ComparativeIndex, axial_difference, comparative_index
+from loose_env.typing import Array
 
 __all__ = [
     "Finding",
@@ -38,7 +38,6 @@ __all__ = [
     "next_joint",
 ]
 
-Array = NDArray[np.float64]
 Order = Literal["outward", "inward", "bisection"]
 Finding = Literal["still", "turned", "unclear"]
 

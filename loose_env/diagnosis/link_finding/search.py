@@ -12,10 +12,9 @@ from loose_env.diagnosis.link_finding.moves import blind_joints, next_seeing_joi
 from loose_env.diagnosis.link_finding.planar import LinkFindingSettings
 from loose_env.diagnosis.link_finding.spatial import DirectionSighting, judge_turn_in_space
 from loose_env.errors import InvalidData
+from loose_env.typing import Array
 
 __all__ = ["TurnSearch"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

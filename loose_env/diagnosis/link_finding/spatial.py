@@ -18,12 +18,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loose_env.diagnosis.likelihood.axial_likelihood import log_mean_bingham, precision_of
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places
 from loose_env.diagnosis.link_finding.planar import Finding, LinkFindingSettings
 from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.typing import Array
 
 __all__ = [
     "DirectionSighting",
@@ -33,8 +34,6 @@ __all__ = [
     "link_posterior",
     "look_alikes",
 ]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.statistics import axes_grid, tangents
+from loose_env.typing import Array
 
 __all__ = ["UNKNOWN", "climb", "half_grid"]
-
-Array = NDArray[np.float64]
 
 
 def half_grid(axes: int) -> Array:

@@ -8,11 +8,11 @@ one to what the sensors show beside the joints' motion.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from loose_env.typing import Array
 
 __all__ = ["LooseMotion", "loose_records"]
 
-Array = NDArray[np.float64]
 
 _POWER_ERROR = 0.35
 """Relative error of residual powers that sampling does not explain [1]."""

@@ -37,10 +37,9 @@ from loose_env.diagnosis.multi_sensor.sensor_rows import SensorRows, StackedReco
 from loose_env.diagnosis.records.prediction import SensorFloor
 from loose_env.errors import InvalidData
 from loose_env.sensors import SensorSuite
+from loose_env.typing import Array
 
 __all__ = ["OpeningPrior", "SensorVerdict", "weigh_links"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

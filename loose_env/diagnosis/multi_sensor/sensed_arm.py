@@ -14,10 +14,9 @@ from loose_env.arms.arm import Arm
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import Mismatch
 from loose_env.arms.response.sensor_sites import Place, link_site
+from loose_env.typing import Array
 
 __all__ = ["SensedArm", "SensedPose"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

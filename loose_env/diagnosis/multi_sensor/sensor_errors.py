@@ -15,6 +15,7 @@ from loose_env.diagnosis.multi_sensor.sensed_arm import SensedPose
 from loose_env.diagnosis.multi_sensor.sensor_rows import SensorRows, StackedRecord
 from loose_env.diagnosis.records.model_uncertainty import sensor_matrices
 from loose_env.statistics import tangents
+from loose_env.typing import Array
 
 __all__ = [
     "against_nominal",
@@ -25,7 +26,6 @@ __all__ = [
     "zero_error",
 ]
 
-Array = NDArray[np.float64]
 
 _LINEAR_ERROR = 0.005
 """Share of a sensor's motion that the linear model misses beside its parameters [1]."""

@@ -20,10 +20,9 @@ from loose_env.statistics import (
     effective_samples,
     transmission_by_instrument_from,
 )
+from loose_env.typing import Array
 
 __all__ = ["SensorRows", "StackedRecord", "rows_of", "splitting_order", "stack"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

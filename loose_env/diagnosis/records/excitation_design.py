@@ -25,10 +25,10 @@ from loose_env.arms.response.linear import LinearArm, LinearPose
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation, at_levels
 from loose_env.statistics import axes_grid
+from loose_env.typing import Array
 
 __all__ = ["Proposal", "holding_modes", "propose_band", "propose_excitation"]
 
-Array = NDArray[np.float64]
 
 _CLEAR = 2.0
 """A band ends at this share below the lowest holding mode."""

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from loose_env.arms.response.linear import LinearArm, LinearPose, Response
 from loose_env.arms.response.mismatch import Mismatch
 from loose_env.statistics import TransmissionEstimate
+from loose_env.typing import Array
 
 __all__ = [
     "bent_by_seats",
@@ -34,8 +35,6 @@ __all__ = [
     "sensor_matrices",
     "stiffness_errors",
 ]
-
-Array = NDArray[np.float64]
 
 
 def sensor_matrices(axes: int, mismatch: Mismatch) -> Array:

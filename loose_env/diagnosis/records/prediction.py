@@ -6,18 +6,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.arms.response.linear import LinearPose, Response
 from loose_env.excitation import Excitation
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import Covariances, LowestCoherence, lowest_coherence_direction_from
+from loose_env.typing import Array, ComplexArray
 
 __all__ = ["Prediction", "SensorFloor", "predict"]
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,8 +145,8 @@ def predict(pose: LinearPose, excitation: Excitation, floor: SensorFloor) -> Pre
 
 def _statistics(
     response: Response,
-    joint: Complex,
-    tool: Complex,
+    joint: ComplexArray,
+    tool: ComplexArray,
     torque: Array,
     joint_noise: Array,
     tool_noise: float,

@@ -18,10 +18,10 @@ from loose_env.statistics import (
     transmission_by_instrument_from,
     transmission_from,
 )
+from loose_env.typing import Array
 
 __all__ = ["RecordStatistics", "statistics_of"]
 
-Array = NDArray[np.float64]
 _STILL = 1e-12
 """Share of the largest variance, and of a row's mean, taken as rounding."""
 

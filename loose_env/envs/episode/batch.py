@@ -25,7 +25,7 @@ from loose_env.envs.episode.actions import Action, ActionLayout
 from loose_env.envs.episode.observation import ObservationLayout
 from loose_env.envs.episode.raw_observation import RawMeasurement
 from loose_env.envs.episode.reset_options import ResetOptions
-from loose_env.envs.episode.state import Array, Episode, Outcome
+from loose_env.envs.episode.state import Episode, Outcome
 from loose_env.envs.episode.true_arm import checked_true_arm
 from loose_env.envs.faults.difficulty import difficulty_named
 from loose_env.envs.faults.sampler import FaultSampler
@@ -36,6 +36,7 @@ from loose_env.faults import UNSURE, Fault, Healthy, SeveralFaults, hypotheses, 
 from loose_env.rig.measurement import Measurement
 from loose_env.rig.reduced import ReducedRig
 from loose_env.rig.simulated import Job, SimulatedRig
+from loose_env.typing import Array
 
 __all__ = ["BatchRig", "EpisodeBatch"]
 

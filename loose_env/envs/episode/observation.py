@@ -18,10 +18,10 @@ from loose_env.diagnosis.records.record_statistics import RecordStatistics
 from loose_env.envs.episode.pose_encoding import JointPose
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import UnknownName
+from loose_env.typing import Array
 
 __all__ = ["Element", "ObservationLayout"]
 
-Array = NDArray[np.float64]
 Scaling = Literal["linear", "log10", "asinh"]
 _AXES = "xyz"
 

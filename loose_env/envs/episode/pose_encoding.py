@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidSetting
+from loose_env.typing import Array
 
 __all__ = ["JointPose"]
-
-Array = NDArray[np.float64]
 
 
 class JointPose:

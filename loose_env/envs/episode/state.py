@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from loose_env.faults import Fault
 from loose_env.rig.measurement import Measurement
+from loose_env.typing import Array
 
 __all__ = ["Episode", "Outcome"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(kw_only=True, eq=False)

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.response.linear import LinearArm
 from loose_env.envs.faults.difficulty import Difficulty
@@ -25,10 +24,10 @@ from loose_env.faults import (
     parts_of,
     twist_of,
 )
+from loose_env.typing import Array
 
 __all__ = ["PIVOT", "SHORTEST_LEVER", "FurtherSeats", "direction_from", "log_uniform", "uniform"]
 
-Array = NDArray[np.float64]
 Part = StructuralLooseness | RotationalLooseness
 Vector = tuple[float, float, float]
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.arms.response.linear import LinearArm
@@ -27,8 +26,6 @@ from loose_env.faults import (
 )
 
 __all__ = ["FaultSampler"]
-
-Array = NDArray[np.float64]
 
 
 class FaultSampler:

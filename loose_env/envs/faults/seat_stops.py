@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.response.linear import LinearArm
 from loose_env.faults import FASTEST_STOP
+from loose_env.typing import Array
 
 __all__ = ["SeatMasses", "Stops"]
 
-Array = NDArray[np.float64]
 Stops = tuple[tuple[float, float], tuple[float, float]]
 """Stiffness, then damping, of the lower and the upper stop."""
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.diagnosis.records.prediction import Prediction
 from loose_env.rig.measurement import Measurement
@@ -18,10 +17,9 @@ from loose_env.statistics import (
     covariances,
     lowest_coherence_direction_from,
 )
+from loose_env.typing import Array
 
 __all__ = ["Loop", "LoopPair", "loop_of", "measured_loop", "predicted_loop", "record_of"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from loose_env.diagnosis.records.prediction import Prediction
 from loose_env.envs.rendering.correlation_loop import record_of
 from loose_env.rig.measurement import Measurement
 from loose_env.statistics import Covariances, covariances
+from loose_env.typing import Array
 
 __all__ = [
     "Section",
@@ -23,7 +23,6 @@ __all__ = [
     "surface_of",
 ]
 
-Array = NDArray[np.float64]
 
 _STILL = 1e-12
 """Share of the largest variance below which the tool counts as still along a direction."""

@@ -5,16 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.envs.rendering.palette import EDGE, MUTED, PAPER
+from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = ["arrow", "draw_base", "draw_measure", "half_height"]
-
-Array = NDArray[np.float64]
 
 
 def half_height(axes: Axes) -> float:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+
+from loose_env.typing import Array
 
 __all__ = ["activations"]
 
-Array = NDArray[np.float64]
 
 _FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
 _RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)

@@ -7,16 +7,15 @@ from math import ceil
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.data.initial_rest import comes_to_rest, stays
 from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.recording import Run
+from loose_env.typing import Array
 
 __all__ = ["Channel", "Trial", "channels_of", "lay_out", "step_for"]
 
-Array = NDArray[np.float64]
 
 _REGULAR = 0.02
 """Largest deviation from an even rate, as a share of the sample interval, that counts as even."""

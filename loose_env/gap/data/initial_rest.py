@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.data.noise_floor import noise_floor, resolution_of
 from loose_env.gap.model.nominal_model import Machine
+from loose_env.typing import Array
 
 __all__ = ["SETTLE", "comes_to_rest", "stays"]
 
-Array = NDArray[np.float64]
 
 SETTLE = 0.4
 """How long an arm at rest is held before the start, so that springs take their load [s]."""

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from loose_env.typing import Array
 
 __all__ = ["channel_floor", "noise_floor", "resolution_of"]
 
-Array = NDArray[np.float64]
 
 _WINDOW = 64
 """Samples of a window."""

@@ -26,10 +26,10 @@ from loose_env.errors import InvalidData
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.model.nominal_model import Machine
+from loose_env.typing import Array
 
 __all__ = ["Band", "Motion", "even_grid", "filled", "motion_band", "smooth_motion"]
 
-Array = NDArray[np.float64]
 
 _ORDER = 4
 """Order of the low-pass filter, which acts twice."""

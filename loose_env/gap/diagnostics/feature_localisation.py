@@ -21,10 +21,10 @@ from loose_env.gap.diagnostics.residual_spectra import Series, band_edges, densi
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.output.evidence_schema import Band, ChannelGap, Dependence, LeftOver
 from loose_env.gap.residuals.residual_model import LONGEST, Comparison
+from loose_env.typing import Array
 
 __all__ = ["StruckChannel", "struck_channels", "struck_left"]
 
-Array = NDArray[np.float64]
 
 _WILD = 1e4
 """What a feature counts where a simulation went wild [standard deviations]."""

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.fitting.gauss_newton import (
     UNNAMED,
@@ -32,10 +31,10 @@ from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.selection.screening.grouping import akin
 from loose_env.gap.selection.screening.screening import along, signatures
+from loose_env.typing import Array
 
 __all__ = ["identifiability"]
 
-Array = NDArray[np.float64]
 
 _SECONDS = 4.0
 """How much of the runs is looked at, in all [s]."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.gap.data.actuator_states import activations
@@ -15,10 +14,10 @@ from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.smoothing import Motion, filled, smooth_motion
 from loose_env.gap.diagnostics.regressors import direction_of
 from loose_env.gap.model.nominal_model import Machine
+from loose_env.typing import Array
 
 __all__ = ["JointMotion", "joint_motion"]
 
-Array = NDArray[np.float64]
 
 _EDGE = 1.0
 """Periods of the filter's end that are left out at the ends of a run."""

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.diagnostics.joint_torque_residual import JointMotion
@@ -20,10 +19,9 @@ from loose_env.gap.diagnostics.residual_spectra import Series, band_edges, densi
 from loose_env.gap.output.evidence_schema import Band, ChannelGap, Dependence, JointGap, Location
 from loose_env.gap.residuals.autocorrelation import Structure, largest
 from loose_env.gap.residuals.residual_model import LONGEST, Rows
+from loose_env.typing import Array
 
 __all__ = ["depends_on", "locate", "main_band", "strongest", "where_it_lives"]
-
-Array = NDArray[np.float64]
 
 
 _SAMPLES = 2500

@@ -31,10 +31,10 @@ from loose_env.gap.simulation.sensor_timing import (
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.gap.simulation.time_step import stepped
 from loose_env.gap.simulation.torque_terms import BatchWithTerms, with_terms
+from loose_env.typing import Array
 
 __all__ = ["HORIZONS", "HorizonError", "horizon_errors"]
 
-Array = NDArray[np.float64]
 
 HORIZONS = (0.1, 0.5, 2.0)
 """How long the simulation runs on its own [s]."""

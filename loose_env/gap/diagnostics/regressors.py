@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.output.evidence_schema import Dependence
+from loose_env.typing import Array, IndexArray
 
 __all__ = ["REGRESSORS", "binned", "dependence", "direction_of"]
-
-Array = NDArray[np.float64]
-
-
-Labels = NDArray[np.intp]
 
 
 REGRESSORS = ("position", "velocity", "direction", "acceleration", "load")
@@ -42,7 +37,7 @@ def direction_of(speed: Array) -> Array:
     return np.where(good, np.where(np.abs(speed) <= least, 0.0, np.sign(speed)), np.nan)
 
 
-def binned(regressor: Array, *, bins: int = _BINS) -> tuple[Labels, Array]:
+def binned(regressor: Array, *, bins: int = _BINS) -> tuple[IndexArray, Array]:
     """Bins of about as many samples each.
 
     Returns
@@ -72,7 +67,7 @@ def binned(regressor: Array, *, bins: int = _BINS) -> tuple[Labels, Array]:
 
 
 def dependence(
-    residual: Array, regressor: Array, block: Labels, *, on: str = "", of: str = ""
+    residual: Array, regressor: Array, block: IndexArray, *, on: str = "", of: str = ""
 ) -> Dependence | None:
     """Measure how much of a residual is a function of a regressor, whatever its shape.
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.diagnostics.joint_torque_residual import JointMotion, joint_motion
 from loose_env.gap.diagnostics.localisation import where_it_lives
@@ -17,10 +16,10 @@ from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.output.evidence_schema import Location
 from loose_env.gap.residuals.autocorrelation import largest
 from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.typing import Array
 
 __all__ = ["CLOSED", "left_motions", "left_words"]
 
-Array = NDArray[np.float64]
 
 CLOSED = 1.25
 """Gap over the noise floor up to which it counts as closed."""

@@ -11,10 +11,10 @@ from scipy.signal import welch
 
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.residuals.residual_model import Rows
+from loose_env.typing import Array
 
 __all__ = ["Series", "band_edges", "density", "in_bands", "mean_spectrum", "series_of", "spectrum"]
 
-Array = NDArray[np.float64]
 
 _SEGMENT = 2.0
 """Length of the segments whose spectra are averaged [s]."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.diagnostics.joint_torque_residual import JointMotion
@@ -13,10 +12,9 @@ from loose_env.gap.diagnostics.localisation import depends_on
 from loose_env.gap.diagnostics.residual_spectra import Series, series_of
 from loose_env.gap.output.evidence_schema import LeftOver
 from loose_env.gap.residuals.residual_model import Rows
+from loose_env.typing import Array
 
 __all__ = ["autocorrelation", "left_over"]
-
-Array = NDArray[np.float64]
 
 
 _LAGS = 50

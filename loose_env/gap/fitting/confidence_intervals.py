@@ -5,17 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from loose_env.gap.fitting.gauss_newton import Fit, parameters_of, prior_of, slices_of
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.typing import Array
 
 __all__ = ["Intervals", "bootstrap", "joined", "widened"]
 
-Array = NDArray[np.float64]
 
 _ANSWER = 1.0
 """Rise of the sum of squares [noise variances] with a step of one free number, about the least size

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from loose_env.gap.fitting.initial_state import StartState
@@ -19,6 +18,7 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.parameter import Parameter, free_of, values_of
 from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.typing import Array
 
 __all__ = [
     "BESIDE_STOPS",
@@ -37,7 +37,6 @@ __all__ = [
     "strikes",
 ]
 
-Array = NDArray[np.float64]
 
 UNNAMED = ("nominal", "start")
 """Kinds that are fitted with every hypothesis, stand first, and are never named."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from loose_env.gap.fitting.gauss_newton import Fit, parameters_of
@@ -13,10 +12,10 @@ from loose_env.gap.fitting.initial_state import StartState
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.residuals.autocorrelation import Structure, largest
 from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.typing import Array
 
 __all__ = ["Judge", "Judged", "Lead", "lead_of", "machine_part", "share_of", "sureness_of"]
 
-Array = NDArray[np.float64]
 
 _LOUD = 1.25
 """Root mean square [noise standard deviations] above which a residual is more than noise, whether

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.model.parameter import Parameter
+from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from loose_env.gap.model.hypothesis import Hypothesis
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 __all__ = ["StartState"]
 
-Array = NDArray[np.float64]
 
 _LINE = 0.05
 """How much of a run the first state is taken from [s]."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.fitting.confidence_intervals import Intervals
 from loose_env.gap.fitting.gauss_newton import Fit, hypothesis_of, slice_of, strikes
@@ -23,7 +22,6 @@ from loose_env.gap.settings import NamingSettings
 
 __all__ = ["short_of_limit", "short_of_nothing"]
 
-Array = NDArray[np.float64]
 
 _SURE = NamingSettings.sureness
 """Lead over the limit itself from which on it is refuted [standard deviations over blocks]."""

@@ -10,15 +10,14 @@ from functools import cached_property
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.model.parameter import Parameter
+from loose_env.typing import Array
 
 __all__ = ["NominalFigures"]
 
-Array = NDArray[np.float64]
 
 _BEYOND = 1.02
 """Share of the tolerance to which a figure may go; more than 1 for figures right at its end. With

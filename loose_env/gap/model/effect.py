@@ -36,15 +36,14 @@ from typing import ClassVar
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import UnknownName
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.model.parameter import Parameter
+from loose_env.typing import Array
 
 __all__ = ["Effect", "Readings", "ResidualAccelerations"]
 
-Array = NDArray[np.float64]
 
 _AT_BOUND = 1.02
 """Ratio of an interval's end to a parameter's bound at which it reaches it."""

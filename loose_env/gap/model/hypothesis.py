@@ -6,15 +6,13 @@ import warnings
 from dataclasses import dataclass
 
 import mujoco
-import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.nominal_model import Machine, set_step
+from loose_env.typing import Array
 
 __all__ = ["Hypothesis", "compiled"]
 
-Array = NDArray[np.float64]
 
 _FORCE = "loose_env force of "
 _OFF = 30

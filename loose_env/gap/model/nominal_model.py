@@ -8,14 +8,13 @@ from math import ceil
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.gap.model.element_names import with_names
+from loose_env.typing import Array
 
 __all__ = ["Machine", "set_step"]
 
-Array = NDArray[np.float64]
 
 _MOVING = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 _AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))

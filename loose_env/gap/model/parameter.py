@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidSetting
+from loose_env.typing import Array
 
 __all__ = ["Parameter", "free_of", "values_of"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,6 @@ from math import ceil, nan
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.engine_warnings import quiet
 from loose_env.gap.data.aligned_run import Trial
@@ -25,10 +24,10 @@ from loose_env.gap.output.export_mjcf import corrected_spec
 from loose_env.gap.residuals.physical_units import rms
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.simulation.time_step import step_with
+from loose_env.typing import Array
 
 __all__ = ["Exported", "compared", "exported", "played", "resting_runs"]
 
-Array = NDArray[np.float64]
 
 PARTS = (1, 2, 4, 8)
 """Into how many parts a step is cut."""

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.files.safe_scan import files_of
 from loose_env.errors import InvalidData
@@ -24,10 +23,9 @@ from loose_env.gap.output.result import NamedEffect
 from loose_env.gap.simulation.time_step import step_with
 from loose_env.io.files import written_beside
 from loose_env.recording.columns import ModelColumns
+from loose_env.typing import Array
 
 __all__ = ["corrected_spec", "correction_code", "model_notes", "nameless_words", "write_model"]
-
-Array = NDArray[np.float64]
 
 
 def corrected_spec(

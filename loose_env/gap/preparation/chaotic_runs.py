@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.gap.data.aligned_run import Channel, Trial
@@ -21,10 +20,10 @@ from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.residuals.random_excitation.features import RandomFeatures
 from loose_env.gap.residuals.random_excitation.frequency_response import FEWEST
 from loose_env.gap.simulation.simulator import Simulator
+from loose_env.typing import Array
 
 __all__ = ["parting_runs"]
 
-Array = NDArray[np.float64]
 
 PARTED = 0.3
 """Share of the incoherent part that is drawn anew from which on trajectories mean nothing."""

@@ -25,10 +25,10 @@ from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.settings import GapSettings, NamingSettings
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import Recording, Run
+from loose_env.typing import Array
 
 __all__ = ["Prepared", "prepare"]
 
-Array = NDArray[np.float64]
 
 _FINEST = 1e-5
 """Share of what channels of a kind show to which one is taken to be read at best. A simulation

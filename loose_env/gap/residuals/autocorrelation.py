@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.residuals.residual_model import Rows
+from loose_env.typing import Array, IndexArray
 
 __all__ = ["Structure", "independent_rows", "largest"]
 
-Array = NDArray[np.float64]
 
 LAGS, SHAKEN_LAGS = ((2,), (3,), (4,)), ((1,), (2,), (3,))
 """Samples between the two, and in runs of random excitation."""
@@ -134,10 +134,7 @@ def _pairs(
     return first[same], second[same]
 
 
-Labels = NDArray[np.intp]
-
-
-def independent_rows(residual: Array, block: Labels, channel: Labels) -> float:
+def independent_rows(residual: Array, block: IndexArray, channel: IndexArray) -> float:
     """How many independent numbers the rows of a residual (N,) are worth.
 
     Rows of one channel in one block of time may hang together; channels and blocks do not. Of

@@ -16,10 +16,10 @@ from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.residuals.random_excitation.features import GROUP, RandomFeatures, RandomRun
 from loose_env.gap.simulation.inverse_dynamics import InverseDynamics
 from loose_env.gap.simulation.simulator import Simulator
+from loose_env.typing import Array
 
 __all__ = ["Comparison", "Rows"]
 
-Array = NDArray[np.float64]
 
 _ASTRAY = 100.0
 """Error of a cheaper integrator above which its differences are not taken [noise standard

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.gap.data.aligned_run import Trial
@@ -16,7 +15,6 @@ from loose_env.gap.residuals.residual_model import Comparison
 
 __all__ = ["SHORTEST", "windowed"]
 
-Array = NDArray[np.float64]
 
 SHORTEST = 1.5
 """Shortest window [s]."""

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.fitting.gauss_newton import UNNAMED, fit, hypothesis_of, slices_of, strikes
 from loose_env.gap.fitting.holdout_score import Judge, Judged, Lead, lead_of
@@ -17,11 +16,10 @@ from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.selection.negligible import slight
 from loose_env.gap.selection.screening.grouping import joint_of
 from loose_env.gap.settings import NamingSettings
+from loose_env.typing import Array
 
 __all__ = ["Acceptance", "share_above_noise"]
 
-
-Array = NDArray[np.float64]
 
 _MOST = 0.5
 """Share of a gain that counts as most of it."""

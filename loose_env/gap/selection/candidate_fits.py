@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.fitting.gauss_newton import (
     Fit,
@@ -26,10 +25,10 @@ from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.selection.screening.grouping import akin, families
 from loose_env.gap.selection.screening.screening import Screened
 from loose_env.gap.settings import NamingSettings
+from loose_env.typing import Array
 
 __all__ = ["Trying"]
 
-Array = NDArray[np.float64]
 
 _WHOLE_FAMILIES = 3
 """Families that are fitted to all data."""

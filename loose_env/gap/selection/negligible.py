@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.selection.screening.grouping import joint_of
+from loose_env.typing import Array
 
 __all__ = ["slight"]
 
-Array = NDArray[np.float64]
 
 _LAW = 0.03
 """Share by which the law of a friction may be off: oil thins as it is sheared, seals warm up."""

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from math import log
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.fitting.holdout_score import Judged, Lead, lead_of
 from loose_env.gap.model.effect import Effect
@@ -19,10 +18,9 @@ from loose_env.gap.residuals.residual_model import Comparison, Rows
 from loose_env.gap.selection.forward_selection import Named
 from loose_env.gap.selection.screening.grouping import joint_of
 from loose_env.gap.settings import NamingSettings
+from loose_env.typing import Array
 
 __all__ = ["added_to", "bic", "indistinct", "ranking_of"]
-
-Array = NDArray[np.float64]
 
 
 def added_to(before: Judged, judged: Judged) -> tuple[Effect, ...]:

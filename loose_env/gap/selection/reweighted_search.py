@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from itertools import chain, count
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.fitting.gauss_newton import cost_of, parameters_of, strikes
 from loose_env.gap.fitting.holdout_score import Judge, Judged
@@ -24,10 +23,10 @@ from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.selection.forward_selection import Keep, Named, name_effects
 from loose_env.gap.selection.ranking import indistinct, ranking_of
 from loose_env.gap.settings import NamingSettings
+from loose_env.typing import Array
 
 __all__ = ["Searched", "beside_stops", "search"]
 
-Array = NDArray[np.float64]
 
 _EVERYWHERE = 5.0
 """`NamingSettings.everywhere` beside stops: of what these leave nothing slight explains much, and

@@ -32,10 +32,10 @@ from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.simulation.simulator import _layout
 from loose_env.gap.simulation.torque_terms import has_terms, torque_terms
 from loose_env.gap.simulation.unmeasured_dofs import Drive
+from loose_env.typing import Array
 
 __all__ = ["InverseDynamics"]
 
-Array = NDArray[np.float64]
 
 _TURNING = 3.0
 """Speed below which the direction of motion is in doubt [standard deviations of its noise]."""

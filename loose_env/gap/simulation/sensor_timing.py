@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
-from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Channel
 from loose_env.gap.model.effect import Effect
@@ -20,6 +19,7 @@ from loose_env.gap.model.effects.mjcf.sensor_columns import column_of, of_place_
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.simulation.torque_terms import has_terms, torque_terms
+from loose_env.typing import Array
 
 __all__ = [
     "PARTS",
@@ -31,7 +31,6 @@ __all__ = [
     "states_before",
 ]
 
-Array = NDArray[np.float64]
 
 PARTS = 2
 """Parts of a step where commands change within it: a mean moves the speed rightly, and the place

@@ -32,10 +32,10 @@ from loose_env.gap.simulation.sensor_timing import (
 )
 from loose_env.gap.simulation.time_step import stepped
 from loose_env.gap.simulation.torque_terms import BatchWithTerms, has_terms, with_terms
+from loose_env.typing import Array
 
 __all__ = ["Simulator"]
 
-Array = NDArray[np.float64]
 
 _CHUNK = 2_000_000
 """Numbers recorded at a time."""

@@ -21,10 +21,10 @@ from loose_env.errors import InvalidData
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import Machine
+from loose_env.typing import Array
 
 __all__ = ["BatchWithTerms", "has_terms", "torque_terms", "with_terms"]
 
-Array = NDArray[np.float64]
 State = tuple[Array, Array]
 """Positions and speeds of the machine's joints, (sims, joints) or (states, sims, joints) each."""
 

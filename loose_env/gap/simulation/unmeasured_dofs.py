@@ -14,17 +14,16 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from loose_env.gap.data.smoothing import Motion
 from loose_env.gap.model.hypothesis import Hypothesis, compiled
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.simulation.torque_terms import torque_terms
+from loose_env.typing import Array
 
 __all__ = ["Drive"]
 
-Array = NDArray[np.float64]
 
 _HEAVY = 1e5
 """Inertia of the added rotors, over what the joint moves."""

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.engine_warnings import quiet
 from loose_env.gap.fitting.confidence_intervals import Intervals
@@ -34,7 +33,6 @@ from loose_env.recording import Recording
 
 __all__ = ["GapFound", "find_gap", "prepare"]
 
-Array = NDArray[np.float64]
 Say = Callable[[str], None]
 
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.engine_warnings import quiet
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
@@ -37,10 +36,10 @@ from loose_env.gap.selection.screening.data_driven_starts import missing_torque,
 from loose_env.gap.selection.screening.screening import Screened, screen
 from loose_env.gap.settings import GapSettings, NamingSettings
 from loose_env.recording import Recording
+from loose_env.typing import Array
 
 __all__ = ["GapSteps", "MissingTorque", "Tried"]
 
-Array = NDArray[np.float64]
 Say = Callable[[str], None]
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.diagnostics.experiment_advice import identifiability_words
 from loose_env.gap.diagnostics.feature_localisation import (
@@ -48,6 +47,7 @@ from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.workflow.pipeline import GapFound, find_gap
 from loose_env.recording import Recording
+from loose_env.typing import Array
 
 __all__ = [
     "Evidence",
@@ -59,7 +59,6 @@ __all__ = [
     "write_model_and_result",
 ]
 
-Array = NDArray[np.float64]
 Say = Callable[[str], None]
 
 

@@ -10,7 +10,6 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.importing.mapping.mapping import CsvLayout, TimeSource
@@ -22,7 +21,6 @@ from loose_env.recording.columns import nearest
 
 __all__ = ["column_index", "number_of", "read_csv_logger"]
 
-Array = NDArray[np.float64]
 
 _MOST_VALUES = 100_000_000
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|[+-]?inf", re.IGNORECASE | re.ASCII)

@@ -10,17 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData, MissingExtra
 from loose_env.importing.mapping.mapping import TimeSource
 from loose_env.importing.mapping.units import unit_named
 from loose_env.importing.samples import Channel, ChannelKey, FileList, Samples, Stream, checked
 from loose_env.recording.columns import nearest
+from loose_env.typing import Array
 
 __all__ = ["list_uff", "read_uff"]
 
-Array = NDArray[np.float64]
 
 _MOST_BYTES = 2**30
 _MARK = re.compile(rb"    -1(?=[\r\n]|\Z| {74})")

@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft, signal
 
 from loose_env.errors import InvalidData
 from loose_env.importing.timing.resampling import bridged, median_step, resampled
+from loose_env.typing import Array
 
 __all__ = ["Shift", "shift_between"]
 
-Array = NDArray[np.float64]
 
 _MOST_POINTS = 2**24
 _LEAST_OVERLAP = 0.3

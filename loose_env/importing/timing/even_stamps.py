@@ -8,14 +8,13 @@ fitted; a line through stamps of wrong numbers would be bent by every missing sa
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.importing.timing.resampling import median_step
+from loose_env.typing import Array
 
 __all__ = ["straightened"]
 
-Array = NDArray[np.float64]
 
 _OFF = 3.0
 """Steps that a stamp may be off the straight line through them."""

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from loose_env.typing import Array
+
 __all__ = ["Resampled", "bridged", "held", "is_even", "median_step", "resampled", "rows_of"]
 
-Array = NDArray[np.float64]
 
 EVEN = 0.01
 """Stamps within this share of a step of a straight line are evenly spaced."""

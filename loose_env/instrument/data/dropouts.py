@@ -6,15 +6,14 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.importing.timing.resampling import median_step
 from loose_env.recording import Run
+from loose_env.typing import Array
 
 __all__ = ["FEWEST", "unbroken"]
 
-Array = NDArray[np.float64]
 
 FEWEST = 64
 """Fewest samples of a run that can be used."""

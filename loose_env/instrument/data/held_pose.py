@@ -12,10 +12,10 @@ from scipy import signal
 from loose_env.errors import InvalidData
 from loose_env.instrument.model.recorded_arm import Machine
 from loose_env.recording import Run
+from loose_env.typing import Array
 
 __all__ = ["Held", "held_in"]
 
-Array = NDArray[np.float64]
 
 _SHARE = 0.1
 """Power of a joint's command, over that of the one most shaken, from which it counts as excited."""

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.instrument.model.recorded_arm import Reading
+from loose_env.typing import Array
 
 __all__ = ["sensor_noise"]
 
-Array = NDArray[np.float64]
 
 _TALLER = 1.16
 """Upper over lower end of the parts of a spectrum in which an end is looked for [1]."""

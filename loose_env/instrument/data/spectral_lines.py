@@ -18,11 +18,10 @@ from loose_env.instrument.data.sensor_noise import sensor_noise
 from loose_env.instrument.data.sensor_selection import readings_in
 from loose_env.instrument.model.recorded_arm import Machine, Reading
 from loose_env.recording import Run
+from loose_env.typing import Array, ComplexArray
 
 __all__ = ["Lines", "lines_of", "thinned", "uniform"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _WEAK = 0.02
 """Power of a line's command over that of the strongest part of the band below which it is left."""
@@ -60,21 +59,21 @@ class Lines:
     """Joints that were excited, from 0."""
     frequency: Array
     """Frequencies (K,) [Hz]."""
-    command: Complex
+    command: ComplexArray
     """Commands of the drives' actuators (K, A); zero where none was recorded."""
-    force: Complex
+    force: ComplexArray
     """Measured forces of the joints that stand for their drives (K, n)."""
-    lean: tuple[Complex, Complex]
+    lean: tuple[ComplexArray, ComplexArray]
     """Commands (K, A) and forces (K, n) that the taper leaks in from the next lines: what they do
     goes with the difference between the arm's answers there and here."""
-    leaked: Complex
+    leaked: ComplexArray
     """Readings that this makes (K, c); zero until
     `loose_env.instrument.inference.frequency_response.with_leakage`."""
     measured: NDArray[np.bool_]
     """Joints whose force was measured and stands for their drives (n,)."""
     blind: NDArray[np.bool_]
     """Joints of whose drive nothing is known (n,)."""
-    readings: Complex
+    readings: ComplexArray
     """All readings (K, c)."""
     row: tuple[tuple[Reading, int], ...]
     """Sensor and axis of each reading (c,)."""
@@ -327,7 +326,7 @@ def _smoothed(power: Array, width: int) -> Array:
     return np.stack([np.convolve(column, kernel, mode="same") for column in power.T], axis=1)
 
 
-def _power(spectrum: Complex, rows: tuple[tuple[Reading, int], ...], width: int) -> Array:
+def _power(spectrum: ComplexArray, rows: tuple[tuple[Reading, int], ...], width: int) -> Array:
     """Power of each reading, smoothed; the axes of a sensor count together."""
     power = _smoothed(np.abs(spectrum) ** 2, width)
     out = power.copy()

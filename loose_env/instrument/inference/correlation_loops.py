@@ -5,18 +5,16 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.frequency_response import respond
 from loose_env.instrument.inference.posterior import Judged
 from loose_env.instrument.inference.uncertain_linear_arm import UncertainMachine
 from loose_env.instrument.result import HEALTHY, Loop
+from loose_env.typing import ComplexArray
 
 __all__ = ["loops_of"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _ANGLES = np.arange(0.0, 180.0, 5.0)
 _PLANES: dict[Literal["xy", "xz", "yz"], tuple[int, int]] = {
@@ -63,7 +61,7 @@ def loops_of(machine: UncertainMachine, judged: Judged, lines: Lines) -> tuple[L
     return tuple(found)
 
 
-def _correlation(x: Complex, along: Complex) -> tuple[float, ...]:
+def _correlation(x: ComplexArray, along: ComplexArray) -> tuple[float, ...]:
     both = (x.conj() @ along).real
     size = np.sqrt(np.sum(np.abs(x) ** 2) * np.sum(np.abs(along) ** 2, axis=0))
     values = both / np.maximum(size, 1e-30)

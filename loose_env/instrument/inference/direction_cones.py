@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.instrument.data.spectral_lines import Lines
@@ -11,10 +10,10 @@ from loose_env.instrument.inference.laplace_fit import Fit
 from loose_env.instrument.inference.posterior import Judged
 from loose_env.instrument.inference.uncertain_linear_arm import UncertainMachine
 from loose_env.instrument.result import HEALTHY, Vector
+from loose_env.typing import Array
 
 __all__ = ["cone", "seen_in_tool"]
 
-Array = NDArray[np.float64]
 
 _CONE = 2.45
 """Half opening of a cone that holds a direction with 95 %, in standard deviations (Rayleigh)."""

@@ -20,6 +20,7 @@ from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.frequency_response import Response, respond
 from loose_env.instrument.inference.opening_probability import open_probability
 from loose_env.instrument.inference.uncertain_linear_arm import UncertainMachine
+from loose_env.typing import Array, ComplexArray
 
 __all__ = [
     "SHARES",
@@ -32,9 +33,7 @@ __all__ = [
     "seat_products",
 ]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Products = tuple[Array, Array, Complex, Complex, Complex]
+Products = tuple[Array, Array, ComplexArray, ComplexArray, ComplexArray]
 
 SHARES = np.geomspace(1e-3, 4.0, 14)
 """Shares of a floating seat's motion that are tried [1]."""
@@ -75,7 +74,7 @@ class Piece:
     """A piece of a run with the machine's answer and the weights of its residual."""
 
     response: Response
-    weight: Complex
+    weight: ComplexArray
     """Inverse covariance of the sound arm's residual (K, c, c)."""
     base: float
     """Log-likelihood of the sound arm."""
@@ -239,7 +238,7 @@ def seat_products(piece: Piece, seat: Seat, axes: Array) -> Products:
 
     pairs = (axes[:, :, None] * axes[:, None, :]).reshape(len(axes), -1)
 
-    def form(left: Any, right: Complex) -> Complex:
+    def form(left: Any, right: ComplexArray) -> ComplexArray:
         gram = left.conj().swapaxes(-2, -1) @ right
         return np.asarray(pairs @ gram.reshape(len(gram), -1).T)
 

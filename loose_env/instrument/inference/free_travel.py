@@ -12,17 +12,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal
 
 from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.evidence import Evidence, Piece, Seat
 from loose_env.instrument.inference.laplace_fit import seats_of
 from loose_env.instrument.inference.posterior import Judged
+from loose_env.typing import Array
 
 __all__ = ["Travel", "law_of", "travel_of"]
 
-Array = NDArray[np.float64]
 
 _FOLDED = 0.04
 """Power that samples fold back over that which they follow [1]."""

@@ -9,11 +9,9 @@ from numpy.typing import NDArray
 
 from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.uncertain_linear_arm import PoseModel
+from loose_env.typing import Array, ComplexArray
 
 __all__ = ["Response", "respond", "with_leakage"]
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -23,40 +21,40 @@ class Response:
     at: PoseModel
     lines: Lines
     errors: Array
-    compliance: Complex
+    compliance: ComplexArray
     """Displacement per force (K, m, m)."""
-    rows: Complex
+    rows: ComplexArray
     """Readings per displacement (K, c, m), the sensors' errors in them."""
-    columns: Complex
+    columns: ComplexArray
     """Readings per acceleration of each seat (K, c, s)."""
     sudden: Array
     """Readings of accelerometers per acceleration of each seat that is faster than the samples
     can follow: inertia alone answers (c, s)."""
-    by_seat: Complex
+    by_seat: ComplexArray
     """Displacement per acceleration of each seat (K, m, s)."""
-    force: Complex
+    force: ComplexArray
     """Force of the commands on the moving coordinates (K, m)."""
-    motion: Complex
+    motion: ComplexArray
     """Displacement that it makes (K, m)."""
-    jump: Complex
+    jump: ComplexArray
     """Acceleration just after the commands have stepped, less what held commands make on average
     (K, m)."""
-    step: Complex
+    step: ComplexArray
     """Readings of accelerometers that are sampled just then, for it (K, c)."""
-    mean: Complex
+    mean: ComplexArray
     """Readings of the sound arm (K, c)."""
 
     @property
-    def residual(self) -> Complex:
+    def residual(self) -> ComplexArray:
         """What the sound arm leaves of the readings (K, c)."""
         return np.asarray(self.lines.readings - self.mean)
 
-    def joint_columns(self) -> Complex:
+    def joint_columns(self) -> ComplexArray:
         """Readings per force on each joint (K, c, n)."""
         n = self.at.of.machine.n
         return np.asarray(self.rows @ self.compliance[:, :, :n])
 
-    def drive_force(self) -> Complex:
+    def drive_force(self) -> ComplexArray:
         """Force of each joint's drive on the sound arm (K, n)."""
         n = self.at.of.machine.n
         s = 2j * np.pi * self.lines.frequency[:, None]
@@ -72,11 +70,11 @@ class Response:
         heavy = pairs @ mass.reshape(len(mass), -1).T
         return np.asarray(np.abs(drive) / np.maximum(np.abs(heavy), 1e-12))
 
-    def across(self, seats: NDArray[np.intp], axes: Array) -> Complex:
+    def across(self, seats: NDArray[np.intp], axes: Array) -> ComplexArray:
         """Force that the shut seat transmits, by axis (U, K)."""
         return np.asarray(axes @ self.across_seat(seats)[0].T)
 
-    def across_seat(self, seats: NDArray[np.intp]) -> tuple[Complex, Complex]:
+    def across_seat(self, seats: NDArray[np.intp]) -> tuple[ComplexArray, ComplexArray]:
         """Force that a shut seat transmits (K, s'), and the apparent mass behind it (K, s', s')."""
         m = self.at.size
         inertia, _ = self.at.parts(self.errors)
@@ -87,7 +85,7 @@ class Response:
         moved = -omega2[:, :, None] * (coupling @ self.by_seat[:, :, seats])
         return force, own + moved
 
-    def slopes(self, seat: Complex) -> Complex:
+    def slopes(self, seat: ComplexArray) -> ComplexArray:
         """Change of the readings by each error (K, c, P).
 
         Parameters
@@ -183,7 +181,7 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
     dynamic = -(omega**2)[:, None, None] * inertia[:m, :m] + at.weight[:m]
     dynamic = dynamic.astype(complex)
     dynamic[:, np.arange(m), np.arange(m)] += stiffness + s[:, None] * damping
-    compliance: Complex = np.asarray(np.linalg.inv(dynamic), dtype=complex)
+    compliance: ComplexArray = np.asarray(np.linalg.inv(dynamic), dtype=complex)
     hold = _held(omega, lines.period)
     late, late_site = _late(at, lines, errors)
     command = lines.command * (hold * late)[:, None] / (1 + s[:, None] * drives.lag)
@@ -224,7 +222,7 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
     )  # fmt: skip
 
 
-def _late(at: PoseModel, lines: Lines, errors: Array) -> tuple[Complex, Complex]:
+def _late(at: PoseModel, lines: Lines, errors: Array) -> tuple[ComplexArray, ComplexArray]:
     """Factors of a run's late commands, and of its late accelerometers (K,) each."""
     of, t = at.of, at.of.tolerances
     own = errors[of.delays(lines.number)]
@@ -233,7 +231,7 @@ def _late(at: PoseModel, lines: Lines, errors: Array) -> tuple[Complex, Complex]
     return np.exp(-s * t.command_delay * command), np.exp(-s * t.sensor_delay * sensor)
 
 
-def _each(matrices: Array, rows: Complex) -> Complex:
+def _each(matrices: Array, rows: ComplexArray) -> ComplexArray:
     """Every matrix (G, i, j) times every row (K, j): (K, G, i)."""
     flat = rows @ matrices.reshape(-1, matrices.shape[-1]).T
     return np.asarray(flat.reshape(len(rows), *matrices.shape[:2]))
@@ -254,7 +252,7 @@ def with_leakage(at: PoseModel, lines: Lines) -> Lines:
     return replace(lines, leaked=leaked)
 
 
-def _held(omega: Array, period: float) -> Complex:
+def _held(omega: Array, period: float) -> ComplexArray:
     """A command that is held from sample to sample, against one that follows it at once."""
     half = 0.5j * omega * period
     return np.asarray(np.exp(-half) * np.sinc(omega * period / (2 * np.pi)))
@@ -287,8 +285,8 @@ def _stepping(response: Response, jacobian: Array, sensing: dict[str, Array], ea
 
 
 def _stepped(
-    at: PoseModel, lines: Lines, jacobian: Array, jump: Complex, moved: Complex
-) -> Complex:
+    at: PoseModel, lines: Lines, jacobian: Array, jump: ComplexArray, moved: ComplexArray
+) -> ComplexArray:
     """Readings just after commands have stepped, less what a held command makes on average (K, c).
 
     ``jump`` is the sudden acceleration of the moving coordinates, ``moved`` their motion (K, m).
@@ -304,7 +302,9 @@ def _stepped(
     return step
 
 
-def _rows(at: PoseModel, lines: Lines, jacobian: Array, s: Complex) -> tuple[Complex, Complex]:
+def _rows(
+    at: PoseModel, lines: Lines, jacobian: Array, s: ComplexArray
+) -> tuple[ComplexArray, ComplexArray]:
     """Readings per displacement (K, c, m), and directly per acceleration of the seats (K, c, s)."""
     n, m = at.of.machine.n, at.size
     seats = at.nominal.inertia.shape[0] - m

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.instrument.inference.evidence import (
     SHARES,
@@ -17,11 +16,10 @@ from loose_env.instrument.inference.evidence import (
     seat_powers,
 )
 from loose_env.statistics.directions.sphere import axes_grid, tangents
+from loose_env.typing import Array
 
 __all__ = ["MODEL_ERRORS", "Fit", "best_powers", "fit_hypothesis", "seats_of"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 MODEL_ERRORS = np.geomspace(0.01, 0.32, 6)
 """Relative errors that the model may have at a line beside those of its figures."""

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.instrument.inference.frequency_response import Response
+from loose_env.typing import Array
 
 __all__ = ["open_probability", "seat_forces"]
 
-Array = NDArray[np.float64]
 
 _FRICTION = np.geomspace(0.3, 30.0, 9)
 """Friction of a slide's guide that is held possible [N]."""

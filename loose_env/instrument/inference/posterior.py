@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.instrument.data.spectral_lines import Lines, thinned
 from loose_env.instrument.inference.evidence import Evidence, Seat
@@ -17,7 +16,6 @@ from loose_env.instrument.settings.diagnosis import ELSE
 
 __all__ = ["Judged", "judge", "probabilities_of"]
 
-Array = NDArray[np.float64]
 
 _COARSE, _FINE = 32, 120
 """Lines of a run in the first look at all hypotheses, and in the last at the likely ones: errors of

@@ -17,17 +17,15 @@ from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.instrument.model.recorded_arm import Machine
 from loose_env.instrument.settings.tolerances import Tolerances
+from loose_env.typing import Array
 
 __all__ = ["DELAYS", "PoseModel", "UncertainMachine"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 DELAYS = ("command_delay", "sensor_delay")
 """Errors that every run has anew: what plays, what reads the joints and what reads accelerations

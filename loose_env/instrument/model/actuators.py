@@ -12,13 +12,12 @@ from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm, Holding
+from loose_env.typing import Array
 
 __all__ = ["JointDrive", "PassedOver", "actuators_on", "drives_of", "held_by_drives"]
 
-Array = NDArray[np.float64]
 
 _JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _LAGS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))

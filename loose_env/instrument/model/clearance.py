@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loose_env.arms.arm import Arm
+from loose_env.typing import Array
 
 __all__ = ["Collisions", "Ground"]
 
-Array = NDArray[np.float64]
 
 _LOOKED = 64
 """Random poses in which pairs of shapes are looked at."""

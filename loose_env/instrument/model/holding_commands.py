@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.instrument.model.actuators import actuators_on, drives_of
 from loose_env.instrument.model.planned_arm import ModelArm
+from loose_env.typing import Array
 
 __all__ = ["holding_commands", "starting_commands", "why_not_held"]
-
-Array = NDArray[np.float64]
 
 
 def holding_commands(machine: ModelArm, pose: Array) -> tuple[dict[str, float], Array]:

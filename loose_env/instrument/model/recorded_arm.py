@@ -22,10 +22,10 @@ from loose_env.errors import InvalidData
 from loose_env.instrument.model.actuators import actuators_on
 from loose_env.instrument.model.tool_site import tool_site
 from loose_env.instrument.result import HEALTHY, hypothesis_of
+from loose_env.typing import Array
 
 __all__ = ["Drives", "Machine", "Reading"]
 
-Array = NDArray[np.float64]
 SensorKind = Literal["acceleration", "turning", "position", "velocity"]
 
 _KINDS: Mapping[int, SensorKind] = {

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.arms.response.linear import LinearArm
 from loose_env.errors import InvalidData
+from loose_env.typing import Array
 
 __all__ = ["Allowed", "candidate_poses", "pose_range"]
 
-Array = NDArray[np.float64]
 Allowed = Callable[[Array], bool]
 """Says whether a pose may be taken."""
 

@@ -26,10 +26,10 @@ from loose_env.instrument.planning.excitation import (
 )
 from loose_env.instrument.planning.next_measurement import seat_features
 from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.typing import Array
 
 __all__ = ["BestSeen", "Findable", "best_seen", "findable_faults"]
 
-Array = NDArray[np.float64]
 Verdict = Literal["yes", "mostly", "hardly", "no"]
 
 _DIRECTIONS = 40

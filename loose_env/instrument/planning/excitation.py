@@ -21,6 +21,7 @@ from loose_env.diagnosis.learned.features import SeatFeatures
 from loose_env.diagnosis.likelihood.seat_response import predict_seats
 from loose_env.diagnosis.records.excitation_design import Proposal, propose_excitation
 from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.typing import Array
 
 __all__ = [
     "OVERCOME",
@@ -33,8 +34,6 @@ __all__ = [
     "tool_noise",
     "torque_of",
 ]
-
-Array = NDArray[np.float64]
 
 
 def torque_of(proposal: Proposal, joint: int, settings: NextSettings) -> Array:

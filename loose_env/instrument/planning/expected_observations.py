@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.arms.response.linear import LinearArm
@@ -17,10 +16,9 @@ from loose_env.instrument.planning.prior_knowledge import Known
 from loose_env.instrument.planning.rationale import expected_directions
 from loose_env.instrument.result import NextMeasurement
 from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.typing import Array
 
 __all__ = ["Expected", "expected_of"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

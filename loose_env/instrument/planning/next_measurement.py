@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loose_env.arms.arm import Arm
 from loose_env.arms.response.linear import LinearArm
@@ -30,10 +30,10 @@ from loose_env.instrument.planning.prior_knowledge import Known, belief_of, name
 from loose_env.instrument.planning.rationale import reason
 from loose_env.instrument.result import NextMeasurement
 from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.typing import Array
 
 __all__ = ["NextSettings", "next_measurement", "seat_features"]
 
-Array = NDArray[np.float64]
 
 _FRICTIONS = np.geomspace(0.02, 1.0, 8)
 """Friction of seats over the drive of the top level that is reckoned with [1]."""

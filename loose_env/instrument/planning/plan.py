@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.records.excitation_design import propose_excitation
@@ -31,10 +30,10 @@ from loose_env.instrument.result import Diagnosis, NextMeasurement
 from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettings
 from loose_env.instrument.settings.command_line import unlike
 from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.typing import Array
 
 __all__ = ["Plan", "load", "next_for", "plan"]
 
-Array = NDArray[np.float64]
 
 _ONCE = ("joint", "pose_deg", "from_deg")
 """Settings that are for one measurement, not for a session."""

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.instrument.planning.plan import Plan
@@ -27,6 +26,7 @@ from loose_env.recording.csv_file import write_csv
 from loose_env.recording.description import DESCRIPTION, RunEntry, read_description
 from loose_env.recording.description import FORMAT as RECORDING_FORMAT
 from loose_env.recording.parquet_file import write_parquet
+from loose_env.typing import Array
 
 __all__ = [
     "FORMAT",
@@ -41,7 +41,6 @@ __all__ = [
     "write_plan",
 ]
 
-Array = NDArray[np.float64]
 
 FORMAT = "loose-plan/1"
 """Format of ``plan.json``."""

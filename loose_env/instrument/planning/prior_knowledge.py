@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.diagnosis.likelihood.posterior import Belief
@@ -14,10 +13,10 @@ from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.errors import InvalidData
 from loose_env.instrument.result import HEALTHY, Diagnosis
 from loose_env.recording.columns import nearest
+from loose_env.typing import Array
 
 __all__ = ["Known", "Seen", "belief_of", "known_of", "names_of"]
 
-Array = NDArray[np.float64]
 
 _CONE_95 = 2.45
 """Half the opening of a 95 % cone over the standard deviation of a direction in space [1]."""

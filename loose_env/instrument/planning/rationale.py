@@ -15,7 +15,6 @@ from math import isclose
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.diagnosis.likelihood.axial_likelihood import precision_of
@@ -27,10 +26,10 @@ from loose_env.instrument.model.planned_arm import ModelArm
 from loose_env.instrument.planning.prior_knowledge import Known, names_of
 from loose_env.instrument.result import HEALTHY, NextMeasurement
 from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.typing import Array
 
 __all__ = ["expected_directions", "other_settings", "reason", "why_not_reached"]
 
-Array = NDArray[np.float64]
 
 _IN_QUESTION = 0.02
 """Probability below which a hypothesis is not mentioned [1]."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
 from loose_env.arms.response.linear import LinearArm
@@ -22,11 +21,10 @@ from loose_env.instrument.model.holding_commands import (
     why_not_held,
 )
 from loose_env.instrument.model.planned_arm import ModelArm
+from loose_env.typing import Array, ComplexArray
 
 __all__ = ["Signal", "holding_commands", "make_signal"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _DRAWS = 8
 """Draws of the noise of which the one with the lowest peak is played."""
@@ -253,13 +251,13 @@ class _Answer:
         own[j] += self.torque
         self.drive_torques = self.in_time(own, _OVERSAMPLED)
 
-    def in_time(self, lines: Complex, finer: int = 1) -> Array:
+    def in_time(self, lines: ComplexArray, finer: int = 1) -> Array:
         """One period of a signal of given lines (..., count)."""
         whole = np.zeros((*lines.shape[:-1], finer * self.count // 2 + 1), dtype=complex)
         whole[..., self._lines] = lines
         return np.asarray(fft.irfft(whole, n=finer * self.count) * finer)
 
-    def rms(self, lines: Complex) -> float:
+    def rms(self, lines: ComplexArray) -> float:
         """Root of the sum of the mean squares of all rows."""
         return float(np.sqrt(2 * np.sum(np.abs(lines) ** 2)) / self.count)
 

@@ -19,6 +19,7 @@ from loose_env.errors import InvalidData
 from loose_env.faults import Backlash, StructuralLooseness
 from loose_env.instrument.result import Fault
 from loose_env.report.pages.figures import WIDTH, new_figure
+from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 
 __all__ = ["arm_figure", "pose_of"]
 
-Array = NDArray[np.float64]
 _HEIGHT, _LEGEND = 4.5, 0.34  # of the figure, and of the words above the arm [inch]
 _STIFF = (1.0, 1.0)
 """A drawn seat has a place and a direction; its figures are not looked at."""

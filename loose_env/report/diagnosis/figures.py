@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.envs.rendering.palette import FAINT, INK, MEASURED, MUTED, PAPER, TRUTH
 from loose_env.instrument.result import HEALTHY, Loop, RecordSeen
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
 
 __all__ = ["hypothesis_colours", "loop_figure", "posterior_figure", "shown_hypotheses"]
 
-Array = NDArray[np.float64]
 
 _SOUND = "#009e73"
 _REST = "#8a8f98"

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.envs.rendering.palette import FAINT, INK, MEASURED, MUTED, TRUTH
 from loose_env.gap.diagnostics.regressors import binned
 from loose_env.report.pages.figures import WIDTH, new_figure
+from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 __all__ = ["channel_bars", "horizon_curves", "residual_panels", "spectrum_curves"]
 
-Array = NDArray[np.float64]
 
 BEFORE, AFTER = TRUTH, MEASURED
 """Colours of the nominal and of the corrected model."""

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.diagnostics.joint_torque_residual import JointMotion
 from loose_env.gap.diagnostics.localisation import main_band, strongest
@@ -37,7 +36,6 @@ from loose_env.report.pages.template import template, write_whole
 
 __all__ = ["render_gap_page", "write_gap_page"]
 
-Array = NDArray[np.float64]
 
 _PANELS = ("position", "velocity", "load")
 _UNITS = {

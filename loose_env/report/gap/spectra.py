@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.diagnostics.feature_localisation import StruckChannel
 from loose_env.gap.diagnostics.residual_spectra import Series, in_bands, series_of, spectrum
@@ -15,10 +14,10 @@ from loose_env.gap.workflow.summary import Evidence, GapOutputs
 from loose_env.report.gap.figures import spectrum_curves
 from loose_env.report.pages.figure_card import Plate
 from loose_env.report.pages.sections import group
+from loose_env.typing import Array
 
 __all__ = ["by_channel", "spectra_group"]
 
-Array = NDArray[np.float64]
 
 _SPECTRA = 4
 """Channels whose spectra are drawn."""

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.response.linear import LinearArm
 from loose_env.excitation import torque_signals
 from loose_env.rig.jobs import Job
+from loose_env.typing import Array
 
 __all__ = ["controls"]
-
-Array = NDArray[np.float64]
 
 
 def controls(

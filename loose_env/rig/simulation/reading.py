@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.rig.jobs import Run
 from loose_env.rig.measurement import Measurement
 from loose_env.sensors import SensorSuite, read_accelerometer, read_encoder
+from loose_env.typing import Array
 
 __all__ = ["read_record"]
-
-Array = NDArray[np.float64]
 
 
 def read_record(

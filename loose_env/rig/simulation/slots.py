@@ -6,16 +6,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.excitation import Excitation
 from loose_env.rig.jobs import Job
 from loose_env.rig.measurement import Measurement
 from loose_env.rig.plant import Plant
+from loose_env.typing import Array
 
 __all__ = ["SlotRig"]
-
-Array = NDArray[np.float64]
 
 
 class SlotRig(ABC):

@@ -24,10 +24,9 @@ from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation
 from loose_env.rig.plant import Plant
+from loose_env.typing import Array
 
 __all__ = ["SeatLaw", "SmallMotion", "require_one_part", "small_motion"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

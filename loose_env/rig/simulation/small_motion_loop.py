@@ -6,11 +6,8 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 __all__ = ["integrate"]
-
-Array = NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

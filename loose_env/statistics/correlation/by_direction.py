@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.statistics._checks import FloatArray, as_angles, as_direction
+from loose_env.statistics._checks import as_angles, as_direction
 from loose_env.statistics.directions.angles import wrap_axial
 from loose_env.statistics.records.covariance import (
     STILL,
@@ -21,6 +21,7 @@ from loose_env.statistics.records.covariance import (
     planar_excitation,
     single_excitation,
 )
+from loose_env.typing import Array
 
 
 class MaximumCorrelation(NamedTuple):
@@ -28,7 +29,7 @@ class MaximumCorrelation(NamedTuple):
 
     value: float
     """Correlation, 0 to 1."""
-    direction: FloatArray
+    direction: Array
     """Unit vector in the tool frame, shape (d,)."""
 
 
@@ -74,7 +75,7 @@ def correlation_along_from(cov: Covariances, direction: ArrayLike) -> float:
     return float(np.sum(u * c)) / math.sqrt(float(cov.xx[0, 0]) * variance)
 
 
-def correlation_loop(x: ArrayLike, a: ArrayLike, angles: ArrayLike) -> FloatArray:
+def correlation_loop(x: ArrayLike, a: ArrayLike, angles: ArrayLike) -> Array:
     """Trace the correlation vector: the correlation at every angle of the plane (4.14).
 
     Parameters
@@ -106,7 +107,7 @@ def correlation_loop(x: ArrayLike, a: ArrayLike, angles: ArrayLike) -> FloatArra
     return correlation_loop_from(covariances(x, a), angles)
 
 
-def correlation_loop_from(cov: Covariances, angles: ArrayLike) -> FloatArray:
+def correlation_loop_from(cov: Covariances, angles: ArrayLike) -> Array:
     """`correlation_loop` on covariances."""
     c = planar_excitation(cov)
     phi = as_angles(angles)

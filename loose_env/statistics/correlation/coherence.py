@@ -8,7 +8,6 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtrc
 
 from loose_env.errors import InvalidData
-from loose_env.statistics._checks import FloatArray
 from loose_env.statistics.directions.angles import axial_vector
 from loose_env.statistics.records.covariance import (
     Covariances,
@@ -16,16 +15,17 @@ from loose_env.statistics.records.covariance import (
     excitation_factor,
     whitener,
 )
+from loose_env.typing import Array
 
 
 class LowestCoherence(NamedTuple):
     """Direction that follows the excited joints least."""
 
-    direction: FloatArray
+    direction: Array
     """Unit vector in the tool frame, shape (d,); the last non-zero component is positive."""
     coherence: float
     """Share rho^2 of the variance along it that the excited joints explain, 0 to 1."""
-    coherences: FloatArray
+    coherences: Array
     """All generalised eigenvalues rho^2, rising, shape (d,)."""
 
 

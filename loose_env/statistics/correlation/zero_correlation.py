@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData
-from loose_env.statistics._checks import FloatArray
 from loose_env.statistics.correlation.coherence import LowestCoherence
 from loose_env.statistics.directions.angles import axial_vector
 from loose_env.statistics.records.covariance import (
@@ -21,9 +20,10 @@ from loose_env.statistics.records.covariance import (
     single_excitation,
     whitener,
 )
+from loose_env.typing import Array
 
 
-def uncorrelated_plane(x: ArrayLike, a: ArrayLike) -> FloatArray:
+def uncorrelated_plane(x: ArrayLike, a: ArrayLike) -> Array:
     """Find the plane of directions that are uncorrelated with one excited joint.
 
     Healthy or loose, there is such a plane; its normal is along c = cov(x, a).
@@ -57,7 +57,7 @@ def uncorrelated_plane(x: ArrayLike, a: ArrayLike) -> FloatArray:
     return axial_vector(c)
 
 
-def uncorrelated_axis(x: ArrayLike, a: ArrayLike) -> FloatArray:
+def uncorrelated_axis(x: ArrayLike, a: ArrayLike) -> Array:
     """Find the one direction that is uncorrelated with two excited joints: their cross product.
 
     Parameters

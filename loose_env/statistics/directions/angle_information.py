@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from loose_env.statistics._checks import FloatArray
+from loose_env.typing import Array
 
 
-def angle_information(precision: FloatArray, axes: FloatArray, drives: FloatArray) -> FloatArray:
+def angle_information(precision: Array, axes: Array, drives: Array) -> Array:
     """Least information about the angle of an axis u, where a matrix is u v.T and errors.
 
     Turning u by a small angle e towards a unit vector w across it adds e w v.T. What is left of

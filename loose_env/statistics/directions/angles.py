@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loose_env.errors import InvalidData
-from loose_env.statistics._checks import FloatArray, as_direction, as_floats, require_finite
+from loose_env.statistics._checks import as_direction, as_floats, require_finite
+from loose_env.typing import Array
 
 Angles = NDArray[np.floating[Any]]
 
@@ -19,8 +20,8 @@ Angles = NDArray[np.floating[Any]]
 @overload
 def wrap_axial(angle: float) -> float: ...
 @overload
-def wrap_axial(angle: Angles) -> FloatArray: ...
-def wrap_axial(angle: float | Angles) -> float | FloatArray:
+def wrap_axial(angle: Angles) -> Array: ...
+def wrap_axial(angle: float | Angles) -> float | Array:
     """Wrap the angle of an axis to [0, pi).
 
     Parameters
@@ -47,10 +48,10 @@ def wrap_axial(angle: float | Angles) -> float | FloatArray:
 @overload
 def axial_difference(a: float, b: float) -> float: ...
 @overload
-def axial_difference(a: Angles, b: float | Angles) -> FloatArray: ...
+def axial_difference(a: Angles, b: float | Angles) -> Array: ...
 @overload
-def axial_difference(a: float, b: Angles) -> FloatArray: ...
-def axial_difference(a: float | Angles, b: float | Angles) -> float | FloatArray:
+def axial_difference(a: float, b: Angles) -> Array: ...
+def axial_difference(a: float | Angles, b: float | Angles) -> float | Array:
     """Turn from axis `b` to axis `a` the short way.
 
     Parameters
@@ -68,7 +69,7 @@ def axial_difference(a: float | Angles, b: float | Angles) -> float | FloatArray
     >>> round(math.degrees(axial_difference(math.radians(2), math.radians(179))), 6)
     3.0
     """
-    turn: float | FloatArray = wrap_axial(np.subtract(a, b) + np.pi / 2)
+    turn: float | Array = wrap_axial(np.subtract(a, b) + np.pi / 2)
     return turn - np.pi / 2
 
 
@@ -119,7 +120,7 @@ def axial_mean(angles: ArrayLike, weights: ArrayLike | None = None) -> float:
     return wrap_axial(0.5 * math.atan2(sine, cosine))
 
 
-def axial_vector(direction: ArrayLike) -> FloatArray:
+def axial_vector(direction: ArrayLike) -> Array:
     """Scale an axis to unit length and choose its sign: the last non-zero component is positive.
 
     In the plane this picks the vector whose angle lies in [0, pi).

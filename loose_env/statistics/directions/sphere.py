@@ -12,14 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidSetting
-from loose_env.statistics._checks import FloatArray, as_direction, as_floats
+from loose_env.statistics._checks import as_direction, as_floats
 from loose_env.statistics.directions.angles import axial_vector
+from loose_env.typing import Array
 
 
 class HemisphereSearch(NamedTuple):
     """What a search on the hemisphere found."""
 
-    direction: FloatArray
+    direction: Array
     """Unit vector, shape (3,); the last non-zero component is positive."""
     value: float
     """Criterion there."""
@@ -27,7 +28,7 @@ class HemisphereSearch(NamedTuple):
     """Directions at which the criterion was asked."""
 
 
-def axes_grid(count: int, dimension: int = 3) -> FloatArray:
+def axes_grid(count: int, dimension: int = 3) -> Array:
     """Spread axes evenly over half a circle or half a sphere.
 
     Parameters
@@ -105,7 +106,7 @@ def axial_angle_between(first: ArrayLike, second: ArrayLike) -> float:
     return math.atan2(across, along)
 
 
-def tangents(direction: ArrayLike) -> FloatArray:
+def tangents(direction: ArrayLike) -> Array:
     """Unit vectors across a direction and across each other.
 
     Parameters
@@ -135,7 +136,7 @@ def tangents(direction: ArrayLike) -> FloatArray:
 
 
 def hemisphere_search(
-    criterion: Callable[[FloatArray], FloatArray],
+    criterion: Callable[[Array], Array],
     *,
     spacing: float = math.radians(15.0),
     tolerance: float = math.radians(0.1),

@@ -14,10 +14,11 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.statistics._checks import FloatArray, require_rate
+from loose_env.statistics._checks import require_rate
 from loose_env.statistics.directions.angles import axial_difference, wrap_axial
 from loose_env.statistics.sampling.autocorrelation import memory_of
 from loose_env.statistics.sampling.block_bootstrap import resampled_covariances
+from loose_env.typing import Array
 
 METHODS = ("block", "hac")
 
@@ -70,10 +71,10 @@ class Resampling:
 
 
 def interval(
-    first: FloatArray,
-    second: FloatArray,
-    influence: FloatArray,
-    axis: Callable[[FloatArray], FloatArray],
+    first: Array,
+    second: Array,
+    influence: Array,
+    axis: Callable[[Array], Array],
     how: Resampling,
 ) -> DirectionInterval:
     """Find the confidence interval of an axis that is a function of cov(first, second).

@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData
-from loose_env.statistics._checks import FloatArray, as_floats
+from loose_env.statistics._checks import as_floats
 from loose_env.statistics.intervals.axis import DirectionInterval, Resampling, interval
 from loose_env.statistics.records.covariance import centred, covariances, planar_excitation
 from loose_env.statistics.transmission.change import transmission_by_instrument_from
+from loose_env.typing import Array
 
 
 def direction_interval(
@@ -88,7 +89,7 @@ def direction_interval(
     across = c[0] * tool[1] - c[1] * tool[0]
     influence = joint[0] * across / float(np.sum(c * c))
 
-    def axis(drawn: FloatArray) -> FloatArray:
+    def axis(drawn: Array) -> Array:
         return np.arctan2(drawn[:, 0, 1], drawn[:, 0, 0]) + math.pi / 2
 
     return interval(joint, tool, influence, axis, how)
@@ -163,7 +164,7 @@ def change_direction_interval(
     )
     m = len(joint)
 
-    def axis(drawn: FloatArray) -> FloatArray:
+    def axis(drawn: Array) -> Array:
         found = np.linalg.solve(drawn[:, :, :m], drawn[:, :, m:]).transpose(0, 2, 1)
         return _leading_angle(found - healthy)
 
@@ -171,13 +172,13 @@ def change_direction_interval(
 
 
 def _turn_by_sample(
-    change: FloatArray,
-    b: FloatArray,
-    weight: FloatArray,
-    z: FloatArray,
-    x: FloatArray,
-    a: FloatArray,
-) -> FloatArray:
+    change: Array,
+    b: Array,
+    weight: Array,
+    z: Array,
+    x: Array,
+    a: Array,
+) -> Array:
     """Turn of the leading left singular vector by the noise in each sample, rad, sign free."""
     left, values, right = np.linalg.svd(change)
     first, second = float(values[0]), float(values[1]) if len(values) == 2 else 0.0
@@ -192,7 +193,7 @@ def _turn_by_sample(
     return np.asarray(turn / (first**2 - second**2))
 
 
-def _leading_angle(change: FloatArray) -> FloatArray:
+def _leading_angle(change: Array) -> Array:
     """Angle of the leading left singular vector of matrices of shape (R, 2, m), rad."""
     g = np.einsum("rik,rjk->rij", change, change)
     return np.asarray(0.5 * np.arctan2(2 * g[:, 0, 1], g[:, 0, 0] - g[:, 1, 1]))

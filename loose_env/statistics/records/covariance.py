@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData
-from loose_env.statistics._checks import FloatArray, as_record
+from loose_env.statistics._checks import as_record
+from loose_env.typing import Array
 
 # Below this share of the largest variance a direction counts as not moving: rounding of the
 # covariances, not the record, decides what is seen there.
@@ -21,11 +22,11 @@ class Covariances:
     Sums are divided by the number of samples.
     """
 
-    xx: FloatArray
+    xx: Array
     """cov(x, x), shape (m, m), (rad/s^2)^2 for joint accelerations."""
-    xa: FloatArray
+    xa: Array
     """cov(x, a), shape (m, d), rad/s^2 times m/s^2."""
-    aa: FloatArray
+    aa: Array
     """cov(a, a), shape (d, d), (m/s^2)^2."""
     count: int
     """Number of samples."""
@@ -115,25 +116,25 @@ def record_covariances(command: ArrayLike, x: ArrayLike, a: ArrayLike) -> Record
     )
 
 
-def centred(signal: ArrayLike) -> FloatArray:
+def centred(signal: ArrayLike) -> Array:
     """Return a signal of shape (N,) or (k, N) as (k, N), means removed."""
     record = as_record(signal, "signal")
-    removed: FloatArray = record - record.mean(axis=1, keepdims=True)
+    removed: Array = record - record.mean(axis=1, keepdims=True)
     return removed
 
 
-def single_excitation(cov: Covariances) -> FloatArray:
+def single_excitation(cov: Covariances) -> Array:
     """Return c = cov(x, a), shape (d,), of a record with one excited joint."""
     if len(cov.xx) != 1:
         raise InvalidData(
             f"x has {len(cov.xx)} rows; one excited joint is needed here, with several use "
             "lowest_coherence_direction"
         )
-    c: FloatArray = cov.xa[0]
+    c: Array = cov.xa[0]
     return c
 
 
-def planar_excitation(cov: Covariances) -> FloatArray:
+def planar_excitation(cov: Covariances) -> Array:
     """Return c = cov(x, a), shape (2,), of a planar record with one excited joint."""
     c = single_excitation(cov)
     if len(c) != 2:
@@ -144,7 +145,7 @@ def planar_excitation(cov: Covariances) -> FloatArray:
     return c
 
 
-def whitener(aa: FloatArray) -> FloatArray:
+def whitener(aa: Array) -> Array:
     """Return W, shape (d, d), with W.T S W = 1 for the covariance S of the tool acceleration.
 
     A direction in which the tool does not move gets a small variance in place of none. That is
@@ -155,7 +156,7 @@ def whitener(aa: FloatArray) -> FloatArray:
     return np.asarray(vectors / scale, dtype=np.float64)
 
 
-def excitation_factor(xx: FloatArray) -> FloatArray:
+def excitation_factor(xx: Array) -> Array:
     """Return the lower Cholesky factor of cov(x, x), shape (m, m)."""
     dependent = "the rows of x depend on each other; each joint needs an excitation of its own"
     try:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData
-from loose_env.statistics._checks import FloatArray, as_angles, as_direction, as_record, as_samples
+from loose_env.statistics._checks import as_angles, as_direction, as_record, as_samples
+from loose_env.typing import Array
 
 # Standard deviation relative to the mean, or of one component to the other, taken as rounding.
 ROUNDING = 1e-12
@@ -18,17 +19,17 @@ ROUNDING = 1e-12
 class DirectionalMoments(NamedTuple):
     """Skewness and excess kurtosis at every angle of the plane."""
 
-    skewness: FloatArray
+    skewness: Array
     """Shape (K,)."""
-    kurtosis: FloatArray
+    kurtosis: Array
     """Excess, shape (K,)."""
 
 
 @overload
-def skewness(a: ArrayLike, direction: None = None) -> FloatArray: ...
+def skewness(a: ArrayLike, direction: None = None) -> Array: ...
 @overload
 def skewness(a: ArrayLike, direction: ArrayLike) -> float: ...
-def skewness(a: ArrayLike, direction: ArrayLike | None = None) -> FloatArray | float:
+def skewness(a: ArrayLike, direction: ArrayLike | None = None) -> Array | float:
     """Measure the asymmetry of the distribution, E[(X - mu)^3] / sigma^3 (4.19).
 
     Zero for a Gaussian motion. Stops of unequal stiffness make it differ from zero.
@@ -61,10 +62,10 @@ def skewness(a: ArrayLike, direction: ArrayLike | None = None) -> FloatArray | f
 
 
 @overload
-def kurtosis(a: ArrayLike, direction: None = None) -> FloatArray: ...
+def kurtosis(a: ArrayLike, direction: None = None) -> Array: ...
 @overload
 def kurtosis(a: ArrayLike, direction: ArrayLike) -> float: ...
-def kurtosis(a: ArrayLike, direction: ArrayLike | None = None) -> FloatArray | float:
+def kurtosis(a: ArrayLike, direction: ArrayLike | None = None) -> Array | float:
     """Measure the excess kurtosis, E[(X - mu)^4] / sigma^4 - 3 (4.20).
 
     Zero for a Gaussian motion; impacts at the stops raise it.
@@ -97,7 +98,7 @@ def kurtosis(a: ArrayLike, direction: ArrayLike | None = None) -> FloatArray | f
     return np.asarray(moment) if direction is None else float(moment)
 
 
-def shape_of(rows: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def shape_of(rows: ArrayLike) -> tuple[Array, Array]:
     """Measure `skewness` and `kurtosis` of every row together, in one pass.
 
     Parameters
@@ -195,7 +196,7 @@ def moments_by_direction(a: ArrayLike, angles: ArrayLike) -> DirectionalMoments:
     return DirectionalMoments(cubic, quartic - 3.0)
 
 
-def _standardised(a: ArrayLike, direction: ArrayLike | None) -> FloatArray:
+def _standardised(a: ArrayLike, direction: ArrayLike | None) -> Array:
     record = as_samples(a, "a")
     if record.ndim > 2:
         raise InvalidData(f"a has shape {record.shape}; it must be (N,) or (d, N)")

@@ -8,13 +8,13 @@ from numpy.typing import ArrayLike, NDArray
 from loose_env.errors import InvalidData
 from loose_env.statistics._checks import (
     MIN_SAMPLES,
-    FloatArray,
     as_finite_samples,
     as_record,
     band_bins,
     require_finite,
     require_rate,
 )
+from loose_env.typing import Array
 
 # Power of the excitation, relative to its peak, below which a bin holds rounding alone.
 EMPTY = 1e-24
@@ -23,15 +23,15 @@ EMPTY = 1e-24
 class TransferFunction(NamedTuple):
     """Estimate of a transfer function from one input to several outputs."""
 
-    frequencies: FloatArray
+    frequencies: Array
     """Hz, shape (K,)."""
     response: NDArray[np.complex128]
     """Output over input, shape (dy, K)."""
-    coherence: FloatArray
+    coherence: Array
     """Share of each output's power that the input explains, 0 to 1, shape (dy, K)."""
 
 
-def bandpass(signal: ArrayLike, rate: float, band: tuple[float, float]) -> FloatArray:
+def bandpass(signal: ArrayLike, rate: float, band: tuple[float, float]) -> Array:
     """Keep the frequencies of a band and drop the rest, without shifting any in time.
 
     Parameters
@@ -69,7 +69,7 @@ def bandpass(signal: ArrayLike, rate: float, band: tuple[float, float]) -> Float
     return np.fft.irfft(spectrum, count)
 
 
-def acceleration_from_angle(angle: ArrayLike, rate: float, band: tuple[float, float]) -> FloatArray:
+def acceleration_from_angle(angle: ArrayLike, rate: float, band: tuple[float, float]) -> Array:
     """Differentiate a joint angle twice within a band.
 
     The second central difference is taken in time, so that slow drift, which does not repeat over
@@ -184,7 +184,7 @@ def transfer_function(
 
 def spectral_flatness(
     signal: ArrayLike, rate: float, band: tuple[float, float], segments: int = 8
-) -> FloatArray:
+) -> Array:
     """Measure the flatness of the power spectrum in a band: geometric over arithmetic mean.
 
     One for a flat spectrum, near zero for a few sharp peaks. The scatter of the spectrum lowers
@@ -230,7 +230,7 @@ def spectral_flatness(
     return np.asarray(flatness.reshape(np.shape(signal)[:-1]))
 
 
-def _segment_spectra(record: FloatArray, segments: int) -> tuple[NDArray[np.complex128], int]:
+def _segment_spectra(record: Array, segments: int) -> tuple[NDArray[np.complex128], int]:
     """Return the spectra of the segments of each row, (k, segments, K), and their length."""
     require_finite(record, "the record")
     count = record.shape[1]

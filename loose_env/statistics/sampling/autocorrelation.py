@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from loose_env.statistics._checks import FloatArray
+from loose_env.typing import Array
 
 
 class Memory(NamedTuple):
@@ -26,7 +26,7 @@ class Memory(NamedTuple):
     """Share of the variance that resampling in blocks of this length reaches, 0 to 1."""
 
 
-def memory_of(series: FloatArray, block: float | None = None) -> Memory:
+def memory_of(series: Array, block: float | None = None) -> Memory:
     """Estimate the memory of a series.
 
     The autocovariance is summed with flat-top weights up to twice the last significant lag, which
@@ -70,7 +70,7 @@ def memory_of(series: FloatArray, block: float | None = None) -> Memory:
     return Memory(block, variance, degrees, within / variance if variance > 0.0 else 1.0)
 
 
-def memory_window(covariance: FloatArray) -> int:
+def memory_window(covariance: Array) -> int:
     """Return twice the lag after which a run of autocovariances is insignificant."""
     count = len(covariance)
     # The published run of 5 lags is shorter than one period of a narrow-band record.
@@ -88,13 +88,13 @@ def memory_window(covariance: FloatArray) -> int:
 class LongRun(NamedTuple):
     """What the autocovariances of several series say about the scatter of their means."""
 
-    covariance: FloatArray
+    covariance: Array
     """Covariance of the means times the number of samples, shape (k, k)."""
     degrees: float
     """Degrees of freedom of that covariance."""
 
 
-def long_run_covariance(series: FloatArray) -> LongRun:
+def long_run_covariance(series: Array) -> LongRun:
     """Estimate the long-run covariance of several series.
 
     As `memory_of` does for one series: autocovariances are summed with flat-top weights up to

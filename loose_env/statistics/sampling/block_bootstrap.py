@@ -4,16 +4,16 @@ import math
 
 import numpy as np
 
-from loose_env.statistics._checks import FloatArray
+from loose_env.typing import Array
 
 
 def resampled_covariances(
-    first: FloatArray,
-    second: FloatArray,
+    first: Array,
+    second: Array,
     length: int,
     resamples: int,
     rng: np.random.Generator,
-) -> FloatArray:
+) -> Array:
     """Covariances of `first` with `second` in records put together from blocks of this one.
 
     A record of N samples is laid in a circle and ceil(N / length) blocks are drawn from it with

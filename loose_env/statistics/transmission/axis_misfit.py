@@ -10,10 +10,10 @@ from collections.abc import Callable
 import numpy as np
 
 from loose_env.errors import InvalidData
-from loose_env.statistics._checks import FloatArray
 from loose_env.statistics.directions.angles import axial_vector
 from loose_env.statistics.directions.sphere import axes_grid, tangents
 from loose_env.statistics.transmission.estimate import TransmissionEstimate
+from loose_env.typing import Array
 
 _GRID = {2: 90, 3: 400}
 """Axes at which the misfit is looked at first."""
@@ -58,13 +58,13 @@ class Misfit:
         self.total = float(np.sum(self._weighted * change.b))
         """Misfit of no change at all."""
 
-    def at(self, axes: FloatArray) -> FloatArray:
+    def at(self, axes: Array) -> Array:
         """Misfit at unit vectors of shape (K, d); shape (K,)."""
         drive, gram = self._normal_equations(axes)
         fitted = np.linalg.solve(gram, drive[..., None])[..., 0]
         return np.asarray(self.total - np.sum(drive * fitted, axis=1))
 
-    def likely(self) -> FloatArray:
+    def likely(self) -> Array:
         """Axes that may well be the lowest, shape (K, d).
 
         Directions of the columns and of the change as a whole, plain and with each column in units
@@ -78,7 +78,7 @@ class Misfit:
         starts = np.concatenate(axes)
         return np.concatenate((starts, [self.followed(axis) for axis in starts]))
 
-    def followed(self, axis: FloatArray) -> FloatArray:
+    def followed(self, axis: Array) -> Array:
         """Take turns in fitting v and u from an axis on, shape (d,); they never climb."""
         for _ in range(_TURNS):
             v = self.drives(axis)
@@ -93,13 +93,13 @@ class Misfit:
             axis = vector / length
         return axis
 
-    def drives(self, axes: FloatArray) -> FloatArray:
+    def drives(self, axes: Array) -> Array:
         """Best v for unit vectors of shape (K, d) or (d,); shape (K, m) or (m,)."""
         drive, gram = self._normal_equations(np.atleast_2d(axes))
         fitted = np.linalg.solve(gram, drive[..., None])[..., 0]
         return np.asarray(fitted if axes.ndim == 2 else fitted[0])
 
-    def without(self, axes: FloatArray) -> FloatArray:
+    def without(self, axes: Array) -> Array:
         """Misfit if nothing of the change lay along these axes and anything across, shape (K,).
 
         Small where a change of fewer directions than d explains all: it has no part along u.
@@ -108,13 +108,11 @@ class Misfit:
         among = np.einsum("ki,imjn,kj->kmn", axes, self._covariance, axes)
         return np.asarray(np.sum(along * np.linalg.solve(among, along[..., None])[..., 0], axis=1))
 
-    def _normal_equations(self, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _normal_equations(self, axes: Array) -> tuple[Array, Array]:
         return axes @ self._weighted, np.einsum("ki,imjn,kj->kmn", axes, self.precision, axes)
 
 
-def lowest_axis(
-    at: Callable[[FloatArray], FloatArray], likely: FloatArray
-) -> tuple[FloatArray, float]:
+def lowest_axis(at: Callable[[Array], Array], likely: Array) -> tuple[Array, float]:
     """Lowest point of a smooth function of axes.
 
     From the best of a grid and of some likely axes, ever finer about them. Valleys can be far

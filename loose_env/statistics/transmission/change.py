@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData
-from loose_env.statistics._checks import FloatArray, as_floats, require_finite
+from loose_env.statistics._checks import as_floats, require_finite
 from loose_env.statistics.directions.angles import axial_vector
 from loose_env.statistics.records.covariance import Covariances, covariances, excitation_factor
+from loose_env.typing import Array
 
 # Correlation of command and joint acceleration below which the command instruments nothing.
 UNRELATED = 1e-9
@@ -23,7 +24,7 @@ UNRELATED = 1e-9
 class TransmissionChange:
     """Change of transmission against a reference."""
 
-    direction: FloatArray
+    direction: Array
     """Unit vector of the change in the tool frame, shape (d,); last non-zero component positive.
 
     Without meaning when the magnitude is zero.
@@ -32,13 +33,13 @@ class TransmissionChange:
     """Largest singular value of the change, m/s^2 per rad/s^2."""
     ratio: float
     """Size of the change over that of the reference (Frobenius norms)."""
-    singular_values: FloatArray
+    singular_values: Array
     """Singular values of the change, falling, shape (min(d, m),)."""
     first_share: float
     """Share of the change's squared size along `direction`: 1 for rank one, 0 for no change."""
 
 
-def transmission(x: ArrayLike, a: ArrayLike) -> FloatArray:
+def transmission(x: ArrayLike, a: ArrayLike) -> Array:
     """Regress the tool acceleration on the excited joints' accelerations.
 
     B = C Sx^-1 with C = cov(a, x) and Sx = cov(x). Noise in x shrinks it: then use
@@ -70,7 +71,7 @@ def transmission(x: ArrayLike, a: ArrayLike) -> FloatArray:
     return transmission_from(covariances(x, a))
 
 
-def transmission_from(cov: Covariances) -> FloatArray:
+def transmission_from(cov: Covariances) -> Array:
     """`transmission` on covariances."""
     if len(cov.xx) == 1:
         return (cov.xa / cov.xx).T
@@ -79,7 +80,7 @@ def transmission_from(cov: Covariances) -> FloatArray:
     return np.asarray(b, dtype=np.float64)
 
 
-def transmission_by_instrument(command: ArrayLike, x: ArrayLike, a: ArrayLike) -> FloatArray:
+def transmission_by_instrument(command: ArrayLike, x: ArrayLike, a: ArrayLike) -> Array:
     """Regress the tool acceleration on measured joint accelerations through the command.
 
     B = cov(a, u) cov(x, u)^-1 with the command u as instrument. Noise in the measured x drops
@@ -114,13 +115,13 @@ def transmission_by_instrument(command: ArrayLike, x: ArrayLike, a: ArrayLike) -
     return transmission_by_instrument_from(covariances(command, x), covariances(command, a))
 
 
-def transmission_by_instrument_from(command_x: Covariances, command_a: Covariances) -> FloatArray:
+def transmission_by_instrument_from(command_x: Covariances, command_a: Covariances) -> Array:
     """`transmission_by_instrument` on the covariances of the command with x and with a."""
     _require_related(command_x)
     return np.asarray(np.linalg.solve(command_x.xa, command_a.xa).T, dtype=np.float64)
 
 
-def apparent_inertia(command: ArrayLike, x: ArrayLike) -> FloatArray:
+def apparent_inertia(command: ArrayLike, x: ArrayLike) -> Array:
     """Find the inertia that the excited joints feel from commanded torque and joint acceleration.
 
     Torque is regressed on acceleration with the command u as instrument,
@@ -153,7 +154,7 @@ def apparent_inertia(command: ArrayLike, x: ArrayLike) -> FloatArray:
     return apparent_inertia_from(covariances(command, x))
 
 
-def apparent_inertia_from(command_x: Covariances) -> FloatArray:
+def apparent_inertia_from(command_x: Covariances) -> Array:
     """`apparent_inertia` on the covariances of the command with x."""
     _require_related(command_x)
     return np.asarray(np.linalg.solve(command_x.xa, command_x.xx).T, dtype=np.float64)

@@ -23,11 +23,12 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtri, fdtri
 
 from loose_env.errors import InvalidSetting
-from loose_env.statistics._checks import FloatArray, as_direction
+from loose_env.statistics._checks import as_direction
 from loose_env.statistics.directions.angle_information import angle_information
 from loose_env.statistics.directions.sphere import tangents
 from loose_env.statistics.transmission.axis_misfit import Misfit, lowest_axis
 from loose_env.statistics.transmission.estimate import TransmissionEstimate
+from loose_env.typing import Array
 
 _AZIMUTHS, _RADII = 24, 90
 _DRAWS = 10000
@@ -66,7 +67,7 @@ class Region:
             exact = across * float(fdtri(across, max(degrees, 1.0), level))
             self.widening = exact / float(chdtri(across, 1.0 - level))
 
-    def excess(self, axes: FloatArray) -> FloatArray:
+    def excess(self, axes: Array) -> Array:
         """Rise of the misfit over what is allowed, at unit vectors (K, d); up to 1 is inside."""
         misfit, drives = self.misfit.at(axes), self.misfit.drives(axes)
         strength = angle_information(self.misfit.precision, axes, drives)
@@ -75,7 +76,7 @@ class Region:
 
 
 @lru_cache(maxsize=64)
-def _allowed(d: int, m: int, level: float) -> FloatArray:
+def _allowed(d: int, m: int, level: float) -> Array:
     """Rise of the misfit at the true axis that errors alone exceed with chance 1 - level.
 
     By how well the change tells the angle of the true axis (`_STRENGTHS`, `angle_information`).
@@ -98,15 +99,15 @@ def _allowed(d: int, m: int, level: float) -> FloatArray:
 class ChangeDirection:
     """Direction of a change of transmission and the region of axes it cannot be told from."""
 
-    direction: FloatArray
+    direction: Array
     """Unit vector in the tool frame, shape (d,); its last non-zero component is positive."""
-    drive: FloatArray
+    drive: Array
     """Change along it per acceleration of each excited joint, m, shape (m,)."""
     half_angle: float
     """Largest angle from the direction to an axis inside the region, rad; pi/2: none is out."""
     sd: float
     """Root mean square standard deviation of the direction over the ways across it, rad."""
-    precision: FloatArray
+    precision: Array
     """Precision across the direction near it, 1/rad^2, shape (d, d); the region is wider than it
     says where little of the change stands out."""
     level: float
@@ -181,7 +182,7 @@ def change_direction(change: TransmissionEstimate, level: float = 0.95) -> Chang
     )
 
 
-def _extent(region: Region, direction: FloatArray) -> tuple[float, float]:
+def _extent(region: Region, direction: Array) -> tuple[float, float]:
     """Largest angle of the region about its direction, and the rms angle of its inner border."""
     across = tangents(direction)
     if len(across) == 1:
@@ -201,7 +202,7 @@ def _extent(region: Region, direction: FloatArray) -> tuple[float, float]:
     return max(outer), math.sqrt(float(np.mean(np.square(inner))))
 
 
-def _curvature(misfit: Misfit, direction: FloatArray, step: float) -> FloatArray:
+def _curvature(misfit: Misfit, direction: Array, step: float) -> Array:
     """Second derivatives of the misfit across a direction, by differences over a step (rad)."""
     across = tangents(direction)
     size = len(across)
@@ -217,7 +218,7 @@ def _curvature(misfit: Misfit, direction: FloatArray, step: float) -> FloatArray
     return np.asarray(across.T @ inside @ across)
 
 
-def _crossing(radii: FloatArray, excess: FloatArray, k: int) -> float:
+def _crossing(radii: Array, excess: Array, k: int) -> float:
     """Angle at which the region is left after the k-th radius, -1 being the middle."""
     if k == len(radii) - 1:
         return float(radii[-1])

@@ -7,19 +7,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData
-from loose_env.statistics._checks import FloatArray, as_floats, require_finite, require_rate
+from loose_env.statistics._checks import as_floats, require_finite, require_rate
 from loose_env.statistics.records.covariance import centred, covariances
 from loose_env.statistics.sampling.autocorrelation import long_run_covariance
 from loose_env.statistics.transmission.change import transmission_by_instrument_from
+from loose_env.typing import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TransmissionEstimate:
     """A transmission and how far it may be off."""
 
-    b: FloatArray
+    b: Array
     """Transmission, or a change of it, m/s^2 per rad/s^2, shape (d, m)."""
-    covariance: FloatArray
+    covariance: Array
     """Covariance of the entries of b, shape (d, m, d, m)."""
     degrees: float = np.inf
     """Degrees of freedom of that covariance."""
@@ -246,7 +247,7 @@ def pool_transmissions(estimates: Sequence[TransmissionEstimate]) -> Transmissio
     )
 
 
-def _regular(covariance: FloatArray) -> FloatArray:
+def _regular(covariance: Array) -> Array:
     """Give directions without any scatter a little, so that an inverse exists."""
     most = float(np.max(np.diag(covariance), initial=0.0))
     return np.asarray(covariance + (1e-12 * most + 1e-300) * np.eye(len(covariance)))

@@ -8,9 +8,9 @@ import numpy as np
 from scipy.special import chdtrc, fdtrc
 
 from loose_env.errors import InvalidSetting
-from loose_env.statistics._checks import FloatArray
 from loose_env.statistics.transmission.axis_misfit import Misfit, lowest_axis
 from loose_env.statistics.transmission.estimate import TransmissionEstimate
+from loose_env.typing import Array
 
 _DRAWS = 10000
 
@@ -94,7 +94,7 @@ def _chance(misfit: float, constraints: int, degrees: float) -> float:
 
 
 @lru_cache(maxsize=64)
-def _evidence_of_errors(d: int, m: int) -> FloatArray:
+def _evidence_of_errors(d: int, m: int) -> Array:
     """Evidence for one direction that errors alone make: largest squared singular values (K,)."""
     z = np.random.default_rng(0).standard_normal((_DRAWS, d, m))
     return np.asarray(np.linalg.svd(z, compute_uv=False)[:, 0] ** 2)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms import Arm, vera
 from loose_env.excitation import Excitation, torque_signals
@@ -38,7 +37,6 @@ __all__ = [
     "what_table",
 ]
 
-Array = NDArray[np.float64]
 GAP = 2e-4
 """Travel of the loose seat [m], as on VERA."""
 DIRECTION = (float(np.cos(np.radians(-15))), float(np.sin(np.radians(-15))), 0.0)

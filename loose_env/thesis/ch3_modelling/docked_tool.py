@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms import Arm, planar
 from loose_env.envs.rendering.palette import FAINT, INK, MEASURED, MUTED, TRUTH
@@ -29,13 +28,13 @@ from loose_env.thesis.methods.looseness.static_force_test import (
     seat_twist,
 )
 from loose_env.thesis.shared.section import Table
+from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["GAP", "SLOPE", "loose_links", "motion_counts"]
 
-Array = NDArray[np.float64]
 GAP = 2e-4
 """Travel of the loose seat [m]."""
 SLOPE = (0.6, 0.8, 0.0)

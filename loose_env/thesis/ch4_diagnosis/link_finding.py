@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import binomtest
 
 from loose_env.arms import planar
@@ -36,6 +35,7 @@ from loose_env.thesis.ch6_experiments.shaken_vera.tables import percent
 from loose_env.thesis.printed import printed
 from loose_env.thesis.shared.plots import Points, by_category
 from loose_env.thesis.shared.section import Section, Table
+from loose_env.typing import Array
 
 __all__ = ["EQUATIONS", "Search", "search", "section"]
 
@@ -49,7 +49,6 @@ EQUATIONS: dict[str, str] = {
 }
 """Function of each equation."""
 
-Array = NDArray[np.float64]
 Estimator = Callable[[Measurement, Measurement], float]
 
 ARMS = 64

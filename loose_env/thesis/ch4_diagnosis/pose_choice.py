@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms import Arm, planar, vera
 from loose_env.kinematics.chain import Chain
@@ -43,7 +42,6 @@ EQUATIONS: dict[str, str] = {
 }
 """Function of each equation."""
 
-Array = NDArray[np.float64]
 AGREES_DEG = 2.0
 """Largest difference from a printed direction that counts as agreement [deg]."""
 

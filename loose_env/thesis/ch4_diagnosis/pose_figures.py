@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms import Arm
 from loose_env.envs.rendering.palette import EDGE, FAINT, INK, MEASURED, MUTED, TRUTH
 from loose_env.kinematics.chain import Chain
 from loose_env.report.pages.figures import WIDTH, new_figure
+from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Comparison", "EllipsoidPanel", "comparison_figure", "ellipsoid_figure", "set_figure"]
 
-Array = NDArray[np.float64]
 _LINK = "#8e9aa6"
 _FLAT = 0.8  # height of an ellipsoid panel over its width
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
 from loose_env.arms import Arm
@@ -22,10 +21,10 @@ from loose_env.kinematics.pose_choice import (
 from loose_env.kinematics.seat_loads import reactions
 from loose_env.thesis.ch4_diagnosis.pose_figures import Comparison
 from loose_env.thesis.shared.section import Table
+from loose_env.typing import Array
 
 __all__ = ["RANDOM_SETS", "SET", "Trial", "move_table", "trial", "trial_table", "trial_words"]
 
-Array = NDArray[np.float64]
 SET = 4
 """Poses in a set."""
 RANDOM_POSES = 240

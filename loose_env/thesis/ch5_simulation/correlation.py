@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.envs.rendering.palette import FAINT, INK, MUTED
 from loose_env.report.pages.figure_card import Plate
@@ -22,6 +21,7 @@ from loose_env.statistics import (
 )
 from loose_env.thesis.printed import printed
 from loose_env.thesis.shared.section import Section, Table
+from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,7 +39,6 @@ EQUATIONS: dict[str, str] = {
 }
 """Function of each equation."""
 
-Array = NDArray[np.float64]
 
 SETS = 200
 """Data sets behind each error of a direction."""

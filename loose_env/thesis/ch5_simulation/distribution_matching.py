@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.envs.rendering.palette import FAINT, INK, MUTED
 from loose_env.report.pages.figures import new_figure
@@ -25,6 +24,7 @@ from loose_env.thesis.methods.motion.distribution_matching import (
 from loose_env.thesis.methods.motion.gaussian_ridge import planar_ridge, rotation
 from loose_env.thesis.methods.motion.histogram import Histogram, histogram
 from loose_env.thesis.methods.motion.ridge_initialisation import planar_trial, spatial_trial
+from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,7 +42,6 @@ __all__ = [
     "spatial_study",
 ]
 
-Array = NDArray[np.float64]
 
 HALF_WIDTH = 3.0
 """Half the range of the uniform component, in deviations of the Gaussian one."""

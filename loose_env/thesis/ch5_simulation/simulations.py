@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.report.pages.figure_card import Plate
 from loose_env.thesis.ch5_simulation.distribution_matching import (
@@ -40,6 +39,7 @@ from loose_env.thesis.methods.motion.seat_motion import (
 )
 from loose_env.thesis.printed import printed
 from loose_env.thesis.shared.section import Section, Table
+from loose_env.typing import Array
 
 __all__ = ["EQUATIONS", "section"]
 
@@ -67,8 +67,6 @@ EQUATIONS: dict[str, str] = {
     "5.6": f"{_PLANAR}.tool_acceleration",
 }
 """Function of each equation."""
-
-Array = NDArray[np.float64]
 
 
 def section(seed: int) -> Section:

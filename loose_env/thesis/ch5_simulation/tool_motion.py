@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.envs.rendering.palette import INK, MEASURED, MUTED, TRUTH
 from loose_env.report.pages.figure_card import Plate
@@ -29,6 +28,7 @@ from loose_env.thesis.methods.motion.monte_carlo import (
 )
 from loose_env.thesis.methods.motion.seat_motion import region_probabilities
 from loose_env.thesis.shared.section import Table
+from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,7 +44,6 @@ __all__ = [
     "transitions",
 ]
 
-Array = NDArray[np.float64]
 Draw = Callable[[MonteCarlo, int, np.random.Generator], Array]
 
 POSES = (30.0, 90.0, 150.0)

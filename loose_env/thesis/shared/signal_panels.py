@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.envs.rendering.palette import FAINT, INK, MUTED
 from loose_env.report.pages.figures import WIDTH, new_figure
+from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,9 +71,6 @@ def panels(
         found.append(axes)
     found[-1].set_xlabel(across, color=MUTED, fontsize=9)
     return figure, found
-
-
-Array = NDArray[np.float64]
 
 
 def centred(signal: Array) -> Array:

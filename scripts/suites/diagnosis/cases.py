@@ -5,16 +5,14 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loose_env.typing import Array
 from scripts.suites.gap.cases.sensing import Noise
 from scripts.suites.gap.cases.true_arm import TrueArm
 from scripts.suites.gap.effects.catalogue import kinds
 from scripts.suites.gap.effects.types import Effect
 from scripts.suites.gap.simulator.arms import ARMS
 from scripts.suites.gap.simulator.build import Factors
-
-Array = NDArray[np.float64]
 
 KINDS = ("healthy", "structural_looseness", "structural_looseness", "backlash")
 """Kinds in turn, by the case's number."""

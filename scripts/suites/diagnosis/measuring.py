@@ -5,18 +5,16 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal
 
 from loose_env.excitation import Excitation
 from loose_env.recording import Run
+from loose_env.typing import Array
 from scripts.suites.diagnosis.cases import Case
 from scripts.suites.gap.cases.motions import Motion
 from scripts.suites.gap.cases.sensing import Signals, add_noise
 from scripts.suites.gap.cases.true_arm import TrueArm
 from scripts.suites.gap.simulator.simulate import SAMPLE
-
-Array = NDArray[np.float64]
 
 SHARES = (0.06, 0.2)
 """Rms force of the shaken drive over its limit, log-uniform, of random runs."""

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from loose_env.arms import Arm, planar, scara, six_axis, vera
@@ -29,8 +28,8 @@ from loose_env.faults import Fault, Healthy, StructuralLooseness
 from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import LinkAccelerometers, SensorSuite
 from loose_env.statistics import axial_angle_between
+from loose_env.typing import Array
 
-Array = NDArray[np.float64]
 EVERY = LinkAccelerometers()
 NONE = Mismatch().scaled(0.0)
 POSE = np.array([0.4, 0.9, -0.7, 1.1])

@@ -22,8 +22,8 @@ from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import Healthy, StructuralLooseness
 from loose_env.rig import Measurement, SimulatedRig
+from loose_env.typing import Array
 
-Array = NDArray[np.float64]
 NONE = Mismatch().scaled(0.0)
 RATE, DURATION = 1000.0, 0.6
 

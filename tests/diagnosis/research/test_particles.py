@@ -18,8 +18,8 @@ from loose_env.diagnosis.research.particles.synthetic_likelihood import (
     nearness,
 )
 from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.typing import Array
 
-Array = NDArray[np.float64]
 NOISE = np.random.default_rng(7).standard_normal((4000, 3))
 """Noise of every numbered realisation, in standard deviations."""
 NORMAL = ParticleSettings(particles=600, repeated=20, repeats=12, freedom=np.inf)

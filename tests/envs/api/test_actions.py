@@ -16,8 +16,8 @@ from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.faults.difficulty import Difficulty
 from loose_env.faults import Healthy
 from loose_env.sensors import SensorSuite
+from loose_env.typing import Array
 
-Array = NDArray[np.float64]
 MOVES = (-90, -45, 0, 45, 90)
 DURATIONS = (0.2, 0.4, 1.2)
 

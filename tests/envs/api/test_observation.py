@@ -29,8 +29,8 @@ from loose_env.rig.measurement import Measurement
 from loose_env.rig.plant import Plant
 from loose_env.rig.simulated import Job, SimulatedRig
 from loose_env.sensors import Accelerometer, Encoder, SensorSuite
+from loose_env.typing import Array
 
-Array = NDArray[np.float64]
 NAMES = ["planar", "vera", "six_axis", "scara", "desk"]
 NOMINAL = Difficulty(mismatch=Mismatch().scaled(0.0))
 """True arms equal to the nominal one."""

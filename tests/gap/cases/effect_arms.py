@@ -7,13 +7,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from loose_env.gap.model.effect import Effect, Readings
 from loose_env.gap.model.effects.sensors import delayed
 from loose_env.gap.model.nominal_model import Machine
-
-Array = NDArray[np.float64]
+from loose_env.typing import Array
 
 SHARED = Path(__file__).parents[4] / "shared" / "models"
 

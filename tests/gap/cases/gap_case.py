@@ -6,7 +6,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import channels_of, lay_out
 from loose_env.gap.data.noise_floor import noise_floor
@@ -21,9 +20,8 @@ from loose_env.gap.output.result import NamedEffect, Place, Ranked
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.workflow.summary import GapOutputs
 from loose_env.recording import Recording, Run, write_recording
+from loose_env.typing import Array
 from tests.gap.cases.effect_arms import PLANAR
-
-Array = NDArray[np.float64]
 
 DAMPING, GAIN = 3.0, 1.25
 """What the recorded arm has beyond its model: at joint2 [N·m·s/rad], and of the sensor rate3."""

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.recording import Run
+from loose_env.typing import Array
 from tests.gap.cases.effect_arms import PLANAR
-
-Array = NDArray[np.float64]
 
 # The plane is level, so that nothing but the motion throws a slide to and fro.
 LEVEL = PLANAR.replace('gravity="0 -9.81 0"', 'gravity="0 0 -9.81"')

@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect
 from loose_env.gap.model.parameter import Parameter
-
-Array = NDArray[np.float64]
+from loose_env.typing import Array
 
 
 class OneTerm(JointEffect):

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from loose_env.gap.data.aligned_run import channels_of, lay_out
@@ -19,8 +18,8 @@ from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.model.parameter import free_of
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.recording import Run
+from loose_env.typing import Array
 
-Array = NDArray[np.float64]
 Friction = Callable[[Array], Array]
 
 PENDULUM = """

@@ -8,7 +8,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import channels_of, lay_out
 from loose_env.gap.data.initial_rest import comes_to_rest
@@ -17,8 +16,7 @@ from loose_env.gap.preparation.prepare import prepare
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.workflow.pipeline import find_gap
 from loose_env.recording import Run, read_recording, write_recording
-
-Array = NDArray[np.float64]
+from loose_env.typing import Array
 
 ARM = """<mujoco>
   <option timestep=".002" integrator="RK4"/>

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Channel, lay_out
 from loose_env.gap.diagnostics.experiment_advice import how_to_see, identifiability_words
@@ -18,10 +17,10 @@ from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.output.evidence_schema import Identifiability
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.recording import Run
+from loose_env.typing import Array
 from tests.gap.cases.effect_arms import PLANAR
 from tests.gap.cases.gap_case import stated
 
-Array = NDArray[np.float64]
 STEP = 0.002
 MACHINE = Machine(
     mujoco.MjSpec.from_string(PLANAR), step=STEP, integrator=int(mujoco.mjtIntegrator.mjINT_RK4)

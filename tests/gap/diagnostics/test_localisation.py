@@ -3,7 +3,6 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.diagnostics.joint_torque_residual import JointMotion, joint_motion
@@ -14,8 +13,8 @@ from loose_env.gap.diagnostics.residual_tests import left_over
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.output.evidence_schema import Band, ChannelGap, Location
 from loose_env.gap.residuals.residual_model import Rows
+from loose_env.typing import Array
 
-Array = NDArray[np.float64]
 CHANNELS = (Channel("sensor.q"), Channel("sensor.acc", 0))
 RATE, COUNT = 500.0, 5000
 TIME = np.arange(COUNT) / RATE

@@ -5,7 +5,6 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.diagnostics.prediction_horizon import HorizonError, horizon_errors
@@ -14,9 +13,9 @@ from loose_env.gap.model.effects.catalogue import candidates
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.simulation.simulator import Simulator
+from loose_env.typing import Array
 from tests.gap.cases.effect_arms import PLANAR
 
-Array = NDArray[np.float64]
 RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 STEP, COUNT = 0.001, 2800
 CHANNELS = (

@@ -8,14 +8,12 @@ from math import exp, pi, sin, sqrt
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import Machine
+from loose_env.typing import Array
 from tests.gap.cases.effect_arms import machine_of
-
-Array = NDArray[np.float64]
 
 INERTIA, STEP = 0.6, 1e-3
 

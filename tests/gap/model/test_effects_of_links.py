@@ -15,9 +15,8 @@ from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.effects.link_flexibility import parts
 from loose_env.gap.model.effects.mjcf.inertia import Inertial, inertial_of, make_explicit, steiner
 from loose_env.gap.model.nominal_model import Machine
+from loose_env.typing import Array
 from tests.gap.cases.effect_arms import ARMS, machine_of
-
-Array = NDArray[np.float64]
 
 
 def edited(effect: Effect, *values: float) -> mujoco.MjModel:

@@ -8,7 +8,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import channels_of
 from loose_env.gap.model.effects.actuators import ActuatorGain
@@ -22,8 +21,8 @@ from loose_env.gap.preparation.integrator_choice import (
 from loose_env.gap.preparation.prepare import prepare
 from loose_env.gap.settings import GapSettings
 from loose_env.recording import Run, write_recording
+from loose_env.typing import Array
 
-Array = NDArray[np.float64]
 RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 ARM = """
 <mujoco>

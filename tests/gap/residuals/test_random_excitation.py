@@ -12,9 +12,8 @@ from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.residuals.random_excitation.features import FeatureSettings, RandomFeatures
 from loose_env.gap.residuals.random_excitation.frequency_response import CommandResponse
+from loose_env.typing import Array
 from tests.gap.cases.effect_arms import PLANAR, mujoco
-
-Array = NDArray[np.float64]
 
 RATE, COUNT = 1000.0, 6000
 FLOORS = np.array([0.02, 0.05, 0.05])

@@ -8,7 +8,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from loose_env.gap.data.actuator_states import activations
 from loose_env.gap.data.aligned_run import Channel, Trial, channels_of, lay_out
@@ -24,7 +23,6 @@ from loose_env.recording import Recording, Run, write_recording
 from tests.gap.cases.effect_arms import PLANAR
 from tests.gap.cases.gap_case import DAMPING, MODEL, STEP, record
 
-Array = NDArray[np.float64]
 SERVO = (
     '<general name="servo2" joint="joint2" gainprm="1000" biastype="affine" '
     'biasprm="0 -1000 -40" dyntype="{}"/>'

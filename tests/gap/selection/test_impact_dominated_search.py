@@ -9,7 +9,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from loose_env.gap.fitting.gauss_newton import Fit, parameters_of
 from loose_env.gap.fitting.holdout_score import Judge, lead_of
@@ -28,9 +27,9 @@ from loose_env.gap.selection.reweighted_search import Searched, beside_stops
 from loose_env.gap.settings import GapSettings, NamingSettings
 from loose_env.gap.workflow.pipeline import GapFound, find_gap, prepare
 from loose_env.recording import Recording, write_recording
+from loose_env.typing import Array
 from tests.gap.cases.level_arm import FINE, LEVEL, moving
 
-Array = NDArray[np.float64]
 NOTHING = Hypothesis(effects=(), values=())
 KINDS = ("backlash", "actuator_gain")
 COUNT = 2000

@@ -21,7 +21,6 @@ from loose_env.gap.selection.forward_selection import Named
 from loose_env.gap.selection.ranking import bic, indistinct, ranking_of
 from tests.gap.cases.effect_arms import PLANAR
 
-Array = NDArray[np.float64]
 MACHINE = Machine(mujoco.MjSpec.from_string(PLANAR))
 NOMINAL = NominalFigures(MACHINE, tolerance=0.03)
 COUNT, RATE = 4000, 100.0

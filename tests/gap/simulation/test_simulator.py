@@ -7,7 +7,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.initial_rest import SETTLE
@@ -19,9 +18,9 @@ from loose_env.gap.preparation.prepare import prepare
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import Run, write_recording
+from loose_env.typing import Array
 from tests.gap.cases.effect_arms import PLANAR
 
-Array = NDArray[np.float64]
 STEP, INSIDE, COUNT = 0.001, 40, 1200
 RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 CHANNELS = (

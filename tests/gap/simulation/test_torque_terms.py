@@ -9,7 +9,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from loose_env.errors import InvalidData, InvalidSetting
@@ -25,6 +24,7 @@ from loose_env.gap.selection.screening.data_driven_starts import missing_torque
 from loose_env.gap.simulation.inverse_dynamics import InverseDynamics
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.gap.simulation.torque_terms import BatchWithTerms, torque_terms
+from loose_env.typing import Array
 from tests.gap.cases.effect_arms import PLANAR
 from tests.gap.cases.own_effects import (
     Cogging,
@@ -36,7 +36,6 @@ from tests.gap.cases.own_effects import (
 )
 from tests.gap.cases.recorded_runs import PENDULUM, measurable, torque_run
 
-Array = NDArray[np.float64]
 STEP, INSIDE, COUNT = 0.001, 20, 1200
 RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 IMPLICIT = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)

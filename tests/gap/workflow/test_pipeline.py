@@ -10,7 +10,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.gap.model.effects.friction import make_it_stick
@@ -20,8 +19,6 @@ from loose_env.gap.settings import GapSettings
 from loose_env.gap.workflow.pipeline import find_gap, prepare
 from loose_env.recording import Recording, Run, write_recording
 from tests.gap.cases.effect_arms import PLANAR
-
-Array = NDArray[np.float64]
 
 STEP, SECONDS, RUNS = 0.001, 2.5, 3
 NOISE = np.array([5e-5] * 3 + [2e-3] + [0.03] * 3)

@@ -40,10 +40,10 @@ from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.rig.measurement import Measurement
 from loose_env.sensors import SensorSuite
 from loose_env.statistics.directions.sphere import axes_grid, tangents
+from loose_env.typing import Array
 
 __all__ = ["DynamicDirection", "direction_by_dynamics"]
 
-Array = NDArray[np.float64]
 
 _GRID = {1: 1, 2: 90, 3: 400}
 """Axes at which the misfit is looked at first, by the axes of a seat."""

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from loose_env.diagnosis.research.line_spectrum.record_lines import RecordLines
 from loose_env.diagnosis.research.line_spectrum.uncertain_arm import Answer, UncertainArm
 from loose_env.statistics.directions.sphere import tangents
+from loose_env.typing import Array, ComplexArray
 
 __all__ = ["ErrorFit", "answers_of", "fit_errors", "misfit_along", "residual_of", "sound_misfit"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _DEGREES = 4.0
 """Lines whose squared misfit is far above this count with its logarithm: few lines, such as those
@@ -46,7 +45,7 @@ def answers_of(arm: UncertainArm, lines: Sequence[RecordLines], errors: Array) -
     return [arm.at(one.pose).answer(one.frequency, one.excited, errors) for one in lines]
 
 
-def residual_of(one: RecordLines, answer: Answer) -> Complex:
+def residual_of(one: RecordLines, answer: Answer) -> ComplexArray:
     """What a sound arm leaves unexplained (K, c)."""
     if one.relative:
         return one.readings

@@ -19,11 +19,10 @@ from loose_env.errors import InvalidData
 from loose_env.rig.measurement import Measurement
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import acceleration_from_angle
+from loose_env.typing import Array, ComplexArray
 
 __all__ = ["RecordLines", "less_healthy", "record_lines"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _CONDITION = 1e-6
 """Smallest over largest command of a line below which healthy records do not tell joints apart."""
@@ -39,9 +38,9 @@ class RecordLines:
     """Whether each joint was excited (n,)."""
     frequency: Array
     """Frequencies of the lines [Hz] (K,)."""
-    torque: Complex
+    torque: ComplexArray
     """Lines of the commands, as a discrete Fourier transform has them (K, m)."""
-    readings: Complex
+    readings: ComplexArray
     """Lines of the readings: tool acceleration, then joint accelerations (K, c)."""
     noise: Array
     """Variance of what the sensors add to each (K, c)."""
@@ -205,7 +204,7 @@ def less_healthy(record: RecordLines, healthy: Sequence[RecordLines]) -> RecordL
     return replace(record, readings=left, noise=noise, power=_power_of(left, axes), relative=True)
 
 
-def _power_of(readings: Complex, axes: int) -> Array:
+def _power_of(readings: ComplexArray, axes: int) -> Array:
     """Mean square of tool axes together and of each joint (K, c)."""
     power = np.abs(readings) ** 2
     power[:, :axes] = power[:, :axes].mean(axis=1, keepdims=True)

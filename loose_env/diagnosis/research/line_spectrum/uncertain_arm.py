@@ -22,11 +22,10 @@ from numpy.typing import NDArray
 from loose_env.arms.response.linear import LinearArm, LinearPose, inertance_rate
 from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
 from loose_env.diagnosis.records.model_uncertainty import sensor_matrices
+from loose_env.typing import Array, ComplexArray
 
 __all__ = ["Answer", "UncertainArm", "UncertainPose"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _OF_BODIES = ("length", "mass", "inertia")
 
@@ -38,15 +37,15 @@ class Answer:
     Encoders are those of the m excited joints, as accelerations.
     """
 
-    by_torque: Complex
+    by_torque: ComplexArray
     """Acceleration of every degree of freedom per torque of each excited joint (K, nv, m)."""
-    by_seat: Complex
+    by_seat: ComplexArray
     """The same per acceleration of each seat: n links' slides, n joints' play (K, nv, n s + n)."""
-    transfer: Complex
+    transfer: ComplexArray
     """Readings per torque (K, c, m)."""
-    columns: Complex
+    columns: ComplexArray
     """Readings per acceleration of each seat (K, c, n s + n)."""
-    by_force: Complex
+    by_force: ComplexArray
     """Readings per force on each moving degree of freedom (K, c, v)."""
 
 
@@ -214,9 +213,9 @@ class UncertainPose:
         excited: NDArray[np.bool_],
         errors: Array,
         answer: Answer,
-        motion: Complex,
-        torque: Complex,
-    ) -> Complex:
+        motion: ComplexArray,
+        torque: ComplexArray,
+    ) -> ComplexArray:
         """Change of the readings by each error, in standard deviations (P, K, c).
 
         Parameters
@@ -248,7 +247,7 @@ class UncertainPose:
         slopes[sensor, :, :d] = _moved(self.arm.sensor, tool)
         return slopes
 
-    def _diagonal(self, omega: Array, excited: NDArray[np.bool_], errors: Array) -> Complex:
+    def _diagonal(self, omega: Array, excited: NDArray[np.bool_], errors: Array) -> ComplexArray:
         """Springs, dampers and brakes on the moving degrees of freedom (K, v)."""
         linear, move = self.arm.linear, self.arm.moving
         arm = linear.arm
@@ -262,7 +261,9 @@ class UncertainPose:
         return np.asarray(total)
 
 
-def _springs(figures: Array, omega: Array, excited: NDArray[np.bool_], timestep: float) -> Complex:
+def _springs(
+    figures: Array, omega: Array, excited: NDArray[np.bool_], timestep: float
+) -> ComplexArray:
     """Force per motion of springs, dampers and holdings: (P, 4, v) to (P, K, v)."""
     s = 1j * omega[None, :, None]
     stiffness, damping, held_stiffness, held_damping = np.moveaxis(figures, 1, 0)[:, :, None]
@@ -273,19 +274,19 @@ def _springs(figures: Array, omega: Array, excited: NDArray[np.bool_], timestep:
     return np.asarray(stiffness + s * damping + np.where(free, 0.0, held))
 
 
-def _moved(matrices: Array, motion: Complex) -> Complex:
+def _moved(matrices: Array, motion: ComplexArray) -> ComplexArray:
     """Every matrix (P, i, j) applied to every row (K, j): (P, K, i)."""
     rows = matrices.reshape(-1, matrices.shape[-1])
     both = rows @ motion.real.T + 1j * (rows @ motion.imag.T)
     return np.asarray(both.reshape(*matrices.shape[:2], len(motion)).swapaxes(1, 2))
 
 
-def _onto(by_force: Complex, forces: Complex) -> Complex:
+def _onto(by_force: ComplexArray, forces: ComplexArray) -> ComplexArray:
     """Readings (P, K, c) under forces (P, K, v)."""
     return np.asarray(np.moveaxis(by_force @ forces.transpose(1, 2, 0), 2, 0))
 
 
-def _diagonals(values: Complex) -> Complex:
+def _diagonals(values: ComplexArray) -> ComplexArray:
     """Diagonal matrices (K, v, v) of rows (K, v)."""
     return np.asarray(values[:, :, None] * np.eye(values.shape[1]))
 

@@ -40,10 +40,9 @@ from loose_env.diagnosis.research.particles.synthetic_likelihood import (
 )
 from loose_env.diagnosis.research.particles.tempering import next_power, resampled
 from loose_env.errors import InvalidSetting
+from loose_env.typing import Array
 
 __all__ = ["Evidence", "ParticleSettings", "evidence_by_particles", "probabilities_from"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

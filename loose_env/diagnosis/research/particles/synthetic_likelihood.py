@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from loose_env.diagnosis.records.record_statistics import RecordStatistics
 from loose_env.errors import InvalidData
+from loose_env.typing import Array
 
 __all__ = [
     "ParticleModel",
@@ -27,7 +28,6 @@ __all__ = [
     "summaries_of",
 ]
 
-Array = NDArray[np.float64]
 _TINY = 1e-12
 _AT_ONCE = 256
 """Particles whose likelihood is worked out together; bounds the memory."""

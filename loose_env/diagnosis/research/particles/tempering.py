@@ -11,9 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from loose_env.typing import Array
+
 __all__ = ["next_power", "resampled"]
 
-Array = NDArray[np.float64]
 _TINY_STEP = 1e-9
 """Least step of the power: particles so far apart that none is left are told apart anyway."""
 

@@ -19,12 +19,13 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.special import erf
 
 from loose_env.diagnosis.likelihood.axial_likelihood import log_mean_bingham
 from loose_env.errors import InvalidSetting
+from loose_env.typing import Array
 
 __all__ = [
     "bingham_width",
@@ -34,7 +35,6 @@ __all__ = [
     "scattered_axes",
 ]
 
-Array = NDArray[np.float64]
 _POLAR = (np.arange(8192) + 0.5) * np.pi / 2 / 8192
 """Angles from an axis, cell centres up to a right angle [rad]."""
 

@@ -29,10 +29,10 @@ from loose_env.statistics import (
     join_transmissions,
     pool_transmissions,
 )
+from loose_env.typing import Array
 
 __all__ = ["Instrument", "MeasuredChange", "change_of_transmission", "measured_transmission"]
 
-Array = NDArray[np.float64]
 Instrument = Literal["command", "encoder"]
 
 _CHANGE_TOLERANCE = 0.005

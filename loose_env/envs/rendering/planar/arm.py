@@ -18,6 +18,7 @@ from loose_env.faults import (
     StructuralLooseness,
     parts_of,
 )
+from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.transforms import Transform
 
 __all__ = ["ArmDrawing"]
-
-Array = NDArray[np.float64]
 
 
 class ArmDrawing:

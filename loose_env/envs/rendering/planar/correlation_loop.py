@@ -6,18 +6,16 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.envs.rendering.palette import FAINT, MEASURED, MUTED
 from loose_env.envs.rendering.planar.view import PlanarPose
+from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 from loose_env.envs.rendering.correlation_loop import Loop
 
 __all__ = ["draw_healthy", "draw_measured", "draw_scale"]
-
-Array = NDArray[np.float64]
 
 
 def draw_scale(axes: Axes, pose: PlanarPose, radius: float) -> None:

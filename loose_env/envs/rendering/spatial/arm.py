@@ -32,13 +32,13 @@ from loose_env.faults import (
     StructuralLooseness,
     parts_of,
 )
+from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = ["SpaceDrawing"]
 
-Array = NDArray[np.float64]
 
 _SHAKEN_SIDE = "#cf8a05"
 """Sides of shaken joints: as the ink, in shade."""

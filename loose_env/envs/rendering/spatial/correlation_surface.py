@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.envs.rendering.palette import FAINT, INK, MEASURED, MUTED, PAPER
 from loose_env.envs.rendering.scenery import arrow
+from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 from loose_env.envs.rendering.correlation_surface import Section, SurfacePair
 
 __all__ = ["draw_sections"]
-
-Array = NDArray[np.float64]
 
 
 _ROOM = 1.42

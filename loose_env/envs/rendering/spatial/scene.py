@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.response.linear import LinearArm
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
@@ -29,6 +28,7 @@ from loose_env.envs.rendering.spatial.correlation_surface import draw_sections
 from loose_env.envs.rendering.spatial.view import SpacePose, SpaceView
 from loose_env.faults import Fault, StructuralLooseness, parts_of
 from loose_env.rig.measurement import Measurement
+from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
 __all__ = ["SpaceScene"]
 
-Array = NDArray[np.float64]
 _HEADER, _CUTS, _LEGEND = 1.04, 2.0, 0.6  # heights, the first the least [inches]
 _LETTERS = 70  # that fit beside each other
 

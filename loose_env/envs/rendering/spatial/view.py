@@ -6,13 +6,12 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
+from loose_env.typing import Array
 
 __all__ = ["SpacePose", "SpaceView"]
 
-Array = NDArray[np.float64]
 
 _AZIMUTH, _ELEVATION = np.radians(-58.0), np.radians(20.0)
 """Where the camera stands: round the vertical from the x axis, and above the horizon [rad]."""

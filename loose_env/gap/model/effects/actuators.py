@@ -12,16 +12,15 @@ from typing import ClassVar
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.nominal_model import Machine, history_for
 from loose_env.gap.model.parameter import Parameter
+from loose_env.typing import Array
 
 __all__ = ["ActuatorGain", "ActuatorLag", "CommandDelay", "clamped", "held_delay"]
 
-Array = NDArray[np.float64]
 
 _GAINS = (mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtGain.mjGAIN_AFFINE)
 _BIASES = (mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE)

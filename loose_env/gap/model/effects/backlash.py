@@ -7,16 +7,15 @@ from typing import ClassVar
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.model.effects.joint_elasticity import SplitJoint
 from loose_env.gap.model.effects.mjcf.extra_joint import set_stops
 from loose_env.gap.model.effects.mjcf.geometry import reach_of
 from loose_env.gap.model.parameter import Parameter
+from loose_env.typing import Array
 
 __all__ = ["SOFTER", "Backlash", "stops"]
 
-Array = NDArray[np.float64]
 
 _DRAG_RATE = 2.0
 """How fast oil stops a link that floats in the gap [1/s]."""

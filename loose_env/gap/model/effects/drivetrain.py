@@ -10,16 +10,14 @@ from typing import ClassVar
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lombscargle
 
 from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect, added_name, fitted_rate
 from loose_env.gap.model.effects.mjcf.passive_actuators import add_cogging
 from loose_env.gap.model.parameter import Parameter
+from loose_env.typing import Array
 
 __all__ = ["RotorInertia", "TorqueRipple"]
-
-Array = NDArray[np.float64]
 
 
 class RotorInertia(JointEffect):

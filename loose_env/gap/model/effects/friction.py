@@ -13,11 +13,11 @@ from typing import ClassVar
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect, added_name, fitted_rate
 from loose_env.gap.model.effects.mjcf.passive_actuators import add_limited_damper, make_it_stick
 from loose_env.gap.model.parameter import Parameter
+from loose_env.typing import Array
 
 __all__ = [
     "CoulombFriction",
@@ -25,8 +25,6 @@ __all__ = [
     "StribeckFriction",
     "ViscousFriction",
 ]
-
-Array = NDArray[np.float64]
 
 
 class ViscousFriction(JointEffect):

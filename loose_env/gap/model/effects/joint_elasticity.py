@@ -11,7 +11,6 @@ from typing import ClassVar
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.model.effects.mjcf.extra_joint import (
     FASTEST,
@@ -27,6 +26,7 @@ from loose_env.gap.model.effects.mjcf.joint_effect import (
 )
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.model.parameter import Parameter
+from loose_env.typing import Array
 
 __all__ = [
     "JointCompliance",
@@ -37,7 +37,6 @@ __all__ = [
     "stiffness_starts",
 ]
 
-Array = NDArray[np.float64]
 
 _SLOWEST_HZ = 0.3
 """Mode of the softest spring that is tried."""

@@ -8,7 +8,6 @@ from typing import ClassVar
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.joint_elasticity import (
@@ -29,10 +28,10 @@ from loose_env.gap.model.effects.mjcf.split_body import (
 )
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.model.parameter import Parameter
+from loose_env.typing import Array
 
 __all__ = ["LinkFlexibility", "parts"]
 
-Array = NDArray[np.float64]
 
 _SHORTEST = 0.03
 """Shortest link that can bend, in lengths of the machine."""

@@ -14,7 +14,6 @@ from typing import ClassVar
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from loose_env.gap.model.effect import Effect
@@ -23,10 +22,9 @@ from loose_env.gap.model.effects.mjcf.inertia import Inertial, inertial_of, set_
 from loose_env.gap.model.effects.mjcf.joint_effect import added_name
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.model.parameter import Parameter
+from loose_env.typing import Array
 
 __all__ = ["BaseTilt", "LinkCom", "LinkMass", "Payload", "links_with_mass", "payload_words"]
-
-Array = NDArray[np.float64]
 
 
 def links_with_mass(machine: Machine) -> tuple[str, ...]:

@@ -15,7 +15,6 @@ from typing import ClassVar
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from loose_env.gap.model.effect import Effect, Readings
@@ -29,6 +28,7 @@ from loose_env.gap.model.effects.mjcf.sensor_columns import (
 )
 from loose_env.gap.model.nominal_model import Machine, history_for
 from loose_env.gap.model.parameter import Parameter
+from loose_env.typing import Array
 
 __all__ = [
     "EncoderOffset",
@@ -39,7 +39,6 @@ __all__ = [
     "delayed",
 ]
 
-Array = NDArray[np.float64]
 
 _AXES = {1: ("bias",), 3: ("bias_x", "bias_y", "bias_z")}
 

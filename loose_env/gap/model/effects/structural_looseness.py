@@ -17,7 +17,6 @@ from typing import ClassVar
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from loose_env.gap.model.effect import Effect, ResidualAccelerations
@@ -27,10 +26,10 @@ from loose_env.gap.model.effects.mjcf.geometry import frame_about, normal_of, re
 from loose_env.gap.model.effects.mjcf.joint_effect import added_name
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.model.parameter import Parameter
+from loose_env.typing import Array
 
 __all__ = ["Slides", "StructuralLooseness", "slide_axis"]
 
-Array = NDArray[np.float64]
 
 _GRAVITY = 9.81
 """Usual load of a seat, over the mass on it [m/s²]."""

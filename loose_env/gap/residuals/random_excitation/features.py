@@ -23,10 +23,10 @@ from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.residuals.random_excitation.frequency_response import CommandResponse
 from loose_env.gap.residuals.random_excitation.frf_features import ResponseFeatures
 from loose_env.gap.residuals.random_excitation.incoherent_features import RestFeatures
+from loose_env.typing import Array
 
 __all__ = ["GROUP", "FeatureSettings", "RandomFeatures", "RandomRun"]
 
-Array = NDArray[np.float64]
 
 _BLOCK = 0.2
 """Length of the blocks from which the features' correlation is estimated [s]."""

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from loose_env.errors import InvalidData
+from loose_env.typing import Array, ComplexArray
 
 __all__ = ["FEWEST", "CommandResponse"]
 
-Array = NDArray[np.float64]
-Spectra = NDArray[np.complex128]
 
 _BINS = 16
 """Frequencies over which a response counts as a parabola, apart from those that are used up."""
@@ -109,7 +108,7 @@ class CommandResponse:
         return 1 + np.arange(count * bins).reshape(count, bins)
 
     @cached_property
-    def _explained(self) -> Spectra:
+    def _explained(self) -> ComplexArray:
         """Orthonormal basis of what the command explains in each piece (P, bins, 4m)."""
         window = self.window
         plain = fft.rfft(self.centred * window[:, None], axis=0)[self._pieces]
@@ -120,7 +119,7 @@ class CommandResponse:
         return np.asarray(np.linalg.qr(basis)[0])
 
     @cached_property
-    def _adjoint(self) -> Spectra:
+    def _adjoint(self) -> ComplexArray:
         return np.ascontiguousarray(self._explained.conj().swapaxes(1, 2))
 
     def incoherent(self, values: Array) -> Incoherent:
@@ -171,14 +170,14 @@ class CommandResponse:
                     found[own, c, i] = whole[own]
         return found
 
-    def _welch(self, values: Array, commands: Array) -> tuple[Array, Spectra]:
+    def _welch(self, values: Array, commands: Array) -> tuple[Array, ComplexArray]:
         """Frequencies (cycles a sample) and responses (K, C, m), by averages over segments."""
         length = int(np.clip(_SEGMENT * self.rate, 16, len(values) // 4)) // 2 * 2
         starts = np.arange(0, len(values) - length + 1, length // 2)
         at = starts[:, None] + np.arange(length)
         shape = np.hanning(length + 2)[1:-1, None]
 
-        def spectra(signals: Array) -> Spectra:
+        def spectra(signals: Array) -> ComplexArray:
             pieces = signals[at]
             return np.asarray(
                 fft.rfft((pieces - pieces.mean(axis=1, keepdims=True)) * shape, axis=1)
@@ -199,7 +198,7 @@ class CommandResponse:
 class Incoherent:
     """Spectra of what the command does not explain, piece by piece."""
 
-    spectra: Spectra
+    spectra: ComplexArray
     """Scaled so that the mean square is the density (P, bins, C)."""
     pieces: NDArray[np.intp]
     """Numbers of the frequencies (P, bins)."""

@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
 from loose_env.gap.data.noise_floor import resolution_of
 from loose_env.gap.residuals.random_excitation.frequency_response import CommandResponse, Incoherent
+from loose_env.typing import Array
 
 __all__ = ["ResponseFeatures"]
 
-Array = NDArray[np.float64]
 
 _EDGE = 0.05
 """Share of the run that the weights fade in, and fade out."""

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from loose_env.gap.data.aligned_run import Trial
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.residuals.residual_model import Comparison, Rows
+from loose_env.typing import Array
 
 __all__ = ["Blows"]
 
-Array = NDArray[np.float64]
 
 _WINDOW = 0.05
 """Length of the stretches of time [s]."""

@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.fitting.confidence_intervals import Intervals, bootstrap, widened
 from loose_env.gap.fitting.gauss_newton import UNNAMED, Fit, FitSettings, fit, sensitivities
@@ -24,10 +23,10 @@ from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.selection.impacts.impact_power import Blows
 from loose_env.gap.selection.screening.data_driven_starts import proposals
 from loose_env.gap.settings import NamingSettings
+from loose_env.typing import Array
 
 __all__ = ["Struck", "find_striking"]
 
-Array = NDArray[np.float64]
 
 _PROMISES = 0.5
 """Share of the powers that a candidate has to explain before it is fitted."""

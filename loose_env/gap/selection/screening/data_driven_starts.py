@@ -14,7 +14,6 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.gap.data.actuator_states import activations
@@ -24,10 +23,10 @@ from loose_env.gap.model.effect import Effect, ResidualAccelerations
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.simulation.torque_terms import torque_terms
+from loose_env.typing import Array
 
 __all__ = ["missing_torque", "proposals", "residual_accelerations"]
 
-Array = NDArray[np.float64]
 
 _DYNAMICS_SAMPLES = 6000
 """Samples of all runs that are evaluated, at most."""

@@ -25,10 +25,10 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.sensor_columns import of_place_or_speed
 from loose_env.gap.model.parameter import Parameter, free_of
 from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.typing import Array
 
 __all__ = ["Screened", "along", "screen", "signatures"]
 
-Array = NDArray[np.float64]
 
 _GROUP = 24
 """Hypotheses simulated at a time."""

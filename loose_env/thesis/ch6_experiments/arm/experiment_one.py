@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
 from loose_env.thesis.ch6_experiments.arm.experiment_one_figures import (
@@ -27,6 +26,7 @@ from loose_env.thesis.printed import printed
 from loose_env.thesis.rigs.cylindrical import LIFT, REACH
 from loose_env.thesis.shared.section import Section, Table
 from loose_env.thesis.shared.signal_panels import rms
+from loose_env.typing import Array
 
 __all__ = [
     "EQUATIONS",
@@ -41,7 +41,6 @@ __all__ = [
 EQUATIONS: dict[str, str] = {}
 """Function of each equation."""
 
-Array = NDArray[np.float64]
 
 SHUDDER_BAND = (12.0, 120.0)
 """Band that holds the boom's shudder and leaves out the stroke itself [Hz]."""

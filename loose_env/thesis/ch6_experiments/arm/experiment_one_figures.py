@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.envs.rendering.palette import INK, MEASURED, MUTED, SHAKEN, TRUTH
 from loose_env.report.pages.figure_card import Plate
 from loose_env.thesis.ch6_experiments.arm.guideway import Guideway
 from loose_env.thesis.ch6_experiments.arm.strokes import Strokes
 from loose_env.thesis.shared.signal_panels import panels
+from loose_env.typing import Array
 
 __all__ = ["end_plate", "shudder_plate", "spectrum_plate", "time_plate"]
 
-Array = NDArray[np.float64]
 
 _LABEL = "m/s²"
 

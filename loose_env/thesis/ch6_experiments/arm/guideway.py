@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidSetting
 from loose_env.thesis.rigs.cylindrical import GUIDE, cylindrical
+from loose_env.typing import Array
 
 __all__ = [
     "AXES",
@@ -28,7 +28,6 @@ __all__ = [
     "transfer_point",
 ]
 
-Array = NDArray[np.float64]
 
 SEAT_HINGE = "boom_pitch"
 """Joint about which the boom pitches in its blocks."""

@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms import vera
 from loose_env.arms.library.vera import LINK_LENGTH
@@ -27,6 +26,7 @@ from loose_env.thesis.ch6_experiments.arm.sizing_figures import (
 from loose_env.thesis.ch6_experiments.arm.structures import structures
 from loose_env.thesis.printed import printed
 from loose_env.thesis.shared.section import Section, Table
+from loose_env.typing import Array
 
 __all__ = ["EQUATIONS", "demand", "section"]
 
@@ -43,7 +43,6 @@ EQUATIONS: dict[str, str] = {
 }
 """Function of each equation."""
 
-Array = NDArray[np.float64]
 MOTIONS = 200
 """Random motions in which the closed form is held against MuJoCo."""
 _ANGLES = 181

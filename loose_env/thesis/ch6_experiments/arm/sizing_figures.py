@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.envs.rendering.palette import FAINT, INK, MEASURED, MUTED, TRUTH
 from loose_env.report.pages.figures import new_figure
+from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 __all__ = ["CaseCurves", "force_figure", "torque_figure"]
 
-Array = NDArray[np.float64]
 _LEFT, _RIGHT, _GAP = 0.105, 0.985, 0.075
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from loose_env.errors import InvalidData, InvalidSetting
@@ -19,10 +18,9 @@ from loose_env.thesis.ch6_experiments.arm.guideway import (
     guideway_model,
 )
 from loose_env.thesis.rigs.cylindrical import cylindrical
+from loose_env.typing import Array
 
 __all__ = ["Strokes", "stroke_many"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.excitation import Excitation
@@ -23,6 +22,7 @@ from loose_env.statistics import (
 from loose_env.thesis.printed import printed
 from loose_env.thesis.rigs.shaken_vera import PROXIMAL, SHAKEN_BAND, shaken_vera
 from loose_env.thesis.shared.looseness_joint_rig import finger_tight, loosened
+from loose_env.typing import Array
 
 __all__ = [
     "LOOSE_DIRECTION",
@@ -37,7 +37,6 @@ __all__ = [
     "printed_healthy",
 ]
 
-Array = NDArray[np.float64]
 
 RATE = 2000.0
 """Rate at which the tape is digitised [Hz]."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loose_env.arms.shaker import COIL
 from loose_env.sensors import STANDARD_GRAVITY
@@ -31,6 +31,7 @@ from loose_env.thesis.ch6_experiments.shaken_vera.cases import (
 from loose_env.thesis.rigs.shaken_vera import SHAKEN_BAND
 from loose_env.thesis.shared.plots import Points
 from loose_env.thesis.shared.section import Table
+from loose_env.typing import Array
 
 __all__ = [
     "LOW_BAND",
@@ -50,7 +51,6 @@ __all__ = [
     "turn_words",
 ]
 
-Array = NDArray[np.float64]
 
 LOW_BAND = (20.0, 60.0)
 """Band below the arm's first mode, in which the pinned arm moves as a rigid body [Hz]."""

@@ -18,10 +18,9 @@ from loose_env.thesis.ch6_experiments.slide.records import SlideRecords, slide_r
 from loose_env.thesis.methods.motion.signals import instantaneous_motion, line_of_motion, rms_motion
 from loose_env.thesis.shared.section import Table
 from loose_env.thesis.shared.signal_panels import centred
+from loose_env.typing import Array
 
 __all__ = ["Angles", "angle_part", "angles", "shares_within"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.excitation import Excitation
 from loose_env.faults import Fault, Healthy
@@ -28,6 +27,7 @@ from loose_env.thesis.rigs.slide import BENCH, SLIDE, SLIDE_BAND, Mount, slide_r
 from loose_env.thesis.shared.looseness_joint_rig import finger_tight, loosened
 from loose_env.thesis.shared.plots import LoopPanel, Points, by_category, loop_panels
 from loose_env.thesis.shared.section import Section, Table
+from loose_env.typing import Array
 
 __all__ = ["EQUATIONS", "Trial", "section", "trials"]
 
@@ -38,7 +38,6 @@ EQUATIONS: dict[str, str] = {
 }
 """Function of each equation."""
 
-Array = NDArray[np.float64]
 
 RECORDS = 12
 FORCE = 3.0

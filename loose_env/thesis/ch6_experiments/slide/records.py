@@ -13,7 +13,6 @@ from functools import lru_cache
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm, Holding
 from loose_env.arms.response.mismatch import Mismatch
@@ -24,6 +23,7 @@ from loose_env.rig import Measurement, SimulatedRig
 from loose_env.sensors import Accelerometer, Encoder, SensorSuite
 from loose_env.thesis.rigs.shaken_vera import shaken_vera
 from loose_env.thesis.rigs.slide import BENCH, SLIDE, slide_rig
+from loose_env.typing import Array
 
 __all__ = [
     "GEAR_PLAY",
@@ -37,7 +37,6 @@ __all__ = [
     "slide_records",
 ]
 
-Array = NDArray[np.float64]
 
 FORCE_RMS, FORCE_BAND = 6.0, (5.0, 2000.0)
 """Force of the shaker [N] and its band [Hz]; estimates. The suspension of its coil takes the

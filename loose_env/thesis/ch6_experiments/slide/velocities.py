@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import welch
 
 from loose_env.thesis.ch6_experiments.slide.records import SlideRecords
@@ -18,10 +17,10 @@ from loose_env.thesis.methods.motion.signals import (
 )
 from loose_env.thesis.shared.section import Table
 from loose_env.thesis.shared.signal_panels import centred, rms
+from loose_env.typing import Array
 
 __all__ = ["velocity_correlations", "velocity_part"]
 
-Array = NDArray[np.float64]
 
 _RULES = {"two_point": "6.9", "newton_cotes": "6.10"}
 

@@ -7,15 +7,15 @@ from typing import Literal
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.faults import SEAT, Fault, seat_of, seated_spec, set_seat
+from loose_env.typing import Array
 
 __all__ = ["DockedRecord", "Jig", "simulate_docked"]
 
-Array = NDArray[np.float64]
 Jig = Literal["pin", "clamp"]
 """A pin holds the tool's place and lets it turn; a clamp holds place and orientation."""
 

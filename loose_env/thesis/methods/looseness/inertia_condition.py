@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidData, InvalidSetting
@@ -19,10 +19,9 @@ from loose_env.faults import (
     seat_of,
     seated_spec,
 )
+from loose_env.typing import Array
 
 __all__ = ["Condition", "backlash_condition", "condition_of", "seated_inertia"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData, UnknownName
 from loose_env.kinematics.chain import Chain, JointKind, require_kind
+from loose_env.typing import Array
 
 __all__ = ["displaced", "insert_looseness", "looseness_transform", "slot_direction"]
-
-Array = NDArray[np.float64]
 
 
 def insert_looseness(

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, fields
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.arms.response.linear import LinearArm, LinearPose
@@ -25,11 +24,10 @@ from loose_env.rig.plant import PlantShop
 from loose_env.sensors import SensorSuite
 from loose_env.thesis.methods.looseness.docked_simulation import simulate_docked
 from loose_env.thesis.methods.looseness.inertia_condition import seated_inertia
+from loose_env.typing import Array, ComplexArray
 
 __all__ = ["ALTERNATIVES", "MEASURES", "AlternativeSettings", "Weighing", "weigh_alternatives"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 ALTERNATIVES = (
     "displacement",
@@ -182,7 +180,7 @@ def weigh_alternatives(
     count = fast.shape[1] - run_in
     frequency: Array = np.asarray(np.fft.rfftfreq(count, arm.timestep), dtype=np.float64)
 
-    def spectrum(x: Array) -> Complex:
+    def spectrum(x: Array) -> ComplexArray:
         return np.asarray(np.fft.rfft(x[..., -count:], axis=-1) / count)
 
     free = [_shake(arm, q, f, fast) for f in (Healthy(), fault)]
@@ -193,7 +191,7 @@ def weigh_alternatives(
     flexible = _interpolated(linear, frequency)
     forward = kinematic @ np.linalg.inv(inertia)
 
-    def left_over(name: str, k: int) -> Complex:
+    def left_over(name: str, k: int) -> ComplexArray:
         m = free[k]
         tool = spectrum(m.acceleration)
         if name == "displacement":
@@ -237,7 +235,7 @@ def _band(name: str, arm: Arm, s: AlternativeSettings) -> tuple[float, float]:
     return s.slow_band if name == "static force" else arm.band
 
 
-def _rms(lines: Complex) -> float:
+def _rms(lines: ComplexArray) -> float:
     """Rms of a signal vector from its one-sided Fourier lines."""
     return float(np.sqrt(2 * (np.abs(lines) ** 2).sum()))
 
@@ -306,7 +304,7 @@ def _shake(arm: Arm, pose: Array, fault: Healthy | StructuralLooseness, torque: 
     )
 
 
-def _interpolated(linear: LinearPose, frequency: Array) -> Complex:
+def _interpolated(linear: LinearPose, frequency: Array) -> ComplexArray:
     """Tool acceleration per torque of the flexible model at the record's lines (K, d, m)."""
     answer = linear.response([True] * linear.linear.arm.n)
     out = np.zeros((len(frequency), *answer.tool.shape[1:]), dtype=complex)
@@ -322,7 +320,7 @@ def _noise(
     arm: Arm,
     kinematic: Array,
     inertia: Array,
-    flexible: Complex,
+    flexible: ComplexArray,
     frequency: Array,
     s: AlternativeSettings,
 ) -> dict[str, float]:

@@ -10,10 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData
 from loose_env.kinematics.chain import JointKind
+from loose_env.typing import Array
 
 __all__ = [
     "PlanarParameters",
@@ -24,8 +25,6 @@ __all__ = [
     "slide_direction",
     "velocity_components",
 ]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

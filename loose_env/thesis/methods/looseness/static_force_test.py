@@ -11,10 +11,11 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.typing import Array
 
 __all__ = [
     "LinkAgreement",
@@ -31,8 +32,6 @@ __all__ = [
     "seat_twist",
     "tool_acceleration",
 ]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

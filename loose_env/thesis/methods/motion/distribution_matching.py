@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData, InvalidSetting, MissingExtra
-from loose_env.statistics._checks import FloatArray, as_floats
+from loose_env.statistics._checks import as_floats
 from loose_env.statistics.directions.angles import wrap_axial
 from loose_env.thesis.methods.motion.gaussian_ridge import (
     planar_ridge,
@@ -28,6 +28,7 @@ from loose_env.thesis.methods.motion.ridge_initialisation import (
     spatial_trial,
     variance_trial,
 )
+from loose_env.typing import Array
 
 __all__ = [
     "Match",
@@ -38,7 +39,7 @@ __all__ = [
     "search_spatial",
 ]
 
-Model = Callable[[ArrayLike, ArrayLike], FloatArray]
+Model = Callable[[ArrayLike, ArrayLike], Array]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,11 +74,11 @@ class MatchSettings:
 class Match:
     """A fitted ridge."""
 
-    parameters: FloatArray
+    parameters: Array
     """In the plane (3,): a0, a1, a2 of `planar_ridge`. In space (6,): b of `spatial_ridge`."""
-    direction: FloatArray
+    direction: Array
     """Unit vector along the ridge, that of the looseness, shape (2,) or (3,)."""
-    sd: FloatArray
+    sd: Array
     """Standard deviations of the Gaussian motion across it, shape (1,) or (2,), largest first,
     unit of the data; infinite where the fit found no ridge."""
     residual: float
@@ -252,9 +253,9 @@ def _fit(
     model: Model,
     found: Histogram,
     trial: ArrayLike,
-    scale: FloatArray,
+    scale: Array,
     settings: MatchSettings | None,
-) -> tuple[FloatArray, float, bool]:
+) -> tuple[Array, float, bool]:
     """Fit a model in units of the data's own spread and height; ``scale`` takes parameters back."""
     try:
         from odrpack import odr_fit

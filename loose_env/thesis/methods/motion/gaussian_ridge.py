@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.statistics._checks import FloatArray, as_floats, require_finite
+from loose_env.statistics._checks import as_floats, require_finite
+from loose_env.typing import Array
 
 __all__ = [
     "along",
@@ -24,7 +25,7 @@ __all__ = [
 _STEEPEST = 50.0  # Exponents are cut here, so that a wild step of a search does not overflow.
 
 
-def along(points: ArrayLike, angle: float) -> FloatArray:
+def along(points: ArrayLike, angle: float) -> Array:
     """Component of points along a direction of the plane (4.4).
 
     Parameters
@@ -53,7 +54,7 @@ def along(points: ArrayLike, angle: float) -> FloatArray:
     return np.asarray(math.cos(angle) * x + math.sin(angle) * y)
 
 
-def planar_ridge(points: ArrayLike, a: ArrayLike) -> FloatArray:
+def planar_ridge(points: ArrayLike, a: ArrayLike) -> Array:
     """Height of the ridge: z = a0 exp(a1 (cos a2 x + sin a2 y)^2) (4.3, 4.5, 4.6).
 
     Parameters
@@ -114,7 +115,7 @@ def sd_from_exponent(a1: float) -> float:
     return math.sqrt(-0.5 / a1) if a1 < 0.0 else math.inf
 
 
-def rotation(azimuth: float, elevation: float) -> FloatArray:
+def rotation(azimuth: float, elevation: float) -> Array:
     """Rotation into the plane across a direction (4.2).
 
     Rows one and two span the plane, row three is the direction of azimuth and elevation.
@@ -139,7 +140,7 @@ def rotation(azimuth: float, elevation: float) -> FloatArray:
     return np.array([[-sr, cr, 0.0], [-se * cr, -se * sr, ce], [ce * cr, ce * sr, se]])
 
 
-def to_plane(points: ArrayLike, azimuth: float, elevation: float) -> FloatArray:
+def to_plane(points: ArrayLike, azimuth: float, elevation: float) -> Array:
     """Points in the frame whose z axis is the direction of azimuth and elevation (4.1).
 
     Parameters
@@ -167,7 +168,7 @@ def to_plane(points: ArrayLike, azimuth: float, elevation: float) -> FloatArray:
     return np.asarray(rotation(azimuth, elevation) @ _points(points, 3))
 
 
-def spatial_ridge(points: ArrayLike, b: ArrayLike) -> FloatArray:
+def spatial_ridge(points: ArrayLike, b: ArrayLike) -> Array:
     """Height of the column of ellipses: b0 exp(-|L' p|^2 / 2), p the points in the plane (4.1).
 
     L = [[b1, 0], [b2, b3]] is a root of the inverse covariance in the plane, which any values
@@ -203,7 +204,7 @@ def spatial_ridge(points: ArrayLike, b: ArrayLike) -> FloatArray:
     return np.asarray(height * np.exp(-0.5 * squared))
 
 
-def _points(points: ArrayLike, dimension: int) -> FloatArray:
+def _points(points: ArrayLike, dimension: int) -> Array:
     found = as_floats(points, "points")
     if found.ndim != 2 or found.shape[0] != dimension:
         raise InvalidData(f"points has shape {found.shape}; it must be ({dimension}, N)")
@@ -211,7 +212,7 @@ def _points(points: ArrayLike, dimension: int) -> FloatArray:
     return found
 
 
-def _parameters(values: ArrayLike, count: int) -> FloatArray:
+def _parameters(values: ArrayLike, count: int) -> Array:
     found = as_floats(values, "parameters")
     if found.shape != (count,):
         raise InvalidData(f"parameters has shape {found.shape}; it must be ({count},)")

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.statistics._checks import FloatArray, as_record, require_finite
+from loose_env.statistics._checks import as_record, require_finite
+from loose_env.typing import Array
 
 __all__ = ["Histogram", "contour_levels", "histogram", "marginal", "require_dimension"]
 
@@ -18,22 +19,22 @@ class Histogram:
 
     counts: NDArray[np.float64]
     """Samples in each bin, shape (B,) * d; axis k of the array is direction k."""
-    low: FloatArray
+    low: Array
     """Lower edge of the first bin in each direction, shape (d,), unit of the data."""
     width: float
     """Width of a bin, unit of the data."""
 
-    def centres(self, axis: int) -> FloatArray:
+    def centres(self, axis: int) -> Array:
         """Centres of the bins in a direction (B,), unit of the data."""
         bins = self.counts.shape[axis]
         return np.asarray(self.low[axis] + self.width * (np.arange(bins) + 0.5))
 
-    def points(self) -> FloatArray:
+    def points(self) -> Array:
         """Centres of all bins (d, B**d), in the order of ``counts.ravel()``."""
         axes = [self.centres(k) for k in range(self.counts.ndim)]
         return np.stack([grid.ravel() for grid in np.meshgrid(*axes, indexing="ij")])
 
-    def density(self) -> FloatArray:
+    def density(self) -> Array:
         """Probability density in each bin, of the shape of the counts."""
         return np.asarray(self.counts / (self.counts.sum() * self.width**self.counts.ndim))
 
@@ -99,7 +100,7 @@ def histogram(samples: ArrayLike, bins: int = 120) -> Histogram:
     return Histogram(counts=counts.reshape((bins,) * len(values)), low=low, width=width)
 
 
-def contour_levels(found: Histogram, shares: Sequence[float] = (0.5, 0.9, 0.99)) -> FloatArray:
+def contour_levels(found: Histogram, shares: Sequence[float] = (0.5, 0.9, 0.99)) -> Array:
     """Count down to which bins must be laid, fullest first, to hold each share of the data.
 
     Parameters
@@ -135,7 +136,7 @@ def contour_levels(found: Histogram, shares: Sequence[float] = (0.5, 0.9, 0.99))
     return np.asarray(layers[np.minimum(first, len(layers) - 1)])
 
 
-def marginal(found: Histogram, axis: int) -> FloatArray:
+def marginal(found: Histogram, axis: int) -> Array:
     """Marginal probability density of one direction: the density summed over all others (3.70).
 
     Parameters

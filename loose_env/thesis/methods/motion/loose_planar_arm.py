@@ -10,9 +10,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.typing import Array
 
 __all__ = [
     "LoosePlanarArm",
@@ -23,8 +24,6 @@ __all__ = [
     "tool_position",
     "tool_velocity",
 ]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.errors import InvalidSetting
 from loose_env.thesis.methods.motion.loose_planar_arm import (
@@ -22,6 +21,7 @@ from loose_env.thesis.methods.motion.seat_motion import (
     draw_seat_velocity,
     whole_count,
 )
+from loose_env.typing import Array
 
 __all__ = [
     "MonteCarlo",
@@ -29,8 +29,6 @@ __all__ = [
     "draw_tool_displacement",
     "draw_tool_velocity",
 ]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

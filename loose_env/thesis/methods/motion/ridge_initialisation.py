@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData
-from loose_env.statistics._checks import FloatArray, as_floats
+from loose_env.statistics._checks import as_floats
 from loose_env.thesis.methods.motion.gaussian_ridge import exponent_from_sd
 from loose_env.thesis.methods.motion.histogram import Histogram, require_dimension
+from loose_env.typing import Array
 
 __all__ = ["hemisphere", "planar_trial", "spatial_trial", "variance_trial"]
 
@@ -47,7 +48,7 @@ def variance_trial(found: Histogram) -> float:
     return float(np.sum(squared * counts)) / total / found.counts.ndim
 
 
-def planar_trial(found: Histogram, angle: float) -> FloatArray:
+def planar_trial(found: Histogram, angle: float) -> Array:
     """Trial parameters with a given direction: a0 the highest count, a1 from (4.7) and (4.9).
 
     Parameters
@@ -78,7 +79,7 @@ def planar_trial(found: Histogram, angle: float) -> FloatArray:
     return np.array([float(found.counts.max()), a1, angle])
 
 
-def spatial_trial(found: Histogram, direction: ArrayLike) -> FloatArray:
+def spatial_trial(found: Histogram, direction: ArrayLike) -> Array:
     """Trial parameters of `spatial_ridge`: round, with the trial variance of (4.7).
 
     Parameters
@@ -113,7 +114,7 @@ def spatial_trial(found: Histogram, direction: ArrayLike) -> FloatArray:
     return np.array([found.counts.max(), root, 0.0, root, math.atan2(y, x), math.atan2(z, flat)])
 
 
-def hemisphere(count: int) -> FloatArray:
+def hemisphere(count: int) -> Array:
     """Unit vectors spread evenly over the upper hemisphere (3, count), on a golden spiral.
 
     Examples

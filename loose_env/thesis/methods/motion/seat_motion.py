@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.typing import Array
 
 __all__ = [
     "DISTAL",
@@ -29,7 +30,6 @@ __all__ = [
     "whole_count",
 ]
 
-Array = NDArray[np.float64]
 Regions = NDArray[np.int64]
 PROXIMAL, FREE, DISTAL = 0, 1, 2
 

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData, UnknownName
-from loose_env.statistics._checks import FloatArray, as_finite_samples, require_rate
+from loose_env.statistics._checks import as_finite_samples, require_rate
+from loose_env.typing import Array
 
 DifferenceRule = Literal["two_point", "three_point"]
 QuadratureRule = Literal["two_point", "newton_cotes"]
@@ -51,9 +52,9 @@ DIFFERENCES: dict[str, Rule] = {
 class PlaneMotion(NamedTuple):
     """Size and direction of a motion measured by two perpendicular accelerometers."""
 
-    magnitude: FloatArray
+    magnitude: Array
     """Same unit as the accelerations."""
-    direction: FloatArray
+    direction: Array
     """Angle from the first accelerometer's axis, rad."""
 
 
@@ -71,9 +72,9 @@ class LineFit(NamedTuple):
 class BaseRemoved(NamedTuple):
     """A signal without the motion of the base."""
 
-    signal: FloatArray
+    signal: Array
     """Shape (N,) or (d, N), as the signal given."""
-    gain: FloatArray
+    gain: Array
     """Share of the base motion taken off: 1 unless fitted; shape () or (d,)."""
 
 
@@ -184,7 +185,7 @@ def line_of_motion(x: ArrayLike, y: ArrayLike) -> LineFit:
     return LineFit(slope, intercept, correlation, float(np.arctan(slope)))
 
 
-def quadrature_steps(g: ArrayLike, dt: float, rule: QuadratureRule) -> FloatArray:
+def quadrature_steps(g: ArrayLike, dt: float, rule: QuadratureRule) -> Array:
     """Integrate over each interval by an open quadrature of the samples that follow it.
 
     With g_1 at the end of the interval: dt/2 (3 g_1 - g_2) (6.9), or the Newton-Cotes formula
@@ -223,7 +224,7 @@ def quadrature_steps(g: ArrayLike, dt: float, rule: QuadratureRule) -> FloatArra
     return _filter(as_finite_samples(g, "g"), _rule(rule, QUADRATURES)) * _period(dt)
 
 
-def integrate(g: ArrayLike, dt: float, rule: QuadratureRule) -> FloatArray:
+def integrate(g: ArrayLike, dt: float, rule: QuadratureRule) -> Array:
     """Sum the steps of a quadrature from zero: velocity from acceleration.
 
     In the sum all but the first and last few samples have weight one, whatever the rule: the
@@ -279,7 +280,7 @@ def summed_noise(count: int, dt: float, noise: float) -> float:
     return float(noise * _period(dt) * np.sqrt(count))
 
 
-def differentiate(g: ArrayLike, dt: float, rule: DifferenceRule) -> FloatArray:
+def differentiate(g: ArrayLike, dt: float, rule: DifferenceRule) -> Array:
     """Differentiate samples by a forward difference.
 
     (g_1 - g_0) / dt (6.13), or (-g_2 + 4 g_1 - 3 g_0) / (2 dt) (6.14). Errors fall as dt and
@@ -367,7 +368,7 @@ def subtract_base(signal: ArrayLike, base: ArrayLike, *, fit: bool = False) -> B
     return BaseRemoved(samples - gain[..., None] * ground, gain)
 
 
-def _pair(x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def _pair(x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
     first, second = as_finite_samples(x, "x"), as_finite_samples(y, "y")
     if first.shape != second.shape:
         raise InvalidData(f"x has shape {first.shape} and y {second.shape}; they must agree")
@@ -387,7 +388,7 @@ def _rule(name: str, rules: dict[str, Rule]) -> Rule:
     return rules[name]
 
 
-def _filter(samples: FloatArray, rule: Rule) -> FloatArray:
+def _filter(samples: Array, rule: Rule) -> Array:
     count = samples.shape[-1] - len(rule.weights) + 1
     terms = (w * samples[..., k : k + count] for k, w in enumerate(rule.weights))
     return np.asarray(sum(terms))

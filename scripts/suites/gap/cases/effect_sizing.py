@@ -24,10 +24,10 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal
 from scipy.optimize import lsq_linear
 
+from loose_env.typing import Array
 from scripts.suites.gap.cases.inverse import torque_residual
 from scripts.suites.gap.cases.motions import Motion
 from scripts.suites.gap.cases.sensing import Noise, Signals, add_noise
@@ -36,8 +36,6 @@ from scripts.suites.gap.effects.catalogue import kinds
 from scripts.suites.gap.effects.types import INVERSE, RANDOM, Effect, Kind, Parameters, Place
 from scripts.suites.gap.simulator.build import FACTORS, TOLERANCE, Factors
 from scripts.suites.gap.simulator.simulate import SAMPLE
-
-Array = NDArray[np.float64]
 
 VISIBLE = 3.0
 """Standard deviations of the excess at which an effect is just visible."""

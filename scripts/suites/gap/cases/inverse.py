@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy import signal
 
+from loose_env.typing import Array
 from scripts.suites.gap.cases.sensing import Signals
 from scripts.suites.gap.simulator.arms import Figures
 from scripts.suites.gap.simulator.build import Factors, build
 from scripts.suites.gap.simulator.dynamics import forward, mass_and_bias
 from scripts.suites.gap.simulator.laws import DAMPING
 from scripts.suites.gap.simulator.simulate import SAMPLE
-
-Array = NDArray[np.float64]
 
 BAND = 20.0
 """Band in which torques are compared [Hz]."""

@@ -5,15 +5,13 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal
 
+from loose_env.typing import Array
 from scripts.suites.gap.simulator.arms import Figures
 from scripts.suites.gap.simulator.build import Factors, build
 from scripts.suites.gap.simulator.chain import mass_matrix
 from scripts.suites.gap.simulator.simulate import SAMPLE
-
-Array = NDArray[np.float64]
 
 FADE = 0.6
 """Time over which a motion grows from rest [s]."""

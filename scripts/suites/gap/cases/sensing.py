@@ -5,14 +5,12 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loose_env.typing import Array
 from scripts.suites.gap.effects.sensor import ACCELEROMETER
 from scripts.suites.gap.effects.types import Readings
 from scripts.suites.gap.simulator.arms import GRAVITY, Figures
 from scripts.suites.gap.simulator.simulate import SAMPLE, Trace
-
-Array = NDArray[np.float64]
 
 SLIDE_SCALE = 0.05
 """Metres of a slide that count like a radian of a hinge for the steps of its encoder."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loose_env.typing import Array
 from scripts.suites.gap.effects.joint import draw_stops, set_spring, set_stops, spring_bounds
 from scripts.suites.gap.effects.types import (
     FORWARD,
@@ -27,8 +27,6 @@ from scripts.suites.gap.simulator.build import Factors, build
 from scripts.suites.gap.simulator.chain import add_mass, free_link, split_link
 from scripts.suites.gap.simulator.laws import DAMPING, FRICTION, SMOOTH_SPEED, STRIBECK_SPEED
 from scripts.suites.gap.simulator.simulate import System
-
-Array = NDArray[np.float64]
 
 STOP_LOAD = 30.0
 """Force that usually presses a loose seat to its stops [N]."""

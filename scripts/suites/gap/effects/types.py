@@ -7,13 +7,10 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loose_env.typing import Array
 from scripts.suites.gap.simulator.arms import Figures
 from scripts.suites.gap.simulator.simulate import System
-
-Array = NDArray[np.float64]
-
 
 Parameters = dict[str, Any]
 

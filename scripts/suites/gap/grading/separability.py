@@ -9,17 +9,15 @@ two (the excess is that of `sizing`).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from loose_env.typing import Array
 from scripts.suites.gap.cases.cases import HELD_OUT, Case, draw_case
 from scripts.suites.gap.cases.effect_sizing import VISIBLE, Visibility
 from scripts.suites.gap.cases.motions import Motion
 from scripts.suites.gap.effects.catalogue import kinds
 from scripts.suites.gap.effects.types import RANDOM, Effect, Kind, Parameters, Place
 from scripts.suites.gap.grading.grade import Named, Separable
-
-Array = NDArray[np.float64]
 
 SCAN = 7
 """Sizes that are tried before the best one is refined."""

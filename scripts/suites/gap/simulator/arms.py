@@ -5,9 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from loose_env.typing import Array
 
 GRAVITY = 9.81
 """Acceleration of free fall [m/s²]; the world's z axis points up."""

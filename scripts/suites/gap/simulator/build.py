@@ -5,14 +5,12 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loose_env.typing import Array
 from scripts.suites.gap.simulator.arms import GRAVITY, Figures
 from scripts.suites.gap.simulator.dynamics import BODY
 from scripts.suites.gap.simulator.laws import ACTUATOR, DAMPING, GAIN, KP, KV, LAWS, LIMIT
 from scripts.suites.gap.simulator.simulate import System
-
-Array = NDArray[np.float64]
 
 TOLERANCE = 0.03
 """Largest relative error of the nominal masses, inertias, dampings, gains and rotors."""

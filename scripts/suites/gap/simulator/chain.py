@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from loose_env.typing import Array
 from scripts.suites.gap.simulator.build import body_row
 from scripts.suites.gap.simulator.dynamics import WORK, forward, mass_and_bias
 from scripts.suites.gap.simulator.laws import LAWS
 from scripts.suites.gap.simulator.simulate import System
-
-Array = NDArray[np.float64]
 
 
 def _insert(system: System, at: int, body: Array, law: Array) -> None:

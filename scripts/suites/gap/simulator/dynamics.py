@@ -9,9 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 BODY = 24
 """Length of a body's row: see the columns below."""

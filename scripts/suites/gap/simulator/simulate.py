@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from loose_env.typing import Array
 from scripts.suites.gap.simulator.dynamics import (
     BODY,
     WORK,
@@ -18,8 +19,6 @@ from scripts.suites.gap.simulator.dynamics import (
     tool_acceleration,
 )
 from scripts.suites.gap.simulator.laws import ACTUATOR, LAWS, drive_torque, joint_force
-
-Array = NDArray[np.float64]
 
 SAMPLE = 1e-3
 """Time between two samples [s]."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.model.effects.mjcf.passive_actuators import make_it_stick
 from loose_env.gap.model.nominal_model import Machine
+from loose_env.typing import Array
 
 __all__ = [
     "FASTEST",
@@ -18,7 +18,6 @@ __all__ = [
     "set_stops",
 ]
 
-Array = NDArray[np.float64]
 
 FASTEST = 0.8
 """Largest angle by which an added spring's mode may turn in a step, at the model's zero [rad]."""

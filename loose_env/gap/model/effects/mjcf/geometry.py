@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.model.nominal_model import Machine
+from loose_env.typing import Array
 
 __all__ = ["frame_about", "link_ends", "normal_of", "reach_of"]
 
-Array = NDArray[np.float64]
 
 _HINGE = mujoco.mjtJoint.mjJNT_HINGE
 

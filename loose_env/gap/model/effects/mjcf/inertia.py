@@ -6,14 +6,12 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from loose_env.gap.model.nominal_model import Machine
+from loose_env.typing import Array
 
 __all__ = ["Inertial", "inertial_of", "make_explicit", "set_inertial", "steiner"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

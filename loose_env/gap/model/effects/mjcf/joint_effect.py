@@ -7,14 +7,12 @@ from typing import ClassVar
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.nominal_model import Machine
+from loose_env.typing import Array
 
 __all__ = ["JointEffect", "added_name", "angle_unit", "fitted_rate"]
-
-Array = NDArray[np.float64]
 
 
 class JointEffect(Effect):

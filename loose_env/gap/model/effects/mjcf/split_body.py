@@ -7,14 +7,13 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.model.effects.mjcf.joint_effect import added_name
 from loose_env.gap.model.nominal_model import Machine
+from loose_env.typing import Array
 
 __all__ = ["keep_from_touching", "move_children", "move_geoms", "move_sites"]
 
-Array = NDArray[np.float64]
 
 _MOVED = "moved_"
 """Prefix of what is on its way; only copies of the model's defaults keep it."""
