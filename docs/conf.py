@@ -13,7 +13,7 @@ for place in (HERE, HERE.parent):
 import reference  # noqa: E402
 
 import loose_env  # noqa: E402
-from loose_env.report.pages.style import DARK, FONT, LIGHT  # noqa: E402
+from loose_env.report import DARK, FONT, LIGHT  # noqa: E402
 
 project = "loose-env"
 author = "The loose-env authors"

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from loose_env.arms.response.linear import LinearArm, LinearPose
+from loose_env.arms import LinearArm, LinearPose
 from loose_env.errors import InvalidSetting
 from loose_env.typing import Array
 
@@ -107,7 +107,7 @@ def at_levels(pose: LinearPose, levels: Array, *, duration: float) -> tuple[Exci
     --------
     >>> import numpy as np
     >>> from loose_env.arms import planar
-    >>> from loose_env.arms.response.linear import LinearArm
+    >>> from loose_env.arms import LinearArm
     >>> at = LinearArm(planar(2)).at([0.0, 1.0])
     >>> shake, share = at_levels(at, np.array([0.0, 4.0]), duration=1.2)
     >>> shake.excited, share.tolist()

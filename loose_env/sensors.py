@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import upfirdn
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.sensor_sites import Place
+from loose_env.arms import Arm, Place
 from loose_env.errors import InvalidSetting
 from loose_env.typing import Array
 

@@ -16,9 +16,7 @@ from pathlib import Path
 
 import loose_env
 from loose_env.errors import LooseEnvError, words_of
-from loose_env.thesis.shared.page import write_thesis_page
-from loose_env.thesis.shared.registry import SECTIONS, choose, first_line
-from loose_env.thesis.shared.run import Outcome, run_sections
+from loose_env.thesis import SECTIONS, Outcome, choose, first_line, run_sections, write_thesis_page
 
 SEED = 1995
 PACKAGES = ("numpy", "scipy", "mujoco", "gymnasium", "matplotlib", "Jinja2", "odrpack")

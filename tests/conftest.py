@@ -8,15 +8,10 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-from loose_env.arms import DESK_ARM, Arm, arm_from_file, planar, scara, six_axis, vera
-from loose_env.arms.response.mismatch import MismatchDraw
-from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.episode.batch import BatchRig
-from loose_env.envs.settings import DiagnosisSettings
-from loose_env.envs.vector_env import DiagnosisVectorEnv
+from loose_env.arms import DESK_ARM, Arm, MismatchDraw, arm_from_file, planar, scara, six_axis, vera
+from loose_env.envs import BatchRig, DiagnosisEnv, DiagnosisSettings, DiagnosisVectorEnv
 from loose_env.faults import Fault
-from loose_env.rig.measurement import Measurement
-from loose_env.rig.simulated import Job
+from loose_env.rig import Job, Measurement
 
 settings.register_profile("loose_env", deadline=None, derandomize=True, database=None)
 settings.load_profile("loose_env")

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from loose_env.arms import planar, vera
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import LinearArm, planar, vera
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import (
     CREST_FACTOR,

@@ -21,7 +21,7 @@ from loose_agents.policies.spatial_link_finding import (
     SpaceLinkFindingAgent,
     SpaceLinkFindingSettings,
 )
-from loose_env.diagnosis.link_finding.planar import LinkFindingSettings, Order
+from loose_env.diagnosis import LinkFindingSettings, Order
 from loose_env.errors import UnknownName
 
 __all__ = ["AGENTS", "WEIGHTS", "belief_agent", "describe", "make_agent"]

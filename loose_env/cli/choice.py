@@ -9,8 +9,7 @@ from dataclasses import asdict, fields
 from typing import Any
 
 from loose_env.cli.options import add_settings
-from loose_env.instrument.settings.command_line import option_words, unlike
-from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.instrument import NextSettings, option_words, unlike
 
 __all__ = ["add_choice", "add_kept", "take_over"]
 

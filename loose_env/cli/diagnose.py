@@ -20,12 +20,15 @@ from loose_env.cli.choice import add_choice, take_over
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.cli.recorded import Said, add_recording_options, folder_of
 from loose_env.errors import InvalidData, InvalidSetting, MissingExtra
-from loose_env.instrument.diagnose import diagnose
-from loose_env.instrument.model.recorded_arm import Machine
-from loose_env.instrument.planning.session_settings import session_beside
-from loose_env.instrument.result import HEALTHY, Diagnosis
-from loose_env.instrument.settings.diagnosis import DiagnoseSettings
-from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.instrument import (
+    HEALTHY,
+    DiagnoseSettings,
+    Diagnosis,
+    Machine,
+    NextSettings,
+    diagnose,
+    session_beside,
+)
 from loose_env.recording import read_recording
 
 __all__ = ["add_options", "run", "summary"]
@@ -55,7 +58,7 @@ def run(options: argparse.Namespace) -> None:
     # An earlier result must not stand beside a later page if this run is cut short.
     (folder.path / "result.json").unlink(missing_ok=True)
     try:
-        from loose_env.report.diagnosis.page import write_page
+        from loose_env.report import write_page
 
         arm = Machine(recording.model_path).shown
         name = options.recording.resolve().name

@@ -17,19 +17,21 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from loose_env.arms.files.safe_scan import files_of
+from loose_env.arms import files_of
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.cli.recorded import Said, add_recording_options, folder_of
-from loose_env.gap.model.effects.catalogue import read_effects
-from loose_env.gap.output.checkpoints import Stages, key_of
-from loose_env.gap.output.result import GapResult
-from loose_env.gap.residuals.physical_units import quantity_words
-from loose_env.gap.settings import GapSettings
-from loose_env.gap.workflow.pipeline import find_gap
-from loose_env.gap.workflow.summary import outputs_of
+from loose_env.gap import (
+    GapResult,
+    GapSettings,
+    Stages,
+    find_gap,
+    key_of,
+    outputs_of,
+    quantity_words,
+    read_effects,
+)
 from loose_env.recording import read_recording
-from loose_env.report.gap.text import ranked_words, unsure
-from loose_env.report.gap.write import write_outputs
+from loose_env.report import ranked_words, unsure, write_outputs
 
 __all__ = ["add_options", "run", "summary"]
 

@@ -18,7 +18,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from loose_env.arms.files.model_reader import compile_spec, load_spec
+from loose_env.arms import compile_spec, load_spec
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.errors import InvalidSetting
 from loose_env.importing import ImportSettings, describe_sources, import_recording

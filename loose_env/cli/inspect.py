@@ -14,10 +14,8 @@ import argparse
 from pathlib import Path
 
 from loose_env.cli.options import add_settings, settings_of
-from loose_env.instrument.inspect import inspect_model, screen
-from loose_env.instrument.settings.arm_and_plan import ModelSettings
-from loose_env.instrument.settings.measurement import NextSettings
-from loose_env.io.files import write_text
+from loose_env.instrument import ModelSettings, NextSettings, inspect_model, screen
+from loose_env.io import write_text
 
 __all__ = ["add_options", "run"]
 

@@ -21,12 +21,19 @@ from pathlib import Path
 from loose_env.cli.choice import add_choice, add_kept, take_over
 from loose_env.cli.options import settings_of
 from loose_env.errors import MissingExtra
-from loose_env.instrument.planning.plan import plan
-from loose_env.instrument.planning.plan_files import PAGE, RECORDING, PlanFiles, write_plan
-from loose_env.instrument.planning.session_settings import KEPT, session_beside
-from loose_env.instrument.result import read_diagnosis
-from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettings
-from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.instrument import (
+    KEPT,
+    PAGE,
+    RECORDING,
+    ModelSettings,
+    NextSettings,
+    PlanFiles,
+    PlanSettings,
+    plan,
+    read_diagnosis,
+    session_beside,
+    write_plan,
+)
 
 __all__ = ["add_options", "run"]
 
@@ -68,10 +75,10 @@ def run(options: argparse.Namespace) -> None:
     files = PlanFiles(options.out, made.machine.recordable.xml)
     runs = files.next_names(len(made.signals))
     written = write_plan(files, made, known="" if options.known is None else str(options.known))
-    from loose_env.report.diagnosis.plan_text import summary
+    from loose_env.report import summary
 
     try:
-        from loose_env.report.diagnosis.plan_page import write_plan_page
+        from loose_env.report import write_plan_page
 
         written.append(
             write_plan_page(

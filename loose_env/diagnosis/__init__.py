@@ -1,1 +1,243 @@
 """What several records say together: predictions, link finding, the posterior over faults."""
+
+from loose_env.diagnosis.experiment_design.information_gain import (
+    ImaginedFaults,
+    InformationFactors,
+    RecordInformation,
+)
+from loose_env.diagnosis.experiment_design.record_bound import (
+    least_records,
+)
+from loose_env.diagnosis.learned.amortised_posterior import (
+    REFERENCE,
+    AmortisedBelief,
+    AmortisedPosterior,
+    read_network,
+    write_network,
+)
+from loose_env.diagnosis.learned.features import (
+    PLACE_FEATURES,
+    RECORD_FEATURES,
+    SeatFeatures,
+)
+from loose_env.diagnosis.learned.network import (
+    SeatNetwork,
+)
+from loose_env.diagnosis.learned.novelty import (
+    FIGURES,
+    NoveltyReference,
+    Seen,
+    used_columns,
+)
+from loose_env.diagnosis.likelihood.axial_likelihood import (
+    log_mean_bingham,
+    precision_of,
+)
+from loose_env.diagnosis.likelihood.opening_table import (
+    PRESSES,
+    RATIOS,
+    shipped_table,
+)
+from loose_env.diagnosis.likelihood.posterior import (
+    Belief,
+    FaultPosterior,
+    PosteriorSettings,
+    variants,
+)
+from loose_env.diagnosis.likelihood.record_likelihood import (
+    LOOSE,
+    OPENINGS,
+    SHUT,
+    fit_record,
+)
+from loose_env.diagnosis.likelihood.seat_response import (
+    predict_seats,
+)
+from loose_env.diagnosis.link_finding.direction_images import (
+    ToolFrames,
+    places,
+)
+from loose_env.diagnosis.link_finding.measured_direction import (
+    ChangeModel,
+    ChangeSighting,
+    sight_change,
+)
+from loose_env.diagnosis.link_finding.moves import (
+    candidate_poses,
+    choose_move,
+)
+from loose_env.diagnosis.link_finding.opening_moves import (
+    choose_open_move,
+)
+from loose_env.diagnosis.link_finding.planar import (
+    LinkFindingSettings,
+    Order,
+    Sighting,
+    backlash_joint,
+    judge_turn,
+    looks_healthy,
+    next_joint,
+)
+from loose_env.diagnosis.link_finding.search import (
+    TurnSearch,
+)
+from loose_env.diagnosis.link_finding.spatial import (
+    DirectionSighting,
+    LinkPosterior,
+    link_posterior,
+    look_alikes,
+)
+from loose_env.diagnosis.multi_sensor.link_evidence import (
+    SensorVerdict,
+    weigh_links,
+)
+from loose_env.diagnosis.multi_sensor.sensed_arm import (
+    SensedArm,
+)
+from loose_env.diagnosis.multi_sensor.sensor_rows import (
+    SensorRows,
+    StackedRecord,
+    rows_of,
+    splitting_order,
+    stack,
+)
+from loose_env.diagnosis.records.excitation_design import (
+    Proposal,
+    holding_modes,
+    propose_excitation,
+)
+from loose_env.diagnosis.records.model_uncertainty import (
+    stiffness_errors,
+)
+from loose_env.diagnosis.records.prediction import (
+    Prediction,
+    SensorFloor,
+    predict,
+)
+from loose_env.diagnosis.records.record_statistics import (
+    RecordStatistics,
+    statistics_of,
+)
+from loose_env.diagnosis.research.line_spectrum.direction import (
+    DynamicDirection,
+    direction_by_dynamics,
+)
+from loose_env.diagnosis.research.particles.evidence import (
+    Evidence,
+    ParticleSettings,
+    evidence_by_particles,
+    probabilities_from,
+)
+from loose_env.diagnosis.research.particles.synthetic_likelihood import (
+    Repeated,
+    SyntheticLikelihood,
+    summaries_of,
+)
+from loose_env.diagnosis.research.pose_sets.limits import (
+    bingham_width,
+    direction_limit,
+    one_by_one_share,
+    scattered_axes,
+)
+from loose_env.diagnosis.research.pose_sets.pose_sets import (
+    PLANNED,
+    PoseSets,
+)
+from loose_env.diagnosis.research.sequential.stopping_rule import (
+    Ending,
+    StoppingRule,
+    measure_direction,
+)
+from loose_env.diagnosis.research.sequential.transmission_change import (
+    change_of_transmission,
+)
+
+__all__ = [
+    "FIGURES",
+    "LOOSE",
+    "OPENINGS",
+    "PLACE_FEATURES",
+    "PLANNED",
+    "PRESSES",
+    "RATIOS",
+    "RECORD_FEATURES",
+    "REFERENCE",
+    "SHUT",
+    "AmortisedBelief",
+    "AmortisedPosterior",
+    "Belief",
+    "ChangeModel",
+    "ChangeSighting",
+    "DirectionSighting",
+    "DynamicDirection",
+    "Ending",
+    "Evidence",
+    "FaultPosterior",
+    "ImaginedFaults",
+    "InformationFactors",
+    "LinkFindingSettings",
+    "LinkPosterior",
+    "NoveltyReference",
+    "Order",
+    "ParticleSettings",
+    "PoseSets",
+    "PosteriorSettings",
+    "Prediction",
+    "Proposal",
+    "RecordInformation",
+    "RecordStatistics",
+    "Repeated",
+    "SeatFeatures",
+    "SeatNetwork",
+    "Seen",
+    "SensedArm",
+    "SensorFloor",
+    "SensorRows",
+    "SensorVerdict",
+    "Sighting",
+    "StackedRecord",
+    "StoppingRule",
+    "SyntheticLikelihood",
+    "ToolFrames",
+    "TurnSearch",
+    "backlash_joint",
+    "bingham_width",
+    "candidate_poses",
+    "change_of_transmission",
+    "choose_move",
+    "choose_open_move",
+    "direction_by_dynamics",
+    "direction_limit",
+    "evidence_by_particles",
+    "fit_record",
+    "holding_modes",
+    "judge_turn",
+    "least_records",
+    "link_posterior",
+    "log_mean_bingham",
+    "look_alikes",
+    "looks_healthy",
+    "measure_direction",
+    "next_joint",
+    "one_by_one_share",
+    "places",
+    "precision_of",
+    "predict",
+    "predict_seats",
+    "probabilities_from",
+    "propose_excitation",
+    "read_network",
+    "rows_of",
+    "scattered_axes",
+    "shipped_table",
+    "sight_change",
+    "splitting_order",
+    "stack",
+    "statistics_of",
+    "stiffness_errors",
+    "summaries_of",
+    "used_columns",
+    "variants",
+    "weigh_links",
+    "write_network",
+]

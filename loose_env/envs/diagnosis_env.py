@@ -9,15 +9,14 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.mismatch import MismatchDraw
+from loose_env.arms import Arm, MismatchDraw
 from loose_env.envs.episode.batch import BatchRig, EpisodeBatch
 from loose_env.envs.episode.raw_observation import raw_observation, raw_space
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import UnknownName
 from loose_env.excitation import Excitation
 from loose_env.faults import Fault
-from loose_env.rig.measurement import Measurement
+from loose_env.rig import Measurement
 
 __all__ = ["DiagnosisEnv", "new_seed"]
 

@@ -109,31 +109,31 @@ def make_arm_vector(num_envs: int = 1, **arguments: Any) -> Any:
 
 
 def _vera(arguments: dict[str, Any]) -> Any:
-    from loose_env.arms.library.vera import vera
+    from loose_env.arms import vera
 
     return vera(**_take(arguments, *_VERA))
 
 
 def _planar(arguments: dict[str, Any]) -> Any:
-    from loose_env.arms.library.planar import planar
+    from loose_env.arms import planar
 
     return planar(**_take(arguments, *_PLANAR))
 
 
 def _six_axis(arguments: dict[str, Any]) -> Any:
-    from loose_env.arms.library.puma560 import six_axis
+    from loose_env.arms import six_axis
 
     return six_axis(**_take(arguments, *_SIX_AXIS))
 
 
 def _scara(arguments: dict[str, Any]) -> Any:
-    from loose_env.arms.library.scara import scara
+    from loose_env.arms import scara
 
     return scara(**_take(arguments, *_SCARA))
 
 
 def _from_file(arguments: dict[str, Any]) -> Any:
-    from loose_env.arms.files.load import DESK_ARM, arm_from_file
+    from loose_env.arms import DESK_ARM, arm_from_file
 
     own = _take(arguments, *_FROM_FILE)
     model, true_model = own.pop("model", None), own.pop("true_model", None)

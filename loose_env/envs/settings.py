@@ -8,7 +8,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from loose_env.arms.arm import Arm
+from loose_env.arms import Arm
 from loose_env.envs.faults.difficulty import Difficulty, difficulty_named
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import DEFAULT_KINDS, UNSURE, FaultKind

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from loose_env.arms.arm import Arm
+from loose_env.arms import Arm
 from loose_env.envs.diagnosis_env import new_seed
 from loose_env.envs.episode.batch import EpisodeBatch
 from loose_env.envs.episode.raw_observation import raw_observation, raw_space

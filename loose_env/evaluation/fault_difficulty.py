@@ -6,20 +6,20 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 
-from loose_env.envs.faults.sampler import FaultSampler
+from loose_env.envs import FaultSampler
 from loose_env.evaluation.seat_openness import SeatOpenness
 from loose_env.faults import (
     Backlash,
     Fault,
     Healthy,
+    Preload,
     RotationalLooseness,
+    SinglePart,
     StructuralLooseness,
     gaps_of,
     parts_of,
     twist_of,
 )
-from loose_env.faults.faults import Preload
-from loose_env.faults.seat import SinglePart
 
 __all__ = ["HiddenFigures", "drive_over_friction", "hidden_figures"]
 
@@ -58,8 +58,8 @@ def hidden_figures(sampler: FaultSampler, fault: Fault) -> HiddenFigures:
     --------
     >>> import numpy as np
     >>> from loose_env.arms import vera
-    >>> from loose_env.arms.response.linear import LinearArm
-    >>> from loose_env.envs.faults.difficulty import Difficulty
+    >>> from loose_env.arms import LinearArm
+    >>> from loose_env.envs import Difficulty
     >>> sampler = FaultSampler(LinearArm(vera()), Difficulty(friction=(0.25, 0.25)))
     >>> rng = np.random.default_rng(0)
     >>> fault = sampler.draw(rng, hypothesis="structural_looseness@link2")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.response.linear import LinearArm
-from loose_env.diagnosis.likelihood.seat_response import predict_seats
+from loose_env.arms import LinearArm
+from loose_env.diagnosis import predict_seats
 from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, Fault, StructuralLooseness
 

@@ -26,6 +26,7 @@ from loose_env.faults.preload import GRAVITY, preloaded, seat_weight
 from loose_env.faults.seat import (
     SEAT,
     SeatKind,
+    SinglePart,
     gaps_of,
     part_seats,
     parts_of,
@@ -54,6 +55,7 @@ __all__ = [
     "RotationalLooseness",
     "SeatKind",
     "SeveralFaults",
+    "SinglePart",
     "StructuralLooseness",
     "checked_kinds",
     "gaps_of",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, get_args
 
-from loose_env.arms.arm import Arm
+from loose_env.arms import Arm
 from loose_env.errors import InvalidSetting, UnknownName
 
 __all__ = [

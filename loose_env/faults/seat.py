@@ -12,7 +12,7 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-from loose_env.arms.arm import Arm
+from loose_env.arms import Arm
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults.faults import (
     Backlash,

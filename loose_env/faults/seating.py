@@ -23,7 +23,7 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
-from loose_env.arms.arm import Arm
+from loose_env.arms import Arm
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults.faults import (
     Backlash,

@@ -1,1 +1,131 @@
 """Where simulation and measurement disagree: name the missing effect and add it to the model."""
+
+from loose_env.gap.diagnostics.experiment_advice import (
+    how_to_see,
+    how_to_separate,
+)
+from loose_env.gap.diagnostics.feature_localisation import (
+    StruckChannel,
+)
+from loose_env.gap.diagnostics.joint_torque_residual import (
+    JointMotion,
+)
+from loose_env.gap.diagnostics.localisation import (
+    main_band,
+    strongest,
+)
+from loose_env.gap.diagnostics.regressors import (
+    binned,
+)
+from loose_env.gap.diagnostics.remaining_error import (
+    CLOSED,
+)
+from loose_env.gap.diagnostics.residual_spectra import (
+    Series,
+    in_bands,
+    series_of,
+    spectrum,
+)
+from loose_env.gap.fitting.holdout_score import (
+    machine_part,
+)
+from loose_env.gap.model.effect import (
+    Effect,
+)
+from loose_env.gap.model.effects.catalogue import (
+    read_effects,
+    register,
+)
+from loose_env.gap.model.parameter import (
+    Parameter,
+)
+from loose_env.gap.output.checkpoints import (
+    Stages,
+    key_of,
+)
+from loose_env.gap.output.evidence_schema import (
+    Dependence,
+    Identifiability,
+)
+from loose_env.gap.output.export_check import (
+    compared,
+    exported,
+    resting_runs,
+)
+from loose_env.gap.output.export_mjcf import (
+    write_model,
+)
+from loose_env.gap.output.result import (
+    Gap,
+    GapResult,
+    NamedEffect,
+    Place,
+    Ranked,
+    read_result,
+)
+from loose_env.gap.residuals.physical_units import (
+    quantity_words,
+)
+from loose_env.gap.settings import (
+    GapSettings,
+    NamingSettings,
+)
+from loose_env.gap.workflow.pipeline import (
+    GapFound,
+    find_gap,
+)
+from loose_env.gap.workflow.summary import (
+    Evidence,
+    GapOutputs,
+    explain_gap,
+    gather,
+    outputs_of,
+    result_of,
+    write_model_and_result,
+)
+
+__all__ = [
+    "CLOSED",
+    "Dependence",
+    "Effect",
+    "Evidence",
+    "Gap",
+    "GapFound",
+    "GapOutputs",
+    "GapResult",
+    "GapSettings",
+    "Identifiability",
+    "JointMotion",
+    "NamedEffect",
+    "NamingSettings",
+    "Parameter",
+    "Place",
+    "Ranked",
+    "Series",
+    "Stages",
+    "StruckChannel",
+    "binned",
+    "compared",
+    "explain_gap",
+    "exported",
+    "find_gap",
+    "gather",
+    "how_to_see",
+    "how_to_separate",
+    "in_bands",
+    "key_of",
+    "machine_part",
+    "main_band",
+    "outputs_of",
+    "quantity_words",
+    "read_effects",
+    "read_result",
+    "register",
+    "resting_runs",
+    "result_of",
+    "series_of",
+    "spectrum",
+    "strongest",
+    "write_model",
+    "write_model_and_result",
+]

@@ -1,14 +1,27 @@
 """Import of measured data from loggers: MCAP, tables in text, universal files of recorders."""
 
-from loose_env.importing.describe import describe_sources
-from loose_env.importing.import_recording import ImportSettings, import_recording
-from loose_env.importing.mapping.mapping import ImportMapping
-from loose_env.importing.mapping.mapping_file import read_mapping
+from loose_env.importing.describe import (
+    describe_sources,
+)
+from loose_env.importing.mapping.mapping import (
+    ImportMapping,
+)
+from loose_env.importing.mapping.mapping_file import (
+    read_mapping,
+)
+from loose_env.importing.pipeline import (
+    ImportSettings,
+    import_recording,
+)
+from loose_env.importing.timing.resampling import (
+    median_step,
+)
 
 __all__ = [
     "ImportMapping",
     "ImportSettings",
     "describe_sources",
     "import_recording",
+    "median_step",
     "read_mapping",
 ]

@@ -14,8 +14,7 @@ from loose_env.importing.mapping.mapping_file import MAPPING_FORMAT
 from loose_env.importing.mapping.units import column_quantity
 from loose_env.importing.readers.sources import given_files, list_file
 from loose_env.importing.samples import Channel, FileList, Stream
-from loose_env.recording import joint_sensors
-from loose_env.recording.columns import ModelColumns
+from loose_env.recording import ModelColumns, joint_sensors
 
 __all__ = ["describe_sources"]
 

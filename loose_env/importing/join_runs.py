@@ -15,9 +15,7 @@ from loose_env.importing.mapping.units import UNITS, column_quantity, unit_named
 from loose_env.importing.samples import ChannelKey, Samples
 from loose_env.importing.timing.clock_alignment import shift_between
 from loose_env.importing.timing.resampling import bridged, held, median_step, resampled, rows_of
-from loose_env.recording import Run, joint_sensors
-from loose_env.recording.columns import ModelColumns
-from loose_env.recording.table import FEWEST_SAMPLES, MOST_VALUES
+from loose_env.recording import FEWEST_SAMPLES, MOST_VALUES, ModelColumns, Run, joint_sensors
 from loose_env.typing import Array
 
 __all__ = ["Joined", "Pool", "joined_run", "shifts_of"]

@@ -1,1 +1,105 @@
 """The instrument: from a recording of a suspect arm to the loose link, and to the next pose."""
+
+from loose_env.instrument.inspect import (
+    inspect_model,
+    screen,
+)
+from loose_env.instrument.model.actuators import (
+    JointDrive,
+)
+from loose_env.instrument.model.planned_arm import (
+    load_model_arm,
+)
+from loose_env.instrument.model.recorded_arm import (
+    Machine,
+)
+from loose_env.instrument.pipeline import (
+    diagnose,
+)
+from loose_env.instrument.planning.plan import (
+    Plan,
+    next_for,
+    plan,
+)
+from loose_env.instrument.planning.plan_files import (
+    PAGE,
+    RECORDING,
+    PlanFiles,
+    plan_json,
+    run_columns,
+    signal_stems,
+    write_plan,
+)
+from loose_env.instrument.planning.session_settings import (
+    KEPT,
+    session_beside,
+)
+from loose_env.instrument.planning.signals import (
+    Signal,
+)
+from loose_env.instrument.result import (
+    HEALTHY,
+    Diagnosis,
+    Fault,
+    Loop,
+    NextMeasurement,
+    RecordSeen,
+    SlideDirection,
+    read_diagnosis,
+)
+from loose_env.instrument.session import (
+    find_fault,
+)
+from loose_env.instrument.settings.arm_and_plan import (
+    ModelSettings,
+    PlanSettings,
+)
+from loose_env.instrument.settings.command_line import (
+    option_words,
+    path_word,
+    unlike,
+)
+from loose_env.instrument.settings.diagnosis import (
+    DiagnoseSettings,
+)
+from loose_env.instrument.settings.measurement import (
+    NextSettings,
+)
+
+__all__ = [
+    "HEALTHY",
+    "KEPT",
+    "PAGE",
+    "RECORDING",
+    "DiagnoseSettings",
+    "Diagnosis",
+    "Fault",
+    "JointDrive",
+    "Loop",
+    "Machine",
+    "ModelSettings",
+    "NextMeasurement",
+    "NextSettings",
+    "Plan",
+    "PlanFiles",
+    "PlanSettings",
+    "RecordSeen",
+    "Signal",
+    "SlideDirection",
+    "diagnose",
+    "find_fault",
+    "inspect_model",
+    "load_model_arm",
+    "next_for",
+    "option_words",
+    "path_word",
+    "plan",
+    "plan_json",
+    "read_diagnosis",
+    "run_columns",
+    "screen",
+    "session_beside",
+    "signal_stems",
+    "unlike",
+    "write_plan",
+]

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from loose_env.arms.response.linear import LinearArm
-from loose_env.diagnosis.records.excitation_design import Proposal, holding_modes
+from loose_env.arms import LinearArm
+from loose_env.diagnosis import Proposal, holding_modes
 from loose_env.instrument.model.clearance import Ground
 from loose_env.instrument.model.planned_arm import ModelArm
 from loose_env.instrument.planning.candidate_poses import candidate_poses
@@ -27,7 +27,7 @@ from loose_env.instrument.planning.excitation import limited, proposed, torque_o
 from loose_env.instrument.planning.plan import load
 from loose_env.instrument.settings.arm_and_plan import ModelSettings
 from loose_env.instrument.settings.measurement import NextSettings
-from loose_env.io.json_codec import json_text
+from loose_env.io import json_text
 from loose_env.typing import Array
 
 __all__ = ["FORMAT", "Inspection", "JointSeen", "inspect_model", "screen"]
@@ -151,7 +151,7 @@ def inspect_model(
 
     Examples
     --------
-    >>> from loose_env.arms.files.load import DESK_ARM
+    >>> from loose_env.arms import DESK_ARM
     >>> seen = inspect_model(DESK_ARM, NextSettings(poses=2))
     >>> [fault.hypothesis for fault in seen.faults][-1]
     'backlash@turn'

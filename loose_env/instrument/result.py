@@ -11,8 +11,7 @@ from typing import Any, Literal, get_args
 from loose_env.errors import InvalidData
 from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.instrument.settings.validation import settings_within
-from loose_env.io.files import write_text
-from loose_env.io.json_codec import json_text, read_result_file, restored, whole_of
+from loose_env.io import json_text, read_result_file, restored, whole_of, write_text
 
 __all__ = [
     "FORMAT",

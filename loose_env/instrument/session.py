@@ -16,12 +16,12 @@ import numpy as np
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import Excitation
-from loose_env.instrument.diagnose import Workbench
 from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.pipeline import Workbench
 from loose_env.instrument.result import Diagnosis, NextMeasurement
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import Run
-from loose_env.rig.measurement import Measurement
+from loose_env.rig import Measurement
 from loose_env.typing import Array
 
 __all__ = ["Found", "Machinery", "Session", "find_fault", "run_of"]

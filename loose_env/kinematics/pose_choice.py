@@ -13,8 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import Arm, LinearArm
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.kinematics.seat_loads import Others, reactions, wrench_rank
 from loose_env.typing import Array

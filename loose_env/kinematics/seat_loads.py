@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loose_env.arms.arm import Arm
+from loose_env.arms import Arm
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.kinematics.joint_loads import carried_bodies
 from loose_env.kinematics.manipulability import LinkPoint

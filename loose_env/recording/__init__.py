@@ -1,19 +1,73 @@
 """The shared format of measured and simulated data: read, check, write."""
 
-from loose_env.recording.joint_sensors import JointSensors, check_comparison, joint_sensors
-from loose_env.recording.recording import Recording, read_recording
-from loose_env.recording.run import Comparison, Condition, Run
-from loose_env.recording.writing import FileFormat, write_recording
+from loose_env.recording.columns import (
+    ModelColumns,
+    nearest,
+)
+from loose_env.recording.csv_file import (
+    write_csv,
+)
+from loose_env.recording.description import (
+    DESCRIPTION,
+    FORMAT,
+    RunEntry,
+    read_description,
+)
+from loose_env.recording.folder import (
+    existing_file,
+)
+from loose_env.recording.parquet_file import (
+    write_parquet,
+)
+from loose_env.recording.recording import (
+    Recording,
+    read_recording,
+)
+from loose_env.recording.run import (
+    Comparison,
+    Condition,
+    Run,
+)
+from loose_env.recording.sensor_roles import (
+    JointSensors,
+    check_comparison,
+    joint_sensors,
+)
+from loose_env.recording.table import (
+    FEWEST_SAMPLES,
+    MOST_VALUES,
+)
+from loose_env.recording.text_file import (
+    read_text,
+)
+from loose_env.recording.writing import (
+    FileFormat,
+    check_target,
+    write_recording,
+)
 
 __all__ = [
+    "DESCRIPTION",
+    "FEWEST_SAMPLES",
+    "FORMAT",
+    "MOST_VALUES",
     "Comparison",
     "Condition",
     "FileFormat",
     "JointSensors",
+    "ModelColumns",
     "Recording",
     "Run",
+    "RunEntry",
     "check_comparison",
+    "check_target",
+    "existing_file",
     "joint_sensors",
+    "nearest",
+    "read_description",
     "read_recording",
+    "read_text",
+    "write_csv",
+    "write_parquet",
     "write_recording",
 ]

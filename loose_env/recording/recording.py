@@ -10,15 +10,15 @@ from posixpath import normpath
 import mujoco
 import numpy as np
 
-from loose_env.arms.files.model_reader import compile_spec, load_spec, require_numbers
+from loose_env.arms import compile_spec, load_spec, require_numbers
 from loose_env.errors import InvalidData
 from loose_env.recording.columns import ModelColumns
 from loose_env.recording.csv_file import read_csv
 from loose_env.recording.description import DESCRIPTION, RunEntry, read_description
 from loose_env.recording.folder import existing_file
-from loose_env.recording.joint_sensors import JointSensors, check_comparison, joint_sensors
 from loose_env.recording.parquet_file import read_parquet
 from loose_env.recording.run import Run
+from loose_env.recording.sensor_roles import JointSensors, check_comparison, joint_sensors
 from loose_env.recording.table import check_numbers
 
 __all__ = ["ENDINGS", "Recording", "read_recording"]

@@ -14,7 +14,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.files.safe_scan import files_of
+from loose_env.arms import files_of
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.recording.csv_file import write_csv
 from loose_env.recording.description import DESCRIPTION, FORMAT

@@ -1,1 +1,97 @@
 """The page that shows how agents did: words, a table, figures and one episode in pictures."""
+
+from loose_env.report.comparison.episode_story import (
+    tell_episode,
+)
+from loose_env.report.comparison.report import (
+    write_comparison,
+)
+from loose_env.report.comparison.text import (
+    comparison_text,
+)
+from loose_env.report.diagnosis.page import (
+    write_page,
+)
+from loose_env.report.diagnosis.plan_page import (
+    write_plan_page,
+)
+from loose_env.report.diagnosis.plan_text import (
+    summary,
+)
+from loose_env.report.gap.text import (
+    ranked_words,
+    unsure,
+)
+from loose_env.report.gap.write import (
+    write_outputs,
+)
+from loose_env.report.pages.figure_card import (
+    Plate,
+)
+from loose_env.report.pages.figures import (
+    WIDTH,
+    new_figure,
+)
+from loose_env.report.pages.palette import (
+    AGENTS,
+)
+from loose_env.report.pages.style import (
+    DARK,
+    FONT,
+    LIGHT,
+)
+from loose_env.report.pages.svg import (
+    standalone,
+    to_svg,
+)
+from loose_env.report.pages.template import (
+    paragraphs,
+    shown,
+    template,
+    write_whole,
+)
+from loose_env.report.studies import (
+    FAINT,
+    INK,
+    MUTED,
+    pyplot,
+    rounded,
+    save_figure,
+    stored_rows,
+    study_head,
+    write_study,
+)
+
+__all__ = [
+    "AGENTS",
+    "DARK",
+    "FAINT",
+    "FONT",
+    "INK",
+    "LIGHT",
+    "MUTED",
+    "WIDTH",
+    "Plate",
+    "comparison_text",
+    "new_figure",
+    "paragraphs",
+    "pyplot",
+    "ranked_words",
+    "rounded",
+    "save_figure",
+    "shown",
+    "standalone",
+    "stored_rows",
+    "study_head",
+    "summary",
+    "tell_episode",
+    "template",
+    "to_svg",
+    "unsure",
+    "write_comparison",
+    "write_outputs",
+    "write_page",
+    "write_plan_page",
+    "write_study",
+    "write_whole",
+]

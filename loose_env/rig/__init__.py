@@ -1,6 +1,29 @@
 """Rigs: where measurements come from."""
 
-from loose_env.rig.measurement import Measurement, Rig
-from loose_env.rig.simulated import Job, SimulatedRig
+from loose_env.rig.jobs import (
+    Job,
+    Run,
+)
+from loose_env.rig.measurement import (
+    Measurement,
+    Rig,
+)
+from loose_env.rig.plant import (
+    PlantShop,
+)
+from loose_env.rig.reduced import (
+    ReducedRig,
+)
+from loose_env.rig.simulated import (
+    SimulatedRig,
+)
 
-__all__ = ["Job", "Measurement", "Rig", "SimulatedRig"]
+__all__ = [
+    "Job",
+    "Measurement",
+    "PlantShop",
+    "ReducedRig",
+    "Rig",
+    "Run",
+    "SimulatedRig",
+]

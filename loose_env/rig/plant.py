@@ -8,12 +8,16 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.holding.compliance import wind_up
-from loose_env.arms.response.linear import inertance_rate
-from loose_env.arms.response.mismatch import MismatchDraw
-from loose_env.arms.response.sensor_sites import LinkSite, link_site
-from loose_env.arms.shaker import add_shaker, place_shaker
+from loose_env.arms import (
+    Arm,
+    LinkSite,
+    MismatchDraw,
+    add_shaker,
+    inertance_rate,
+    link_site,
+    place_shaker,
+    wind_up,
+)
 from loose_env.faults import (
     Fault,
     SeatKind,

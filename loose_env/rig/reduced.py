@@ -13,9 +13,7 @@ from collections.abc import Iterator, Sequence
 import mujoco
 import numpy as np
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import MismatchDraw
+from loose_env.arms import Arm, LinearArm, MismatchDraw
 from loose_env.errors import InvalidSetting
 from loose_env.faults import Fault, Healthy
 from loose_env.rig.jobs import Job, Run, check_jobs, whole_factor

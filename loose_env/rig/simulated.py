@@ -10,10 +10,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.engine_warnings import quiet
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import MismatchDraw
+from loose_env.arms import Arm, LinearArm, MismatchDraw, quiet
 from loose_env.errors import InvalidSetting
 from loose_env.faults import Fault, Healthy
 from loose_env.rig.jobs import Job, Run, check_jobs, whole_factor

@@ -5,6 +5,13 @@ shape (d, N) in the tool frame, d = 2 or 3; the last axis is time and means are 
 Functions ending in `_from` take covariances computed once by `covariances`.
 """
 
+from loose_env.statistics._checks import (
+    as_finite_samples,
+    as_floats,
+    as_record,
+    require_finite,
+    require_rate,
+)
 from loose_env.statistics.correlation.by_direction import (
     MaximumCorrelation,
     correlation_along,
@@ -25,7 +32,10 @@ from loose_env.statistics.correlation.coherence import (
     rank_test,
     rank_test_from,
 )
-from loose_env.statistics.correlation.comparative_index import ComparativeIndex, comparative_index
+from loose_env.statistics.correlation.comparative_index import (
+    ComparativeIndex,
+    comparative_index,
+)
 from loose_env.statistics.correlation.zero_correlation import (
     lowest_coherence_of_records,
     uncorrelated_axis,
@@ -45,9 +55,21 @@ from loose_env.statistics.directions.sphere import (
     hemisphere_search,
     tangents,
 )
-from loose_env.statistics.intervals.axis import DirectionInterval
-from loose_env.statistics.intervals.direction import change_direction_interval, direction_interval
-from loose_env.statistics.intervals.record_length import direction_sd, record_length_for
+from loose_env.statistics.gaussian_mixture import (
+    GaussianMixture,
+    fit_gaussian_mixture,
+)
+from loose_env.statistics.intervals.axis import (
+    DirectionInterval,
+)
+from loose_env.statistics.intervals.direction import (
+    change_direction_interval,
+    direction_interval,
+)
+from loose_env.statistics.intervals.record_length import (
+    direction_sd,
+    record_length_for,
+)
 from loose_env.statistics.records.covariance import (
     Covariances,
     RecordCovariances,
@@ -68,8 +90,13 @@ from loose_env.statistics.records.spectra import (
     spectral_flatness,
     transfer_function,
 )
-from loose_env.statistics.sampling.effective_samples import effective_samples
-from loose_env.statistics.transmission.change import (
+from loose_env.statistics.sampling.autocorrelation import (
+    memory_of,
+)
+from loose_env.statistics.sampling.effective_samples import (
+    effective_samples,
+)
+from loose_env.statistics.tool_transmission.change import (
     TransmissionChange,
     apparent_inertia,
     apparent_inertia_from,
@@ -79,14 +106,20 @@ from loose_env.statistics.transmission.change import (
     transmission_change,
     transmission_from,
 )
-from loose_env.statistics.transmission.direction import ChangeDirection, change_direction
-from loose_env.statistics.transmission.estimate import (
+from loose_env.statistics.tool_transmission.direction import (
+    ChangeDirection,
+    change_direction,
+)
+from loose_env.statistics.tool_transmission.estimate import (
     TransmissionEstimate,
     estimate_transmission,
     join_transmissions,
     pool_transmissions,
 )
-from loose_env.statistics.transmission.rank import ChangeRank, change_rank
+from loose_env.statistics.tool_transmission.rank import (
+    ChangeRank,
+    change_rank,
+)
 
 __all__ = [
     "ChangeDirection",
@@ -95,6 +128,7 @@ __all__ = [
     "Covariances",
     "DirectionInterval",
     "DirectionalMoments",
+    "GaussianMixture",
     "HemisphereSearch",
     "LowestCoherence",
     "MaximumCorrelation",
@@ -106,6 +140,9 @@ __all__ = [
     "acceleration_from_angle",
     "apparent_inertia",
     "apparent_inertia_from",
+    "as_finite_samples",
+    "as_floats",
+    "as_record",
     "axes_grid",
     "axial_angle",
     "axial_angle_between",
@@ -126,6 +163,7 @@ __all__ = [
     "direction_sd",
     "effective_samples",
     "estimate_transmission",
+    "fit_gaussian_mixture",
     "hemisphere_search",
     "join_transmissions",
     "kurtosis",
@@ -137,12 +175,15 @@ __all__ = [
     "lowest_correlation_search",
     "maximum_correlation",
     "maximum_correlation_from",
+    "memory_of",
     "moments_by_direction",
     "pool_transmissions",
     "rank_test",
     "rank_test_from",
     "record_covariances",
     "record_length_for",
+    "require_finite",
+    "require_rate",
     "shape_of",
     "skewness",
     "spectral_flatness",

@@ -1,1 +1,39 @@
 """The thesis's rigs, methods and tables, run here and set beside what it printed."""
+
+from loose_env.thesis.ch6_experiments.shaken_vera.cases import (
+    printed_healthy,
+)
+from loose_env.thesis.rigs.cylindrical import (
+    cylindrical,
+)
+from loose_env.thesis.rigs.shaken_vera import (
+    PROXIMAL,
+    ShakenVeraFigures,
+    shaken_vera,
+)
+from loose_env.thesis.shared.page import (
+    write_thesis_page,
+)
+from loose_env.thesis.shared.registry import (
+    SECTIONS,
+    choose,
+    first_line,
+)
+from loose_env.thesis.shared.run import (
+    Outcome,
+    run_sections,
+)
+
+__all__ = [
+    "PROXIMAL",
+    "SECTIONS",
+    "Outcome",
+    "ShakenVeraFigures",
+    "choose",
+    "cylindrical",
+    "first_line",
+    "printed_healthy",
+    "run_sections",
+    "shaken_vera",
+    "write_thesis_page",
+]

@@ -40,10 +40,16 @@ from loose_agents.policies.policies import POLICIES
 from loose_agents.registry import AGENTS, make_agent
 
 import loose_env
-from loose_env.evaluation.rows import configuration_hash, need_format, write_rows
-from loose_env.evaluation.seed_aggregates import SEPARATOR
-from loose_env.evaluation.success_rates import Row, by_agent, standings
-from loose_env.report.comparison.text import comparison_text
+from loose_env.evaluation import (
+    SEPARATOR,
+    Row,
+    by_agent,
+    configuration_hash,
+    need_format,
+    standings,
+    write_rows,
+)
+from loose_env.report import comparison_text
 
 EPISODES = 4000
 """Episodes of a published comparison."""
@@ -159,8 +165,7 @@ def write_page(
     reference: str | None,
 ) -> Path:
     """Write the page: what was played, who won, tables, figures, one episode in pictures."""
-    from loose_env.report.comparison.episode_story import tell_episode
-    from loose_env.report.comparison.report import write_comparison
+    from loose_env.report import tell_episode, write_comparison
 
     best = next(s.agent for s in standings(rows) if not s.agent.endswith("*"))
     told = _told(rows, best, problem)

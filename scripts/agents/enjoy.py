@@ -25,9 +25,7 @@ from loose_agents.rl.hyperparameters import ALGORITHMS, key_values
 from loose_agents.rl.learned_policy import CONFIGURATION, LearnedAgent
 from loose_agents.rl.training_options import OneLineParser
 
-from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.episode.actions import Action
-from loose_env.envs.registration import IDS
+from loose_env.envs import IDS, Action, DiagnosisEnv
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 
 

@@ -21,15 +21,20 @@ from pathlib import Path
 import numpy as np
 
 import loose_env
-from loose_env.arms import Arm, planar, scara, six_axis, vera
-from loose_env.arms.response.linear import LinearArm
-from loose_env.diagnosis.likelihood.opening_table import PRESSES, RATIOS, shipped_table
-from loose_env.diagnosis.likelihood.posterior import variants
-from loose_env.diagnosis.likelihood.record_likelihood import LOOSE, OPENINGS, SHUT, fit_record
-from loose_env.diagnosis.records.prediction import SensorFloor
-from loose_env.diagnosis.records.record_statistics import statistics_of
-from loose_env.envs.faults.difficulty import Difficulty
-from loose_env.envs.faults.sampler import FaultSampler
+from loose_env.arms import Arm, LinearArm, planar, scara, six_axis, vera
+from loose_env.diagnosis import (
+    LOOSE,
+    OPENINGS,
+    PRESSES,
+    RATIOS,
+    SHUT,
+    SensorFloor,
+    fit_record,
+    shipped_table,
+    statistics_of,
+    variants,
+)
+from loose_env.envs import Difficulty, FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, StructuralLooseness, hypotheses
 from loose_env.rig import Job, SimulatedRig

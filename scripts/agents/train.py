@@ -37,8 +37,7 @@ from loose_agents.rl.hyperparameters import (
 )
 from loose_agents.rl.training_options import check_training, training_parser
 
-from loose_env.envs.registration import IDS
-from loose_env.envs.vector_env import DiagnosisVectorEnv
+from loose_env.envs import IDS, DiagnosisVectorEnv
 from loose_env.errors import InvalidData, InvalidSetting, MissingExtra, UnknownName
 
 ROOT = Path(__file__).resolve().parents[2]

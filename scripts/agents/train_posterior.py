@@ -42,9 +42,8 @@ from loose_agents.posterior_training.novelty import fit_reference, seen_episodes
 from loose_agents.posterior_training.train import PosteriorTraining, TrainingSettings
 from numpy.typing import NDArray
 
-from loose_env.diagnosis.learned.amortised_posterior import read_network, write_network
-from loose_env.diagnosis.learned.novelty import NoveltyReference, Seen
-from loose_env.envs.faults.difficulty import difficulty_named
+from loose_env.diagnosis import NoveltyReference, Seen, read_network, write_network
+from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting
 from loose_env.faults import DEFAULT_KINDS, hypotheses
 from loose_env.statistics import axes_grid

@@ -46,7 +46,7 @@ from loose_agents.execution.script_errors import errors_in_one_line
 from loose_agents.posterior_training.simulated_records import BANK_SEED
 
 from loose_env.errors import InvalidSetting
-from loose_env.evaluation.paired_bootstrap import bootstrap_mean
+from loose_env.evaluation import bootstrap_mean
 
 BOOTSTRAP_SEED = 0
 """Seed of all resamples."""

@@ -26,9 +26,9 @@ from loose_agents.execution.progress import ProgressLine
 from loose_agents.execution.script_errors import errors_in_one_line
 from loose_agents.policies.link_finding import LinkFindingAgent
 
-from loose_env.arms.response.mismatch import MismatchDraw
-from loose_env.diagnosis.link_finding.planar import LinkFindingSettings, Order
-from loose_env.envs.episode.batch import BatchRig, EpisodeBatch
+from loose_env.arms import MismatchDraw
+from loose_env.diagnosis import LinkFindingSettings, Order
+from loose_env.envs import BatchRig, EpisodeBatch
 from loose_env.errors import InvalidSetting
 from loose_env.faults import Fault
 from loose_env.rig import Job, Measurement

@@ -23,13 +23,10 @@ import numpy as np
 from gymnasium.vector import AsyncVectorEnv
 
 import loose_env  # noqa: F401  (registers the ids)
-from loose_env.arms import DESK_ARM
-from loose_env.arms.engine_warnings import quiet
-from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.episode.batch import EpisodeBatch
+from loose_env.arms import DESK_ARM, quiet
+from loose_env.envs import DiagnosisEnv, EpisodeBatch
 from loose_env.errors import InvalidSetting
-from loose_env.rig.jobs import Run
-from loose_env.rig.simulated import SimulatedRig
+from loose_env.rig import Run, SimulatedRig
 
 IDS = ("loose_env/Vera-v0", "loose_env/Planar-v0", "loose_env/SixAxis-v0")
 

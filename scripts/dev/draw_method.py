@@ -18,18 +18,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, planar
-from loose_env.arms.response.linear import LinearArm
-from loose_env.diagnosis.records.prediction import SensorFloor, predict
-from loose_env.envs.rendering.correlation_loop import Loop, measured_loop, predicted_loop
-from loose_env.envs.rendering.palette import EDGE, FAINT, INK, MEASURED, MUTED, TRUTH
-from loose_env.envs.rendering.planar.arm import ArmDrawing
-from loose_env.envs.rendering.planar.view import PlanarView
-from loose_env.envs.rendering.scenery import arrow
+from loose_env.arms import Arm, LinearArm, planar
+from loose_env.diagnosis import SensorFloor, predict
+from loose_env.envs import (
+    EDGE,
+    FAINT,
+    INK,
+    MEASURED,
+    MUTED,
+    TRUTH,
+    ArmDrawing,
+    Loop,
+    PlanarView,
+    arrow,
+    measured_loop,
+    predicted_loop,
+)
 from loose_env.excitation import Excitation
 from loose_env.faults import Fault, Healthy, StructuralLooseness
-from loose_env.report.pages.svg import standalone, to_svg
-from loose_env.report.pages.template import write_whole
+from loose_env.report import standalone, to_svg, write_whole
 from loose_env.rig import SimulatedRig
 from loose_env.sensors import SensorSuite
 

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms import DESK_ARM, arm_from_file, planar, scara, six_axis, vera
-from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.settings import DiagnosisSettings
+from loose_env.envs import DiagnosisEnv, DiagnosisSettings
 from loose_env.errors import InvalidSetting, LooseEnvError
 
 ARMS = {"vera": vera, "planar": planar, "six_axis": six_axis, "scara": scara}

@@ -20,10 +20,8 @@ from pathlib import Path
 import gymnasium
 
 import loose_env  # noqa: F401  (registers the ids)
-from loose_env.arms.arm import Arm
-from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.faults.difficulty import DIFFICULTIES
-from loose_env.envs.registration import IDS
+from loose_env.arms import Arm
+from loose_env.envs import DIFFICULTIES, IDS, DiagnosisEnv
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 COLUMNS = 100

@@ -48,13 +48,9 @@ from loose_agents.research.particle_check import (
 
 import loose_env
 from loose_env.arms import planar, six_axis, vera
-from loose_env.diagnosis.learned.amortised_posterior import AmortisedPosterior
-from loose_env.diagnosis.records.record_statistics import RecordStatistics
-from loose_env.diagnosis.research.particles.evidence import ParticleSettings
-from loose_env.envs.episode.batch import EpisodeBatch
-from loose_env.envs.faults.difficulty import difficulty_named
-from loose_env.envs.settings import DiagnosisSettings
-from loose_env.report.studies import rounded, stored_rows, study_head, write_study
+from loose_env.diagnosis import AmortisedPosterior, ParticleSettings, RecordStatistics
+from loose_env.envs import DiagnosisSettings, EpisodeBatch, difficulty_named
+from loose_env.report import rounded, stored_rows, study_head, write_study
 
 ROOT = Path(__file__).resolve().parents[2]
 ARMS = {"vera": vera, "planar2": lambda: planar(2), "planar3": lambda: planar(3)}

@@ -33,7 +33,7 @@ from loose_agents.execution.shard_store import RowCodec, ShardStore
 from loose_agents.execution.shards import run_shards, shard_of
 
 from loose_env.errors import LooseEnvError
-from loose_env.evaluation.success_rates import wilson
+from loose_env.evaluation import wilson
 from loose_env.faults import UNSURE
 
 

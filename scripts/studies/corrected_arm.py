@@ -30,18 +30,15 @@ import mujoco
 import numpy as np
 
 import loose_env
-from loose_env.arms import Arm, arm_from_file
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import Arm, LinearArm, arm_from_file
 from loose_env.cli.main import main as loose
-from loose_env.diagnosis.research.line_spectrum.direction import direction_by_dynamics
-from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.settings import DiagnosisSettings
-from loose_env.evaluation.paired_bootstrap import Interval, bootstrap_mean
-from loose_env.evaluation.success_rates import wilson
+from loose_env.diagnosis import direction_by_dynamics
+from loose_env.envs import DiagnosisEnv, DiagnosisSettings
+from loose_env.evaluation import Interval, bootstrap_mean, wilson
 from loose_env.faults import UNSURE
-from loose_env.gap.output.result import GapResult, read_result
+from loose_env.gap import GapResult, read_result
 from loose_env.recording import Recording, Run, write_recording
-from loose_env.report.studies import (
+from loose_env.report import (
     INK,
     MUTED,
     pyplot,

@@ -23,18 +23,16 @@ import mujoco
 import numpy as np
 
 import loose_env
-from loose_env.arms import Arm, planar, scara, six_axis, vera
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch
-from loose_env.diagnosis.records.excitation_design import Proposal, propose_excitation
-from loose_env.diagnosis.research.sequential.stopping_rule import (
+from loose_env.arms import Arm, LinearArm, Mismatch, planar, scara, six_axis, vera
+from loose_env.diagnosis import (
     Ending,
+    Proposal,
     StoppingRule,
+    change_of_transmission,
     measure_direction,
+    propose_excitation,
 )
-from loose_env.diagnosis.research.sequential.transmission_change import change_of_transmission
-from loose_env.envs.faults.difficulty import Difficulty
-from loose_env.envs.faults.sampler import FaultSampler
+from loose_env.envs import Difficulty, FaultSampler
 from loose_env.errors import LooseEnvError
 from loose_env.faults import (
     DEFAULT_KINDS,
@@ -44,7 +42,7 @@ from loose_env.faults import (
     StructuralLooseness,
     parts_of,
 )
-from loose_env.report.studies import study_head, write_study
+from loose_env.report import study_head, write_study
 from loose_env.rig import Job, Measurement, SimulatedRig
 from loose_env.statistics import (
     acceleration_from_angle,
@@ -55,7 +53,7 @@ from loose_env.statistics import (
     covariances,
     lowest_coherence_of_records,
 )
-from loose_env.thesis.rigs import cylindrical
+from loose_env.thesis import cylindrical
 
 ARMS = {
     "six_axis": six_axis,

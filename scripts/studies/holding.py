@@ -27,20 +27,20 @@ import mujoco
 import numpy as np
 
 import loose_env
-from loose_env.arms import Arm, planar, servoed, six_axis, with_compliance
-from loose_env.arms.response.linear import LinearArm, LinearPose
-from loose_env.diagnosis.link_finding.direction_images import ToolFrames
-from loose_env.diagnosis.records.prediction import SensorFloor, predict
-from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
-from loose_env.diagnosis.research.line_spectrum.direction import (
+from loose_env.arms import Arm, LinearArm, LinearPose, planar, servoed, six_axis, with_compliance
+from loose_env.diagnosis import (
     DynamicDirection,
+    RecordStatistics,
+    SensorFloor,
+    ToolFrames,
     direction_by_dynamics,
+    predict,
+    statistics_of,
 )
-from loose_env.envs.faults.difficulty import Difficulty
-from loose_env.envs.faults.sampler import FaultSampler
+from loose_env.envs import Difficulty, FaultSampler
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import Healthy, StructuralLooseness
-from loose_env.report.studies import (
+from loose_env.report import (
     INK,
     MUTED,
     pyplot,

@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
-from loose_env.arms.response.shaken import ShakenArm
+from loose_env.arms import ShakenArm
 from loose_env.statistics import axial_difference
-from loose_env.thesis.ch6_experiments.shaken_vera.cases import printed_healthy
-from loose_env.thesis.rigs.shaken_vera import PROXIMAL, ShakenVeraFigures, shaken_vera
+from loose_env.thesis import PROXIMAL, ShakenVeraFigures, printed_healthy, shaken_vera
 
 # Figure, lowest and highest value, and whether to search on a logarithmic scale.
 BOUNDS = (

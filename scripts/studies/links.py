@@ -19,29 +19,26 @@ from pathlib import Path
 
 import numpy as np
 
-from loose_env.arms import arm_from_file, planar, scara, six_axis
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch
-from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places
-from loose_env.diagnosis.link_finding.measured_direction import (
+from loose_env.arms import Arm, LinearArm, Mismatch, arm_from_file, planar, scara, six_axis
+from loose_env.diagnosis import (
     ChangeModel,
     ChangeSighting,
-    sight_change,
-)
-from loose_env.diagnosis.link_finding.moves import candidate_poses, choose_move
-from loose_env.diagnosis.link_finding.opening_moves import choose_open_move
-from loose_env.diagnosis.link_finding.planar import LinkFindingSettings
-from loose_env.diagnosis.link_finding.search import TurnSearch
-from loose_env.diagnosis.link_finding.spatial import (
     DirectionSighting,
+    LinkFindingSettings,
+    SensorFloor,
+    ToolFrames,
+    TurnSearch,
+    candidate_poses,
+    choose_move,
+    choose_open_move,
     link_posterior,
     look_alikes,
+    places,
+    predict,
+    sight_change,
+    statistics_of,
 )
-from loose_env.diagnosis.records.prediction import SensorFloor, predict
-from loose_env.diagnosis.records.record_statistics import statistics_of
-from loose_env.envs.faults.difficulty import Difficulty
-from loose_env.envs.faults.sampler import FaultSampler
+from loose_env.envs import Difficulty, FaultSampler
 from loose_env.errors import InvalidData
 from loose_env.excitation import at_levels
 from loose_env.faults import StructuralLooseness

@@ -21,14 +21,12 @@ import mujoco
 import numpy as np
 
 import loose_env
-from loose_env.arms import Arm, planar
-from loose_env.arms.response.linear import LinearArm
-from loose_env.diagnosis.records.record_statistics import statistics_of
-from loose_env.envs.faults.difficulty import Difficulty
-from loose_env.envs.faults.sampler import FaultSampler
+from loose_env.arms import Arm, LinearArm, planar
+from loose_env.diagnosis import statistics_of
+from loose_env.envs import Difficulty, FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Healthy, StructuralLooseness
-from loose_env.report.studies import (
+from loose_env.report import (
     INK,
     MUTED,
     pyplot,

@@ -44,12 +44,11 @@ from loose_agents.research.pose_set_trials import (
 )
 
 import loose_env
-from loose_env.diagnosis.research.pose_sets.limits import one_by_one_share
-from loose_env.diagnosis.research.pose_sets.pose_sets import PLANNED
+from loose_env.diagnosis import PLANNED, one_by_one_share
 from loose_env.errors import LooseEnvError
-from loose_env.evaluation.success_rates import wilson
-from loose_env.report.pages.palette import AGENTS as PALETTE
-from loose_env.report.studies import (
+from loose_env.evaluation import wilson
+from loose_env.report import AGENTS as PALETTE
+from loose_env.report import (
     FAINT,
     INK,
     MUTED,

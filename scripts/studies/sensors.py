@@ -37,22 +37,21 @@ import numpy as np
 from scipy.special import logsumexp
 
 import loose_env
-from loose_env.arms import Arm, planar, scara, six_axis, vera
-from loose_env.arms.response.linear import LinearArm
-from loose_env.diagnosis.multi_sensor.link_evidence import SensorVerdict, weigh_links
-from loose_env.diagnosis.multi_sensor.sensed_arm import SensedArm
-from loose_env.diagnosis.multi_sensor.sensor_rows import (
+from loose_env.arms import Arm, LinearArm, planar, scara, six_axis, vera
+from loose_env.diagnosis import (
+    SensedArm,
     SensorRows,
+    SensorVerdict,
     StackedRecord,
     rows_of,
     splitting_order,
     stack,
+    weigh_links,
 )
-from loose_env.envs.faults.difficulty import Difficulty
-from loose_env.envs.faults.sampler import FaultSampler
+from loose_env.envs import Difficulty, FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Fault, Healthy, StructuralLooseness
-from loose_env.report.studies import study_head, write_study
+from loose_env.report import study_head, write_study
 from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import LinkAccelerometers, SensorSuite
 from loose_env.statistics import axial_angle_between

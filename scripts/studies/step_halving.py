@@ -32,11 +32,9 @@ import mujoco
 import numpy as np
 
 import loose_env
-from loose_env.arms import Arm, planar, vera
-from loose_env.arms.response.linear import LinearArm
-from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
-from loose_env.envs.faults.difficulty import DIFFICULTIES
-from loose_env.envs.faults.sampler import FaultSampler
+from loose_env.arms import Arm, LinearArm, planar, vera
+from loose_env.diagnosis import RecordStatistics, statistics_of
+from loose_env.envs import DIFFICULTIES, FaultSampler
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import Fault, hypotheses
 from loose_env.rig import Job, SimulatedRig

@@ -16,11 +16,8 @@ from loose_env.arms.holding.compliance import compliant, fastest_turn, servoed
 from loose_env.arms.holding.gears import BARE_ROTOR
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import Mismatch
-from loose_env.diagnosis.likelihood.posterior import variants
-from loose_env.diagnosis.records.prediction import SensorFloor, predict
-from loose_env.diagnosis.records.record_statistics import statistics_of
-from loose_env.envs.faults.difficulty import Difficulty
-from loose_env.envs.faults.sampler import FaultSampler
+from loose_env.diagnosis import SensorFloor, predict, statistics_of, variants
+from loose_env.envs import Difficulty, FaultSampler
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, Healthy, hypotheses

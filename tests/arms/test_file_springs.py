@@ -22,8 +22,7 @@ from loose_env.excitation import at_levels
 from loose_env.faults import Healthy, StructuralLooseness
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import Machine
-from loose_env.rig.reduced import ReducedRig
-from loose_env.rig.simulated import SimulatedRig
+from loose_env.rig import ReducedRig, SimulatedRig
 
 Write = Callable[..., Path]
 GEAR = '<joint name="gear" axis="0 1 0" stiffness="{k}" damping="2"/>'

@@ -21,7 +21,7 @@ from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.errors import InvalidData, InvalidSetting, LooseEnvError, UnknownName
 from loose_env.excitation import CREST_FACTOR, at_levels
 from loose_env.faults import Backlash, Fault, Healthy, StructuralLooseness
-from loose_env.rig.simulated import SimulatedRig
+from loose_env.rig import SimulatedRig
 
 MODELS = Path(__file__).parents[3] / "shared" / "models"
 Write = Callable[..., Path]
@@ -616,8 +616,7 @@ def test_the_small_arm_needs_no_assumption_and_carries_its_gripper() -> None:
 
 @pytest.mark.parametrize("name", ["ur5e_bare.xml", "so101_bare.xml"])
 def test_a_user_s_arm_runs_in_the_environment_unedited(name: str) -> None:
-    from loose_env.envs.diagnosis_env import DiagnosisEnv
-    from loose_env.envs.settings import DiagnosisSettings
+    from loose_env.envs import DiagnosisEnv, DiagnosisSettings
 
     if not (MODELS / name).is_file():
         pytest.skip(f"{name} is not here")

@@ -8,8 +8,7 @@ import pytest
 from loose_env.arms import Arm, scara
 from loose_env.arms.library.scara import INNER, OUTER, STROKE
 from loose_env.arms.response.linear import LinearArm
-from loose_env.diagnosis.records.prediction import SensorFloor, predict
-from loose_env.diagnosis.records.record_statistics import statistics_of
+from loose_env.diagnosis import SensorFloor, predict, statistics_of
 from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, Fault, StructuralLooseness
 from loose_env.rig import Job, SimulatedRig

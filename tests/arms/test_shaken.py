@@ -15,7 +15,8 @@ from loose_env.faults import Healthy, Preload
 from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import Accelerometer, SensorSuite
 from loose_env.statistics import transfer_function
-from loose_env.thesis.rigs.shaken_vera import PROXIMAL, SHAKEN_BAND, ShakenVeraFigures, shaken_vera
+from loose_env.thesis import PROXIMAL, ShakenVeraFigures, shaken_vera
+from loose_env.thesis.rigs.shaken_vera import SHAKEN_BAND
 
 RATE = 2000.0
 PERFECT = SensorSuite(

@@ -11,19 +11,19 @@ pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
 from loose_env.arms import vera
-from loose_env.envs.settings import DiagnosisSettings
-from loose_env.gap.workflow.summary import gather, result_of
-from loose_env.instrument.planning.plan import plan
-from loose_env.instrument.settings.arm_and_plan import PlanSettings
-from loose_env.instrument.settings.measurement import NextSettings
-from loose_env.report.comparison.episode_story import tell_episode
-from loose_env.report.comparison.report import write_comparison
-from loose_env.report.diagnosis.page import write_page
-from loose_env.report.diagnosis.plan_page import write_plan_page
+from loose_env.envs import DiagnosisSettings
+from loose_env.gap import gather, result_of
+from loose_env.instrument import NextSettings, PlanSettings, plan
+from loose_env.report import (
+    Plate,
+    tell_episode,
+    write_comparison,
+    write_page,
+    write_plan_page,
+    write_whole,
+)
 from loose_env.report.gap.page import write_gap_page
-from loose_env.report.pages.figure_card import Plate
 from loose_env.report.pages.figures import success_bars
-from loose_env.report.pages.template import write_whole
 from tests.browser.chromium import Page
 from tests.browser.looks import WIDTHS, browser, fits_on_paper, is_in_order, pictures
 from tests.gap.cases.gap_case import outputs_for, record

@@ -13,9 +13,7 @@ pytest.importorskip("matplotlib")
 from loose_env.cli import gap
 from loose_env.cli.main import main
 from loose_env.errors import InvalidData
-from loose_env.gap.output.result import Gap, GapResult, NamedEffect, read_result
-from loose_env.gap.settings import GapSettings
-from loose_env.gap.workflow.summary import GapOutputs
+from loose_env.gap import Gap, GapOutputs, GapResult, GapSettings, NamedEffect, read_result
 from loose_env.recording import Recording
 from tests.gap.cases.gap_case import outputs_for, record
 

@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 
 from loose_env.cli.main import main
-from loose_env.instrument.planning.plan import load, next_for
-from loose_env.instrument.result import Diagnosis, Fault
-from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.instrument import Diagnosis, Fault, NextSettings, next_for
+from loose_env.instrument.planning.plan import load
 from tests.instrument.arms.plan_arms import MOTORS, written
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from loose_env.cli.main import main
-from loose_env.recording.csv_file import write_csv
+from loose_env.recording import write_csv
 from tests.instrument.arms.plan_arms import SERVOED, written
 
 STEP = 2e-4

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from loose_env.arms import DESK_ARM
+from loose_env.gap import GapSettings
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import Machine
-from loose_env.gap.settings import GapSettings
 from tests.docs.pages import PAGES, ROOT, blocks, python
 from tests.gap.cases.effect_arms import PLANAR
 

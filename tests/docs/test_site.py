@@ -13,7 +13,7 @@ pytest.importorskip("sphinx", reason="needs the extra docs: pip install -e '.[do
 pytest.importorskip("myst_parser")
 pytest.importorskip("furo")
 
-from loose_env.report.pages.style import LIGHT
+from loose_env.report import LIGHT
 from tests.browser.chromium import Page
 from tests.browser.looks import WIDTHS, browser, fits_on_paper, is_in_order, pictures
 from tests.docs.pages import ROOT
@@ -54,10 +54,10 @@ def test_the_reference_has_every_public_name(site: Path) -> None:
     for package in (loose_env.arms, loose_env.statistics):
         page = (site / "api" / f"{package.__name__}.html").read_text(encoding="utf-8")
         assert [name for name in package.__all__ if name not in page] == []
-    text = (site / "api" / "loose_env.statistics.transmission.change.html").read_text(
+    text = (site / "api" / "loose_env.statistics.tool_transmission.change.html").read_text(
         encoding="utf-8"
     )
-    assert 'id="loose_env.statistics.transmission.change.transmission"' in text
+    assert 'id="loose_env.statistics.tool_transmission.change.transmission"' in text
 
 
 def test_nothing_comes_from_a_network(site: Path) -> None:

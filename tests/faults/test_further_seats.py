@@ -11,8 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms import Arm, arm_from_file, planar, scara, six_axis, vera
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import Arm, LinearArm, arm_from_file, planar, scara, six_axis, vera
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, SeatDrive, at_levels
 from loose_env.faults import (
@@ -31,7 +30,7 @@ from loose_env.faults import (
     set_seat,
     twist_of,
 )
-from loose_env.rig.simulated import Job, SimulatedRig
+from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import SensorSuite
 from loose_env.thesis.rigs import cylindrical
 from loose_env.typing import Array

@@ -14,13 +14,9 @@ from math import ceil, sqrt
 import numpy as np
 import pytest
 
-from loose_env.arms import Arm, planar, vera
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
-from loose_env.diagnosis.likelihood.posterior import FaultPosterior
-from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
-from loose_env.envs.faults.difficulty import Difficulty
-from loose_env.envs.faults.sampler import FaultSampler
+from loose_env.arms import Arm, LinearArm, Mismatch, MismatchDraw, planar, vera
+from loose_env.diagnosis import FaultPosterior, RecordStatistics, statistics_of
+from loose_env.envs import Difficulty, FaultSampler
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import (
     Backlash,
@@ -30,7 +26,7 @@ from loose_env.faults import (
     hypotheses,
     place_of,
 )
-from loose_env.rig.simulated import Job, SimulatedRig
+from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import SensorSuite
 from loose_env.typing import Array
 

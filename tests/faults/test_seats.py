@@ -12,8 +12,7 @@ import pytest
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, planar, vera
-from loose_env.arms.response.mismatch import MismatchDraw
+from loose_env.arms import Arm, MismatchDraw, planar, vera
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import (
@@ -32,8 +31,8 @@ from loose_env.faults import (
     seats_of,
     set_seat,
 )
-from loose_env.rig import SimulatedRig
-from loose_env.rig.plant import Plant, PlantShop
+from loose_env.rig import PlantShop, SimulatedRig
+from loose_env.rig.plant import Plant
 from loose_env.typing import Array
 
 KINDS: tuple[SeatKind, ...] = ("slide", "hinge", "play")

@@ -10,9 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms import Arm, planar, scara, six_axis, vera
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
+from loose_env.arms import Arm, LinearArm, Mismatch, MismatchDraw, planar, scara, six_axis, vera
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import at_levels
 from loose_env.faults import (
@@ -37,8 +35,8 @@ from loose_env.faults import (
     set_seat,
     twist_of,
 )
-from loose_env.rig.plant import Plant, PlantShop
-from loose_env.rig.simulated import Job, SimulatedRig
+from loose_env.rig import Job, PlantShop, SimulatedRig
+from loose_env.rig.plant import Plant
 from loose_env.sensors import SensorSuite
 from loose_env.typing import Array
 

@@ -10,7 +10,7 @@ import pytest
 from loose_env.cli.diagnose import summary
 from loose_env.cli.main import main
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.instrument.diagnose import Workbench, diagnose
+from loose_env.instrument.pipeline import Workbench, diagnose
 from loose_env.instrument.result import Diagnosis, read_diagnosis
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import Run, read_recording, write_recording
@@ -71,7 +71,7 @@ def test_a_diagnosis_that_finds_no_further_pose_is_not_called_settled(
     def nothing(*_: object, **__: object) -> None:
         raise InvalidData("no pose will do")
 
-    monkeypatch.setattr("loose_env.instrument.diagnose.next_for", nothing)
+    monkeypatch.setattr("loose_env.instrument.pipeline.next_for", nothing)
     found = weighed(tmp_path, runs("slide", 1), plan=True)
     assert found.next is None
     assert "nothing more needs" not in summary(found)

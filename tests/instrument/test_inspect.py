@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import LinearArm
 from loose_env.errors import InvalidSetting
 from loose_env.instrument.inspect import Inspection, inspect_model, screen
 from loose_env.instrument.planning.excitation import SEEN, sensitivity

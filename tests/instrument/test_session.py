@@ -67,7 +67,7 @@ def test_a_session_that_ends_for_want_of_a_pose_has_named_nothing(
             return one
         raise InvalidData("no pose will do")
 
-    monkeypatch.setattr("loose_env.instrument.diagnose.next_for", once)
+    monkeypatch.setattr("loose_env.instrument.pipeline.next_for", once)
     ended = find_fault(BlindArm(case("slide")), write_model(tmp_path), QUICK, most=4)
     assert ended.measurements == 1
     assert ended.diagnosis.next is None

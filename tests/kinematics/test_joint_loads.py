@@ -13,7 +13,7 @@ from loose_env.kinematics.joint_loads import (
     peak_force,
     two_link_loads,
 )
-from loose_env.thesis.rigs.cylindrical import cylindrical
+from loose_env.thesis import cylindrical
 from tests.faults.thesis_equations import Figures, healthy_torques, thesis_arm
 
 

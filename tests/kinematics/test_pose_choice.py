@@ -6,8 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms import Arm, planar, vera
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import Arm, LinearArm, planar, vera
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.kinematics.pose_choice import (
     chebyshev_nodes,
@@ -17,7 +16,7 @@ from loose_env.kinematics.pose_choice import (
     worst_push,
 )
 from loose_env.kinematics.seat_loads import reactions, reciprocal_product, wrench_rank
-from loose_env.thesis.rigs.cylindrical import cylindrical
+from loose_env.thesis import cylindrical
 
 
 def by_inverse_dynamics(

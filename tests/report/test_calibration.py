@@ -8,13 +8,8 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData
-from loose_env.evaluation.calibration import (
-    calibration_of,
-    claims_of,
-    expected_calibration_error,
-    log_score,
-    reliability,
-)
+from loose_env.evaluation import calibration_of, claims_of, expected_calibration_error, reliability
+from loose_env.evaluation.calibration import log_score
 
 
 def test_the_error_weighs_each_bin_by_its_claims() -> None:

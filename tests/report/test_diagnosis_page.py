@@ -15,8 +15,8 @@ pytest.importorskip("matplotlib")
 
 from loose_env.arms import Arm
 from loose_env.errors import InvalidData
-from loose_env.instrument.result import Diagnosis, Fault
-from loose_env.io.text import sentence
+from loose_env.instrument import Diagnosis, Fault
+from loose_env.io import sentence
 from loose_env.report.diagnosis.arm_figure import arm_figure
 from loose_env.report.diagnosis.figures import (
     hypothesis_colours,

@@ -17,10 +17,21 @@ pytest.importorskip("matplotlib")
 
 from loose_env.cli.gap import summary
 from loose_env.errors import MissingExtra
-from loose_env.gap.diagnostics.experiment_advice import how_to_separate, identifiability_words
-from loose_env.gap.output.evidence_schema import Alike, Identifiability, Unseen
-from loose_env.gap.output.result import Gap, GapResult, NamedEffect, Place, Ranked
-from loose_env.gap.workflow.summary import Evidence, GapOutputs, gather, result_of
+from loose_env.gap import (
+    Evidence,
+    Gap,
+    GapOutputs,
+    GapResult,
+    Identifiability,
+    NamedEffect,
+    Place,
+    Ranked,
+    gather,
+    how_to_separate,
+    result_of,
+)
+from loose_env.gap.diagnostics.experiment_advice import identifiability_words
+from loose_env.gap.output.evidence_schema import Alike, Unseen
 from loose_env.report.gap import write as gap_report
 from loose_env.report.gap.figures import channel_bars, residual_panels
 from loose_env.report.gap.page import render_gap_page, write_gap_page

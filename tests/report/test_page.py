@@ -11,9 +11,9 @@ pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
 from loose_env.arms import vera
-from loose_env.envs.settings import DiagnosisSettings
+from loose_env.envs import DiagnosisSettings
 from loose_env.errors import InvalidData
-from loose_env.evaluation.success_rates import standings, who_won
+from loose_env.evaluation import standings, who_won
 from loose_env.faults import hypotheses
 from loose_env.report.comparison.confusion_matrix import (
     confusion_counts,

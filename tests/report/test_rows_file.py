@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from loose_env.errors import InvalidData, UnknownName
-from loose_env.evaluation.rows import configuration_hash, need_format, read_rows, write_rows
+from loose_env.evaluation import configuration_hash, need_format, read_rows, write_rows
 
 CONFIGURATION = {"env": "loose_env/Vera-v0", "seed": 3, "agents": ["a"], "ranges": [0.02, 1.0]}
 ROWS: list[dict[str, Any]] = [

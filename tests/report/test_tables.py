@@ -8,9 +8,14 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData, UnknownName
-from loose_env.evaluation.factorial import crossing, pareto_front, success_after
-from loose_env.evaluation.strata import divisions
-from loose_env.evaluation.success_rates import standings, table_of
+from loose_env.evaluation import (
+    crossing,
+    divisions,
+    pareto_front,
+    standings,
+    success_after,
+    table_of,
+)
 from loose_env.report.comparison.terminal_tables import WIDTH
 from loose_env.report.comparison.text import comparison_text
 from loose_env.report.pages.table import crossed_page_table, division_page_table

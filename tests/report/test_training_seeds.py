@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData
+from loose_env.evaluation import runs_of, trained_agents
 from loose_env.evaluation.seed_aggregates import (
     interquartile_mean,
-    runs_of,
     stratified_interval,
     task_scores,
-    trained_agents,
 )
 
 

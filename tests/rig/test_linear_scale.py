@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loose_env.arms import planar, scara
-from loose_env.arms.response.linear import LinearArm
-from loose_env.diagnosis.records.prediction import SensorFloor, predict
-from loose_env.diagnosis.records.record_statistics import statistics_of
+from loose_env.arms import LinearArm, planar, scara
+from loose_env.diagnosis import SensorFloor, predict, statistics_of
 from loose_env.excitation import Excitation, at_levels
 from loose_env.rig import SimulatedRig
 from loose_env.sensors import Encoder, SensorSuite, read_encoder

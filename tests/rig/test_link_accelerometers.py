@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from loose_env.arms import Arm, planar, scara, six_axis, vera
-from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
-from loose_env.arms.response.sensor_sites import link_site
+from loose_env.arms import Arm, Mismatch, MismatchDraw, link_site, planar, scara, six_axis, vera
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import Excitation
 from loose_env.faults import Healthy

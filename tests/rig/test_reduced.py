@@ -5,13 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loose_env.arms import planar, scara, servoed, six_axis, vera, with_compliance
-from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
-from loose_env.diagnosis.records.record_statistics import statistics_of
-from loose_env.envs.episode.batch import EpisodeBatch
-from loose_env.envs.faults.difficulty import Difficulty
-from loose_env.envs.faults.sampler import FaultSampler
-from loose_env.envs.settings import DiagnosisSettings
+from loose_env.arms import (
+    Mismatch,
+    MismatchDraw,
+    planar,
+    scara,
+    servoed,
+    six_axis,
+    vera,
+    with_compliance,
+)
+from loose_env.diagnosis import statistics_of
+from loose_env.envs import DiagnosisSettings, Difficulty, EpisodeBatch, FaultSampler
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import at_levels
 from loose_env.faults import CompoundLooseness, Healthy, Preload, StructuralLooseness, hypotheses

@@ -11,11 +11,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms import Arm, planar, vera
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
-from loose_env.diagnosis.records.prediction import SensorFloor, predict
-from loose_env.diagnosis.records.record_statistics import statistics_of
+from loose_env.arms import Arm, LinearArm, Mismatch, MismatchDraw, planar, vera
+from loose_env.diagnosis import SensorFloor, predict, statistics_of
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import (

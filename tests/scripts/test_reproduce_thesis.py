@@ -12,10 +12,10 @@ pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
 from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.report.pages.figure_card import Plate
+from loose_env.report import Plate
+from loose_env.thesis import SECTIONS, Outcome, run_sections
 from loose_env.thesis.shared import run
-from loose_env.thesis.shared.registry import SECTIONS
-from loose_env.thesis.shared.run import Outcome, run_section, run_sections
+from loose_env.thesis.shared.run import run_section
 from loose_env.thesis.shared.section import Section
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -35,7 +35,7 @@ def script() -> ModuleType:
 @pytest.fixture
 def sections(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, ModuleType]]:
     """Three small sections in place of those of the thesis; the second of them fails."""
-    from loose_env.report.pages.figures import new_figure
+    from loose_env.report import new_figure
 
     def drawn(seed: int) -> Section:
         figure = new_figure(2.0)

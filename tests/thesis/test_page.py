@@ -12,8 +12,7 @@ pytest.importorskip("matplotlib")
 from markupsafe import escape
 
 from loose_env.errors import InvalidData
-from loose_env.report.pages.figure_card import Plate
-from loose_env.report.pages.figures import new_figure
+from loose_env.report import Plate, new_figure
 from loose_env.report.pages.svg import THEMED
 from loose_env.thesis.shared.page import LEFT_OUT, ranges, render_thesis_page, write_thesis_page
 from loose_env.thesis.shared.run import Outcome

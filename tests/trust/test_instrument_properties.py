@@ -17,14 +17,19 @@ from hypothesis import strategies as st
 
 from loose_env.arms import DESK_ARM, Arm, arm_from_file, planar, scara
 from loose_env.errors import LooseEnvError
-from loose_env.instrument.diagnose import diagnose
-from loose_env.instrument.inspect import inspect_model, screen
-from loose_env.instrument.planning.plan import load, plan
-from loose_env.instrument.planning.plan_files import plan_json
-from loose_env.instrument.result import Diagnosis
-from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettings
-from loose_env.instrument.settings.diagnosis import DiagnoseSettings
-from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.instrument import (
+    DiagnoseSettings,
+    Diagnosis,
+    ModelSettings,
+    NextSettings,
+    PlanSettings,
+    diagnose,
+    inspect_model,
+    plan,
+    plan_json,
+    screen,
+)
+from loose_env.instrument.planning.plan import load
 from loose_env.recording import Run, read_recording, write_recording
 from tests.trust.test_properties import chains
 

@@ -87,7 +87,7 @@ def test_the_watch_sees_what_is_written_run_and_read_outside(tmp_path: Path, wat
 def test_no_hostile_element_gets_another_file_code_or_all_memory(
     tmp_path: Path, watch: Watch, number: int
 ) -> None:
-    from loose_env.arms.files.model_reader import compile_spec, load_spec
+    from loose_env.arms import compile_spec, load_spec
     from scripts.suites.trust.fuzz.documents import MODEL, tetrahedron
 
     around = Surroundings(tmp_path)

@@ -143,14 +143,14 @@ def _arm(place: Path, data: bytes) -> Any:
 
 
 def _result(place: Path, data: bytes) -> Any:
-    from loose_env.gap.output.result import read_result
+    from loose_env.gap import read_result
 
     place.joinpath("result.json").write_bytes(data)
     return read_result(place)
 
 
 def _rows(place: Path, data: bytes) -> Any:
-    from loose_env.evaluation.rows import read_rows
+    from loose_env.evaluation import read_rows
 
     place.joinpath("rows.parquet").write_bytes(data)
     return read_rows(place / "rows.parquet")
@@ -228,7 +228,7 @@ def test_arrays_of_objects_are_not_unpickled(tmp_path: Path, trap: bytes, kind: 
         with pytest.raises(InvalidData):
             READERS["shard of arrays"](home, stored.getvalue())
         return
-    from loose_env.gap.output.checkpoints import Stages
+    from loose_env.gap import Stages
 
     home.joinpath("fit.npz").write_bytes(stored.getvalue())
     assert Stages(home, "k")("fit", lambda: 1) == 1  # made anew

@@ -13,10 +13,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from loose_env.arms import Arm, arm_from_file, planar, scara, vera
-from loose_env.arms.files.load import describe_file
-from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.settings import DiagnosisSettings
+from loose_env.arms import Arm, arm_from_file, describe_file, planar, scara, vera
+from loose_env.envs import DiagnosisEnv, DiagnosisSettings
 from loose_env.errors import InvalidData, LooseEnvError
 from loose_env.recording import Run, read_recording, write_recording
 from scripts.suites.trust.fuzz.documents import MODEL

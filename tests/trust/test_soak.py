@@ -55,7 +55,7 @@ def test_growth_is_found_and_noise_is_not() -> None:
 
 
 def test_what_is_not_finite_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    from loose_env.envs.vector_env import DiagnosisVectorEnv
+    from loose_env.envs import DiagnosisVectorEnv
 
     step = DiagnosisVectorEnv.step
 
@@ -70,7 +70,7 @@ def test_what_is_not_finite_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_diverged_simulations_are_counted_by_arm(monkeypatch: pytest.MonkeyPatch) -> None:
-    from loose_env.envs.vector_env import DiagnosisVectorEnv
+    from loose_env.envs import DiagnosisVectorEnv
 
     counted = property(lambda self: {"backlash": 2})
     monkeypatch.setattr(DiagnosisVectorEnv, "divergences", counted)

@@ -18,13 +18,11 @@ from loose_agents.core.base import Problem
 from loose_agents.evaluation.evaluate import evaluate
 from loose_agents.execution.shards import Shard
 from loose_agents.registry import make_agent
-from loose_env.arms.response.mismatch import MismatchDraw
-from loose_env.envs.episode.batch import BatchRig
+from loose_env.arms import MismatchDraw
+from loose_env.envs import BatchRig
 from loose_env.errors import UnknownName
 from loose_env.faults import SEVERAL_FAULTS, Fault
-from loose_env.rig.measurement import Measurement
-from loose_env.rig.reduced import ReducedRig
-from loose_env.rig.simulated import Job, SimulatedRig
+from loose_env.rig import Job, Measurement, ReducedRig, SimulatedRig
 
 __all__ = ["UNLIKE", "OtherArmRig", "UnlikeTask", "play_unlike"]
 

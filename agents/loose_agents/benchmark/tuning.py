@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from loose_agents.core.base import Agent, Problem
 from loose_agents.core.belief_agent import best_verdict
 from loose_agents.evaluation.evaluate import goes_on
-from loose_env.envs.episode.batch import EpisodeBatch
+from loose_env.envs import EpisodeBatch
 from loose_env.errors import InvalidSetting
 from loose_env.typing import Array
 
@@ -261,7 +261,7 @@ def single_joints(problem: Problem, levels: Sequence[int] | None = None) -> list
     Examples
     --------
     >>> from loose_env.arms import planar
-    >>> from loose_env.envs.settings import DiagnosisSettings
+    >>> from loose_env.envs import DiagnosisSettings
     >>> single_joints(Problem.of(planar(2), DiagnosisSettings()), [3])
     [(3, 0), (0, 3)]
     """

@@ -11,11 +11,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.linear import LinearArm
-from loose_env.envs.episode.actions import ActionLayout
-from loose_env.envs.episode.observation import ObservationLayout
-from loose_env.envs.settings import DiagnosisSettings
+from loose_env.arms import Arm, LinearArm
+from loose_env.envs import ActionLayout, DiagnosisSettings, ObservationLayout
 from loose_env.faults import UNSURE, hypotheses
 
 __all__ = ["Agent", "EpisodeAgent", "Problem"]

@@ -11,10 +11,8 @@ from scipy.special import logsumexp
 
 from loose_agents.core.base import Problem
 from loose_agents.core.belief_agent import Situation, records_taken
-from loose_env.diagnosis.likelihood.posterior import Belief, FaultPosterior, PosteriorSettings
-from loose_env.diagnosis.records.record_statistics import RecordStatistics
-from loose_env.envs.episode.observation import ObservationLayout
-from loose_env.envs.faults.difficulty import difficulty_named
+from loose_env.diagnosis import Belief, FaultPosterior, PosteriorSettings, RecordStatistics
+from loose_env.envs import ObservationLayout, difficulty_named
 from loose_env.errors import InvalidSetting
 
 __all__ = [

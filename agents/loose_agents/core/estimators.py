@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from loose_agents.core.base import Problem
 from loose_agents.core.belief_agent import Estimator
-from loose_env.envs.faults.difficulty import difficulty_named
+from loose_env.envs import difficulty_named
 from loose_env.errors import UnknownName
 
 __all__ = ["ESTIMATORS", "feature_size", "further_features", "make_estimator"]
@@ -25,7 +25,7 @@ def _posterior(problem: Problem) -> Estimator:
 def _amortised(problem: Problem) -> Estimator:
     from loose_agents.core.belief_tracker import Tracker
     from loose_agents.core.shipped_weights import WEIGHTS, setting_name
-    from loose_env.diagnosis.learned.amortised_posterior import AmortisedPosterior
+    from loose_env.diagnosis import AmortisedPosterior
 
     difficulty = difficulty_named(problem.settings.difficulty)
     posterior = AmortisedPosterior.load(
@@ -56,7 +56,7 @@ def make_estimator(name: str, problem: Problem) -> Estimator:
     Examples
     --------
     >>> from loose_env.arms import planar
-    >>> from loose_env.envs.settings import DiagnosisSettings
+    >>> from loose_env.envs import DiagnosisSettings
     >>> make_estimator("posterior", Problem.of(planar(2), DiagnosisSettings())).problem.arm.name
     'planar2'
     """

@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 
 from loose_agents.core.base import Agent
 from loose_agents.core.belief_agent import Situation
-from loose_env.arms.arm import Arm
-from loose_env.envs.episode.batch import BatchRig, EpisodeBatch
-from loose_env.envs.episode.state import Outcome
-from loose_env.envs.settings import DiagnosisSettings
+from loose_env.arms import Arm
+from loose_env.envs import BatchRig, DiagnosisSettings, EpisodeBatch, Outcome
 from loose_env.errors import InvalidSetting
-from loose_env.evaluation.fault_difficulty import HiddenFigures, hidden_figures
+from loose_env.evaluation import HiddenFigures, hidden_figures
 
 __all__ = [
     "EVALUATION_SEED",

@@ -28,9 +28,9 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from loose_agents.core.base import Problem
-from loose_env.diagnosis.experiment_design.record_bound import least_records
-from loose_env.envs.faults.difficulty import difficulty_named
-from loose_env.evaluation.success_rates import Row, by_agent, standings, wilson
+from loose_env.diagnosis import least_records
+from loose_env.envs import difficulty_named
+from loose_env.evaluation import Row, by_agent, standings, wilson
 from loose_env.typing import Array
 
 __all__ = ["RecordBound", "bound_line", "record_bound"]

@@ -11,7 +11,7 @@ from loose_agents.core.base import Problem
 from loose_agents.core.belief_agent import Situation
 from loose_agents.core.belief_tracker import belief_of
 from loose_agents.policies.candidate_records import Candidate, candidate_at, excitations, poses
-from loose_env.diagnosis.experiment_design.information_gain import ImaginedFaults, RecordInformation
+from loose_env.diagnosis import ImaginedFaults, RecordInformation
 
 __all__ = ["GreedyPolicy", "GreedySettings", "ranked"]
 

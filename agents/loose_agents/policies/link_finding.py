@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_agents.core.base import EpisodeAgent, Problem
-from loose_env.diagnosis.link_finding.planar import (
+from loose_env.diagnosis import (
     LinkFindingSettings,
     Sighting,
     backlash_joint,

@@ -25,12 +25,10 @@ from loose_agents.core.belief_tracker import Tracker
 from loose_agents.core.estimators import make_estimator
 from loose_agents.core.shipped_weights import tuned
 from loose_agents.policies.policies import make_policy
-from loose_env.diagnosis.likelihood.posterior import Belief
-from loose_env.diagnosis.records.record_statistics import RecordStatistics
-from loose_env.envs.faults.difficulty import difficulty_named
-from loose_env.envs.faults.sampler import FaultSampler
+from loose_env.diagnosis import Belief, RecordStatistics
+from loose_env.envs import FaultSampler, difficulty_named
 from loose_env.errors import InvalidSetting
-from loose_env.evaluation.fault_difficulty import hidden_figures
+from loose_env.evaluation import hidden_figures
 from loose_env.faults import Backlash, Fault, StructuralLooseness
 
 __all__ = ["InformedBelief", "OracleAgent", "Told", "oracle_agent", "restricted"]

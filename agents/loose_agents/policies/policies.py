@@ -7,14 +7,14 @@ from collections.abc import Callable
 from loose_agents.core.base import Problem
 from loose_agents.core.belief_agent import Estimator, Policy
 from loose_agents.core.shipped_weights import tuned
-from loose_env.diagnosis.experiment_design.information_gain import (
+from loose_env.diagnosis import (
+    AmortisedPosterior,
+    FaultPosterior,
     InformationFactors,
     RecordInformation,
+    SeatFeatures,
 )
-from loose_env.diagnosis.learned.amortised_posterior import AmortisedPosterior
-from loose_env.diagnosis.learned.features import SeatFeatures
-from loose_env.diagnosis.likelihood.posterior import FaultPosterior
-from loose_env.envs.faults.difficulty import difficulty_named
+from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting, UnknownName
 
 __all__ = ["POLICIES", "information_of", "make_policy"]

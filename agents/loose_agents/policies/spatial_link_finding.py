@@ -16,24 +16,24 @@ from numpy.typing import NDArray
 
 from loose_agents.core.base import EpisodeAgent, Problem
 from loose_agents.core.belief_tracker import record_from
-from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places
-from loose_env.diagnosis.link_finding.measured_direction import (
+from loose_env.diagnosis import (
     ChangeModel,
     ChangeSighting,
-    sight_change,
-)
-from loose_env.diagnosis.link_finding.moves import candidate_poses
-from loose_env.diagnosis.link_finding.opening_moves import choose_open_move
-from loose_env.diagnosis.link_finding.planar import LinkFindingSettings
-from loose_env.diagnosis.link_finding.search import TurnSearch
-from loose_env.diagnosis.link_finding.spatial import (
+    LinkFindingSettings,
     LinkPosterior,
+    SensorFloor,
+    ToolFrames,
+    TurnSearch,
+    candidate_poses,
+    choose_open_move,
     link_posterior,
     look_alikes,
+    places,
+    predict,
+    sight_change,
+    stiffness_errors,
 )
-from loose_env.diagnosis.records.model_uncertainty import stiffness_errors
-from loose_env.diagnosis.records.prediction import SensorFloor, predict
-from loose_env.envs.faults.difficulty import difficulty_named
+from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation
 

@@ -28,8 +28,8 @@ from loose_agents.posterior_training.simulated_records import (
     RecordBank,
     play_episodes,
 )
-from loose_env.diagnosis.learned.features import PLACE_FEATURES, RECORD_FEATURES, SeatFeatures
-from loose_env.envs.faults.difficulty import difficulty_named
+from loose_env.diagnosis import PLACE_FEATURES, RECORD_FEATURES, SeatFeatures
+from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting
 
 __all__ = [

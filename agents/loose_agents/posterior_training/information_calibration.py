@@ -16,11 +16,7 @@ from scipy.optimize import least_squares
 from loose_agents.core.base import Problem
 from loose_agents.core.belief_tracker import record_from
 from loose_agents.posterior_training.simulated_records import RecordBank
-from loose_env.diagnosis.experiment_design.information_gain import (
-    InformationFactors,
-    RecordInformation,
-)
-from loose_env.diagnosis.learned.amortised_posterior import AmortisedPosterior
+from loose_env.diagnosis import AmortisedPosterior, InformationFactors, RecordInformation
 from loose_env.typing import Array
 
 __all__ = ["Transitions", "fit_factors", "transitions_of"]

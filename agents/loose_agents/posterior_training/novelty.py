@@ -16,12 +16,18 @@ from numpy.typing import NDArray
 from loose_agents.core.base import Problem
 from loose_agents.core.belief_tracker import record_from
 from loose_agents.posterior_training.simulated_records import RecordBank
-from loose_env.diagnosis.learned.amortised_posterior import REFERENCE, AmortisedBelief
-from loose_env.diagnosis.learned.features import SeatFeatures
-from loose_env.diagnosis.learned.network import SeatNetwork
-from loose_env.diagnosis.learned.novelty import FIGURES, NoveltyReference, Seen, used_columns
+from loose_env.diagnosis import (
+    FIGURES,
+    REFERENCE,
+    AmortisedBelief,
+    NoveltyReference,
+    SeatFeatures,
+    SeatNetwork,
+    Seen,
+    used_columns,
+)
 from loose_env.errors import InvalidData
-from loose_env.statistics.gaussian_mixture import fit_gaussian_mixture
+from loose_env.statistics import fit_gaussian_mixture
 from loose_env.typing import Array
 
 __all__ = ["NoveltySettings", "episode_sights", "fit_reference", "seen_episodes", "with_reference"]

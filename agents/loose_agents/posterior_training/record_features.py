@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from loose_agents.core.base import Problem
 from loose_agents.core.belief_tracker import record_from
 from loose_agents.posterior_training.simulated_records import RecordBank
-from loose_env.diagnosis.learned.features import PLACE_FEATURES, RECORD_FEATURES, SeatFeatures
+from loose_env.diagnosis import PLACE_FEATURES, RECORD_FEATURES, SeatFeatures
 
 __all__ = ["PlaceFigures", "figures_of"]
 

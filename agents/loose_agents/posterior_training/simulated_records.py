@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_agents.core.base import Problem
-from loose_env.envs.episode.batch import EpisodeBatch
-from loose_env.evaluation.fault_difficulty import drive_over_friction
+from loose_env.envs import EpisodeBatch
+from loose_env.evaluation import drive_over_friction
 from loose_env.faults import Fault, StructuralLooseness
 from loose_env.typing import Array
 

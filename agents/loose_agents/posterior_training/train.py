@@ -20,7 +20,7 @@ from torch import Tensor, nn
 
 from loose_agents.execution.progress import ProgressLine
 from loose_agents.posterior_training.record_features import PlaceFigures
-from loose_env.diagnosis.learned.network import SeatNetwork
+from loose_env.diagnosis import SeatNetwork
 from loose_env.errors import InvalidData
 
 __all__ = ["PosteriorTraining", "TrainingSettings"]

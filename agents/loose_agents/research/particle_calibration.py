@@ -23,13 +23,8 @@ from loose_agents.core.base import Problem
 from loose_agents.core.belief_tracker import Posterior
 from loose_agents.research.particle_check import Played, probabilities_of
 from loose_agents.research.particle_posterior import ParticlePosterior, SimulatedRecords
-from loose_env.diagnosis.records.record_statistics import RecordStatistics
-from loose_env.diagnosis.research.particles.synthetic_likelihood import (
-    Repeated,
-    SyntheticLikelihood,
-    summaries_of,
-)
-from loose_env.envs.faults.sampler import FaultSampler
+from loose_env.diagnosis import RecordStatistics, Repeated, SyntheticLikelihood, summaries_of
+from loose_env.envs import FaultSampler
 from loose_env.errors import InvalidData
 from loose_env.typing import Array
 

@@ -16,12 +16,15 @@ from loose_agents.core.belief_agent import Situation
 from loose_agents.core.belief_tracker import Posterior, record_from
 from loose_agents.policies.random_and_constant import RandomPolicy
 from loose_agents.research.particle_posterior import ParticlePosterior
-from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
-from loose_env.diagnosis.research.particles.evidence import ParticleSettings, probabilities_from
-from loose_env.envs.episode.batch import EpisodeBatch
-from loose_env.envs.faults.sampler import FaultSampler
-from loose_env.evaluation.calibration import expected_calibration_error
-from loose_env.report.studies import FAINT, INK, MUTED, pyplot, save_figure
+from loose_env.diagnosis import (
+    ParticleSettings,
+    RecordStatistics,
+    probabilities_from,
+    statistics_of,
+)
+from loose_env.envs import EpisodeBatch, FaultSampler
+from loose_env.evaluation import expected_calibration_error
+from loose_env.report import FAINT, INK, MUTED, pyplot, save_figure
 from loose_env.typing import Array
 
 __all__ = [

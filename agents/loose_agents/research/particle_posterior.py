@@ -18,23 +18,20 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from loose_agents.core.base import Problem
-from loose_env.arms.response.mismatch import MismatchDraw
-from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
-from loose_env.diagnosis.research.particles.evidence import (
+from loose_env.arms import MismatchDraw
+from loose_env.diagnosis import (
     Evidence,
     ParticleSettings,
+    RecordStatistics,
     evidence_by_particles,
+    statistics_of,
+    summaries_of,
 )
-from loose_env.diagnosis.research.particles.synthetic_likelihood import summaries_of
-from loose_env.envs.faults.difficulty import difficulty_named
-from loose_env.envs.faults.sampler import FaultSampler
+from loose_env.envs import FaultSampler, difficulty_named
 from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation
 from loose_env.faults import Fault, Healthy
-from loose_env.rig.jobs import Job
-from loose_env.rig.measurement import Measurement
-from loose_env.rig.reduced import ReducedRig
-from loose_env.rig.simulated import SimulatedRig
+from loose_env.rig import Job, Measurement, ReducedRig, SimulatedRig
 from loose_env.typing import Array
 
 __all__ = ["ParticleBelief", "ParticlePosterior", "SimulatedRecords"]
@@ -232,7 +229,7 @@ class ParticlePosterior:
     Examples
     --------
     >>> from loose_env.arms import planar
-    >>> from loose_env.envs.settings import DiagnosisSettings
+    >>> from loose_env.envs import DiagnosisSettings
     >>> problem = Problem.of(planar(2), DiagnosisSettings(engine="reduced"))
     >>> ParticlePosterior(problem).start().probabilities.round(3).tolist()
     [0.333, 0.167, 0.167, 0.167, 0.167]

@@ -13,10 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loose_agents.core.base import Agent, Problem
 from loose_agents.core.belief_agent import Situation
-from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places
-from loose_env.diagnosis.link_finding.moves import candidate_poses
-from loose_env.diagnosis.link_finding.opening_moves import choose_open_move
-from loose_env.diagnosis.link_finding.spatial import LinkPosterior
+from loose_env.diagnosis import LinkPosterior, ToolFrames, candidate_poses, choose_open_move, places
 from loose_env.errors import InvalidSetting
 
 __all__ = [
@@ -63,7 +60,7 @@ def nearest_moves(problem: Problem, pose: ArrayLike, target: ArrayLike) -> NDArr
     Examples
     --------
     >>> from loose_env.arms import planar
-    >>> from loose_env.envs.settings import DiagnosisSettings
+    >>> from loose_env.envs import DiagnosisSettings
     >>> problem = Problem.of(planar(2), DiagnosisSettings())
     >>> problem.actions.moves[nearest_moves(problem, [0.0, 2.0], [0.9, 9.0])].round(2).tolist()
     [0.79, 0.0]

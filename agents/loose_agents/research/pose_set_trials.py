@@ -24,20 +24,22 @@ from loose_agents.research.pose_set_policies import (
     MovesOf,
     PoseSetPolicy,
 )
-from loose_env.arms import planar, six_axis
-from loose_env.arms.arm import Arm
-from loose_env.diagnosis.likelihood.axial_likelihood import log_mean_bingham
-from loose_env.diagnosis.likelihood.posterior import Belief, FaultPosterior
-from loose_env.diagnosis.link_finding.moves import candidate_poses, choose_move
-from loose_env.diagnosis.link_finding.spatial import DirectionSighting, link_posterior
-from loose_env.diagnosis.research.pose_sets.limits import (
+from loose_env.arms import Arm, planar, six_axis
+from loose_env.diagnosis import (
+    PLANNED,
+    Belief,
+    DirectionSighting,
+    FaultPosterior,
+    PoseSets,
     bingham_width,
+    candidate_poses,
+    choose_move,
     direction_limit,
+    link_posterior,
+    log_mean_bingham,
     scattered_axes,
 )
-from loose_env.diagnosis.research.pose_sets.pose_sets import PLANNED, PoseSets
-from loose_env.envs.episode.batch import EpisodeBatch
-from loose_env.envs.settings import DiagnosisSettings
+from loose_env.envs import DiagnosisSettings, EpisodeBatch
 from loose_env.faults import StructuralLooseness
 from loose_env.typing import Array
 

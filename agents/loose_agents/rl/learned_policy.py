@@ -61,7 +61,7 @@ class PolicyForm:
     Examples
     --------
     >>> from loose_env.arms import planar
-    >>> from loose_env.envs.settings import DiagnosisSettings
+    >>> from loose_env.envs import DiagnosisSettings
     >>> PolicyForm(Problem.of(planar(2), DiagnosisSettings())).nvec.tolist()
     [5, 5, 4, 4, 3, 2]
     """

@@ -14,8 +14,8 @@ from loose_agents.core.base import Problem
 from loose_agents.core.belief_agent import Estimator, records_taken
 from loose_agents.core.estimators import feature_size, further_features, make_estimator
 from loose_agents.rl.learned_policy import PolicyForm
+from loose_env.envs import DiagnosisVectorEnv
 from loose_env.envs.sb3 import Sb3VecEnv
-from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import InvalidSetting
 
 __all__ = [

@@ -74,7 +74,7 @@ class ShakenArm:
 
     Examples
     --------
-    >>> from loose_env.thesis.rigs.shaken_vera import PROXIMAL, shaken_vera
+    >>> from loose_env.thesis import PROXIMAL, shaken_vera
     >>> answer = ShakenArm(shaken_vera(), points=50).at([0.0, 1.0])
     >>> answer.tool.shape, answer.probes[PROXIMAL].shape
     ((50, 2), (50, 3))

@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch
+from loose_env.arms import LinearArm, Mismatch
 from loose_env.diagnosis.learned.features import PLACE_FEATURES, RECORD_FEATURES, SeatFeatures
 from loose_env.diagnosis.learned.network import SeatNetwork
 from loose_env.diagnosis.learned.novelty import FIGURES, NoveltyReference, Seen, sights

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch
+from loose_env.arms import LinearArm, Mismatch
 from loose_env.diagnosis.likelihood.record_likelihood import joint_covariance, transmission_errors
 from loose_env.diagnosis.likelihood.seat_response import SeatPrediction, predict_seats
 from loose_env.diagnosis.records.model_uncertainty import stiffness_errors
@@ -111,7 +110,7 @@ class SeatFeatures:
     Examples
     --------
     >>> from loose_env.arms import planar
-    >>> from loose_env.arms.response.linear import LinearArm
+    >>> from loose_env.arms import LinearArm
     >>> features = SeatFeatures(LinearArm(planar(2)), SensorSuite(), Mismatch(), directions=8)
     >>> features.places, len(features.hypothesis)
     (18, 18)

@@ -30,7 +30,7 @@ from loose_env.diagnosis.learned.features import (
 )
 from loose_env.diagnosis.learned.residual_change import Unexplained, unexplained
 from loose_env.errors import InvalidData
-from loose_env.statistics.gaussian_mixture import GaussianMixture
+from loose_env.statistics import GaussianMixture
 from loose_env.typing import Array
 
 __all__ = [

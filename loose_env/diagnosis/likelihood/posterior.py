@@ -14,8 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import logsumexp
 
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch
+from loose_env.arms import LinearArm, Mismatch
 from loose_env.diagnosis.likelihood.opening_table import OpeningTable, shipped_table
 from loose_env.diagnosis.likelihood.record_likelihood import SHUT, Fit, fit_record
 from loose_env.diagnosis.records.prediction import SensorFloor

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch
+from loose_env.arms import LinearArm, Mismatch
 from loose_env.diagnosis.likelihood.seat_response import predict_seats
 from loose_env.diagnosis.records.model_uncertainty import joint_zero_errors, sensor_errors
 from loose_env.diagnosis.records.prediction import SensorFloor

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.response.linear import LinearPose
+from loose_env.arms import LinearPose
 from loose_env.typing import Array, ComplexArray
 
 __all__ = ["SeatPrediction", "predict_seats"]
@@ -75,7 +75,7 @@ def predict_seats(
     --------
     >>> import numpy as np
     >>> from loose_env.arms import planar
-    >>> from loose_env.arms.response.linear import LinearArm
+    >>> from loose_env.arms import LinearArm
     >>> at = LinearArm(planar(2)).at([0.0, 1.0])
     >>> seats = predict_seats(at, np.array([0.0, 3.0]), np.eye(2), np.zeros(3))
     >>> seats.in_step_open.shape

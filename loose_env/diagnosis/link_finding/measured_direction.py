@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.response.mismatch import Mismatch
+from loose_env.arms import Mismatch
 from loose_env.diagnosis.likelihood.axial_likelihood import precision_of
 from loose_env.diagnosis.link_finding.spatial import DirectionSighting
 from loose_env.diagnosis.records.prediction import Prediction, SensorFloor
@@ -123,7 +123,7 @@ def sight_change(
     Examples
     --------
     >>> from loose_env.arms import planar
-    >>> from loose_env.arms.response.linear import LinearArm
+    >>> from loose_env.arms import LinearArm
     >>> from loose_env.diagnosis.records.prediction import predict
     >>> from loose_env.diagnosis.records.record_statistics import statistics_of
     >>> from loose_env.excitation import Excitation

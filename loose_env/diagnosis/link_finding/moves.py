@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loose_env.arms.arm import Arm
+from loose_env.arms import Arm
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.diagnosis.link_finding.planar import Order, next_joint
 from loose_env.diagnosis.link_finding.spatial import LinkPosterior

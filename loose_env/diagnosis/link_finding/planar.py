@@ -22,7 +22,7 @@ from typing import Literal
 
 import numpy as np
 
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import LinearArm
 from loose_env.errors import InvalidSetting
 from loose_env.statistics import ComparativeIndex, axial_difference, comparative_index
 from loose_env.typing import Array

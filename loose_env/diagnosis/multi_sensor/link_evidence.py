@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from loose_env.arms.response.mismatch import Mismatch
+from loose_env.arms import Mismatch
 from loose_env.diagnosis.multi_sensor.direction_search import UNKNOWN, climb, half_grid
 from loose_env.diagnosis.multi_sensor.incoherent_motion import LooseMotion, loose_records
 from loose_env.diagnosis.multi_sensor.sensed_arm import SensedArm, SensedPose

@@ -10,10 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch
-from loose_env.arms.response.sensor_sites import Place, link_site
+from loose_env.arms import Arm, LinearArm, Mismatch, Place, link_site
 from loose_env.typing import Array
 
 __all__ = ["SensedArm", "SensedPose"]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.response.mismatch import Mismatch
+from loose_env.arms import Mismatch
 from loose_env.diagnosis.multi_sensor.direction_search import UNKNOWN
 from loose_env.diagnosis.multi_sensor.sensed_arm import SensedPose
 from loose_env.diagnosis.multi_sensor.sensor_rows import SensorRows, StackedRecord

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.sensor_sites import link_site
+from loose_env.arms import Arm, link_site
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.rig.measurement import Measurement
+from loose_env.rig import Measurement
 from loose_env.sensors import LinkAccelerometers
 from loose_env.statistics import (
     acceleration_from_angle,

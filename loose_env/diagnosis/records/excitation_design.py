@@ -20,8 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.linear import LinearArm, LinearPose
+from loose_env.arms import Arm, LinearArm, LinearPose
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation, at_levels
 from loose_env.statistics import axes_grid

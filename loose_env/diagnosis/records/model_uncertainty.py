@@ -21,8 +21,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.response.linear import LinearArm, LinearPose, Response
-from loose_env.arms.response.mismatch import Mismatch
+from loose_env.arms import LinearArm, LinearPose, Mismatch, Response
 from loose_env.statistics import TransmissionEstimate
 from loose_env.typing import Array
 

@@ -7,8 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.linear import LinearPose, Response
+from loose_env.arms import Arm, LinearPose, Response
 from loose_env.excitation import Excitation
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import Covariances, LowestCoherence, lowest_coherence_direction_from
@@ -127,7 +126,7 @@ def predict(pose: LinearPose, excitation: Excitation, floor: SensorFloor) -> Pre
     Examples
     --------
     >>> from loose_env.arms import planar
-    >>> from loose_env.arms.response.linear import LinearArm
+    >>> from loose_env.arms import LinearArm
     >>> shake = Excitation(torque_rms=(0.0, 3.0), duration=1.2, band=(30.0, 150.0))
     >>> quiet = SensorFloor(joint=0.0, tool=0.0)
     >>> at = LinearArm(planar(2)).at([0.0, 1.0])

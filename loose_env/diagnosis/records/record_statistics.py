@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.rig.measurement import Measurement
+from loose_env.rig import Measurement
 from loose_env.statistics import (
     acceleration_from_angle,
     apparent_inertia_from,

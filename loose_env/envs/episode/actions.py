@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from loose_env.arms.arm import Arm
+from loose_env.arms import Arm
 from loose_env.envs.episode.pose_encoding import JointPose
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidAction

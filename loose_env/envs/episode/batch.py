@@ -16,11 +16,8 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import MismatchDraw
-from loose_env.diagnosis.records.prediction import SensorFloor, predict
-from loose_env.diagnosis.records.record_statistics import statistics_of
+from loose_env.arms import Arm, LinearArm, MismatchDraw
+from loose_env.diagnosis import SensorFloor, predict, statistics_of
 from loose_env.envs.episode.actions import Action, ActionLayout
 from loose_env.envs.episode.observation import ObservationLayout
 from loose_env.envs.episode.raw_observation import RawMeasurement
@@ -33,9 +30,7 @@ from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import UNSURE, Fault, Healthy, SeveralFaults, hypotheses, place_of
-from loose_env.rig.measurement import Measurement
-from loose_env.rig.reduced import ReducedRig
-from loose_env.rig.simulated import Job, SimulatedRig
+from loose_env.rig import Job, Measurement, ReducedRig, SimulatedRig
 from loose_env.typing import Array
 
 __all__ = ["BatchRig", "EpisodeBatch"]

@@ -11,10 +11,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.spec_parts import held_inertia
-from loose_env.diagnosis.records.prediction import Prediction
-from loose_env.diagnosis.records.record_statistics import RecordStatistics
+from loose_env.arms import Arm, held_inertia
+from loose_env.diagnosis import Prediction, RecordStatistics
 from loose_env.envs.episode.pose_encoding import JointPose
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import UnknownName

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from loose_env.arms.arm import Arm
+from loose_env.arms import Arm
 from loose_env.errors import InvalidSetting
 from loose_env.typing import Array
 

@@ -8,10 +8,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from loose_env.arms.arm import Arm
+from loose_env.arms import Arm
 from loose_env.envs.episode.observation import ObservationLayout
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.rig.measurement import Measurement
+from loose_env.rig import Measurement
 
 __all__ = ["RawMeasurement", "raw_observation", "raw_space"]
 

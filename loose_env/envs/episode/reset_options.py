@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
+from loose_env.arms import Arm, Mismatch, MismatchDraw
 from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import KINDS, SEVERAL_FAULTS, Fault, hypotheses, is_fault, preloaded

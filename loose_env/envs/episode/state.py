@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.faults import Fault
-from loose_env.rig.measurement import Measurement
+from loose_env.rig import Measurement
 from loose_env.typing import Array
 
 __all__ = ["Episode", "Outcome"]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from loose_env.arms.arm import Arm
+from loose_env.arms import Arm
 from loose_env.errors import InvalidSetting
 
 __all__ = ["checked_true_arm"]

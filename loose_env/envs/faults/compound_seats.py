@@ -8,7 +8,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import LinearArm
 from loose_env.envs.faults.difficulty import Difficulty
 from loose_env.envs.faults.seat_stops import SeatMasses, Stops
 from loose_env.excitation import SeatDrive

@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from loose_env.arms.response.mismatch import Mismatch
+from loose_env.arms import Mismatch
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import (
     DEFAULT_KINDS,

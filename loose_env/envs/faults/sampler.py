@@ -7,8 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import Arm, LinearArm
 from loose_env.envs.faults.compound_seats import FurtherSeats, direction_from, log_uniform, uniform
 from loose_env.envs.faults.difficulty import Difficulty
 from loose_env.envs.faults.seat_stops import SeatMasses

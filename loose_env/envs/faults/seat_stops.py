@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import LinearArm
 from loose_env.faults import FASTEST_STOP
 from loose_env.typing import Array
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Literal
 
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import LinearArm
 from loose_env.envs.episode.state import Episode
 from loose_env.envs.rendering.correlation_loop import LoopPair
 from loose_env.envs.rendering.correlation_surface import SurfacePair
@@ -20,7 +20,7 @@ from loose_env.envs.rendering.fault_text import (
 )
 from loose_env.envs.rendering.palette import EDGE, INK, MEASURED, MUTED, SHAKEN, TRUTH
 from loose_env.faults import UNSURE, Backlash, Fault, parts_of
-from loose_env.rig.measurement import Measurement
+from loose_env.rig import Measurement
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

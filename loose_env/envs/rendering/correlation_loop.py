@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loose_env.diagnosis.records.prediction import Prediction
-from loose_env.rig.measurement import Measurement
+from loose_env.diagnosis import Prediction
+from loose_env.rig import Measurement
 from loose_env.statistics import (
     Covariances,
     acceleration_from_angle,

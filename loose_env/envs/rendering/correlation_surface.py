@@ -8,9 +8,9 @@ from itertools import combinations
 import numpy as np
 from scipy.linalg import eigh
 
-from loose_env.diagnosis.records.prediction import Prediction
+from loose_env.diagnosis import Prediction
 from loose_env.envs.rendering.correlation_loop import record_of
-from loose_env.rig.measurement import Measurement
+from loose_env.rig import Measurement
 from loose_env.statistics import Covariances, covariances
 from loose_env.typing import Array
 

@@ -10,8 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.linear import LinearPose
+from loose_env.arms import Arm, LinearPose
 from loose_env.excitation import Excitation
 from loose_env.faults import (
     SEVERAL_FAULTS,
@@ -112,7 +111,7 @@ def shaking_words(at: LinearPose, excitation: Excitation) -> str:
     Examples
     --------
     >>> from loose_env.arms import planar
-    >>> from loose_env.arms.response.linear import LinearArm
+    >>> from loose_env.arms import LinearArm
     >>> from loose_env.excitation import at_levels
     >>> at = LinearArm(planar(2)).at([0.0, 1.0])
     >>> shake, _ = at_levels(at, np.array([0.0, 4.0]), duration=1.2)

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.response.linear import LinearArm
-from loose_env.diagnosis.records.prediction import SensorFloor
+from loose_env.arms import LinearArm
+from loose_env.diagnosis import SensorFloor
 from loose_env.envs.episode.state import Episode
 from loose_env.envs.rendering.planar.scene import PlanarScene
 from loose_env.envs.rendering.planar.view import moves_in_a_plane
 from loose_env.envs.rendering.spatial.scene import SpaceScene
 from loose_env.errors import InvalidSetting, MissingExtra
-from loose_env.rig.measurement import Measurement
+from loose_env.rig import Measurement
 from loose_env.sensors import SensorSuite
 
 if TYPE_CHECKING:

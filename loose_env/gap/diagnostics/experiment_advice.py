@@ -6,7 +6,7 @@ Motions and measurements that show effects, and that separate those which look a
 from __future__ import annotations
 
 from loose_env.gap.output.evidence_schema import Identifiability, Unseen
-from loose_env.io.text import duration_words
+from loose_env.io import duration_words
 
 __all__ = ["how_to_see", "how_to_separate", "identifiability_words"]
 

@@ -15,9 +15,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.files.safe_scan import files_of
+from loose_env.arms import files_of
 from loose_env.errors import InvalidSetting
-from loose_env.io.files import written_beside
+from loose_env.io import written_beside
 from loose_env.recording import Recording
 
 __all__ = ["Stage", "Stages", "Tree", "fresh", "key_of"]

@@ -14,7 +14,7 @@ from math import ceil, nan
 import mujoco
 import numpy as np
 
-from loose_env.arms.engine_warnings import quiet
+from loose_env.arms import quiet
 from loose_env.gap.data.aligned_run import Trial
 from loose_env.gap.data.initial_rest import SETTLE
 from loose_env.gap.fitting.gauss_newton import strikes

@@ -15,14 +15,14 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from loose_env.arms.files.safe_scan import files_of
+from loose_env.arms import files_of
 from loose_env.errors import InvalidData
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.nominal_model import Machine, set_step
 from loose_env.gap.output.result import NamedEffect
 from loose_env.gap.simulation.time_step import step_with
-from loose_env.io.files import written_beside
-from loose_env.recording.columns import ModelColumns
+from loose_env.io import written_beside
+from loose_env.recording import ModelColumns
 from loose_env.typing import Array
 
 __all__ = ["corrected_spec", "correction_code", "model_notes", "nameless_words", "write_model"]

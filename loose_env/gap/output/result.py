@@ -14,8 +14,7 @@ from typing import Any, Literal, get_args
 from loose_env.errors import InvalidData
 from loose_env.gap.output.evidence_schema import Identifiability, LeftOver, Location
 from loose_env.gap.residuals.physical_units import quantity_words
-from loose_env.io.files import write_text
-from loose_env.io.json_codec import json_text, read_result_file, restored, whole_of
+from loose_env.io import json_text, read_result_file, restored, whole_of, write_text
 
 __all__ = [
     "FORMAT",

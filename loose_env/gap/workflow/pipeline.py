@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loose_env.arms.engine_warnings import quiet
+from loose_env.arms import quiet
 from loose_env.gap.fitting.confidence_intervals import Intervals
 from loose_env.gap.fitting.gauss_newton import UNNAMED, Fit, fit, slices_of, strikes
 from loose_env.gap.fitting.holdout_score import Judge, Judged, share_of

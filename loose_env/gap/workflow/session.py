@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from loose_env.arms.engine_warnings import quiet
+from loose_env.arms import quiet
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.gap.diagnostics.residual_spectra import Series, series_of
 from loose_env.gap.fitting.confidence_intervals import bootstrap, widened

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from loose_env.errors import InvalidData
-from loose_env.recording.columns import nearest
+from loose_env.recording import nearest
 
 __all__ = ["Fields", "got", "number"]
 

@@ -24,9 +24,7 @@ from loose_env.importing.mapping.mapping import (
 from loose_env.importing.mapping.units import unit_named
 from loose_env.importing.samples import ChannelKey
 from loose_env.importing.timing.dates import date_ns
-from loose_env.recording import Condition
-from loose_env.recording.columns import nearest
-from loose_env.recording.text_file import read_text
+from loose_env.recording import Condition, nearest, read_text
 
 __all__ = ["MAPPING_FORMAT", "mapping_of", "read_mapping"]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import mujoco
 
 from loose_env.errors import InvalidData
-from loose_env.recording.columns import nearest
+from loose_env.recording import nearest
 
 __all__ = ["UNITS", "Unit", "column_quantity", "known_units", "unit_named"]
 

@@ -17,7 +17,7 @@ from loose_env.importing.mapping.units import unit_named
 from loose_env.importing.readers.csv_lines import cells, header_of, open_text
 from loose_env.importing.samples import ChannelKey, Samples, checked
 from loose_env.importing.timing.dates import date_ns
-from loose_env.recording.columns import nearest
+from loose_env.recording import nearest
 
 __all__ = ["column_index", "number_of", "read_csv_logger"]
 

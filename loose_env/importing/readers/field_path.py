@@ -10,7 +10,7 @@ from itertools import islice
 from typing import Any
 
 from loose_env.errors import InvalidData
-from loose_env.recording.columns import nearest
+from loose_env.recording import nearest
 
 __all__ = ["FieldPath", "fields_of", "leaves", "stamp_ns"]
 

@@ -18,7 +18,7 @@ from loose_env.importing.readers.field_path import FieldPath, fields_of, leaves,
 from loose_env.importing.readers.mcap_messages import Decoder, decoder_of, encoding_of
 from loose_env.importing.readers.mcap_records import Message, walk
 from loose_env.importing.samples import Channel, ChannelKey, FileList, Samples, Stream, checked
-from loose_env.recording.columns import nearest
+from loose_env.recording import nearest
 
 __all__ = ["list_mcap", "read_mcap"]
 

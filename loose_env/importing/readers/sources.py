@@ -21,7 +21,7 @@ from loose_env.importing.readers.mcap_records import MAGIC
 from loose_env.importing.readers.uff_file import list_uff, read_uff
 from loose_env.importing.samples import ChannelKey, FileList, Samples
 from loose_env.importing.timing.even_stamps import straightened
-from loose_env.recording.columns import nearest
+from loose_env.recording import nearest
 
 __all__ = ["Given", "files_of_runs", "given_files", "kind_of", "list_file", "read_source"]
 

@@ -15,7 +15,7 @@ from loose_env.errors import InvalidData, MissingExtra
 from loose_env.importing.mapping.mapping import TimeSource
 from loose_env.importing.mapping.units import unit_named
 from loose_env.importing.samples import Channel, ChannelKey, FileList, Samples, Stream, checked
-from loose_env.recording.columns import nearest
+from loose_env.recording import nearest
 from loose_env.typing import Array
 
 __all__ = ["list_uff", "read_uff"]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from loose_env.errors import InvalidData
-from loose_env.importing.timing.resampling import median_step
+from loose_env.importing import median_step
 from loose_env.recording import Run
 from loose_env.typing import Array
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from loose_env.diagnosis.link_finding.direction_images import ToolFrames
+from loose_env.diagnosis import ToolFrames
 from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.laplace_fit import Fit
 from loose_env.instrument.inference.posterior import Judged

@@ -15,7 +15,7 @@ from loose_env.instrument.inference.evidence import (
     band_terms,
     seat_powers,
 )
-from loose_env.statistics.directions.sphere import axes_grid, tangents
+from loose_env.statistics import axes_grid, tangents
 from loose_env.typing import Array
 
 __all__ = ["MODEL_ERRORS", "Fit", "best_powers", "fit_hypothesis", "seats_of"]

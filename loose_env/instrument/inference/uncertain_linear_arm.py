@@ -18,8 +18,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import MismatchDraw
+from loose_env.arms import LinearArm, MismatchDraw
 from loose_env.instrument.model.recorded_arm import Machine
 from loose_env.instrument.settings.tolerances import Tolerances
 from loose_env.typing import Array

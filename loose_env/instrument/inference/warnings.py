@@ -14,7 +14,7 @@ from loose_env.instrument.inference.opening_probability import open_probability,
 from loose_env.instrument.inference.posterior import Judged
 from loose_env.instrument.model.recorded_arm import Machine
 from loose_env.instrument.result import HEALTHY
-from loose_env.statistics.directions.sphere import axes_grid
+from loose_env.statistics import axes_grid
 
 __all__ = ["warnings_of"]
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from loose_env.arms.arm import Arm, Holding
+from loose_env.arms import Arm, Holding
 from loose_env.typing import Array
 
 __all__ = ["JointDrive", "PassedOver", "actuators_on", "drives_of", "held_by_drives"]

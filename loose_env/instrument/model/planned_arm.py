@@ -12,11 +12,18 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from loose_env.arms import arm_from_file
-from loose_env.arms.arm import Arm, HoldKind
-from loose_env.arms.files.model_reader import ModelFile, load_spec, read_model_file
-from loose_env.arms.files.report import FileReport, report
-from loose_env.arms.files.serial_chain import Chain, find_chain
+from loose_env.arms import (
+    Arm,
+    Chain,
+    FileReport,
+    HoldKind,
+    ModelFile,
+    arm_from_file,
+    find_chain,
+    load_spec,
+    read_model_file,
+    report,
+)
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.instrument.model.actuators import JointDrive, drives_of, held_by_drives
 from loose_env.instrument.model.clearance import Collisions
@@ -122,7 +129,7 @@ def load_model_arm(
 
     Examples
     --------
-    >>> from loose_env.arms.files.load import DESK_ARM
+    >>> from loose_env.arms import DESK_ARM
     >>> desk = load_model_arm(DESK_ARM)
     >>> desk.joints[:2], desk.drives[0].actuator
     (('base', 'shoulder'), 'actuator1')

@@ -13,11 +13,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.files.load import arm_from_file
-from loose_env.arms.files.model_reader import compile_spec, load_spec, read_model_file
-from loose_env.arms.files.serial_chain import find_chain
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import (
+    Arm,
+    LinearArm,
+    arm_from_file,
+    compile_spec,
+    find_chain,
+    load_spec,
+    read_model_file,
+)
 from loose_env.errors import InvalidData
 from loose_env.instrument.model.actuators import actuators_on
 from loose_env.instrument.model.tool_site import tool_site

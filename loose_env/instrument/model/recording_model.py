@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from loose_env.arms.files.model_reader import ModelFile, compile_spec, load_spec
-from loose_env.arms.files.serial_chain import Chain
+from loose_env.arms import Chain, ModelFile, compile_spec, load_spec
 from loose_env.instrument.model.tool_site import mark_tool
 
 __all__ = ["ACCELEROMETER", "Recordable", "recordable"]

@@ -6,8 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import Arm, LinearArm
 from loose_env.errors import InvalidData
 from loose_env.typing import Array
 

@@ -13,9 +13,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.response.linear import LinearArm
-from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places
-from loose_env.diagnosis.link_finding.spatial import look_alikes
+from loose_env.arms import LinearArm
+from loose_env.diagnosis import ToolFrames, look_alikes, places
 from loose_env.instrument.model.planned_arm import ModelArm
 from loose_env.instrument.planning.excitation import (
     SEEN,

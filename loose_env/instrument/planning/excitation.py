@@ -15,11 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.linear import LinearArm, LinearPose
-from loose_env.diagnosis.learned.features import SeatFeatures
-from loose_env.diagnosis.likelihood.seat_response import predict_seats
-from loose_env.diagnosis.records.excitation_design import Proposal, propose_excitation
+from loose_env.arms import Arm, LinearArm, LinearPose
+from loose_env.diagnosis import Proposal, SeatFeatures, predict_seats, propose_excitation
 from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.typing import Array
 

@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.linear import LinearArm
-from loose_env.diagnosis.link_finding.direction_images import ToolFrames
+from loose_env.arms import Arm, LinearArm
+from loose_env.diagnosis import ToolFrames
 from loose_env.instrument.model.planned_arm import ModelArm
 from loose_env.instrument.planning.excitation import sensitivity
 from loose_env.instrument.planning.next_measurement import seat_features

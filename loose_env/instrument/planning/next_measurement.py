@@ -16,12 +16,8 @@ from dataclasses import asdict, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch
-from loose_env.diagnosis.experiment_design.information_gain import ImaginedFaults, RecordInformation
-from loose_env.diagnosis.learned.features import SeatFeatures
-from loose_env.diagnosis.records.excitation_design import Proposal
+from loose_env.arms import Arm, LinearArm, Mismatch
+from loose_env.diagnosis import ImaginedFaults, Proposal, RecordInformation, SeatFeatures
 from loose_env.errors import InvalidData, UnknownName
 from loose_env.excitation import at_levels
 from loose_env.instrument.planning.candidate_poses import Allowed, candidate_poses

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from loose_env.arms.response.linear import LinearArm
-from loose_env.diagnosis.records.excitation_design import propose_excitation
+from loose_env.arms import LinearArm
+from loose_env.diagnosis import propose_excitation
 from loose_env.errors import InvalidSetting
 from loose_env.instrument.model.clearance import Ground
 from loose_env.instrument.model.holding_commands import why_not_held
@@ -110,7 +110,7 @@ def next_for(
 
     Examples
     --------
-    >>> from loose_env.arms.files.load import DESK_ARM
+    >>> from loose_env.arms import DESK_ARM
     >>> desk = load_model_arm(DESK_ARM)
     >>> first = next_for(desk, settings=NextSettings(poses=2))
     >>> set(first.pose) == set(desk.joints)

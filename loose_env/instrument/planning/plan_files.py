@@ -20,12 +20,9 @@ import numpy as np
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.instrument.planning.plan import Plan
 from loose_env.instrument.planning.signals import Signal
-from loose_env.io.files import write_text, written_beside
-from loose_env.io.json_codec import plain
-from loose_env.recording.csv_file import write_csv
-from loose_env.recording.description import DESCRIPTION, RunEntry, read_description
-from loose_env.recording.description import FORMAT as RECORDING_FORMAT
-from loose_env.recording.parquet_file import write_parquet
+from loose_env.io import plain, write_text, written_beside
+from loose_env.recording import DESCRIPTION, RunEntry, read_description, write_csv, write_parquet
+from loose_env.recording import FORMAT as RECORDING_FORMAT
 from loose_env.typing import Array
 
 __all__ = [

@@ -7,12 +7,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from loose_env.arms.arm import Arm
-from loose_env.diagnosis.likelihood.posterior import Belief
-from loose_env.diagnosis.link_finding.direction_images import ToolFrames
+from loose_env.arms import Arm
+from loose_env.diagnosis import Belief, ToolFrames
 from loose_env.errors import InvalidData
 from loose_env.instrument.result import HEALTHY, Diagnosis
-from loose_env.recording.columns import nearest
+from loose_env.recording import nearest
 from loose_env.typing import Array
 
 __all__ = ["Known", "Seen", "belief_of", "known_of", "names_of"]

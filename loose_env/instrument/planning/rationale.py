@@ -16,10 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from loose_env.arms.arm import Arm
-from loose_env.diagnosis.likelihood.axial_likelihood import precision_of
-from loose_env.diagnosis.link_finding.direction_images import ToolFrames
-from loose_env.diagnosis.link_finding.spatial import DirectionSighting, link_posterior
+from loose_env.arms import Arm
+from loose_env.diagnosis import DirectionSighting, ToolFrames, link_posterior, precision_of
 from loose_env.errors import InvalidData
 from loose_env.instrument.model.clearance import Ground
 from loose_env.instrument.model.planned_arm import ModelArm

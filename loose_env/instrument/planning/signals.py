@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft
 
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import LinearArm
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.instrument.model.holding_commands import (

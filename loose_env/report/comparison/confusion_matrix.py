@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.envs.rendering.palette import FAINT, INK, MUTED
+from loose_env.envs import FAINT, INK, MUTED
 from loose_env.errors import InvalidData
-from loose_env.evaluation.success_rates import Row
+from loose_env.evaluation import Row
 from loose_env.faults import SEVERAL_FAULTS, UNSURE, place_of
 from loose_env.report.pages.figures import WIDTH, new_figure
 from loose_env.report.pages.palette import AGENTS, is_light

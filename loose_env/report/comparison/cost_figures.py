@@ -7,11 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from loose_env.envs.rendering.palette import FAINT, INK, MUTED
-from loose_env.evaluation.calibration import claims_of, reliability
-from loose_env.evaluation.factorial import pareto_front
-from loose_env.evaluation.strata import Division
-from loose_env.evaluation.success_rates import Row, Standing, by_agent
+from loose_env.envs import FAINT, INK, MUTED
+from loose_env.evaluation import (
+    Division,
+    Row,
+    Standing,
+    by_agent,
+    claims_of,
+    pareto_front,
+    reliability,
+)
 from loose_env.report.pages.figures import WIDTH, new_figure
 from loose_env.report.pages.palette import agent_colours
 

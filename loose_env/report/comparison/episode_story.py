@@ -7,11 +7,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from loose_env.arms.arm import Arm
-from loose_env.envs.episode.batch import EpisodeBatch
-from loose_env.envs.rendering.fault_text import fault_words, hypothesis_words
-from loose_env.envs.rendering.picture import Picture
-from loose_env.envs.settings import DiagnosisSettings
+from loose_env.arms import Arm
+from loose_env.envs import DiagnosisSettings, EpisodeBatch, Picture, fault_words, hypothesis_words
 from loose_env.faults import UNSURE
 from loose_env.report.pages.figure_card import Plate
 from loose_env.report.pages.svg import to_svg

@@ -8,11 +8,21 @@ from pathlib import Path
 
 import numpy as np
 
-from loose_env.evaluation.calibration import calibration_of
-from loose_env.evaluation.factorial import crossing, success_after
-from loose_env.evaluation.seed_aggregates import runs_of, trained_agents
-from loose_env.evaluation.strata import RATIO_EDGES, divisions
-from loose_env.evaluation.success_rates import Row, Standing, by_agent, standings, table_of, who_won
+from loose_env.evaluation import (
+    RATIO_EDGES,
+    Row,
+    Standing,
+    by_agent,
+    calibration_of,
+    crossing,
+    divisions,
+    runs_of,
+    standings,
+    success_after,
+    table_of,
+    trained_agents,
+    who_won,
+)
 from loose_env.report.comparison.confusion_matrix import confusion_matrix, ordered_hypotheses
 from loose_env.report.comparison.cost_figures import (
     reliability_curves,

@@ -7,11 +7,15 @@ import textwrap
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from loose_env.evaluation.calibration import Calibration
-from loose_env.evaluation.factorial import Crossing
-from loose_env.evaluation.paired_bootstrap import Interval
-from loose_env.evaluation.strata import Division, ratio_names
-from loose_env.evaluation.success_rates import Row, Standing
+from loose_env.evaluation import (
+    Calibration,
+    Crossing,
+    Division,
+    Interval,
+    Row,
+    Standing,
+    ratio_names,
+)
 
 __all__ = [
     "calibration_table",

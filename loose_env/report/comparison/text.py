@@ -7,11 +7,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from loose_env.evaluation.calibration import calibration_of
-from loose_env.evaluation.factorial import crossing, success_after
-from loose_env.evaluation.seed_aggregates import runs_of, trained_agents
-from loose_env.evaluation.strata import RATIO_EDGES, divisions
-from loose_env.evaluation.success_rates import Row, by_agent, standings
+from loose_env.evaluation import (
+    RATIO_EDGES,
+    Row,
+    by_agent,
+    calibration_of,
+    crossing,
+    divisions,
+    runs_of,
+    standings,
+    success_after,
+    trained_agents,
+)
 from loose_env.report.comparison.terminal_tables import (
     calibration_table,
     crossed_table,

@@ -8,16 +8,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.arm import Arm
-from loose_env.envs.rendering.palette import EDGE, INK, MUTED, SHAKEN, TRUTH
-from loose_env.envs.rendering.planar.arm import ArmDrawing
-from loose_env.envs.rendering.planar.view import PlanarView, moves_in_a_plane
-from loose_env.envs.rendering.scenery import arrow, draw_base, draw_measure, half_height
-from loose_env.envs.rendering.spatial.arm import SpaceDrawing
-from loose_env.envs.rendering.spatial.view import SpaceView
+from loose_env.arms import Arm
+from loose_env.envs import (
+    EDGE,
+    INK,
+    MUTED,
+    SHAKEN,
+    TRUTH,
+    ArmDrawing,
+    PlanarView,
+    SpaceDrawing,
+    SpaceView,
+    arrow,
+    draw_base,
+    draw_measure,
+    half_height,
+    moves_in_a_plane,
+)
 from loose_env.errors import InvalidData
 from loose_env.faults import Backlash, StructuralLooseness
-from loose_env.instrument.result import Fault
+from loose_env.instrument import Fault
 from loose_env.report.pages.figures import WIDTH, new_figure
 from loose_env.typing import Array
 

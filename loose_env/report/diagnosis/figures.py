@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from loose_env.envs.rendering.palette import FAINT, INK, MEASURED, MUTED, PAPER, TRUTH
-from loose_env.instrument.result import HEALTHY, Loop, RecordSeen
+from loose_env.envs import FAINT, INK, MEASURED, MUTED, PAPER, TRUTH
+from loose_env.instrument import HEALTHY, Loop, RecordSeen
 from loose_env.report.pages.figures import WIDTH, new_figure
 from loose_env.report.pages.palette import is_light
 
@@ -206,7 +206,7 @@ def _direction(axes: Axes, loop: Loop, record: RecordSeen) -> None:
     """Draw the direction in which motion is lost, and how well it is known."""
     from matplotlib.patches import Circle, Wedge
 
-    from loose_env.envs.rendering.scenery import arrow
+    from loose_env.envs import arrow
 
     assert record.direction_tool is not None
     seen = np.array([record.direction_tool["xyz".index(axis)] for axis in loop.plane])

@@ -6,9 +6,9 @@ import os
 from pathlib import Path
 from typing import Any
 
-from loose_env.arms.arm import Arm
-from loose_env.instrument.result import HEALTHY, Diagnosis, NextMeasurement, RecordSeen
-from loose_env.io.text import sentence
+from loose_env.arms import Arm
+from loose_env.instrument import HEALTHY, Diagnosis, NextMeasurement, RecordSeen
+from loose_env.io import sentence
 from loose_env.report.diagnosis.arm_figure import arm_figure
 from loose_env.report.diagnosis.figures import loop_figure, posterior_figure, shown_hypotheses
 from loose_env.report.diagnosis.text import (

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.signal import welch
 
-from loose_env.envs.rendering.palette import INK, MEASURED, MUTED
-from loose_env.instrument.planning.plan import Plan
-from loose_env.instrument.planning.signals import Signal
-from loose_env.io.text import sentence
+from loose_env.envs import INK, MEASURED, MUTED
+from loose_env.instrument import Plan, Signal
+from loose_env.io import sentence
 from loose_env.report.diagnosis.arm_figure import arm_figure
 from loose_env.report.diagnosis.plan_text import (
     commands_after,

@@ -7,12 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
-from loose_env.instrument.model.actuators import JointDrive
-from loose_env.instrument.planning.plan import Plan
-from loose_env.instrument.planning.plan_files import RECORDING, run_columns, signal_stems
-from loose_env.instrument.planning.signals import Signal
-from loose_env.instrument.settings.command_line import option_words, path_word
-from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.instrument import (
+    RECORDING,
+    JointDrive,
+    NextSettings,
+    Plan,
+    Signal,
+    option_words,
+    path_word,
+    run_columns,
+    signal_stems,
+)
 from loose_env.report.diagnosis.text import percent, place_value, short_name
 
 __all__ = ["commands_after", "plain_names", "pose_rows", "starts", "steps", "summary"]

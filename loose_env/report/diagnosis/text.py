@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from loose_env.arms.arm import Arm
+from loose_env.arms import Arm
 from loose_env.errors import InvalidData
-from loose_env.instrument.result import HEALTHY, Diagnosis, NextMeasurement
-from loose_env.io.text import begun, sentence
+from loose_env.instrument import HEALTHY, Diagnosis, NextMeasurement
+from loose_env.io import begun, sentence
 
 __all__ = [
     "headline",

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from loose_env.envs.rendering.palette import FAINT, INK, MEASURED, MUTED, TRUTH
-from loose_env.gap.diagnostics.regressors import binned
+from loose_env.envs import FAINT, INK, MEASURED, MUTED, TRUTH
+from loose_env.gap import binned
 from loose_env.report.pages.figures import WIDTH, new_figure
 from loose_env.typing import Array
 

@@ -8,12 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from loose_env.gap.diagnostics.joint_torque_residual import JointMotion
-from loose_env.gap.diagnostics.localisation import main_band, strongest
-from loose_env.gap.output.evidence_schema import Dependence
-from loose_env.gap.output.result import GapResult
-from loose_env.gap.workflow.summary import Evidence, GapOutputs
-from loose_env.io.text import duration_words, sentence
+from loose_env.gap import (
+    Dependence,
+    Evidence,
+    GapOutputs,
+    GapResult,
+    JointMotion,
+    main_band,
+    strongest,
+)
+from loose_env.io import duration_words, sentence
 from loose_env.report.gap.figures import (
     channel_bars,
     horizon_curves,

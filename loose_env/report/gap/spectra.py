@@ -7,10 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from loose_env.gap.diagnostics.feature_localisation import StruckChannel
-from loose_env.gap.diagnostics.residual_spectra import Series, in_bands, series_of, spectrum
-from loose_env.gap.output.result import GapResult
-from loose_env.gap.workflow.summary import Evidence, GapOutputs
+from loose_env.gap import (
+    Evidence,
+    GapOutputs,
+    GapResult,
+    Series,
+    StruckChannel,
+    in_bands,
+    series_of,
+    spectrum,
+)
 from loose_env.report.gap.figures import spectrum_curves
 from loose_env.report.pages.figure_card import Plate
 from loose_env.report.pages.sections import group

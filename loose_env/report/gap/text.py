@@ -8,13 +8,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from loose_env.gap.diagnostics.experiment_advice import how_to_see, how_to_separate
-from loose_env.gap.diagnostics.remaining_error import CLOSED
-from loose_env.gap.output.evidence_schema import Identifiability
-from loose_env.gap.output.result import GapResult, NamedEffect, Place, Ranked
-from loose_env.gap.residuals.physical_units import quantity_words
-from loose_env.gap.settings import NamingSettings
-from loose_env.io.text import duration_words
+from loose_env.gap import (
+    CLOSED,
+    GapResult,
+    Identifiability,
+    NamedEffect,
+    NamingSettings,
+    Place,
+    Ranked,
+    how_to_see,
+    how_to_separate,
+    quantity_words,
+)
+from loose_env.io import duration_words
 from loose_env.report.pages.sections import group
 
 __all__ = [
@@ -107,7 +113,7 @@ def unsure(result: GapResult) -> Ranked | None:
 
     Examples
     --------
-    >>> from loose_env.gap.output.result import Gap
+    >>> from loose_env.gap import Gap
     >>> friction = Ranked(
     ...     kind="coulomb_friction", where="joint2", held_out=1.01, bic=-9e3, lead=1.7
     ... )

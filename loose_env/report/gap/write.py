@@ -6,8 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from loose_env.errors import MissingExtra
-from loose_env.gap.output.result import GapResult
-from loose_env.gap.workflow.summary import GapOutputs, gather, result_of, write_model_and_result
+from loose_env.gap import GapOutputs, GapResult, gather, result_of, write_model_and_result
 from loose_env.report.gap.page import write_gap_page
 
 __all__ = ["write_outputs"]

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from loose_env.envs.rendering.palette import FAINT, INK, MUTED
+from loose_env.envs import FAINT, INK, MUTED
 from loose_env.errors import MissingExtra
-from loose_env.evaluation.success_rates import Row, by_agent, standings
+from loose_env.evaluation import Row, by_agent, standings
 from loose_env.report.pages.palette import agent_colours
 
 if TYPE_CHECKING:

@@ -6,11 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from loose_env.evaluation.calibration import Calibration
-from loose_env.evaluation.factorial import Crossing
-from loose_env.evaluation.paired_bootstrap import Interval
-from loose_env.evaluation.strata import Division, ratio_names
-from loose_env.evaluation.success_rates import percent
+from loose_env.evaluation import Calibration, Crossing, Division, Interval, percent, ratio_names
 
 __all__ = [
     "PageTable",

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import LinearArm
 from loose_env.excitation import torque_signals
 from loose_env.rig.jobs import Job
 from loose_env.typing import Array

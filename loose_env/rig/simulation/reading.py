@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.mismatch import MismatchDraw
+from loose_env.arms import Arm, MismatchDraw
 from loose_env.rig.jobs import Run
 from loose_env.rig.measurement import Measurement
 from loose_env.sensors import SensorSuite, read_accelerometer, read_encoder

@@ -20,7 +20,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.arm import Arm
+from loose_env.arms import Arm
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation
 from loose_env.rig.plant import Plant

@@ -9,7 +9,7 @@ from loose_env.errors import InvalidData
 from loose_env.statistics._checks import as_floats
 from loose_env.statistics.intervals.axis import DirectionInterval, Resampling, interval
 from loose_env.statistics.records.covariance import centred, covariances, planar_excitation
-from loose_env.statistics.transmission.change import transmission_by_instrument_from
+from loose_env.statistics.tool_transmission.change import transmission_by_instrument_from
 from loose_env.typing import Array
 
 

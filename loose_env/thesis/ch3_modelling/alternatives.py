@@ -9,8 +9,7 @@ import numpy as np
 from loose_env.arms import Arm, vera
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import StructuralLooseness
-from loose_env.kinematics.chain import Chain
-from loose_env.kinematics.jacobian import geometric_jacobian
+from loose_env.kinematics import Chain, geometric_jacobian
 from loose_env.thesis.methods.looseness.docked_simulation import simulate_docked
 from loose_env.thesis.methods.looseness.modelling_alternatives import (
     ALTERNATIVES,

@@ -8,13 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from loose_env.arms import Arm, planar
-from loose_env.envs.rendering.palette import FAINT, INK, MEASURED, MUTED, TRUTH
+from loose_env.envs import FAINT, INK, MEASURED, MUTED, TRUTH
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import Backlash, Fault, Healthy, StructuralLooseness
-from loose_env.kinematics.chain import Chain
-from loose_env.kinematics.jacobian import geometric_jacobian
-from loose_env.report.pages.figure_card import Plate
-from loose_env.report.pages.figures import WIDTH, new_figure
+from loose_env.kinematics import Chain, geometric_jacobian
+from loose_env.report import WIDTH, Plate, new_figure
 from loose_env.sensors import Encoder, read_encoder
 from loose_env.thesis.methods.looseness.docked_simulation import Jig, simulate_docked
 from loose_env.thesis.methods.looseness.inertia_condition import seated_inertia

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from loose_env.envs.rendering.palette import FAINT, INK, MEASURED, MUTED, SHAKEN
-from loose_env.report.pages.figures import new_figure
+from loose_env.envs import FAINT, INK, MEASURED, MUTED, SHAKEN
+from loose_env.report import new_figure
 from loose_env.thesis.methods.looseness.inertia_condition import backlash_condition
 from loose_env.thesis.methods.looseness.modelling_alternatives import Weighing
 

@@ -6,8 +6,7 @@ import numpy as np
 
 from loose_env.arms import planar
 from loose_env.errors import InvalidData
-from loose_env.kinematics.chain import Chain
-from loose_env.kinematics.jacobian import geometric_jacobian
+from loose_env.kinematics import Chain, geometric_jacobian
 from loose_env.thesis.ch3_modelling.docked_tool import GAP, SLOPE, loose_links, motion_counts
 from loose_env.thesis.methods.looseness.looseness_joint import insert_looseness
 from loose_env.thesis.methods.looseness.parameter_recursion import (

@@ -8,14 +8,14 @@ import numpy as np
 
 from loose_env.arms import planar, vera
 from loose_env.faults import Backlash, Healthy, StructuralLooseness
-from loose_env.kinematics.chain import Chain
-from loose_env.kinematics.jacobian import (
+from loose_env.kinematics import (
+    Chain,
     Frame,
     changed_columns,
     geometric_jacobian,
     link_of_changed_columns,
 )
-from loose_env.report.pages.figure_card import Plate
+from loose_env.report import Plate
 from loose_env.thesis.ch3_modelling.alternatives import GAP, POSES, loose_seat
 from loose_env.thesis.ch3_modelling.figures import condition_figure
 from loose_env.thesis.methods.looseness.inertia_condition import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from loose_env.arms import planar, vera
-from loose_env.report.pages.figure_card import Plate
+from loose_env.report import Plate
 from loose_env.thesis.ch3_modelling.alternatives import (
     carried_torque,
     finding,

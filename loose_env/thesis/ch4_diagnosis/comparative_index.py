@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loose_env.errors import InvalidData
-from loose_env.statistics.correlation.comparative_index import comparative_index
-from loose_env.statistics.directions.angles import axial_difference
+from loose_env.statistics import axial_difference, comparative_index
 from loose_env.thesis.printed import printed
 
 __all__ = [

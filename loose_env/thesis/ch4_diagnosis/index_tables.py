@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from loose_env.envs.rendering.palette import FAINT, INK, MEASURED, MUTED
-from loose_env.report.pages.figure_card import Plate
-from loose_env.report.pages.figures import WIDTH, new_figure
+from loose_env.envs import FAINT, INK, MEASURED, MUTED
+from loose_env.report import WIDTH, Plate, new_figure
 from loose_env.thesis.ch4_diagnosis.comparative_index import (
     STEP,
     ErrorSummary,

@@ -8,22 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import binomtest
 
-from loose_env.arms import planar
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.linear import LinearArm
-from loose_env.diagnosis.link_finding.planar import (
+from loose_env.arms import Arm, LinearArm, planar
+from loose_env.diagnosis import (
     LinkFindingSettings,
     Order,
     Sighting,
     judge_turn,
     next_joint,
+    statistics_of,
 )
-from loose_env.diagnosis.records.record_statistics import statistics_of
-from loose_env.envs.faults.difficulty import Difficulty
-from loose_env.envs.faults.sampler import FaultSampler
+from loose_env.envs import Difficulty, FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Healthy
-from loose_env.report.pages.figure_card import Plate
+from loose_env.report import Plate
 from loose_env.rig import Job, Measurement, SimulatedRig
 from loose_env.statistics import axial_difference, lowest_correlation_direction
 from loose_env.thesis.ch6_experiments.shaken_vera.cases import (

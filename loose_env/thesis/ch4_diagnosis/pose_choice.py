@@ -7,16 +7,18 @@ from typing import Any
 import numpy as np
 
 from loose_env.arms import Arm, planar, vera
-from loose_env.kinematics.chain import Chain
-from loose_env.kinematics.jacobian import geometric_jacobian
-from loose_env.kinematics.manipulability import (
+from loose_env.kinematics import (
+    Chain,
     axis_difference_deg,
     direction_deg,
     ellipsoid,
+    geometric_jacobian,
+    reactions,
+    reciprocal_product,
     rotation_line,
+    wrench_rank,
 )
-from loose_env.kinematics.seat_loads import reactions, reciprocal_product, wrench_rank
-from loose_env.report.pages.figure_card import Plate
+from loose_env.report import Plate
 from loose_env.thesis.ch4_diagnosis.pose_figures import (
     EllipsoidPanel,
     comparison_figure,

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from loose_env.arms import Arm
-from loose_env.envs.rendering.palette import EDGE, FAINT, INK, MEASURED, MUTED, TRUTH
-from loose_env.kinematics.chain import Chain
-from loose_env.report.pages.figures import WIDTH, new_figure
+from loose_env.envs import EDGE, FAINT, INK, MEASURED, MUTED, TRUTH
+from loose_env.kinematics import Chain
+from loose_env.report import WIDTH, new_figure
 from loose_env.typing import Array
 
 if TYPE_CHECKING:

@@ -8,17 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import spearmanr
 
-from loose_env.arms import Arm
-from loose_env.arms.response.linear import LinearArm
-from loose_env.kinematics.manipulability import submanipulator
-from loose_env.kinematics.pose_choice import (
+from loose_env.arms import Arm, LinearArm
+from loose_env.kinematics import (
     Drive,
     chebyshev_poses,
     choose_poses,
+    reactions,
     seat_drive,
+    submanipulator,
     worst_push,
 )
-from loose_env.kinematics.seat_loads import reactions
 from loose_env.thesis.ch4_diagnosis.pose_figures import Comparison
 from loose_env.thesis.shared.section import Table
 from loose_env.typing import Array

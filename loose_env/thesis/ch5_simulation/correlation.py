@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from loose_env.envs.rendering.palette import FAINT, INK, MUTED
-from loose_env.report.pages.figure_card import Plate
-from loose_env.report.pages.figures import new_figure
-from loose_env.report.pages.palette import AGENTS
+from loose_env.envs import FAINT, INK, MUTED
+from loose_env.report import AGENTS, Plate, new_figure
 from loose_env.statistics import (
     axial_difference,
     correlation_loop,

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from loose_env.envs.rendering.palette import FAINT, INK, MUTED
-from loose_env.report.pages.figures import new_figure
-from loose_env.report.pages.palette import AGENTS
+from loose_env.envs import FAINT, INK, MUTED
+from loose_env.report import AGENTS, new_figure
 from loose_env.statistics import axial_difference
 from loose_env.thesis.methods.motion.distribution_matching import (
     Match,

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from loose_env.report.pages.figure_card import Plate
+from loose_env.report import Plate
 from loose_env.thesis.ch5_simulation.distribution_matching import (
     ANGLE,
     HALF_WIDTH,

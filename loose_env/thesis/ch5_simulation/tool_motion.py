@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from loose_env.envs.rendering.palette import INK, MEASURED, MUTED, TRUTH
-from loose_env.report.pages.figure_card import Plate
-from loose_env.report.pages.figures import new_figure
+from loose_env.envs import INK, MEASURED, MUTED, TRUTH
+from loose_env.report import Plate, new_figure
 from loose_env.statistics import kurtosis
 from loose_env.thesis.methods.motion.histogram import contour_levels, histogram
 from loose_env.thesis.methods.motion.loose_planar_arm import (

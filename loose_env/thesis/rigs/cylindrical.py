@@ -7,10 +7,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from loose_env.arms.arm import Arm, Holding, HoldKind
-from loose_env.arms.gear_parameters import Gears
-from loose_env.arms.holding.compliance import held
-from loose_env.arms.spec_parts import HOLDING_MODE_HZ, holdings, new_spec
+from loose_env.arms import HOLDING_MODE_HZ, Arm, Gears, Holding, HoldKind, held, holdings, new_spec
 
 __all__ = ["COLUMN_MODE_HZ", "GUIDE", "OIL_MODE_HZ", "cylindrical"]
 

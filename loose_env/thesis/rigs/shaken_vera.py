@@ -5,10 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from loose_env.arms.arm import Arm, Holding
-from loose_env.arms.library.vera import LINK_LENGTH, BendingLink2, vera_spec
-from loose_env.arms.shaker import Shaker
-from loose_env.arms.spec_parts import holdings
+from loose_env.arms import LINK_LENGTH, Arm, BendingLink2, Holding, Shaker, holdings, vera_spec
 from loose_env.errors import InvalidSetting, UnknownName
 
 __all__ = ["PROXIMAL", "SHAKEN_BAND", "Pin", "ShakenVeraFigures", "shaken_vera"]

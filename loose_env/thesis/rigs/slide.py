@@ -7,9 +7,7 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-from loose_env.arms.arm import Arm, Holding
-from loose_env.arms.shaker import Shaker
-from loose_env.arms.spec_parts import new_spec
+from loose_env.arms import Arm, Holding, Shaker, new_spec
 from loose_env.errors import InvalidSetting, UnknownName
 
 __all__ = ["BENCH", "SLIDE", "SLIDE_BAND", "Mount", "Stinger", "slide_rig"]

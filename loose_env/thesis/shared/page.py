@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from loose_env.errors import InvalidData
-from loose_env.report.pages.template import paragraphs, shown, template, write_whole
+from loose_env.report import paragraphs, shown, template, write_whole
 from loose_env.thesis.shared.run import Outcome
 from loose_env.thesis.shared.section import Section, Table
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loose_env.envs.rendering.palette import FAINT, INK, MUTED
-from loose_env.report.pages.figures import WIDTH, new_figure
+from loose_env.envs import FAINT, INK, MUTED
+from loose_env.report import WIDTH, new_figure
 from loose_env.statistics import correlation_loop
 
 if TYPE_CHECKING:

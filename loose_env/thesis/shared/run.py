@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 from multiprocessing import get_context
 
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.report.pages.figure_card import Plate
-from loose_env.report.pages.svg import to_svg
+from loose_env.report import Plate, to_svg
 from loose_env.thesis.shared.registry import choose, load
 from loose_env.thesis.shared.section import Section
 

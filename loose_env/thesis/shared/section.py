@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from loose_env.errors import InvalidData
-from loose_env.report.pages.figure_card import Plate
+from loose_env.report import Plate
 
 __all__ = ["Section", "Table"]
 

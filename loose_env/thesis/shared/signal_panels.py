@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from loose_env.envs.rendering.palette import FAINT, INK, MUTED
-from loose_env.report.pages.figures import WIDTH, new_figure
+from loose_env.envs import FAINT, INK, MUTED
+from loose_env.report import WIDTH, new_figure
 from loose_env.typing import Array
 
 if TYPE_CHECKING:

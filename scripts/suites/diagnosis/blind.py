@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from loose_env.cli.main import main
-from loose_env.instrument.result import Diagnosis, read_diagnosis
+from loose_env.instrument import Diagnosis, read_diagnosis
 from loose_env.recording import write_recording
 from scripts.suites.diagnosis.cases import Case
 from scripts.suites.diagnosis.measuring import (
@@ -41,7 +41,7 @@ def recorded(case: Case, runs: int) -> dict[str, Any]:
 
 def in_session(case: Case, most: int) -> dict[str, Any]:
     """Let the tool choose its runs until it names the fault."""
-    from loose_env.instrument.session import find_fault
+    from loose_env.instrument import find_fault
 
     steps: list[dict[str, float]] = []
 

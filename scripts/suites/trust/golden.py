@@ -112,8 +112,7 @@ def diagnosis() -> dict[str, Any]:
 
 def gap(threads: int = 1) -> dict[str, Any]:
     """What `loose gap` finds on a small recording."""
-    from loose_env.gap.settings import GapSettings
-    from loose_env.gap.workflow.pipeline import find_gap
+    from loose_env.gap import GapSettings, find_gap
     from loose_env.recording import read_recording
     from scripts.suites.trust.kills.commands import make_recording
 
@@ -134,11 +133,14 @@ def gap(threads: int = 1) -> dict[str, Any]:
 
 def instrument() -> dict[str, Any]:
     """What `loose diagnose` says of a small recording, and what `loose plan` asks for."""
-    from loose_env.instrument.diagnose import diagnose
-    from loose_env.instrument.model.planned_arm import load_model_arm
-    from loose_env.instrument.planning.plan import next_for, plan
-    from loose_env.instrument.settings.diagnosis import DiagnoseSettings
-    from loose_env.instrument.settings.measurement import NextSettings
+    from loose_env.instrument import (
+        DiagnoseSettings,
+        NextSettings,
+        diagnose,
+        load_model_arm,
+        next_for,
+        plan,
+    )
     from loose_env.recording import read_recording
     from scripts.suites.trust.kills.commands import make_shaken_recording
 

@@ -32,8 +32,9 @@ from loose_agents.policies.oracle import oracle_agent
 from loose_agents.registry import belief_agent
 
 from loose_env.arms import planar
-from loose_env.diagnosis.link_finding.planar import LinkFindingSettings
-from loose_env.envs.settings import DiagnosisSettings, Prices
+from loose_env.diagnosis import LinkFindingSettings
+from loose_env.envs import DiagnosisSettings
+from loose_env.envs.settings import Prices
 from loose_env.errors import InvalidSetting, UnknownName
 
 RECORDS = 3
@@ -88,8 +89,7 @@ def test_trails_do_not_depend_on_width_or_range(problem: Problem) -> None:
 def test_an_episode_that_diverged_ends_there(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from loose_env.envs.episode.batch import EpisodeBatch
-    from loose_env.envs.episode.state import Outcome
+    from loose_env.envs import EpisodeBatch, Outcome
 
     agent = agents_of(problem)[0]
     real = EpisodeBatch.step

@@ -17,19 +17,20 @@ from loose_agents.posterior_training.bank_storage import BankPlan
 from loose_agents.posterior_training.novelty import NoveltySettings, fit_reference, with_reference
 from loose_agents.posterior_training.simulated_records import BankSettings, play_episodes
 
-from loose_env.arms import planar
-from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
-from loose_env.diagnosis.learned.amortised_posterior import (
+from loose_env.arms import Mismatch, MismatchDraw, planar
+from loose_env.diagnosis import (
+    PLACE_FEATURES,
+    RECORD_FEATURES,
     AmortisedPosterior,
+    NoveltyReference,
+    RecordStatistics,
+    SeatNetwork,
+    Seen,
     read_network,
     write_network,
 )
-from loose_env.diagnosis.learned.features import PLACE_FEATURES, RECORD_FEATURES, TransmissionChange
-from loose_env.diagnosis.learned.network import SeatNetwork
-from loose_env.diagnosis.learned.novelty import NoveltyReference, Seen
-from loose_env.diagnosis.records.record_statistics import RecordStatistics
-from loose_env.envs.episode.batch import EpisodeBatch
-from loose_env.envs.settings import DiagnosisSettings
+from loose_env.diagnosis.learned.features import TransmissionChange
+from loose_env.envs import DiagnosisSettings, EpisodeBatch
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.faults import UNSURE, Fault, Healthy
 from loose_env.sensors import SensorSuite

@@ -12,8 +12,8 @@ from loose_agents.policies.link_finding import LinkFindingAgent
 from loose_agents.registry import AGENTS, make_agent
 
 from loose_env.arms import planar, vera
-from loose_env.diagnosis.link_finding.planar import LinkFindingSettings
-from loose_env.envs.settings import DiagnosisSettings
+from loose_env.diagnosis import LinkFindingSettings
+from loose_env.envs import DiagnosisSettings
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import Fault
 

@@ -15,9 +15,8 @@ from loose_agents.registry import belief_agent, make_agent
 from scipy import stats
 
 from loose_env.arms import Arm, planar, six_axis
-from loose_env.diagnosis.likelihood.posterior import FaultPosterior, PosteriorSettings
-from loose_env.envs.faults.sampler import FaultSampler
-from loose_env.envs.settings import DiagnosisSettings
+from loose_env.diagnosis import FaultPosterior, PosteriorSettings
+from loose_env.envs import DiagnosisSettings, FaultSampler
 from loose_env.errors import InvalidSetting
 from loose_env.faults import Backlash, Healthy, StructuralLooseness
 

@@ -12,7 +12,8 @@ from loose_agents.policies.policies import POLICIES, information_of, make_policy
 from loose_agents.policies.random_and_constant import ConstantPolicy
 
 from loose_env.arms import planar
-from loose_env.envs.settings import DiagnosisSettings, Prices
+from loose_env.envs import DiagnosisSettings
+from loose_env.envs.settings import Prices
 from loose_env.errors import InvalidSetting, UnknownName
 
 

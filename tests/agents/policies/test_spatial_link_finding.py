@@ -13,10 +13,8 @@ from loose_agents.policies.spatial_link_finding import (
 )
 from loose_agents.registry import make_agent
 
-from loose_env.arms import planar, scara, six_axis
-from loose_env.arms.arm import Arm
-from loose_env.envs.episode.batch import EpisodeBatch
-from loose_env.envs.settings import DiagnosisSettings
+from loose_env.arms import Arm, planar, scara, six_axis
+from loose_env.envs import DiagnosisSettings, EpisodeBatch
 from loose_env.errors import InvalidSetting
 
 EASY = DiagnosisSettings(difficulty="easy")

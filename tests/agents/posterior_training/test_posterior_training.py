@@ -19,12 +19,9 @@ from loose_agents.posterior_training.record_features import figures_of
 from loose_agents.posterior_training.simulated_records import BankSettings, play_episodes
 from loose_agents.posterior_training.train import PosteriorTraining, TrainingSettings
 
-from loose_env.arms import planar
-from loose_env.arms.response.mismatch import Mismatch
-from loose_env.diagnosis.learned.amortised_posterior import AmortisedPosterior
-from loose_env.diagnosis.learned.features import SeatFeatures
-from loose_env.diagnosis.learned.network import SeatNetwork
-from loose_env.envs.settings import DiagnosisSettings
+from loose_env.arms import Mismatch, planar
+from loose_env.diagnosis import AmortisedPosterior, SeatFeatures, SeatNetwork
+from loose_env.envs import DiagnosisSettings
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid
 

@@ -20,21 +20,14 @@ from loose_agents.research.particle_check import (
 from loose_agents.research.particle_posterior import ParticlePosterior, SimulatedRecords
 from scipy.special import ndtr
 
-from loose_env.arms import planar, vera
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch
-from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
-from loose_env.diagnosis.research.particles.evidence import ParticleSettings
-from loose_env.diagnosis.research.particles.synthetic_likelihood import summaries_of
-from loose_env.envs.episode.batch import EpisodeBatch
-from loose_env.envs.faults.difficulty import Difficulty
-from loose_env.envs.faults.sampler import FaultSampler
-from loose_env.envs.settings import DiagnosisSettings
+from loose_env.arms import LinearArm, Mismatch, planar, vera
+from loose_env.diagnosis import ParticleSettings, RecordStatistics, statistics_of, summaries_of
+from loose_env.envs import DiagnosisSettings, Difficulty, EpisodeBatch, FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Fault, Healthy
 
 pytest.importorskip("numba")
-from loose_env.rig.reduced import ReducedRig
+from loose_env.rig import ReducedRig
 
 FEW = ParticleSettings(particles=200, repeated=16, repeats=6, moves=1)
 POSE = np.array([0.3, 1.2])

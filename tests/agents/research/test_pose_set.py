@@ -30,12 +30,9 @@ from loose_agents.research.pose_set_trials import (
     records_block,
 )
 
-from loose_env.arms import planar, six_axis
-from loose_env.arms.arm import Arm
-from loose_env.diagnosis.link_finding.direction_images import ToolFrames
-from loose_env.diagnosis.link_finding.spatial import DirectionSighting, link_posterior
-from loose_env.envs.episode.batch import EpisodeBatch
-from loose_env.envs.settings import DiagnosisSettings
+from loose_env.arms import Arm, planar, six_axis
+from loose_env.diagnosis import DirectionSighting, ToolFrames, link_posterior
+from loose_env.envs import DiagnosisSettings, EpisodeBatch
 from loose_env.errors import InvalidSetting
 
 RULES = DiagnosisSettings()

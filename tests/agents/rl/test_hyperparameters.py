@@ -17,7 +17,7 @@ from loose_agents.rl.hyperparameters import (
     read_hyperparameters,
 )
 
-from loose_env.envs.registration import IDS
+from loose_env.envs import IDS
 from loose_env.errors import InvalidSetting, LooseEnvError, UnknownName
 
 

@@ -19,9 +19,8 @@ from loose_agents.rl.learned_policy import CONFIGURATION, LearnedAgent, PolicyFo
 from loose_agents.rl.network import FORMAT, load_network, network_of, save_network
 
 from loose_env.arms import planar, scara, vera
-from loose_env.diagnosis.records.record_statistics import statistics_of
-from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.settings import DiagnosisSettings
+from loose_env.diagnosis import statistics_of
+from loose_env.envs import DiagnosisEnv, DiagnosisSettings
 from loose_env.errors import InvalidData, InvalidSetting
 
 pytest.importorskip("safetensors")
@@ -97,7 +96,7 @@ def untrained(problem: Problem, algorithm: str, kwargs: dict[str, Any] | None = 
     from loose_agents.rl.hyperparameters import algorithm_named
     from loose_agents.rl.training_env import TrackedVecEnv
 
-    from loose_env.envs.vector_env import DiagnosisVectorEnv
+    from loose_env.envs import DiagnosisVectorEnv
 
     vec = TrackedVecEnv(DiagnosisVectorEnv(problem.arm, problem.settings, num_envs=2), problem)
     model = algorithm_named(algorithm)(

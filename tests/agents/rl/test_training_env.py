@@ -22,10 +22,8 @@ from loose_agents.rl.training_env import (
     training_seed,
 )
 
-from loose_env.arms import planar, scara
-from loose_env.arms.arm import Arm
-from loose_env.envs.settings import DiagnosisSettings
-from loose_env.envs.vector_env import DiagnosisVectorEnv
+from loose_env.arms import Arm, planar, scara
+from loose_env.envs import DiagnosisSettings, DiagnosisVectorEnv
 from loose_env.errors import InvalidSetting, UnknownName
 
 SETTINGS = DiagnosisSettings(durations=(0.2,), max_records=4)

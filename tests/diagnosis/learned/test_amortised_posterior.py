@@ -7,9 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from loose_env.arms import planar
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch
+from loose_env.arms import LinearArm, Mismatch, planar
 from loose_env.diagnosis.learned.amortised_posterior import (
     AmortisedPosterior,
     read_network,

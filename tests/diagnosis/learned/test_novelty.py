@@ -19,7 +19,7 @@ from loose_env.diagnosis.learned.novelty import (
     used_columns,
 )
 from loose_env.errors import InvalidData
-from loose_env.statistics.gaussian_mixture import fit_gaussian_mixture
+from loose_env.statistics import fit_gaussian_mixture
 
 SIZE = len(COLUMNS)
 FIRST = len(FIGURES)  # where the context begins

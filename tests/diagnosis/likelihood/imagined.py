@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import LinearArm
 from loose_env.diagnosis.likelihood.seat_response import predict_seats
 from loose_env.diagnosis.records.prediction import SensorFloor
 from loose_env.diagnosis.records.record_statistics import RecordStatistics

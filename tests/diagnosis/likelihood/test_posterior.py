@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loose_env.arms import Arm, planar, vera
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import Arm, LinearArm, planar, vera
 from loose_env.diagnosis.likelihood.opening_table import (
     PRESSES,
     RATIOS,
@@ -16,8 +15,7 @@ from loose_env.diagnosis.likelihood.opening_table import (
 from loose_env.diagnosis.likelihood.posterior import FaultPosterior, PosteriorSettings
 from loose_env.diagnosis.likelihood.record_likelihood import LOOSE, OPENINGS
 from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
-from loose_env.envs.faults.difficulty import Difficulty
-from loose_env.envs.faults.sampler import FaultSampler
+from loose_env.envs import Difficulty, FaultSampler
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import at_levels
 from loose_env.faults import Fault, Healthy

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loose_env.arms import Arm, arm_from_file, planar, scara, six_axis
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import Arm, LinearArm, arm_from_file, planar, scara, six_axis
 from loose_env.diagnosis.likelihood.opening_table import (
     PRESSES,
     RATIOS,
@@ -23,8 +22,7 @@ from loose_env.diagnosis.likelihood.posterior import (
 )
 from loose_env.diagnosis.likelihood.record_likelihood import OPENINGS
 from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
-from loose_env.envs.faults.difficulty import Difficulty
-from loose_env.envs.faults.sampler import FaultSampler
+from loose_env.envs import Difficulty, FaultSampler
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import at_levels
 from loose_env.faults import Fault, Healthy, StructuralLooseness

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loose_env.arms import planar, scara, six_axis, vera
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.mismatch import Mismatch
+from loose_env.arms import Arm, Mismatch, planar, scara, six_axis, vera
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.diagnosis.link_finding.measured_direction import (
     ChangeModel,
@@ -17,8 +15,7 @@ from loose_env.diagnosis.link_finding.measured_direction import (
 from loose_env.diagnosis.records.model_uncertainty import stiffness_errors
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.diagnosis.records.record_statistics import statistics_of
-from loose_env.envs.faults.difficulty import Difficulty
-from loose_env.envs.faults.sampler import FaultSampler
+from loose_env.envs import Difficulty, FaultSampler
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import at_levels
 from loose_env.faults import Healthy

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loose_env.arms import planar
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import LinearArm, planar
 from loose_env.diagnosis.link_finding.planar import (
     LinkFindingSettings,
     Sighting,

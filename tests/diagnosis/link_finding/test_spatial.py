@@ -6,9 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms import planar, scara, six_axis, vera
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import Arm, LinearArm, planar, scara, six_axis, vera
 from loose_env.diagnosis.likelihood.axial_likelihood import log_mean_bingham, precision_of
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places, predicted_images
 from loose_env.diagnosis.link_finding.moves import (

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from loose_env.arms import Arm, planar, scara, six_axis, vera
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
+from loose_env.arms import Arm, LinearArm, Mismatch, MismatchDraw, planar, scara, six_axis, vera
 from loose_env.diagnosis.multi_sensor import link_evidence as several_sensors
 from loose_env.diagnosis.multi_sensor.link_evidence import OpeningPrior, SensorVerdict, weigh_links
 from loose_env.diagnosis.multi_sensor.sensed_arm import SensedArm

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loose_env.arms import planar, scara, six_axis, vera
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import LinearArm, planar, scara, six_axis, vera
 from loose_env.diagnosis.records.excitation_design import (
     holding_modes,
     propose_band,

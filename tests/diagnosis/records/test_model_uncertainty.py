@@ -8,9 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms import planar, scara, six_axis, vera
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch
+from loose_env.arms import LinearArm, Mismatch, planar, scara, six_axis, vera
 from loose_env.diagnosis.records.model_uncertainty import bent_by_seats, stiffness_errors
 from loose_env.diagnosis.research.sequential.transmission_change import change_of_transmission
 from loose_env.excitation import at_levels

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loose_env.arms import Arm, planar, vera
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import Arm, LinearArm, planar, vera
 from loose_env.diagnosis.likelihood.seat_response import predict_seats
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.diagnosis.records.record_statistics import statistics_of

@@ -8,13 +8,11 @@ from itertools import product
 import numpy as np
 import pytest
 
-from loose_env.arms import scara, six_axis
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import LinearArm, scara, six_axis
 from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
 from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation, at_levels
-from loose_env.rig import SimulatedRig
-from loose_env.rig.measurement import Measurement
+from loose_env.rig import Measurement, SimulatedRig
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import kurtosis, skewness
 

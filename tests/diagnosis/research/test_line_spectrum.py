@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, planar, servoed, six_axis, with_compliance
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch
+from loose_env.arms import Arm, LinearArm, Mismatch, planar, servoed, six_axis, with_compliance
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.diagnosis.research.line_spectrum.direction import (
     DynamicDirection,

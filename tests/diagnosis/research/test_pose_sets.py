@@ -7,8 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from loose_env.arms import planar, scara, six_axis
-from loose_env.arms.arm import Arm
+from loose_env.arms import Arm, planar, scara, six_axis
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.diagnosis.research.pose_sets.limits import (
     bingham_width,
@@ -19,7 +18,7 @@ from loose_env.diagnosis.research.pose_sets.limits import (
 )
 from loose_env.diagnosis.research.pose_sets.pose_sets import PLANNED, PoseSets, link_confusion
 from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.kinematics.pose_choice import worst_push
+from loose_env.kinematics import worst_push
 
 MOVES = np.radians([m for m in range(-90, 91, 15) if m])
 

@@ -8,9 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms import Arm, planar, six_axis
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
+from loose_env.arms import Arm, LinearArm, Mismatch, MismatchDraw, planar, six_axis
 from loose_env.diagnosis.records.model_uncertainty import (
     calibrate_sensor,
     kinematic_errors,

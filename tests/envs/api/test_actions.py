@@ -11,7 +11,7 @@ import pytest
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from loose_env.arms.response.mismatch import Mismatch
+from loose_env.arms import Mismatch
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.faults.difficulty import Difficulty
 from loose_env.faults import Healthy

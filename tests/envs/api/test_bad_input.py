@@ -12,7 +12,7 @@ import pytest
 from gymnasium.error import ResetNeeded
 
 import loose_env
-from loose_env.arms.response.mismatch import Mismatch
+from loose_env.arms import Mismatch
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.faults.difficulty import Difficulty
 from loose_env.envs.registration import IDS

@@ -14,13 +14,13 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 from scipy import stats
 
-from loose_env.arms.response.mismatch import MismatchDraw
+from loose_env.arms import MismatchDraw
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.settings import Prices
 from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.excitation import Excitation
 from loose_env.faults import Backlash, Fault, Healthy, Preload, StructuralLooseness
-from loose_env.rig.simulated import SimulatedRig
+from loose_env.rig import SimulatedRig
 
 MakeEnv = Callable[..., DiagnosisEnv]
 MakeVector = Callable[..., DiagnosisVectorEnv]

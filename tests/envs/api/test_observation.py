@@ -14,10 +14,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, planar, scara, six_axis, vera
-from loose_env.arms.response.linear import inertance_rate
-from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
-from loose_env.diagnosis.records.record_statistics import RecordStatistics, statistics_of
+from loose_env.arms import (
+    Arm,
+    Mismatch,
+    MismatchDraw,
+    inertance_rate,
+    planar,
+    scara,
+    six_axis,
+    vera,
+)
+from loose_env.diagnosis import RecordStatistics, statistics_of
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.episode.observation import Element, ObservationLayout
 from loose_env.envs.faults.difficulty import Difficulty
@@ -25,9 +32,8 @@ from loose_env.envs.settings import DiagnosisSettings
 from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import Fault, Healthy
-from loose_env.rig.measurement import Measurement
+from loose_env.rig import Job, Measurement, SimulatedRig
 from loose_env.rig.plant import Plant
-from loose_env.rig.simulated import Job, SimulatedRig
 from loose_env.sensors import Accelerometer, Encoder, SensorSuite
 from loose_env.typing import Array
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.episode.actions import ActionLayout
 from loose_env.envs.vector_env import DiagnosisVectorEnv
-from loose_env.rig.measurement import Measurement
+from loose_env.rig import Measurement
 
 MakeEnv = Callable[..., DiagnosisEnv]
 MakeVector = Callable[..., DiagnosisVectorEnv]

@@ -13,10 +13,8 @@ from loose_agents.evaluation.evaluate import evaluate
 from loose_agents.registry import belief_agent
 
 import loose_env  # noqa: F401  (registers the ids)
-from loose_env.arms import Arm, planar, servoed, with_compliance
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch
-from loose_env.diagnosis.records.prediction import predict
+from loose_env.arms import Arm, LinearArm, Mismatch, planar, servoed, with_compliance
+from loose_env.diagnosis import predict
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.faults.difficulty import Difficulty
 from loose_env.envs.settings import DiagnosisSettings

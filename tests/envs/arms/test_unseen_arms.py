@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 
 import loose_env  # noqa: F401  (registers the ids)
-from loose_env.arms import arm_from_file
-from loose_env.arms.response.mismatch import MismatchDraw
+from loose_env.arms import MismatchDraw, arm_from_file
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidData
 from loose_env.excitation import at_levels
 from loose_env.faults import KINDS, Backlash
-from loose_env.rig.simulated import SimulatedRig
+from loose_env.rig import SimulatedRig
 
 
 def rod(length: float, radius: float = 0.03) -> str:

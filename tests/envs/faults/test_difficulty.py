@@ -10,14 +10,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from loose_env.arms import planar, vera
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch
+from loose_env.arms import LinearArm, Mismatch, planar, vera
 from loose_env.envs.faults.difficulty import DIFFICULTIES, Difficulty, difficulty_named
 from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.excitation import SeatDrive, at_levels
 from loose_env.faults import FASTEST_STOP, Backlash, Healthy, StructuralLooseness, hypotheses
-from loose_env.rig.plant import PlantShop
+from loose_env.rig import PlantShop
 
 ARMS = {arm.name: arm for arm in (planar(3), planar(4, vertical=True), vera())}
 FRICTION = {"easy": (0.02, 0.2), "default": (0.02, 1.0), "hard": (0.1, 2.0)}

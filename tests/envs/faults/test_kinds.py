@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from loose_env.arms import Arm, arm_from_file, planar, scara, six_axis, vera
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import Arm, LinearArm, arm_from_file, planar, scara, six_axis, vera
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.faults.compound_seats import PIVOT
 from loose_env.envs.faults.difficulty import DIFFICULTIES, Difficulty
@@ -32,7 +31,7 @@ from loose_env.faults import (
     parts_of,
     twist_of,
 )
-from loose_env.rig.plant import PlantShop
+from loose_env.rig import PlantShop
 
 UR5E = Path(__file__).parents[4] / "shared" / "models" / "ur5e_bare.xml"
 ARMS: dict[str, Callable[[], Arm]] = {

@@ -12,9 +12,7 @@ from loose_agents.core.belief_agent import best_verdict
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, planar, scara, six_axis, vera
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import MismatchDraw
+from loose_env.arms import Arm, LinearArm, MismatchDraw, planar, scara, six_axis, vera
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.faults.difficulty import DIFFICULTIES, Difficulty
 from loose_env.envs.faults.sampler import FaultSampler
@@ -36,8 +34,7 @@ from loose_env.faults import (
     preloaded,
     seat_weight,
 )
-from loose_env.rig.plant import PlantShop
-from loose_env.rig.simulated import SimulatedRig
+from loose_env.rig import PlantShop, SimulatedRig
 
 MakeEnv = Callable[..., DiagnosisEnv]
 MakeVector = Callable[..., DiagnosisVectorEnv]

@@ -11,9 +11,8 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
-from loose_env.arms import Arm, planar, scara, vera
-from loose_env.arms.response.linear import LinearArm
-from loose_env.diagnosis.records.prediction import SensorFloor, predict
+from loose_env.arms import Arm, LinearArm, planar, scara, vera
+from loose_env.diagnosis import SensorFloor, predict
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.episode.state import Episode
 from loose_env.envs.rendering.correlation_loop import measured_loop, predicted_loop

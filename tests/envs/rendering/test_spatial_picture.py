@@ -13,8 +13,7 @@ pytest.importorskip("matplotlib")
 
 from matplotlib.colors import to_rgb
 
-from loose_env.arms import DESK_ARM, planar, scara, six_axis
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms import DESK_ARM, LinearArm, planar, scara, six_axis
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.episode.state import Episode
 from loose_env.envs.rendering.correlation_loop import loop_of
@@ -225,7 +224,7 @@ def test_a_tool_axis_that_stands_still_leaves_the_cuts_finite() -> None:
 
 
 def test_the_healthy_arm_s_surface_is_that_of_the_prediction() -> None:
-    from loose_env.diagnosis.records.prediction import SensorFloor, predict
+    from loose_env.diagnosis import SensorFloor, predict
     from loose_env.excitation import at_levels
     from loose_env.sensors import SensorSuite
 

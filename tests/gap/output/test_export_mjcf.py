@@ -17,7 +17,7 @@ from loose_env.gap.model.effects.joint_elasticity import JointCompliance
 from loose_env.gap.model.effects.sensors import SensorBias, SensorGain
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.output.export_mjcf import correction_code, write_model
-from loose_env.recording.columns import ModelColumns
+from loose_env.recording import ModelColumns
 from tests.gap.cases.effect_arms import (
     PLANAR,
     SPATIAL,

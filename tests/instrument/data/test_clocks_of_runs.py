@@ -10,12 +10,12 @@ import pytest
 
 from loose_env.instrument.data.held_pose import held_in
 from loose_env.instrument.data.spectral_lines import lines_of
-from loose_env.instrument.diagnose import Workbench
 from loose_env.instrument.inference.evidence import Evidence
 from loose_env.instrument.inference.frequency_response import respond
 from loose_env.instrument.inference.laplace_fit import seats_of
 from loose_env.instrument.inference.uncertain_linear_arm import UncertainMachine
 from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.pipeline import Workbench
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import Run
 from tests.instrument.arms.blind_arm import runs, write_model

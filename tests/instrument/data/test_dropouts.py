@@ -11,7 +11,7 @@ import pytest
 
 from loose_env.errors import InvalidData
 from loose_env.instrument.data.dropouts import unbroken
-from loose_env.instrument.diagnose import Workbench
+from loose_env.instrument.pipeline import Workbench
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import Run
 from tests.instrument.arms.blind_arm import runs, write_model

@@ -9,8 +9,8 @@ import pytest
 
 from loose_env.errors import InvalidData
 from loose_env.instrument.data.held_pose import held_in
-from loose_env.instrument.diagnose import Workbench
 from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.pipeline import Workbench
 from loose_env.instrument.planning.prior_knowledge import known_of
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import Run

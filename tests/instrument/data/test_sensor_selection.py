@@ -14,8 +14,8 @@ from loose_env.importing.timing.resampling import resampled
 from loose_env.instrument.data.held_pose import held_in
 from loose_env.instrument.data.sensor_selection import readings_in
 from loose_env.instrument.data.spectral_lines import Lines, lines_of
-from loose_env.instrument.diagnose import Workbench
 from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.pipeline import Workbench
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import Run
 from tests.instrument.arms.blind_arm import runs, write_model

@@ -16,8 +16,7 @@ from loose_env.instrument.planning.plan import Plan, load, next_for, plan
 from loose_env.instrument.planning.plan_files import PlanFiles, write_plan
 from loose_env.instrument.result import Diagnosis, Fault, RecordSeen
 from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettings
-from loose_env.recording import read_recording
-from loose_env.recording.csv_file import write_csv
+from loose_env.recording import read_recording, write_csv
 from loose_env.recording.parquet_file import read_parquet
 from loose_env.report.diagnosis.plan_text import commands_after, steps
 from tests.instrument.arms.plan_arms import MOTORS, SERVOED, URDF, written
@@ -303,7 +302,7 @@ def test_a_urdf_without_actuators_or_meshes_gets_motors_and_its_flange(tmp_path:
 def test_a_payload_takes_torque_to_hold(servoed: Path) -> None:
     bare, loaded = load(servoed), load(servoed, ModelSettings(payload_kg=2.0))
     pose = [0.0, 0.0, 0.0]
-    from loose_env.arms.response.linear import LinearArm
+    from loose_env.arms import LinearArm
 
     more = (
         LinearArm(loaded.arm).at(pose).gravity_torque - LinearArm(bare.arm).at(pose).gravity_torque

@@ -12,8 +12,8 @@ from loose_agents.core.base import Problem
 from loose_agents.evaluation.evaluate import EVALUATION_SEED
 
 from loose_env.arms import planar, vera
-from loose_env.envs.settings import DiagnosisSettings
-from loose_env.evaluation.rows import read_rows
+from loose_env.envs import DiagnosisSettings
+from loose_env.evaluation import read_rows
 from scripts.agents import compare
 
 ARGUMENTS = json.dumps({"durations": [0.2], "max_records": 3})

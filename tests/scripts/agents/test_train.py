@@ -25,7 +25,7 @@ from loose_agents.rl.hyperparameters import HYPERPARAMETERS
 from loose_agents.rl.training_env import evaluation_seed
 from loose_agents.rl.training_run import RunState, git_commit
 
-from loose_env.envs.episode.batch import EpisodeBatch
+from loose_env.envs import EpisodeBatch
 
 ROOT = Path(__file__).resolve().parents[3]
 TINY = [

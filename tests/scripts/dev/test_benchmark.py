@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from loose_env.rig.reduced import ReducedRig
+from loose_env.rig import ReducedRig
 from scripts.dev import benchmark
 
 

@@ -28,7 +28,7 @@ def test_the_environment_tables_are_up_to_date() -> None:
 def test_every_element_of_every_environment_is_counted_in_the_document() -> None:
     import gymnasium
 
-    from loose_env.envs.registration import IDS
+    from loose_env.envs import IDS
 
     pattern = script("write_docs").pattern
     text = (ROOT / "docs" / "environments.md").read_text(encoding="utf-8")
@@ -52,7 +52,7 @@ def test_every_element_of_every_environment_is_counted_in_the_document() -> None
 def test_every_name_of_an_element_has_its_row_in_the_table_of_meanings() -> None:
     import gymnasium
 
-    from loose_env.envs.registration import IDS
+    from loose_env.envs import IDS
 
     write_docs = script("write_docs")
     text = (ROOT / "docs" / "environments.md").read_text(encoding="utf-8")
@@ -74,7 +74,7 @@ def test_every_name_of_an_element_has_its_row_in_the_table_of_meanings() -> None
 def test_the_page_has_what_the_docstring_says_of_actions_and_rewards() -> None:
     import inspect
 
-    from loose_env.envs.diagnosis_env import DiagnosisEnv
+    from loose_env.envs import DiagnosisEnv
 
     text = (ROOT / "docs" / "environments.md").read_text(encoding="utf-8")
     words = " ".join(text.split())

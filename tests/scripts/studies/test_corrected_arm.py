@@ -16,7 +16,7 @@ from scipy.stats import binomtest
 pytest.importorskip("matplotlib")
 pytest.importorskip("numba")
 
-from loose_env.arms.files.load import describe_file
+from loose_env.arms import describe_file
 
 ROOT = Path(__file__).resolve().parents[3]
 MODE = 60.0

@@ -15,12 +15,11 @@ import pytest
 pytest.importorskip("matplotlib")
 
 import loose_env
-from loose_env.arms import planar, six_axis
-from loose_env.arms.response.linear import LinearArm
-from loose_env.diagnosis.records.prediction import SensorFloor, predict
+from loose_env.arms import LinearArm, planar, six_axis
+from loose_env.diagnosis import SensorFloor, predict
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import StructuralLooseness
-from loose_env.report.studies import stored_rows, study_head, write_study
+from loose_env.report import stored_rows, study_head, write_study
 
 ROOT = Path(__file__).resolve().parents[3]
 

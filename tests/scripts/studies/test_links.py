@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from loose_env.arms import planar, scara
-from loose_env.diagnosis.link_finding.direction_images import ToolFrames
+from loose_env.diagnosis import ToolFrames
 
 ROOT = Path(__file__).resolve().parents[3]
 

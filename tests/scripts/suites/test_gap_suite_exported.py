@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("numba")
 
-from loose_env.gap.model.effect import Effect
+from loose_env.gap import Effect
 from loose_env.gap.model.effects.actuators import ActuatorLag, CommandDelay
 from loose_env.gap.model.effects.friction import ViscousFriction
 from loose_env.gap.model.effects.joint_elasticity import JointCompliance

@@ -19,7 +19,7 @@ pytest.importorskip("numba")
 from loose_agents.execution.backends import BackendSettings
 
 from loose_env.errors import InvalidSetting
-from loose_env.gap.output.result import NamedEffect, read_result
+from loose_env.gap import NamedEffect, read_result
 from scripts.suites.gap import run as script
 from scripts.suites.gap.cases import cases
 from scripts.suites.gap.cases.cases import full_list, name_of, quick_list, role_of

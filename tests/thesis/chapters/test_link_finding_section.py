@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from loose_env.arms import planar
-from loose_env.diagnosis.link_finding.planar import Order
+from loose_env.diagnosis import Order
 from loose_env.thesis.ch4_diagnosis.link_finding import ESTIMATORS, search
 
 ARMS = 24

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.shaken import ShakenArm
+from loose_env.arms import LinearArm, ShakenArm
 from loose_env.statistics import axial_difference
 from loose_env.thesis.ch6_experiments.shaken_vera.cases import (
     LOOSE_DIRECTION,

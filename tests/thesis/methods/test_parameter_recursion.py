@@ -5,8 +5,7 @@ import pytest
 
 from loose_env.arms import planar
 from loose_env.errors import InvalidData
-from loose_env.kinematics.chain import Chain
-from loose_env.kinematics.jacobian import geometric_jacobian
+from loose_env.kinematics import Chain, geometric_jacobian
 from loose_env.thesis.methods.looseness.parameter_recursion import (
     distended_angles,
     identify_planar,

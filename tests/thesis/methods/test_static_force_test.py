@@ -7,8 +7,7 @@ from loose_env.arms import planar
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import Backlash, Healthy, StructuralLooseness
-from loose_env.kinematics.chain import Chain
-from loose_env.kinematics.jacobian import geometric_jacobian
+from loose_env.kinematics import Chain, geometric_jacobian
 from loose_env.thesis.methods.looseness.docked_simulation import simulate_docked
 from loose_env.thesis.methods.looseness.inertia_condition import seated_inertia
 from loose_env.thesis.methods.looseness.looseness_joint import insert_looseness

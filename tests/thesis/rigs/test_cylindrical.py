@@ -6,9 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.linear import LinearArm
-from loose_env.rig.plant import PlantShop
+from loose_env.arms import Arm, LinearArm
+from loose_env.rig import PlantShop
 from loose_env.thesis.rigs.cylindrical import (
     COLUMN_MODE_HZ,
     LIFT,

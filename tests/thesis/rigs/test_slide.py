@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.signal import find_peaks
 
-from loose_env.arms.response.shaken import ShakenArm, ShakenResponse
+from loose_env.arms import ShakenArm
+from loose_env.arms.response.shaken import ShakenResponse
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import Excitation
 from loose_env.rig import SimulatedRig

@@ -21,8 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch
+from loose_env.arms import LinearArm, Mismatch
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places
 from loose_env.diagnosis.research.line_spectrum.model_error_fit import (
     answers_of,
@@ -37,9 +36,9 @@ from loose_env.diagnosis.research.line_spectrum.record_lines import (
 )
 from loose_env.diagnosis.research.line_spectrum.uncertain_arm import Answer, UncertainArm
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.rig.measurement import Measurement
+from loose_env.rig import Measurement
 from loose_env.sensors import SensorSuite
-from loose_env.statistics.directions.sphere import axes_grid, tangents
+from loose_env.statistics import axes_grid, tangents
 from loose_env.typing import Array
 
 __all__ = ["DynamicDirection", "direction_by_dynamics"]

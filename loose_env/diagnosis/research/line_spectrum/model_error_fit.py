@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from loose_env.diagnosis.research.line_spectrum.record_lines import RecordLines
 from loose_env.diagnosis.research.line_spectrum.uncertain_arm import Answer, UncertainArm
-from loose_env.statistics.directions.sphere import tangents
+from loose_env.statistics import tangents
 from loose_env.typing import Array, ComplexArray
 
 __all__ = ["ErrorFit", "answers_of", "fit_errors", "misfit_along", "residual_of", "sound_misfit"]

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.arm import Arm
+from loose_env.arms import Arm
 from loose_env.errors import InvalidData
-from loose_env.rig.measurement import Measurement
+from loose_env.rig import Measurement
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import acceleration_from_angle
 from loose_env.typing import Array, ComplexArray

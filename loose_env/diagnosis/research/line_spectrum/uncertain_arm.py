@@ -19,8 +19,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.response.linear import LinearArm, LinearPose, inertance_rate
-from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
+from loose_env.arms import LinearArm, LinearPose, Mismatch, MismatchDraw, inertance_rate
 from loose_env.diagnosis.records.model_uncertainty import sensor_matrices
 from loose_env.typing import Array, ComplexArray
 

@@ -14,11 +14,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loose_env.arms.arm import Arm
+from loose_env.arms import Arm
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames
 from loose_env.diagnosis.link_finding.moves import candidate_poses
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
-from loose_env.kinematics.pose_choice import chebyshev_poses, choose_poses, worst_push
+from loose_env.kinematics import chebyshev_poses, choose_poses, worst_push
 from loose_env.statistics import axes_grid
 from loose_env.typing import Array
 

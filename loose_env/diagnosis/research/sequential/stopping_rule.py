@@ -13,8 +13,7 @@ from enum import Enum
 
 import numpy as np
 
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch
+from loose_env.arms import LinearArm, Mismatch
 from loose_env.diagnosis.research.sequential.transmission_change import (
     Instrument,
     MeasuredChange,
@@ -22,7 +21,7 @@ from loose_env.diagnosis.research.sequential.transmission_change import (
 )
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import Excitation
-from loose_env.rig.measurement import Measurement
+from loose_env.rig import Measurement
 from loose_env.statistics import ChangeDirection, TransmissionEstimate, change_direction
 
 __all__ = ["Ending", "StoppingRule", "TimedDirection", "measure_direction"]

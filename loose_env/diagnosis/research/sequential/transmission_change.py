@@ -9,8 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch
+from loose_env.arms import LinearArm, Mismatch
 from loose_env.diagnosis.records.model_uncertainty import (
     bent_by_seats,
     calibrate_sensor,
@@ -20,7 +19,7 @@ from loose_env.diagnosis.records.model_uncertainty import (
 )
 from loose_env.diagnosis.records.prediction import SensorFloor, predict
 from loose_env.errors import InvalidData, UnknownName
-from loose_env.rig.measurement import Measurement
+from loose_env.rig import Measurement
 from loose_env.statistics import (
     TransmissionEstimate,
     acceleration_from_angle,

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from loose_env.arms.response.linear import LinearArm
-from loose_env.diagnosis.records.prediction import SensorFloor, predict
+from loose_env.arms import LinearArm
+from loose_env.diagnosis import SensorFloor, predict
 from loose_env.envs.episode.state import Episode
 from loose_env.envs.rendering.caption import (
     header_height,
@@ -22,7 +22,7 @@ from loose_env.envs.rendering.planar.arm import ArmDrawing
 from loose_env.envs.rendering.planar.correlation_loop import draw_healthy, draw_measured, draw_scale
 from loose_env.envs.rendering.planar.view import PlanarPose, PlanarView
 from loose_env.envs.rendering.scenery import draw_base, draw_measure
-from loose_env.rig.measurement import Measurement
+from loose_env.rig import Measurement
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.arm import Arm
+from loose_env.arms import Arm
 from loose_env.envs.rendering.palette import (
     BODY,
     CAP,

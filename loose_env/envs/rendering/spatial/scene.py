@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from loose_env.arms.response.linear import LinearArm
-from loose_env.diagnosis.records.prediction import SensorFloor, predict
+from loose_env.arms import LinearArm
+from loose_env.diagnosis import SensorFloor, predict
 from loose_env.envs.episode.state import Episode
 from loose_env.envs.rendering.caption import (
     header_height,
@@ -27,7 +27,7 @@ from loose_env.envs.rendering.spatial.arm import SpaceDrawing
 from loose_env.envs.rendering.spatial.correlation_surface import draw_sections
 from loose_env.envs.rendering.spatial.view import SpacePose, SpaceView
 from loose_env.faults import Fault, StructuralLooseness, parts_of
-from loose_env.rig.measurement import Measurement
+from loose_env.rig import Measurement
 from loose_env.typing import Array
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from loose_env.arms.arm import Arm
+from loose_env.arms import Arm
 from loose_env.typing import Array
 
 __all__ = ["SpacePose", "SpaceView"]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Channel
 from loose_env.gap.residuals.random_excitation.frequency_response import CommandResponse, Incoherent
-from loose_env.statistics.sampling.autocorrelation import memory_of
+from loose_env.statistics import memory_of
 from loose_env.typing import Array
 
 __all__ = ["RestFeatures"]

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from loose_env.envs.rendering.palette import INK, MEASURED, MUTED, SHAKEN, TRUTH
-from loose_env.report.pages.figure_card import Plate
+from loose_env.envs import INK, MEASURED, MUTED, SHAKEN, TRUTH
+from loose_env.report import Plate
 from loose_env.thesis.ch6_experiments.arm.guideway import Guideway
 from loose_env.thesis.ch6_experiments.arm.strokes import Strokes
 from loose_env.thesis.shared.signal_panels import panels

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from loose_env.arms import vera
-from loose_env.arms.library.vera import LINK_LENGTH
-from loose_env.kinematics.joint_loads import (
+from loose_env.arms import LINK_LENGTH, vera
+from loose_env.kinematics import (
     JointLoads,
     PeakForce,
     TwoLinks,
@@ -17,7 +16,7 @@ from loose_env.kinematics.joint_loads import (
     peak_force,
     two_link_loads,
 )
-from loose_env.report.pages.figure_card import Plate
+from loose_env.report import Plate
 from loose_env.thesis.ch6_experiments.arm.sizing_figures import (
     CaseCurves,
     force_figure,

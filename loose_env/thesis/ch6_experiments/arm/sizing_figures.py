@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from loose_env.envs.rendering.palette import FAINT, INK, MEASURED, MUTED, TRUTH
-from loose_env.report.pages.figures import new_figure
+from loose_env.envs import FAINT, INK, MEASURED, MUTED, TRUTH
+from loose_env.report import new_figure
 from loose_env.typing import Array
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from loose_env.arms.library.vera import BENDING_MODE_HZ, BLOCK_MASS, LINK2_MASS, LINK_LENGTH
+from loose_env.arms import BENDING_MODE_HZ, BLOCK_MASS, LINK2_MASS, LINK_LENGTH
 from loose_env.thesis.rigs.beams import (
     SQUARE_INCH,
     beam_frequency,

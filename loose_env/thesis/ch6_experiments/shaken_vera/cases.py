@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from loose_env.arms.arm import Arm
+from loose_env.arms import Arm
 from loose_env.excitation import Excitation
 from loose_env.faults import Backlash, Fault, Healthy
 from loose_env.rig import Job, Measurement, SimulatedRig

@@ -6,10 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from loose_env.arms.library.vera import BENDING_MODE_HZ
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.shaken import ShakenArm
-from loose_env.report.pages.figure_card import Plate
+from loose_env.arms import BENDING_MODE_HZ, LinearArm, ShakenArm
+from loose_env.report import Plate
 from loose_env.statistics import axial_difference
 from loose_env.thesis.ch6_experiments.shaken_vera.cases import (
     LOOSE_DIRECTION,

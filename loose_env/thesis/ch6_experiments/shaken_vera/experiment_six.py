@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from loose_env.report.pages.figure_card import Plate
+from loose_env.report import Plate
 from loose_env.thesis.ch6_experiments.shaken_vera.cases import (
     PLAY_DIRECTION,
     CaseFigures,

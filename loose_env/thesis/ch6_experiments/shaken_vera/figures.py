@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from loose_env.envs.rendering.palette import FAINT, INK, MUTED
-from loose_env.report.pages.figures import WIDTH, new_figure
+from loose_env.envs import FAINT, INK, MUTED
+from loose_env.report import WIDTH, new_figure
 from loose_env.sensors import STANDARD_GRAVITY
 from loose_env.statistics import moments_by_direction, spectral_flatness
 from loose_env.thesis.ch6_experiments.shaken_vera.cases import RATE, CaseFigures, poses

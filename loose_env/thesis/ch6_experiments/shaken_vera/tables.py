@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loose_env.arms.shaker import COIL
+from loose_env.arms import COIL
 from loose_env.sensors import STANDARD_GRAVITY
 from loose_env.statistics import (
     axial_difference,

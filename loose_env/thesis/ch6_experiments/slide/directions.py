@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidSetting
-from loose_env.statistics.records.spectra import bandpass
+from loose_env.statistics import bandpass
 from loose_env.thesis.ch6_experiments.slide.records import SlideRecords, slide_records
 from loose_env.thesis.methods.motion.signals import instantaneous_motion, line_of_motion, rms_motion
 from loose_env.thesis.shared.section import Table

@@ -10,7 +10,7 @@ import numpy as np
 
 from loose_env.excitation import Excitation
 from loose_env.faults import Fault, Healthy
-from loose_env.report.pages.figure_card import Plate
+from loose_env.report import Plate
 from loose_env.rig import Job, Measurement, SimulatedRig
 from loose_env.sensors import Accelerometer, SensorSuite
 from loose_env.statistics import (

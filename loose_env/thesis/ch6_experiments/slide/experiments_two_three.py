@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import welch
 
-from loose_env.statistics.records.spectra import bandpass
+from loose_env.statistics import bandpass
 from loose_env.thesis.ch6_experiments.slide.directions import angle_part, angles, shares_within
 from loose_env.thesis.ch6_experiments.slide.figures import (
     angle_plate,

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from loose_env.envs.rendering.palette import INK, MEASURED, MUTED, SHAKEN, TRUTH
-from loose_env.report.pages.figure_card import Plate
+from loose_env.envs import INK, MEASURED, MUTED, SHAKEN, TRUTH
+from loose_env.report import Plate
 from loose_env.thesis.ch6_experiments.slide.records import (
     RESOLVER_UNIT,
     ResolverRecords,

@@ -14,9 +14,7 @@ from functools import lru_cache
 import mujoco
 import numpy as np
 
-from loose_env.arms.arm import Arm, Holding
-from loose_env.arms.response.mismatch import Mismatch
-from loose_env.arms.shaker import COIL
+from loose_env.arms import COIL, Arm, Holding, Mismatch
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import Excitation
 from loose_env.rig import Measurement, SimulatedRig

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData, UnknownName
-from loose_env.kinematics.chain import Chain, JointKind, require_kind
+from loose_env.kinematics import Chain, JointKind, require_kind
 from loose_env.typing import Array
 
 __all__ = ["displaced", "insert_looseness", "looseness_transform", "slot_direction"]

@@ -14,13 +14,11 @@ from dataclasses import dataclass, field, fields
 import mujoco
 import numpy as np
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.response.linear import LinearArm, LinearPose
-from loose_env.arms.response.mismatch import MismatchDraw
+from loose_env.arms import Arm, LinearArm, LinearPose, MismatchDraw
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import Healthy, StructuralLooseness
-from loose_env.rig.plant import PlantShop
+from loose_env.rig import PlantShop
 from loose_env.sensors import SensorSuite
 from loose_env.thesis.methods.looseness.docked_simulation import simulate_docked
 from loose_env.thesis.methods.looseness.inertia_condition import seated_inertia

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData
-from loose_env.kinematics.chain import JointKind
+from loose_env.kinematics import JointKind
 from loose_env.typing import Array
 
 __all__ = [

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData, InvalidSetting, MissingExtra
-from loose_env.statistics._checks import as_floats
-from loose_env.statistics.directions.angles import wrap_axial
+from loose_env.statistics import as_floats, wrap_axial
 from loose_env.thesis.methods.motion.gaussian_ridge import (
     planar_ridge,
     rotation,

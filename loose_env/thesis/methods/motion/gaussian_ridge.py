@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.statistics._checks import as_floats, require_finite
+from loose_env.statistics import as_floats, require_finite
 from loose_env.typing import Array
 
 __all__ = [

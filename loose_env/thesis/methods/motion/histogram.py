@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.statistics._checks import as_record, require_finite
+from loose_env.statistics import as_record, require_finite
 from loose_env.typing import Array
 
 __all__ = ["Histogram", "contour_levels", "histogram", "marginal", "require_dimension"]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData
-from loose_env.statistics._checks import as_floats
+from loose_env.statistics import as_floats
 from loose_env.thesis.methods.motion.gaussian_ridge import exponent_from_sd
 from loose_env.thesis.methods.motion.histogram import Histogram, require_dimension
 from loose_env.typing import Array

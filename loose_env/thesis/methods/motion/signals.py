@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData, UnknownName
-from loose_env.statistics._checks import as_finite_samples, require_rate
+from loose_env.statistics import as_finite_samples, require_rate
 from loose_env.typing import Array
 
 DifferenceRule = Literal["two_point", "three_point"]

@@ -11,10 +11,7 @@ from pathlib import Path
 
 import mujoco
 
-from loose_env.gap.fitting.holdout_score import machine_part
-from loose_env.gap.output.export_check import compared, exported, resting_runs
-from loose_env.gap.output.export_mjcf import write_model
-from loose_env.gap.workflow.pipeline import GapFound
+from loose_env.gap import GapFound, compared, exported, machine_part, resting_runs, write_model
 
 __all__ = ["MODEL", "exported_gap"]
 

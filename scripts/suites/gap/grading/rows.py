@@ -11,9 +11,8 @@ from typing import Any
 from loose_agents.execution.shard_store import ShardStore
 
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.io.files import written_beside
-from loose_env.io.json_codec import restored, whole_of
-from loose_env.recording.text_file import read_text
+from loose_env.io import restored, whole_of, written_beside
+from loose_env.recording import read_text
 from scripts.suites.gap.cases.cases import OUT, name_of, role_of
 from scripts.suites.gap.effects.catalogue import CATALOGUE, OUTSIDE
 from scripts.suites.gap.grading.grade import Grade

@@ -14,9 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.output.result import Gap, GapResult, read_result
-from loose_env.gap.settings import GapSettings
-from loose_env.gap.workflow.pipeline import GapFound, find_gap
+from loose_env.gap import Gap, GapFound, GapResult, GapSettings, find_gap, read_result
 from loose_env.recording import read_recording
 from scripts.suites.gap.grading.exported import exported_gap
 

@@ -56,7 +56,7 @@ def _arm(text: Callable[[], bytes], name: str) -> Make:
     def make(around: Surroundings, rng: Rng) -> Attempt:
         import warnings
 
-        from loose_env.arms.files.load import describe_file
+        from loose_env.arms import describe_file
 
         damage, data = xml(text(), around, rng)
         home = around.fresh({name: data, "two.stl": documents.tetrahedron()})
@@ -93,13 +93,13 @@ def _json_file(
 
 
 def _gap_reader() -> Callable[[Path], Any]:
-    from loose_env.gap.output.result import read_result
+    from loose_env.gap import read_result
 
     return read_result
 
 
 def _rows(around: Surroundings, rng: Rng) -> Attempt:
-    from loose_env.evaluation.rows import read_rows
+    from loose_env.evaluation import read_rows
 
     name = str(rng.choice(["rows.json", "rows.parquet"]))
     data = documents.rows()[name]
@@ -109,7 +109,7 @@ def _rows(around: Surroundings, rng: Rng) -> Attempt:
 
 
 def _mapping(around: Surroundings, rng: Rng) -> Attempt:
-    from loose_env.importing.mapping.mapping_file import read_mapping
+    from loose_env.importing import read_mapping
 
     damage, data = damaged_text(documents.MAPPING, rng)
     home = around.fresh({"map.toml": data})
@@ -214,8 +214,8 @@ def _policy(home: Path) -> Any:
 
 
 def _posterior(home: Path) -> Any:
-    from loose_env.diagnosis.learned.amortised_posterior import AmortisedPosterior
-    from loose_env.envs.faults.difficulty import difficulty_named
+    from loose_env.diagnosis import AmortisedPosterior
+    from loose_env.envs import difficulty_named
 
     problem = _problem()
     posterior = AmortisedPosterior.load(
@@ -235,7 +235,7 @@ def _problem() -> Any:
     from loose_agents.core.base import Problem
 
     from loose_env.arms import vera
-    from loose_env.envs.settings import DiagnosisSettings
+    from loose_env.envs import DiagnosisSettings
 
     if not _KNOWN:
         _KNOWN.append(Problem.of(vera(), DiagnosisSettings()))

@@ -138,7 +138,7 @@ def recording() -> dict[str, bytes]:
 @functools.cache
 def gap_result() -> bytes:
     """Result of a comparison."""
-    from loose_env.gap.output.result import Gap, GapResult, NamedEffect, Place, Ranked
+    from loose_env.gap import Gap, GapResult, NamedEffect, Place, Ranked
 
     effect = NamedEffect(
         kind="viscous_friction",
@@ -161,8 +161,8 @@ def gap_result() -> bytes:
 @functools.cache
 def _planned() -> Any:
     """A plan for the small arm."""
-    from loose_env.instrument.planning.plan import plan as planned
-    from loose_env.instrument.settings.measurement import NextSettings
+    from loose_env.instrument import NextSettings
+    from loose_env.instrument import plan as planned
 
     with tempfile.TemporaryDirectory() as place, warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -174,7 +174,7 @@ def _planned() -> Any:
 @functools.cache
 def plan() -> bytes:
     """Content of a plan's file."""
-    from loose_env.instrument.planning.plan_files import plan_json
+    from loose_env.instrument import plan_json
 
     return json.dumps(plan_json(_planned(), ["run-01.csv"])).encode()
 
@@ -182,7 +182,7 @@ def plan() -> bytes:
 @functools.cache
 def diagnosis_result() -> bytes:
     """Result of a diagnosis, with what it asks for next."""
-    from loose_env.instrument.result import Diagnosis, Fault, RecordSeen, SlideDirection
+    from loose_env.instrument import Diagnosis, Fault, RecordSeen, SlideDirection
 
     made = _planned()
     names = made.machine.hypotheses
@@ -291,7 +291,7 @@ def logs() -> dict[str, bytes]:
 @functools.cache
 def rows() -> dict[str, bytes]:
     """Rows of a comparison as JSON and as Parquet."""
-    from loose_env.evaluation.rows import write_rows
+    from loose_env.evaluation import write_rows
 
     row: dict[str, Any] = {"agent": "a", "seed": 1, "episode": 0, "reward": 0.5, "success": True}
     with tempfile.TemporaryDirectory() as place:

@@ -34,8 +34,7 @@ def result(around: Surroundings, rng: Rng) -> Attempt:
     home = around.fresh({"result.json": data, "arm.xml": documents.MODEL.encode()})
 
     def read() -> Any:
-        from loose_env.instrument.planning.plan import plan
-        from loose_env.instrument.result import read_diagnosis
+        from loose_env.instrument import plan, read_diagnosis
 
         known = read_diagnosis(home / "result.json")
         # What may be asked for at most takes minutes, and is asked for rightly.
@@ -60,8 +59,7 @@ def to_diagnose(around: Surroundings, rng: Rng) -> Attempt:
     home = around.fresh(files)
 
     def read() -> Any:
-        from loose_env.instrument.diagnose import diagnose
-        from loose_env.instrument.settings.diagnosis import DiagnoseSettings
+        from loose_env.instrument import DiagnoseSettings, diagnose
         from loose_env.recording import read_recording
 
         settings = DiagnoseSettings(poses=2, seconds=1.0)
@@ -89,7 +87,7 @@ def plan_beside(around: Surroundings, rng: Rng) -> Attempt:
     home = around.fresh({"plan.json": data, "recording/recording.json": b"{}"})
 
     def read() -> Any:
-        from loose_env.instrument.planning.session_settings import session_beside
+        from loose_env.instrument import session_beside
 
         return session_beside(home / "recording")
 

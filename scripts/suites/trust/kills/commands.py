@@ -223,7 +223,7 @@ def _trained(out: Path) -> Any:
 def _rows(out: Path) -> list[str]:
     from loose_agents.execution.shard_store import RowCodec
 
-    from loose_env.evaluation.rows import read_rows
+    from loose_env.evaluation import read_rows
 
     found: list[str] = []
     for file in out.glob("shards/*/shard-*.json"):
@@ -239,7 +239,7 @@ def _rows(out: Path) -> list[str]:
 
 
 def _table(out: Path) -> Any:
-    from loose_env.evaluation.rows import read_rows
+    from loose_env.evaluation import read_rows
 
     return read_rows(out / "rows.parquet")
 
@@ -247,7 +247,7 @@ def _table(out: Path) -> Any:
 def _gap(out: Path) -> list[str]:
     import mujoco
 
-    from loose_env.gap.output.result import read_result
+    from loose_env.gap import read_result
 
     found: list[str] = []
     result, page, model = out / "result.json", out / "report.html", out / "model.xml"
@@ -265,7 +265,7 @@ def _gap_result(out: Path) -> Any:
 
 
 def _diagnosis(out: Path) -> list[str]:
-    from loose_env.instrument.result import read_diagnosis
+    from loose_env.instrument import read_diagnosis
 
     found: list[str] = []
     result, page = out / "result.json", out / "report.html"

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.special import chdtrc, fdtrc
 
 from loose_env.errors import InvalidSetting
-from loose_env.statistics.transmission.axis_misfit import Misfit, lowest_axis
-from loose_env.statistics.transmission.estimate import TransmissionEstimate
+from loose_env.statistics.tool_transmission.axis_misfit import Misfit, lowest_axis
+from loose_env.statistics.tool_transmission.estimate import TransmissionEstimate
 from loose_env.typing import Array
 
 _DRAWS = 10000

@@ -12,7 +12,7 @@ import numpy as np
 from loose_env.errors import InvalidData
 from loose_env.statistics.directions.angles import axial_vector
 from loose_env.statistics.directions.sphere import axes_grid, tangents
-from loose_env.statistics.transmission.estimate import TransmissionEstimate
+from loose_env.statistics.tool_transmission.estimate import TransmissionEstimate
 from loose_env.typing import Array
 
 _GRID = {2: 90, 3: 400}

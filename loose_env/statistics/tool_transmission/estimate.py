@@ -10,7 +10,7 @@ from loose_env.errors import InvalidData
 from loose_env.statistics._checks import as_floats, require_finite, require_rate
 from loose_env.statistics.records.covariance import centred, covariances
 from loose_env.statistics.sampling.autocorrelation import long_run_covariance
-from loose_env.statistics.transmission.change import transmission_by_instrument_from
+from loose_env.statistics.tool_transmission.change import transmission_by_instrument_from
 from loose_env.typing import Array
 
 

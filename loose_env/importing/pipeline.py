@@ -9,17 +9,21 @@ from typing import get_args
 
 import mujoco
 
-from loose_env.arms.files.model_reader import compile_spec, load_spec
+from loose_env.arms import compile_spec, load_spec
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.importing.join_runs import Joined, joined_run, shifts_of
 from loose_env.importing.mapping.mapping import ImportMapping
 from loose_env.importing.mapping.mapping_file import read_mapping
 from loose_env.importing.readers.sources import files_of_runs, given_files, read_source
 from loose_env.importing.samples import ChannelKey, Samples
-from loose_env.recording import FileFormat, Recording, write_recording
-from loose_env.recording.columns import ModelColumns
-from loose_env.recording.folder import existing_file
-from loose_env.recording.writing import check_target
+from loose_env.recording import (
+    FileFormat,
+    ModelColumns,
+    Recording,
+    check_target,
+    existing_file,
+    write_recording,
+)
 
 __all__ = ["ImportSettings", "import_recording"]
 

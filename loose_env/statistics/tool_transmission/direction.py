@@ -26,8 +26,8 @@ from loose_env.errors import InvalidSetting
 from loose_env.statistics._checks import as_direction
 from loose_env.statistics.directions.angle_information import angle_information
 from loose_env.statistics.directions.sphere import tangents
-from loose_env.statistics.transmission.axis_misfit import Misfit, lowest_axis
-from loose_env.statistics.transmission.estimate import TransmissionEstimate
+from loose_env.statistics.tool_transmission.axis_misfit import Misfit, lowest_axis
+from loose_env.statistics.tool_transmission.estimate import TransmissionEstimate
 from loose_env.typing import Array
 
 _AZIMUTHS, _RADII = 24, 90

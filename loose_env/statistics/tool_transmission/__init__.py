@@ -1,0 +1,1 @@
+"""TODO room loose_env/statistics/tool_transmission."""

@@ -1,1 +1,0 @@
-"""TODO room loose_env/statistics/transmission."""
