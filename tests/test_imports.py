@@ -1,24 +1,30 @@
-"""How the package hangs together: what it loads, who imports whom, how long a file is."""
+"""Structure of the package: import order, faces, circles, sizes of rooms and files."""
 
 from __future__ import annotations
 
 import ast
+import importlib
 import json
+import re
 import subprocess
 import sys
+from collections import defaultdict
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "loose_env"
+AGENTS = ROOT / "agents" / "loose_agents"
 MOST_LINES = 400
+MOST_ENTRIES = 12
 
 # From the bottom up. A part imports itself and what stands above it in this list, never
 # what stands below it or beside it.
 ORDER = (
-    ("errors",),
+    ("errors", "typing", "io"),
     ("arms",),
     ("faults",),
     ("excitation",),
@@ -27,20 +33,26 @@ ORDER = (
     ("importing",),
     ("rig",),
     ("statistics",),
+    ("kinematics",),
     ("diagnosis", "gap"),
     ("envs",),
+    ("evaluation",),
     ("instrument",),
     ("report",),
     ("thesis",),
     ("cli",),
 )
 RANK = {part: rank for rank, parts in enumerate(ORDER) for part in parts}
+BASICS = {"errors", "typing"}  # modules that anything may import, io included
 
 # The statistics are functions of arrays: they know neither the rig nor the simulator.
 SEALED = {"statistics": {"loose_env.rig", "mujoco"}}
 
 # No part of the package may import these at all.
-OUTSIDE = {"agents", "scripts", "tests"}
+OUTSIDE = {"loose_agents", "agents", "scripts", "tests"}
+
+# Deep modules that others may import: one needs an optional extra, one is the command itself.
+DEEP = {"loose_env.envs.sb3", "loose_env.cli.main"}
 
 HEAVY = {
     "jinja2",
@@ -56,9 +68,33 @@ HEAVY = {
     "torch",
 }
 
+# Functions and classes that users begin with: each has an example that runs.
+ENTRY_POINTS = {
+    "arms": (
+        "LinearArm", "arm_from_file", "describe_file", "planar", "scara", "servoed", "six_axis",
+        "vera", "with_compliance",
+    ),
+    "diagnosis": ("FaultPosterior", "predict", "statistics_of"),
+    "envs": ("DiagnosisEnv", "DiagnosisSettings", "DiagnosisVectorEnv", "Difficulty"),
+    "evaluation": ("paired_difference", "standings", "wilson"),
+    "faults": ("hypotheses", "seated_spec"),
+    "gap": ("GapSession", "GapSettings", "Parameter", "explain_gap", "read_result", "register"),
+    "importing": ("describe_sources", "read_mapping"),
+    "instrument": ("diagnose", "inspect_model", "plan"),
+    "kinematics": ("geometric_jacobian",),
+    "recording": ("Run", "read_recording"),
+    "rig": ("ReducedRig", "SimulatedRig"),
+    "statistics": ("correlation_loop", "kurtosis", "transmission"),
+}  # fmt: skip
 
-def sources() -> list[Path]:
-    return sorted(PACKAGE.rglob("*.py"))
+
+def sources(*folders: Path) -> list[Path]:
+    return sorted(path for folder in folders or (PACKAGE,) for path in folder.rglob("*.py"))
+
+
+@cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text("utf-8"))
 
 
 def imported(tree: ast.AST, package: str) -> Iterator[tuple[int, str]]:
@@ -82,6 +118,11 @@ def lies_in(name: str, module: str) -> bool:
     return name == module or name.startswith(module + ".")
 
 
+def is_module(name: str) -> bool:
+    place = ROOT.joinpath(*name.split("."))
+    return place.is_dir() or place.with_suffix(".py").is_file()
+
+
 def complaint(part: str, name: str) -> str | None:
     """Why `part` may not import the module called `name`, or None where it may."""
     if name.split(".")[0] in OUTSIDE:
@@ -95,8 +136,10 @@ def complaint(part: str, name: str) -> str | None:
         return None
     if target not in RANK:
         return f"imports {name}: import a name from the module that defines it"
-    if RANK[target] >= RANK[part]:
+    if RANK[target] >= RANK[part] and not (part == "io" and target in BASICS):
         return f"imports {name}, which does not stand below {part}"
+    if name.count(".") > 1 and name not in DEEP and is_module(name):
+        return f"imports {name}: import from the face, loose_env.{target}"
     return None
 
 
@@ -131,8 +174,124 @@ def test_no_part_imports_upward() -> None:
     assert not found, "\n".join(found)
 
 
+def test_agents_and_scripts_use_the_faces() -> None:
+    found = [
+        f"{path.relative_to(ROOT)}:{line} imports {name}"
+        for path in sources(AGENTS, ROOT / "scripts")
+        for line, name in imported(parsed(path), "")
+        if lies_in(name, "loose_env") and name.count(".") > 1 and name not in DEEP
+        if is_module(name)
+    ]
+    assert not found, "\n".join(found)
+
+
+def module_name(path: Path) -> str:
+    inside = path.relative_to(AGENTS.parent if path.is_relative_to(AGENTS) else ROOT)
+    parts = inside.with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+@cache
+def graph() -> dict[str, set[str]]:
+    """Modules that each module imports, within the repository; faces aside."""
+    modules = {module_name(p): p for p in sources(PACKAGE, AGENTS, ROOT / "scripts")}
+    arrows: dict[str, set[str]] = defaultdict(set)
+    for name, path in modules.items():
+        if path.name == "__init__.py":
+            continue
+        for node in ast.walk(parsed(path)):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                for alias in node.names:
+                    deep = f"{node.module}.{alias.name}"
+                    target = deep if deep in modules else node.module
+                    if target in modules and target != name:
+                        arrows[name].add(target)
+    return arrows
+
+
+def circle(arrows: dict[str, set[str]]) -> list[str]:
+    """One circle of a graph; empty where there is none."""
+    done: set[str] = set()
+
+    def visit(node: str, way: list[str]) -> list[str]:
+        if node in way:
+            return [*way[way.index(node) :], node]
+        if node in done:
+            return []
+        for after in sorted(arrows.get(node, ())):
+            if found := visit(after, [*way, node]):
+                return found
+        done.add(node)
+        return []
+
+    return next((found for node in sorted(arrows) if (found := visit(node, []))), [])
+
+
+def test_no_imports_go_in_circles() -> None:
+    assert circle({"a": {"b"}, "b": {"c"}, "c": {"a"}}) == ["a", "b", "c", "a"]
+    assert not circle(graph())
+
+
+FLOW = re.compile(r"^Data flow: (.*?)\.$", re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize("root", [PACKAGE, AGENTS], ids=lambda root: root.name)
+def test_rooms_say_in_which_order_data_flow_and_imports_keep_to_it(root: Path) -> None:
+    problems, seen = [], 0
+    for init in sorted(root.rglob("__init__.py")):
+        room = module_name(init)
+        entries = {p.stem for p in init.parent.glob("*.py")} - {"__init__", "__main__"}
+        entries |= {p.parent.name for p in init.parent.glob("*/__init__.py")}
+        words = ast.get_docstring(parsed(init)) or ""
+        if not words:
+            problems.append(f"{room} does not say its purpose")
+        if init.parent == PACKAGE or len(entries) < 2 or room == "loose_env.cli":
+            continue
+        stated = FLOW.search(words)
+        order = [] if stated is None else re.split(r"\s*->\s*", stated[1])
+        if set(order) != entries:
+            problems.append(f"{room}: 'Data flow' names {order}, the room holds {sorted(entries)}")
+            continue
+        seen += 1
+        for source, targets in graph().items():
+            for target in targets:
+                if lies_in(source, room) and lies_in(target, room) and target != room:
+                    ends = [n[len(room) + 1 :].split(".")[0] for n in (source, target)]
+                    if order.index(ends[0]) < order.index(ends[1]):
+                        problems.append(f"{source} imports {target}, which stands after it")
+    assert not problems, "\n".join(problems)
+    assert seen
+
+
+def test_no_room_holds_too_much() -> None:
+    found = []
+    for top in ("loose_env", "agents", "scripts", "tests"):
+        for folder in [ROOT / top, *(p for p in (ROOT / top).rglob("*") if p.is_dir())]:
+            if folder.name in {"__pycache__", "weights", "loose_env"} or folder == ROOT / "tests":
+                continue  # data, and the two roots
+            entries = [p for p in folder.iterdir() if p.name != "__pycache__"]
+            if folder.name != "printed" and len(entries) > MOST_ENTRIES:
+                found.append(f"{folder.relative_to(ROOT)} has {len(entries)} entries")
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize("part", sorted({p for parts in ORDER for p in parts} - {"cli"}))
+def test_every_public_name_is_there_and_documented(part: str) -> None:
+    face = importlib.import_module(f"loose_env.{part}")
+    names = getattr(face, "__all__", None) or [
+        name for name, value in vars(face).items() if getattr(value, "__module__", "") == part
+    ]
+    for name in names:
+        value = getattr(face, name)
+        if isinstance(value, type) or hasattr(value, "__code__"):
+            assert value.__doc__, f"loose_env.{part}.{name} has no docstring"
+    for name in ENTRY_POINTS.get(part, ()):
+        assert name in names, f"loose_env.{part} does not offer {name}"
+        assert ">>>" in getattr(face, name).__doc__, f"{name} has no example"
+
+
 def test_no_file_is_too_long() -> None:
-    lengths = {path: len(path.read_text("utf-8").splitlines()) for path in sources()}
+    lengths = {p: len(p.read_text("utf-8").splitlines()) for p in sources(PACKAGE, AGENTS)}
     found = [
         f"{path.relative_to(ROOT)} has {length} lines; split it, {MOST_LINES} is the most"
         for path, length in lengths.items()
@@ -163,7 +322,9 @@ def test_no_file_is_too_long() -> None:
         ("gap/closing.py", "from loose_env.diagnosis import links", False),
         ("statistics/moments.py", "from loose_env.rig import Measurement", False),
         ("statistics/moments.py", "import mujoco", False),
-        ("envs/arm.py", "from agents.classical import Classical", False),
+        ("envs/arm.py", "from loose_agents.classical import Classical", False),
+        ("envs/arm.py", "from loose_env.gap.model.effect import Effect", False),
+        ("io/files.py", "from loose_env.errors import LooseEnvError", True),
         ("cli.py", "import scripts.agents.train", False),
         ("helpers.py", "import numpy", False),
     ],

@@ -1,1 +1,5 @@
-"""TODO room agents/loose_agents."""
+"""Agents for the diagnosis environments: estimators, policies, training, benchmarks.
+
+Data flow: core -> evaluation -> execution -> policies -> rl -> registry -> benchmark ->
+posterior_training -> research.
+"""

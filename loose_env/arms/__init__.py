@@ -1,4 +1,8 @@
-"""Arms to diagnose: what they are made of and how they answer in the ideal case."""
+"""Arms under test: their models, their linear response, how joints are braked or servoed.
+
+Data flow: engine_warnings -> gear_parameters -> reach -> shaker -> arm -> response ->
+spec_parts -> holding -> library -> files.
+"""
 
 from loose_env.arms.arm import (
     Arm,

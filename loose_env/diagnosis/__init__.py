@@ -1,4 +1,8 @@
-"""What several records say together: predictions, link finding, the posterior over faults."""
+"""Diagnosis from several records: likelihoods, learned posteriors, link finding, design.
+
+Data flow: records -> likelihood -> learned -> experiment_design -> link_finding -> multi_sensor
+-> research.
+"""
 
 from loose_env.diagnosis.experiment_design.information_gain import (
     ImaginedFaults,

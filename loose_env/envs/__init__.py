@@ -1,4 +1,8 @@
-"""Gymnasium environments in which a fault is hidden in an arm."""
+"""The diagnosis environments.
+
+Data flow: faults -> settings -> episode -> rendering -> diagnosis_env -> vector_env ->
+registration -> sb3.
+"""
 
 from loose_env.envs.diagnosis_env import (
     DiagnosisEnv,

@@ -91,6 +91,14 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
 
     ## Version History
     * v0: first version
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> env = DiagnosisEnv(planar(2), DiagnosisSettings(max_records=2))
+    >>> observation, info = env.reset(seed=0)
+    >>> observation in env.observation_space
+    True
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012

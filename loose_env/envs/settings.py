@@ -94,7 +94,13 @@ class Prices:
 
 @dataclass(frozen=True, kw_only=True)
 class DiagnosisSettings:
-    """Everything about the environment but the arm itself."""
+    """Everything about the environment but the arm itself.
+
+    Examples
+    --------
+    >>> DiagnosisSettings(difficulty="hard", max_records=3).max_records
+    3
+    """
 
     difficulty: str | Difficulty = "default"
     """Ranges of the hidden faults: "easy", "default", "hard" or a Difficulty."""

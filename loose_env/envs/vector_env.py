@@ -41,6 +41,14 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         Simulation threads; 0 takes all processors.
     true_arm : Arm, optional
         The arm that is measured; the nominal one by default. See `loose_env.envs.episode.true_arm`.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> envs = DiagnosisVectorEnv(planar(2), num_envs=3)
+    >>> observations, infos = envs.reset(seed=0)
+    >>> len(observations)
+    3
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012

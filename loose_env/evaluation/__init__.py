@@ -1,4 +1,8 @@
-"""TODO room loose_env/evaluation."""
+"""Evaluation: success rates, paired intervals, calibration, strata.
+
+Data flow: calibration -> paired_bootstrap -> seat_openness -> fault_difficulty ->
+seed_aggregates -> success_rates -> factorial -> rows -> strata.
+"""
 
 from loose_env.evaluation.calibration import (
     Calibration,
@@ -21,6 +25,7 @@ from loose_env.evaluation.fault_difficulty import (
 from loose_env.evaluation.paired_bootstrap import (
     Interval,
     bootstrap_mean,
+    paired_difference,
 )
 from loose_env.evaluation.rows import (
     configuration_hash,
@@ -71,6 +76,7 @@ __all__ = [
     "expected_calibration_error",
     "hidden_figures",
     "need_format",
+    "paired_difference",
     "pareto_front",
     "percent",
     "ratio_names",

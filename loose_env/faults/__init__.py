@@ -1,4 +1,7 @@
-"""What can be wrong with an arm, and how a fault is seated in a MuJoCo spec."""
+"""Faults of an arm, and their seats in a MuJoCo spec.
+
+Data flow: kinds -> faults -> seat -> preload -> seating.
+"""
 
 from loose_env.faults.faults import (
     Backlash,

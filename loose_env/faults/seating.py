@@ -76,6 +76,13 @@ def seated_spec(
     InvalidSetting
         If a seat has more degrees of freedom than a body can, six with the link's own, or not
         every degree of freedom has its link.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> bare, seated = planar(2), seated_spec(planar(2), 1, "slide")
+    >>> len(seated.joints) - len(bare.spec.joints)
+    1
     """
     wanted = (kinds,) if isinstance(kinds, str) else tuple(kinds)
     for kind in wanted:

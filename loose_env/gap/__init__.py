@@ -1,4 +1,8 @@
-"""Where simulation and measurement disagree: name the missing effect and add it to the model."""
+"""Model error: find, name and correct the effect a simulation lacks.
+
+Data flow: model -> data -> settings -> simulation -> residuals -> fitting -> output ->
+preparation -> selection -> diagnostics -> workflow.
+"""
 
 from loose_env.gap.diagnostics.experiment_advice import (
     how_to_see,
@@ -70,14 +74,15 @@ from loose_env.gap.settings import (
     GapSettings,
     NamingSettings,
 )
+from loose_env.gap.workflow.explain import explain_gap
 from loose_env.gap.workflow.pipeline import (
     GapFound,
     find_gap,
 )
+from loose_env.gap.workflow.session import GapSession
 from loose_env.gap.workflow.summary import (
     Evidence,
     GapOutputs,
-    explain_gap,
     gather,
     outputs_of,
     result_of,
@@ -93,6 +98,7 @@ __all__ = [
     "GapFound",
     "GapOutputs",
     "GapResult",
+    "GapSession",
     "GapSettings",
     "Identifiability",
     "JointMotion",

@@ -1,4 +1,7 @@
-"""Import of measured data from loggers: MCAP, tables in text, universal files of recorders."""
+"""Import of measured data from loggers: MCAP, CSV and universal files (UFF 58).
+
+Data flow: samples -> timing -> mapping -> join_runs -> readers -> describe -> pipeline.
+"""
 
 from loose_env.importing.describe import (
     describe_sources,

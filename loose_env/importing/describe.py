@@ -25,7 +25,7 @@ _DOWN = re.compile(r"\d+-R?[XYZ]")
 
 
 def describe_sources(sources: Sequence[str], model: mujoco.MjModel | None = None) -> str:
-    """Describe files in the words of a mapping file: what is known as TOML, the rest as comments.
+    r"""Describe files in the words of a mapping file: what is known as TOML, the rest as comments.
 
     Every channel is a line to be uncommented; in it ``sensor.?`` is to be replaced by a column of
     the model. The text reads as TOML as it stands.
@@ -41,6 +41,16 @@ def describe_sources(sources: Sequence[str], model: mujoco.MjModel | None = None
     ------
     InvalidData
         If a file cannot be read.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     log = Path(folder, "daq.csv")
+    ...     _ = log.write_text("time [s],elbow [rad]\n0.0,0.10\n0.1,0.12\n0.2,0.15\n")
+    ...     "elbow" in describe_sources([str(log)])
+    True
     """
     lists: dict[str, FileList] = {}
     for given, path in given_files(sources).items():

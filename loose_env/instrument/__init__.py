@@ -1,4 +1,8 @@
-"""The instrument: from a recording of a suspect arm to the loose link, and to the next pose."""
+"""Diagnosis of a real arm: recordings in, posterior and next measurement out.
+
+Data flow: settings -> result -> model -> data -> inference -> planning -> inspect -> pipeline
+-> session.
+"""
 
 from loose_env.instrument.inspect import (
     inspect_model,

@@ -265,6 +265,14 @@ def diagnose(
     ------
     InvalidData
         If the model is no serial arm, no run can be used, or figures are beyond reckoning.
+
+    Examples
+    --------
+    >>> from loose_env.recording import read_recording
+    >>> diagnose(read_recording("no/recording"))
+    Traceback (most recent call last):
+        ...
+    loose_env.errors.InvalidData: ...
     """
     bench = Workbench(recording.model_path, DiagnoseSettings() if settings is None else settings)
     refused: list[str] = []

@@ -1,4 +1,7 @@
-"""TODO room loose_env/io."""
+"""Files written beside and renamed, the JSON codec, words for numbers.
+
+Data flow: files -> json_codec -> text.
+"""
 
 from loose_env.io.files import (
     write_text,

@@ -1,4 +1,7 @@
-"""TODO room loose_env/kinematics."""
+"""Kinematics and statics of a serial arm: chain, Jacobian, joint loads, pose choice.
+
+Data flow: chain -> jacobian -> joint_loads -> manipulability -> seat_loads -> pose_choice.
+"""
 
 from loose_env.kinematics.chain import (
     Chain,

@@ -1,4 +1,8 @@
-"""The shared format of measured and simulated data: read, check, write."""
+"""The recording format for measured data: description, tables, reading, writing.
+
+Data flow: columns -> folder -> run -> sensor_roles -> table -> parquet_file -> text_file ->
+csv_file -> description -> recording -> writing.
+"""
 
 from loose_env.recording.columns import (
     ModelColumns,

@@ -1,4 +1,7 @@
-"""The page that shows how agents did: words, a table, figures and one episode in pictures."""
+"""Reports and figures.
+
+Data flow: pages -> comparison -> diagnosis -> gap -> studies.
+"""
 
 from loose_env.report.comparison.episode_story import (
     tell_episode,

@@ -1,4 +1,7 @@
-"""Rigs: where measurements come from."""
+"""Rigs: sources of measurements, simulated or recorded.
+
+Data flow: jobs -> measurement -> plant -> recorded -> simulation -> reduced -> simulated.
+"""
 
 from loose_env.rig.jobs import (
     Job,

@@ -1,8 +1,7 @@
-"""What one measurement says: pure functions of arrays.
+"""Statistics of one record: pure functions of arrays.
 
-An excitation signal x has shape (N,) or (m, N) for m excited joints, a tool acceleration a has
-shape (d, N) in the tool frame, d = 2 or 3; the last axis is time and means are removed inside.
-Functions ending in `_from` take covariances computed once by `covariances`.
+Data flow: _checks -> directions -> gaussian_mixture -> records -> correlation -> sampling ->
+tool_transmission -> intervals.
 """
 
 from loose_env.statistics._checks import (

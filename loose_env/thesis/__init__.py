@@ -1,4 +1,8 @@
-"""The thesis's rigs, methods and tables, run here and set beside what it printed."""
+"""The thesis's chapters, computed and set beside the printed results.
+
+Data flow: methods -> printed -> rigs -> shared -> ch3_modelling -> ch5_simulation ->
+ch6_experiments -> ch4_diagnosis.
+"""
 
 from loose_env.thesis.ch6_experiments.shaken_vera.cases import (
     printed_healthy,

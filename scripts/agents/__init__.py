@@ -1,1 +1,1 @@
-"""TODO room scripts/agents."""
+"""Scripts that train, tune and compare agents."""

@@ -1,1 +1,1 @@
-"""TODO room scripts/dev."""
+"""Scripts for developers: documents, pictures, benchmarks, smoke test."""

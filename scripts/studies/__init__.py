@@ -1,1 +1,1 @@
-"""TODO room scripts/studies."""
+"""Scripts behind the tables and figures of the documents."""

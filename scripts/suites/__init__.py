@@ -1,1 +1,1 @@
-"""TODO room scripts/suites."""
+"""Suites: blind recordings graded, and attempts to break the package."""

@@ -18,7 +18,7 @@ def test_step_by_step_finds_the_friction_and_keeps_it(
 ) -> None:
     a_gap_recording(tmp_path, monkeypatch)
     monkeypatch.chdir(tmp_path)
-    (code,) = (b.text for b in blocks(ROOT / "docs" / "gap.md") if "GapSteps(" in b.text)
+    (code,) = (b.text for b in blocks(ROOT / "docs" / "gap.md") if "GapSession(" in b.text)
     names: dict[str, Any] = {"recording": read_recording("recordings/arm")}
     exec("from loose_env.gap.settings import GapSettings", names)
     exec(compile(code, "gap.md", "exec"), names)

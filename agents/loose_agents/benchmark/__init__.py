@@ -1,1 +1,4 @@
-"""TODO room agents/loose_agents/benchmark."""
+"""Sharded benchmarks, out-of-distribution arms, tuning.
+
+Data flow: sharded -> out_of_distribution -> tuning -> tuning_sharded.
+"""

@@ -1,1 +1,4 @@
-"""TODO room agents/loose_agents/core."""
+"""Agent protocol, belief tracking, estimators, shipped weights.
+
+Data flow: base -> belief_agent -> belief_tracker -> shipped_weights -> estimators.
+"""

@@ -1,1 +1,4 @@
-"""TODO room agents/loose_agents/evaluation."""
+"""Evaluation of agents on hidden faults, and bounds on records.
+
+Data flow: env_arguments -> evaluate -> record_bounds.
+"""

@@ -1,1 +1,5 @@
-"""TODO room agents/loose_agents/posterior_training."""
+"""Training of the learned posterior on simulated records.
+
+Data flow: simulated_records -> information_calibration -> novelty -> record_features ->
+bank_storage -> train.
+"""

@@ -1,1 +1,5 @@
-"""TODO room loose_env/arms/files."""
+"""Reading of arms from MJCF and URDF files.
+
+Data flow: drive_limits -> joint_springs -> size_limits -> safe_scan -> model_reader ->
+serial_chain -> chain_spec -> report -> load.
+"""

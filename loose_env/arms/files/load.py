@@ -46,6 +46,12 @@ def describe_file(
     """Report what `arm_from_file` finds in a file, without building the arm.
 
     Raises as `arm_from_file`.
+
+    Examples
+    --------
+    >>> report = describe_file(DESK_ARM)
+    >>> [joint.name for joint in report.joints][:2]
+    ['base', 'shoulder']
     """
     file = read_model_file(path)
     return report(file, find_chain(file, tool, joints))

@@ -1,1 +1,4 @@
-"""TODO room loose_env/arms/holding."""
+"""Brakes, position servos and elastic gears at the joints.
+
+Data flow: gears -> compliance.
+"""

@@ -1,1 +1,4 @@
-"""TODO room loose_env/arms/library."""
+"""Arms that come with the package.
+
+Data flow: planar -> puma560 -> scara -> vera.
+"""

@@ -1,1 +1,4 @@
-"""TODO room loose_env/arms/response."""
+"""Linear response of an arm to joint torques, and its nominal-model mismatch.
+
+Data flow: linear -> mismatch -> sensor_sites -> shaken.
+"""

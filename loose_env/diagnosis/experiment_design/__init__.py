@@ -1,1 +1,4 @@
-"""TODO room loose_env/diagnosis/experiment_design."""
+"""Expected information of a record, and bounds on what a record can tell.
+
+Data flow: information_gain -> record_bound.
+"""

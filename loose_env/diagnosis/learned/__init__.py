@@ -1,1 +1,4 @@
-"""TODO room loose_env/diagnosis/learned."""
+"""Learned (amortised) posterior, its features, and detection of novel input.
+
+Data flow: features -> network -> residual_change -> novelty -> amortised_posterior.
+"""

@@ -1,1 +1,5 @@
-"""TODO room loose_env/diagnosis/link_finding."""
+"""Link finding from changes of direction, in the plane and in space.
+
+Data flow: direction_images -> planar -> spatial -> measured_direction -> moves -> opening_moves
+-> search.
+"""

@@ -1,1 +1,5 @@
-"""TODO room loose_env/diagnosis/multi_sensor."""
+"""Evidence from several accelerometers along the arm.
+
+Data flow: direction_search -> incoherent_motion -> sensed_arm -> sensor_rows -> sensor_errors
+-> link_evidence.
+"""

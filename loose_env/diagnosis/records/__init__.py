@@ -1,1 +1,4 @@
-"""TODO room loose_env/diagnosis/records."""
+"""Statistics, predictions and model uncertainty of single records.
+
+Data flow: excitation_design -> model_uncertainty -> prediction -> record_statistics.
+"""

@@ -77,6 +77,21 @@ def statistics_of(measurement: Measurement) -> RecordStatistics:
     ------
     InvalidData
         If the measurement failed, or nothing moves.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from loose_env.arms import planar
+    >>> from loose_env.excitation import Excitation
+    >>> from loose_env.faults import Healthy
+    >>> from loose_env.rig import SimulatedRig
+    >>> arm = planar(2)
+    >>> rig = SimulatedRig(arm)
+    >>> rig.mount(0, Healthy())
+    >>> shake = Excitation(torque_rms=(0.0, 1.0), duration=0.4, band=arm.band)
+    >>> measured = rig.measure(np.zeros(2), shake, rng=np.random.default_rng(0))
+    >>> statistics_of(measured).transmission.shape
+    (2, 2)
     """
     n = len(measurement.pose)
     on = np.flatnonzero(measurement.excited)

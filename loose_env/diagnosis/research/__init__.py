@@ -1,1 +1,4 @@
-"""TODO room loose_env/diagnosis/research."""
+"""Methods that only agents and studies under evaluation use.
+
+Data flow: line_spectrum -> particles -> pose_sets -> sequential.
+"""

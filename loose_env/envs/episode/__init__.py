@@ -1,1 +1,5 @@
-"""TODO room loose_env/envs/episode."""
+"""State, actions and observations of episodes.
+
+Data flow: pose_encoding -> actions -> observation -> raw_observation -> reset_options -> state
+-> true_arm -> batch.
+"""

@@ -1,1 +1,4 @@
-"""TODO room loose_env/envs/faults."""
+"""Hidden faults: difficulty, seats and their sampling.
+
+Data flow: difficulty -> seat_stops -> compound_seats -> sampler.
+"""

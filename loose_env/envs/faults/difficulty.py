@@ -23,7 +23,13 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class Difficulty:
-    """Ranges of the hidden fault and of the model's mismatch."""
+    """Ranges of the hidden fault and of the model's mismatch.
+
+    Examples
+    --------
+    >>> Difficulty(gap=(0.1e-3, 0.4e-3)).gap
+    (0.0001, 0.0004)
+    """
 
     friction: Range = (0.02, 1.0)
     """Guide friction over the seat drive of the top level, log-uniform [1]."""

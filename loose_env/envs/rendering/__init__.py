@@ -1,1 +1,5 @@
-"""TODO room loose_env/envs/rendering."""
+"""Pictures of an episode.
+
+Data flow: correlation_loop -> correlation_surface -> fault_text -> palette -> caption ->
+scenery -> planar -> spatial -> picture.
+"""

@@ -1,1 +1,5 @@
-"""TODO room loose_env/gap/data."""
+"""Aligned runs, hold-out split, noise floor, initial rest, smoothing.
+
+Data flow: actuator_states -> holdout_split -> noise_floor -> initial_rest -> aligned_run ->
+smoothing.
+"""

@@ -1,1 +1,5 @@
-"""TODO room loose_env/gap/fitting."""
+"""Gauss-Newton fits, held-out scores, confidence intervals, profile bounds.
+
+Data flow: initial_state -> gauss_newton -> confidence_intervals -> holdout_score -> refit ->
+profile_bounds -> uncertain_parameters.
+"""

@@ -1,1 +1,4 @@
-"""TODO room loose_env/gap/model."""
+"""The nominal model, the parameters and effects added to it, hypotheses of several.
+
+Data flow: element_names -> nominal_model -> parameter -> effect -> effects -> hypothesis.
+"""

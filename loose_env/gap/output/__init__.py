@@ -1,1 +1,4 @@
-"""TODO room loose_env/gap/output."""
+"""Result schema, checkpoints, and export of the corrected model.
+
+Data flow: checkpoints -> evidence_schema -> result -> export_mjcf -> export_check.
+"""

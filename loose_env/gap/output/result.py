@@ -206,6 +206,13 @@ def read_result(path: str | Path) -> GapResult:
     ------
     InvalidData
         If there is none, or it is none of the format.
+
+    Examples
+    --------
+    >>> read_result("no/such/folder")
+    Traceback (most recent call last):
+        ...
+    loose_env.errors.InvalidData: ...
     """
     return read_result_file(path, GapResult.from_json, noun="result")
 

@@ -1,1 +1,4 @@
-"""TODO room loose_env/gap/preparation."""
+"""Preparation of a comparison: integrator, sensitivity to initial conditions, data needed.
+
+Data flow: chaotic_runs -> data_sufficiency -> integrator_choice -> prepare.
+"""

@@ -1,1 +1,4 @@
-"""TODO room loose_env/gap/residuals."""
+"""Residuals between simulation and measurement, their autocorrelation and windows.
+
+Data flow: random_excitation -> residual_model -> autocorrelation -> physical_units -> windows.
+"""

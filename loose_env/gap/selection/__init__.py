@@ -1,1 +1,5 @@
-"""TODO room loose_env/gap/selection."""
+"""Forward selection of effects: screening, candidate fits, acceptance, ranking.
+
+Data flow: screening -> candidate_fits -> negligible -> acceptance -> revision ->
+forward_selection -> checkpoint_codec -> impacts -> ranking -> reweighted_search.
+"""

@@ -1,1 +1,5 @@
-"""TODO room loose_env/gap/simulation."""
+"""Forward simulation and inverse dynamics of a hypothesis.
+
+Data flow: time_step -> torque_terms -> sensor_timing -> simulator -> unmeasured_dofs ->
+inverse_dynamics.
+"""

@@ -1,1 +1,4 @@
-"""TODO room loose_env/gap/workflow."""
+"""The pipeline, the step-by-step session, and the summary that report and files need.
+
+Data flow: pipeline -> session -> summary.
+"""

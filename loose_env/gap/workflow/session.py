@@ -38,7 +38,7 @@ from loose_env.gap.settings import GapSettings, NamingSettings
 from loose_env.recording import Recording
 from loose_env.typing import Array
 
-__all__ = ["GapSteps", "MissingTorque", "Tried"]
+__all__ = ["GapSession", "MissingTorque", "Tried"]
 
 Say = Callable[[str], None]
 
@@ -102,7 +102,7 @@ class MissingTorque:
     """What the drive gave beyond what the model needs for the motion [N·m, N] (N,)."""
 
 
-class GapSteps:
+class GapSession:
     """The comparison of a recording with its model, step by step.
 
     Parameters
@@ -156,7 +156,7 @@ class GapSteps:
     ...     recording = write_recording(
     ...         f"{folder}/rod", model_xml=xml.format(0.01), runs=runs, file_format="csv"
     ...     )
-    ...     steps = GapSteps(recording, GapSettings(threads=1))
+    ...     steps = GapSession(recording, GapSettings(threads=1))
     >>> tried = steps.try_effect("viscous_friction", "pivot")
     >>> round(tried.parameters["damping"], 2), tried.held_out < 0.01 * tried.before, tried.believed
     (0.02, True, True)

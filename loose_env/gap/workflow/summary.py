@@ -1,7 +1,4 @@
-"""From a finished comparison to its result: evidence gathered, model and result file written.
-
-`loose gap` as one call: the content of ``result.json`` as dataclasses.
-"""
+"""From a finished comparison to its result: evidence gathered, model and result file written."""
 
 from __future__ import annotations
 
@@ -31,7 +28,6 @@ from loose_env.gap.fitting.uncertain_parameters import NominalFigures
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import candidates
 from loose_env.gap.model.nominal_model import Machine
-from loose_env.gap.output.checkpoints import Stage, fresh
 from loose_env.gap.output.evidence_schema import Identifiability, LeftOver, Location
 from loose_env.gap.output.export_check import Exported, exported
 from loose_env.gap.output.export_mjcf import (
@@ -45,19 +41,11 @@ from loose_env.gap.preparation.integrator_choice import corrected_step_words
 from loose_env.gap.residuals.physical_units import errors_by_quantity, rms
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.settings import GapSettings
-from loose_env.gap.workflow.pipeline import GapFound, find_gap
+from loose_env.gap.workflow.pipeline import GapFound
 from loose_env.recording import Recording
 from loose_env.typing import Array
 
-__all__ = [
-    "Evidence",
-    "GapOutputs",
-    "explain_gap",
-    "gather",
-    "outputs_of",
-    "result_of",
-    "write_model_and_result",
-]
+__all__ = ["Evidence", "GapOutputs", "gather", "outputs_of", "result_of", "write_model_and_result"]
 
 Say = Callable[[str], None]
 
@@ -357,58 +345,3 @@ def write_model_and_result(folder: Path, outputs: GapOutputs, result: GapResult)
         notes=notes,
     )
     return [*written, result.write(folder / "result.json")]
-
-
-def explain_gap(
-    recording: Recording,
-    settings: GapSettings | None = None,
-    *,
-    folder: str | Path | None = None,
-    say: Callable[[str], None] = lambda _: None,
-    stages: Stage = fresh,
-) -> GapResult:
-    """Name what the model of a recording lacks, and how far that closes the gap.
-
-    Parameters
-    ----------
-    recording : Recording
-        Measured runs and the nominal model.
-    settings : GapSettings, optional
-        How they are compared.
-    folder : str or Path, optional
-        Gets ``model.xml``, the corrected model with the files it needs, and ``result.json``; made
-        where there is none. By default nothing is written.
-    say : callable
-        Told what goes on, line by line.
-    stages : callable
-        Keeps finished stages, such as `loose_env.gap.output.checkpoints.Stages`; an interrupted
-        run goes on from there.
-
-    Returns
-    -------
-    GapResult
-        What ``result.json`` holds. A notebook shows it as a table.
-
-    Raises
-    ------
-    InvalidData
-        If the recording has too few runs, a run lacks what its comparison needs, or the corrected
-        model does not compile.
-
-    Examples
-    --------
-    Over half a minute, on a recording of one's own:
-
-    >>> from loose_env.recording import read_recording
-    >>> result = explain_gap(read_recording("recordings/arm"))  # doctest: +SKIP
-    >>> result.verdict, [(effect.kind, effect.where) for effect in result.effects]
-    ... # doctest: +SKIP
-    ('named', [('coulomb_friction', 'joint2')])
-    """
-    settings = settings or GapSettings()
-    found = find_gap(recording, settings, say=say, stages=stages)
-    outputs = outputs_of(found, recording, settings)
-    result = result_of(outputs, gather(outputs, say=say))
-    if folder is not None:
-        write_model_and_result(Path(folder), outputs, result)
-    return result

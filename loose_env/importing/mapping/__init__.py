@@ -1,1 +1,4 @@
-"""TODO room loose_env/importing/mapping."""
+"""Mapping files: which source channel becomes which column, with units.
+
+Data flow: checked_fields -> mapping -> units -> mapping_file.
+"""

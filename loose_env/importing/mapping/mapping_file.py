@@ -65,6 +65,13 @@ def read_mapping(file: str | Path) -> ImportMapping:
     ------
     InvalidData
         If it is no such file; the message says where and what is allowed.
+
+    Examples
+    --------
+    >>> read_mapping("mapping.yaml")
+    Traceback (most recent call last):
+        ...
+    loose_env.errors.InvalidData: mapping.yaml: a mapping ends in .toml or .json
     """
     path = Path(file)
     ending = path.suffix.lower()

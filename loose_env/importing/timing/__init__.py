@@ -1,1 +1,4 @@
-"""TODO room loose_env/importing/timing."""
+"""Time bases: dates, clock alignment, resampling.
+
+Data flow: dates -> resampling -> clock_alignment -> even_stamps.
+"""

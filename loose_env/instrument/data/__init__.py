@@ -1,1 +1,4 @@
-"""TODO room loose_env/instrument/data."""
+"""Held poses, dropouts, sensors and spectral lines of a recording.
+
+Data flow: dropouts -> held_pose -> sensor_noise -> sensor_selection -> spectral_lines.
+"""

@@ -1,1 +1,5 @@
-"""TODO room loose_env/instrument/planning."""
+"""The next measurement: pose, excitation, expected observations, files.
+
+Data flow: candidate_poses -> excitation -> prior_knowledge -> rationale -> next_measurement ->
+detectability -> expected_observations -> signals -> plan -> plan_files -> session_settings.
+"""

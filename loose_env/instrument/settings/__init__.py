@@ -1,1 +1,4 @@
-"""TODO room loose_env/instrument/settings."""
+"""Settings of the instrument, with units and validation.
+
+Data flow: command_line -> validation -> arm_and_plan -> measurement -> tolerances -> diagnosis.
+"""

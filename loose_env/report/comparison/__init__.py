@@ -1,1 +1,5 @@
-"""TODO room loose_env/report/comparison."""
+"""Report of a comparison of agents.
+
+Data flow: confusion_matrix -> cost_figures -> episode_story -> page -> report ->
+terminal_tables -> text.
+"""

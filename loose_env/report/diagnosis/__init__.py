@@ -1,1 +1,4 @@
-"""TODO room loose_env/report/diagnosis."""
+"""Reports of a diagnosis and of a plan.
+
+Data flow: arm_figure -> figures -> text -> page -> plan_text -> plan_page.
+"""

@@ -1,1 +1,4 @@
-"""TODO room loose_env/report/gap."""
+"""Report of a model-error analysis.
+
+Data flow: figures -> spectra -> text -> page -> write.
+"""

@@ -1,1 +1,4 @@
-"""TODO room loose_env/report/pages."""
+"""Page template, style, figure cards and tables shared by all reports.
+
+Data flow: figure_card -> palette -> figures -> style -> svg -> table -> template -> sections.
+"""

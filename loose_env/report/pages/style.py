@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from importlib.resources import files
 
-import loose_env.envs.rendering.palette as ink
+from loose_env.envs import palette as ink
 
 __all__ = ["DARK", "FONT", "LIGHT", "PAPER", "declared", "style"]
 

@@ -6,7 +6,7 @@ import io
 import re
 from typing import TYPE_CHECKING
 
-import loose_env.envs.rendering.palette as ink
+from loose_env.envs import palette as ink
 from loose_env.errors import InvalidData
 
 if TYPE_CHECKING:

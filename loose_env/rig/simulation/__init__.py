@@ -1,1 +1,4 @@
-"""TODO room loose_env/rig/simulation."""
+"""Parts of simulated rigs: controls, engines, sensor readings, small-motion equations.
+
+Data flow: controls -> engines -> reading -> slots -> small_motion -> small_motion_loop.
+"""

@@ -1,1 +1,4 @@
-"""TODO room loose_env/statistics/correlation."""
+"""Correlation and coherence of tool motion with the excitation, by direction.
+
+Data flow: by_direction -> coherence -> comparative_index -> zero_correlation.
+"""

@@ -1,1 +1,4 @@
-"""TODO room loose_env/statistics/directions."""
+"""Axial directions in the plane and in space.
+
+Data flow: angle_information -> angles -> sphere.
+"""

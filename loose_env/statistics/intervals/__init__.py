@@ -1,1 +1,4 @@
-"""TODO room loose_env/statistics/intervals."""
+"""Confidence intervals of directions, and the record length they need.
+
+Data flow: axis -> direction -> record_length.
+"""

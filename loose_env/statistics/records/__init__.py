@@ -1,1 +1,4 @@
-"""TODO room loose_env/statistics/records."""
+"""Covariances, moments and spectra of a record.
+
+Data flow: covariance -> moments -> spectra.
+"""

@@ -1,1 +1,4 @@
-"""TODO room loose_env/statistics/sampling."""
+"""Autocorrelated samples: effective sample size, block bootstrap.
+
+Data flow: autocorrelation -> block_bootstrap -> effective_samples.
+"""

@@ -1,1 +1,4 @@
-"""TODO room loose_env/thesis/ch3_modelling."""
+"""Chapter 3: modelling of looseness.
+
+Data flow: alternatives -> docked_tool -> figures -> identification -> matrices -> modelling.
+"""

@@ -1,1 +1,4 @@
-"""TODO room loose_env/thesis/ch5_simulation."""
+"""Chapter 5: simulations.
+
+Data flow: correlation -> distribution_matching -> tool_motion -> simulations.
+"""

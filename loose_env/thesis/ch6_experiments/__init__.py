@@ -1,1 +1,4 @@
-"""TODO room loose_env/thesis/ch6_experiments."""
+"""Chapter 6: experiments.
+
+Data flow: arm -> shaken_vera -> slide.
+"""

@@ -1,1 +1,4 @@
-"""TODO room loose_env/thesis/methods."""
+"""Methods that only the thesis uses.
+
+Data flow: looseness -> motion.
+"""

@@ -1,4 +1,7 @@
-"""Rigs of the thesis: the cylindrical arm, the slide, and VERA on its shaker."""
+"""Rigs of the thesis: the cylindrical arm, the slide, VERA on its shaker.
+
+Data flow: beams -> cylindrical -> shaken_vera -> slide.
+"""
 
 from loose_env.thesis.rigs.cylindrical import cylindrical
 from loose_env.thesis.rigs.shaken_vera import shaken_vera

@@ -1,1 +1,4 @@
-"""TODO room loose_env/thesis/shared."""
+"""Sections, their registry, runs, page and plots.
+
+Data flow: looseness_joint_rig -> plots -> registry -> section -> run -> page -> signal_panels.
+"""

@@ -12,7 +12,7 @@ from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.residuals.windows import INVERSE, windowed
 from loose_env.gap.settings import GapSettings
-from loose_env.gap.workflow.summary import explain_gap
+from loose_env.gap.workflow.explain import explain_gap
 from loose_env.recording import read_recording, write_recording
 from tests.gap.cases.effect_arms import PLANAR
 from tests.gap.cases.recorded_runs import PENDULUM, compared, measurable, pendulum_run, torque_run

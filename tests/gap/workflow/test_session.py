@@ -12,8 +12,8 @@ from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.output.result import GapResult, read_result
 from loose_env.gap.settings import GapSettings
-from loose_env.gap.workflow.session import GapSteps, Tried
-from loose_env.gap.workflow.summary import explain_gap
+from loose_env.gap.workflow.explain import explain_gap
+from loose_env.gap.workflow.session import GapSession, Tried
 from loose_env.recording import Recording
 from tests.gap.cases.own_effects import CubicSpring
 from tests.gap.cases.sprung_arm import STIFFNESS, sprung
@@ -27,16 +27,16 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 
 
 @pytest.fixture(scope="module")
-def steps(recording: Recording) -> GapSteps:
-    return GapSteps(recording, SETTINGS)
+def steps(recording: Recording) -> GapSession:
+    return GapSession(recording, SETTINGS)
 
 
 @pytest.fixture(scope="module")
-def tried(steps: GapSteps) -> Tried:
+def tried(steps: GapSession) -> Tried:
     return steps.try_effect(CubicSpring, "elbow")
 
 
-def test_an_effect_of_ones_own_is_fitted_and_judged(steps: GapSteps, tried: Tried) -> None:
+def test_an_effect_of_ones_own_is_fitted_and_judged(steps: GapSession, tried: Tried) -> None:
     assert tried.before == steps.nominal.held_rms > 5
     assert tried.held_out < 1.1 and tried.believed
     assert tried.lead.held > 2 and tried.lead.share > 0.9
@@ -45,7 +45,7 @@ def test_an_effect_of_ones_own_is_fitted_and_judged(steps: GapSteps, tried: Trie
     assert "cubic_spring@elbow" in tried._repr_html_()
 
 
-def test_one_of_the_catalogue_is_tried_the_same_way(steps: GapSteps, tried: Tried) -> None:
+def test_one_of_the_catalogue_is_tried_the_same_way(steps: GapSession, tried: Tried) -> None:
     friction = steps.try_effect("coulomb_friction", "elbow")
     assert friction.held_out > tried.held_out and friction.effect.kind == "coulomb_friction"
     again = steps.try_effect(CubicSpring(steps.machine, "elbow"), start=[30.0])
@@ -56,7 +56,7 @@ def test_what_is_added_stays_and_what_is_left_is_noise(
     recording: Recording, tmp_path: Path
 ) -> None:
     said: list[str] = []
-    steps = GapSteps(recording, SETTINGS, say=said.append)
+    steps = GapSession(recording, SETTINGS, say=said.append)
     before = steps.missing_torque("elbow")
     spring = steps.try_effect(CubicSpring, "elbow")
     late = steps.try_effect("joint_spring", "elbow")
@@ -82,7 +82,7 @@ def test_what_is_added_stays_and_what_is_left_is_noise(
     assert said[0].startswith("nominal model: ") and any("added" in line for line in said)
 
 
-def test_what_cannot_be_tried_is_refused(steps: GapSteps) -> None:
+def test_what_cannot_be_tried_is_refused(steps: GapSession) -> None:
     with pytest.raises(InvalidSetting, match=r"cubic_spring needs a place, one of \['elbow'\]"):
         steps.try_effect(CubicSpring)
     with pytest.raises(InvalidSetting, match="leave 'elbow' out"):
@@ -105,7 +105,7 @@ def test_what_cannot_be_tried_is_refused(steps: GapSteps) -> None:
 
 
 def test_a_second_one_is_tried_beside_the_first(recording: Recording) -> None:
-    steps = GapSteps(recording, SETTINGS)
+    steps = GapSession(recording, SETTINGS)
     for _ in range(2):
         tried = steps.try_effect("torque_ripple", "elbow", start=[0.5, 2.0, 0.0])
         steps.add(tried)
@@ -113,10 +113,10 @@ def test_a_second_one_is_tried_beside_the_first(recording: Recording) -> None:
 
 
 def test_there_is_no_room_for_a_second_spring_at_a_joint(
-    steps: GapSteps, monkeypatch: pytest.MonkeyPatch
+    steps: GapSession, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     spring = CATALOGUE["joint_compliance"](steps.machine, "elbow")
-    monkeypatch.setattr(GapSteps, "added", (spring,))
+    monkeypatch.setattr(GapSession, "added", (spring,))
     with pytest.raises(InvalidSetting, match=r"^joint_compliance@elbow was added already, .*other"):
         steps.try_effect("joint_compliance", "elbow")
     with pytest.raises(InvalidSetting, match="added already"):

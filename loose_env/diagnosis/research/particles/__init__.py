@@ -1,1 +1,4 @@
-"""TODO room loose_env/diagnosis/research/particles."""
+"""Particle posterior with synthetic likelihoods and tempering.
+
+Data flow: synthetic_likelihood -> tempering -> evidence.
+"""

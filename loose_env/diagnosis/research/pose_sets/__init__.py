@@ -1,1 +1,4 @@
-"""TODO room loose_env/diagnosis/research/pose_sets."""
+"""Choice of pose sets, and the limits of what they separate.
+
+Data flow: limits -> pose_sets.
+"""

@@ -1,1 +1,4 @@
-"""TODO room loose_env/diagnosis/research/sequential."""
+"""Sequential tests: change of transmission, stopping rule.
+
+Data flow: transmission_change -> stopping_rule.
+"""

@@ -1,1 +1,4 @@
-"""TODO room loose_env/envs/rendering/planar."""
+"""Drawing of planar arms.
+
+Data flow: view -> arm -> correlation_loop -> scene.
+"""

@@ -1,1 +1,4 @@
-"""TODO room loose_env/envs/rendering/spatial."""
+"""Drawing of arms in space.
+
+Data flow: correlation_surface -> shapes -> view -> arm -> scene.
+"""

@@ -1,1 +1,5 @@
-"""TODO room loose_env/gap/model/effects."""
+"""The catalogue of effects a model can lack, one file a family.
+
+Data flow: actuators -> mjcf -> drivetrain -> friction -> joint_elasticity -> backlash ->
+link_inertia -> link_flexibility -> sensors -> structural_looseness -> catalogue.
+"""

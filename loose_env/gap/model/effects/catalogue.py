@@ -81,6 +81,16 @@ def register(effect: Kind) -> Kind:
     InvalidSetting
         If it has no identifier, or one that another effect has, or a term on the torque without
         anything that applies it to the written model.
+
+    Examples
+    --------
+    >>> from loose_env.gap import Effect
+    >>> class NoEffect(Effect):
+    ...     kind = ""
+    >>> register(NoEffect)
+    Traceback (most recent call last):
+        ...
+    loose_env.errors.InvalidSetting: NoEffect needs a kind, its identifier in the result file
     """
     if not effect.kind:
         raise InvalidSetting(f"{effect.__name__} needs a kind, its identifier in the result file")

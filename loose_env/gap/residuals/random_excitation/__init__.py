@@ -1,1 +1,4 @@
-"""TODO room loose_env/gap/residuals/random_excitation."""
+"""Features of randomly excited runs: covariances, frequency responses, spectra.
+
+Data flow: frequency_response -> frf_features -> incoherent_features -> features.
+"""

@@ -1,1 +1,4 @@
-"""TODO room loose_env/gap/selection/impacts."""
+"""Search in impact-dominated residuals.
+
+Data flow: impact_power -> impact_search -> impact_pass.
+"""

@@ -1,1 +1,4 @@
-"""TODO room loose_env/gap/selection/screening."""
+"""Linearised screening of candidates, their starting points and groups.
+
+Data flow: data_driven_starts -> screening -> grouping.
+"""

@@ -1,1 +1,5 @@
-"""TODO room loose_env/thesis/ch6_experiments/arm."""
+"""Experiments on the arm, and its sizing.
+
+Data flow: guideway -> sizing_figures -> strokes -> experiment_one_figures -> experiment_one ->
+structures -> sizing.
+"""

@@ -41,7 +41,6 @@ __all__ = [
 EQUATIONS: dict[str, str] = {}
 """Function of each equation."""
 
-
 SHUDDER_BAND = (12.0, 120.0)
 """Band that holds the boom's shudder and leaves out the stroke itself [Hz]."""
 SHIFTED_POSE = "A"

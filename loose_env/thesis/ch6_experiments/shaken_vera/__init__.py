@@ -1,1 +1,4 @@
-"""TODO room loose_env/thesis/ch6_experiments/shaken_vera."""
+"""Experiments on VERA with its shaker.
+
+Data flow: cases -> tables -> figures -> experiment_six -> looseness_tables -> experiment_five.
+"""

@@ -1,1 +1,5 @@
-"""TODO room loose_env/thesis/ch6_experiments/slide."""
+"""Experiments on the slide.
+
+Data flow: experiment_four -> records -> directions -> figures -> quadrature -> velocities ->
+experiments_two_three.
+"""

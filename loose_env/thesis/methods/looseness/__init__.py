@@ -1,1 +1,5 @@
-"""TODO room loose_env/thesis/methods/looseness."""
+"""Models of a loose joint and their identification.
+
+Data flow: docked_simulation -> inertia_condition -> looseness_joint -> modelling_alternatives
+-> parameter_recursion -> static_force_test.
+"""

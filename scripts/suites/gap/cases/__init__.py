@@ -1,1 +1,1 @@
-"""TODO room scripts/suites/gap/cases."""
+"""Cases: arms, motions, sensors, effect sizes, recordings."""

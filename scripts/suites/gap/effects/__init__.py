@@ -1,1 +1,1 @@
-"""TODO room scripts/suites/gap/effects."""
+"""Effects hidden in the recordings, and their catalogue."""

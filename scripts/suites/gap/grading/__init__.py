@@ -1,1 +1,1 @@
-"""TODO room scripts/suites/gap/grading."""
+"""Grading of the tool on one case, rows and tables."""

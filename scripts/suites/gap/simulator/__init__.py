@@ -1,1 +1,1 @@
-"""TODO room scripts/suites/gap/simulator."""
+"""An arm integrated without MuJoCo."""

@@ -1,1 +1,1 @@
-"""TODO room scripts/suites/trust/fuzz."""
+"""Malformed and hostile input."""

@@ -1,1 +1,1 @@
-"""TODO room scripts/suites/trust/kills."""
+"""Commands killed at random moments."""

@@ -1,1 +1,5 @@
-"""TODO room loose_env/gap/model/effects/mjcf."""
+"""Edits of a MuJoCo spec that effects share.
+
+Data flow: geometry -> inertia -> joint_effect -> passive_actuators -> extra_joint ->
+sensor_columns -> split_body.
+"""

@@ -1,0 +1,70 @@
+"""`loose gap` as one call: from a recording to the content of ``result.json``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from loose_env.gap.output.checkpoints import Stage, fresh
+from loose_env.gap.output.result import GapResult
+from loose_env.gap.settings import GapSettings
+from loose_env.gap.workflow.pipeline import find_gap
+from loose_env.gap.workflow.summary import gather, outputs_of, result_of, write_model_and_result
+from loose_env.recording import Recording
+
+__all__ = ["explain_gap"]
+
+
+def explain_gap(
+    recording: Recording,
+    settings: GapSettings | None = None,
+    *,
+    folder: str | Path | None = None,
+    say: Callable[[str], None] = lambda _: None,
+    stages: Stage = fresh,
+) -> GapResult:
+    """Name what the model of a recording lacks, and how far that closes the gap.
+
+    Parameters
+    ----------
+    recording : Recording
+        Measured runs and the nominal model.
+    settings : GapSettings, optional
+        How they are compared.
+    folder : str or Path, optional
+        Gets ``model.xml``, the corrected model with the files it needs, and ``result.json``; made
+        where there is none. By default nothing is written.
+    say : callable
+        Told what goes on, line by line.
+    stages : callable
+        Keeps finished stages, such as `loose_env.gap.output.checkpoints.Stages`; an interrupted
+        run goes on from there.
+
+    Returns
+    -------
+    GapResult
+        What ``result.json`` holds. A notebook shows it as a table.
+
+    Raises
+    ------
+    InvalidData
+        If the recording has too few runs, a run lacks what its comparison needs, or the corrected
+        model does not compile.
+
+    Examples
+    --------
+    Over half a minute, on a recording of one's own:
+
+    >>> from loose_env.recording import read_recording
+    >>> result = explain_gap(read_recording("recordings/arm"))  # doctest: +SKIP
+    >>> result.verdict, [(effect.kind, effect.where) for effect in result.effects]
+    ... # doctest: +SKIP
+    ('named', [('coulomb_friction', 'joint2')])
+    """
+    settings = settings or GapSettings()
+    found = find_gap(recording, settings, say=say, stages=stages)
+    outputs = outputs_of(found, recording, settings)
+    result = result_of(outputs, gather(outputs, say=say))
+    if folder is not None:
+        write_model_and_result(Path(folder), outputs, result)
+    return result
