@@ -355,7 +355,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if unknown := set(chosen.level) - set(levels):
         parser.error(f"levels are {', '.join(levels)}; got {', '.join(sorted(unknown))}")
     going_on = "the same command goes on from what was worked out"
-    with errors_in_one_line("evaluate_pose_sets", interrupted=going_on):
+    with errors_in_one_line("pose_sets", interrupted=going_on):
         evaluate(chosen, levels)
 
 

@@ -21,7 +21,7 @@ from tests.docs.pages import ROOT
 __all__ = ["browser"]
 
 WRITTEN = sorted(page.stem for page in (ROOT / "docs").glob("*.md"))
-REFERENCE = ["api/index", "api/loose_env.arms", "api/loose_env.statistics.transmission"]
+REFERENCE = ["api/index", "api/loose_env.arms", "api/loose_env.statistics.tool_transmission.change"]
 
 
 @pytest.fixture(scope="session")

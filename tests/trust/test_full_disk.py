@@ -105,9 +105,7 @@ def commands(out: Path, recording: Path) -> dict[str, Callable[[], None]]:
         "reproduce_thesis": script(
             "reproduce_thesis", "--only", "index_tables", "--workers", "1", "--out", str(out)
         ),
-        "evaluate_pose_sets": script(
-            "evaluate_pose_sets", *pose_sets, "--workers", "1", "--out", str(out)
-        ),
+        "pose_sets": script("studies/pose_sets", *pose_sets, "--workers", "1", "--out", str(out)),
         "example_recording": script("example_recording", "--out", str(out / "example")),
         "gap": tool(*gap),
         "diagnose": tool(*diagnose),

@@ -14,22 +14,22 @@ __all__ = ["SECTIONS", "choose", "first_line", "load"]
 _PACKAGE = "loose_env.thesis"
 
 SECTIONS: dict[str, str] = {
-    key: f"{_PACKAGE}.{key}"
-    for key in (
-        "simulations",
-        "correlation_simulations",
-        "modelling",
-        "identification",
-        "sizing",
-        "pose_choice",
-        "signals",
-        "experiment_one",
-        "experiment_four",
-        "experiment_five",
-        "experiment_six",
-        "index_tables",
-        "link_finding",
-    )
+    key: f"{_PACKAGE}.{place}"
+    for key, place in {
+        "simulations": "ch5_simulation.simulations",
+        "correlation_simulations": "ch5_simulation.correlation",
+        "modelling": "ch3_modelling.modelling",
+        "identification": "ch3_modelling.identification",
+        "sizing": "ch6_experiments.arm.sizing",
+        "pose_choice": "ch4_diagnosis.pose_choice",
+        "signals": "ch6_experiments.slide.experiments_two_three",
+        "experiment_one": "ch6_experiments.arm.experiment_one",
+        "experiment_four": "ch6_experiments.slide.experiment_four",
+        "experiment_five": "ch6_experiments.shaken_vera.experiment_five",
+        "experiment_six": "ch6_experiments.shaken_vera.experiment_six",
+        "index_tables": "ch4_diagnosis.index_tables",
+        "link_finding": "ch4_diagnosis.link_finding",
+    }.items()
 }
 """Module of each section by its key. A module has ``section(seed) -> Section``."""
 

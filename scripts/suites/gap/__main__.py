@@ -1,6 +1,6 @@
 """Make blind recordings.
 
-Usage: python -m scripts.gap_suite --out FOLDER [--quick] [--numbers 1004 2001]
+Usage: python -m scripts.suites.gap --out FOLDER [--quick] [--numbers 1004 2001]
 Recordings go to FOLDER/recordings, what is true of them to FOLDER/truth. Cases that are there
 already are left alone.
 """

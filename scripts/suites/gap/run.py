@@ -139,8 +139,15 @@ def configuration() -> dict[str, Any]:
         "seed": SEED,
         "tool": code_hash([package / "gap", package / "recording", package / "statistics"]),
         "suite": code_hash(
-            [ROOT / "scripts" / "gap_suite"],
-            without=("__init__.py", "__main__.py", "tables.py", "rows.py", "fingerprint.py"),
+            [ROOT / "scripts" / "suites" / "gap"],
+            without=(
+                "__init__.py",
+                "__main__.py",
+                "tables.py",
+                "rows.py",
+                "code_hash.py",
+                "run.py",
+            ),
         ),
         "versions": {
             name: importlib.metadata.version(name) for name in ("mujoco", "numpy", "scipy")

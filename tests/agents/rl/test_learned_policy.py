@@ -308,9 +308,9 @@ def test_broken_weights_are_refused(problem: Problem, tmp_path: Path) -> None:
 def test_a_missing_policy_is_named_with_the_way_to_make_one(
     problem: Problem, tmp_path: Path
 ) -> None:
-    with pytest.raises(InvalidData, match=r"scripts/train\.py"):
+    with pytest.raises(InvalidData, match=r"scripts/agents/train\.py"):
         load_network(tmp_path, PolicyForm(problem))
-    with pytest.raises(InvalidData, match=r"scripts/train\.py --export"):
+    with pytest.raises(InvalidData, match=r"scripts/agents/train\.py --export"):
         LearnedAgent.load(problem, tmp_path)
 
 

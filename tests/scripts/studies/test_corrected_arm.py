@@ -24,7 +24,7 @@ MODE = 60.0
 
 @pytest.fixture(scope="module")
 def study() -> ModuleType:
-    name = "study_corrected_arm"
+    name = "corrected_arm"
     spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / "studies" / f"{name}.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
