@@ -1,4 +1,4 @@
-"""What a model says about measuring its arm: joints, modes, and which faults could be found.
+"""Model inspection: joints, modes, and detectable faults of an arm.
 
 Every fault is looked at in a few dozen poses, each joint shaken alone at the level that is
 proposed there. A seat can be found along a direction if in some pose gravity lets it move and
@@ -40,7 +40,7 @@ _DIGITS = 5
 
 @dataclass(frozen=True, kw_only=True)
 class JointSeen:
-    """A joint as it will be shaken."""
+    """Properties of a joint under excitation."""
 
     name: str
     """The model's."""
@@ -64,7 +64,7 @@ class JointSeen:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Inspection:
-    """What was found."""
+    """Result of an inspection."""
 
     machine: ModelArm
     """The arm."""
@@ -93,7 +93,7 @@ class Inspection:
     """Everything that it depends on besides the model."""
 
     def to_json(self) -> str:
-        """Text of a file of the format ``loose-inspection/1``."""
+        """Serialise to the format ``loose-inspection/1``."""
         found = self.machine.report
         whole = {
             "format": FORMAT,
@@ -129,7 +129,7 @@ def inspect_model(
     settings: NextSettings | None = None,
     arm: ModelSettings | None = None,
 ) -> Inspection:
-    """Say what a model promises for a diagnosis of its arm.
+    """Predict from a model alone how well an arm can be diagnosed.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def inspect_model(
 
 
 def _telling(notes: Sequence[str]) -> list[str]:
-    """Notes without the one on modes below the band, above which an arm is merely free."""
+    """Notes except that on modes below the band, above which an arm is free."""
     return [note for note in notes if not note.startswith("the lowest holding mode")]
 
 
@@ -237,7 +237,7 @@ _WIDTH = 100
 
 
 def screen(found: Inspection) -> str:
-    """Write an inspection for a terminal."""
+    """Format an inspection for a terminal."""
     machine = found.machine
     report = machine.report
     lines = [f"{report.file} ({report.format}): {len(found.joints)} joints", ""]

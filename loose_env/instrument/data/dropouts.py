@@ -1,4 +1,4 @@
-"""Pauses in which a recorder left something out: nothing is made up across them."""
+"""Dropout detection: runs are cut at recording gaps, never interpolated across."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def _refuse_stamps(run: Run) -> None:
 
 
 def _pauses(time: Array, column: Array) -> list[tuple[int, int]]:
-    """Rows from and to which a column has no sample for too long."""
+    """Start and end rows of the dropouts of a column."""
     there = np.flatnonzero(np.isfinite(column))
     if len(there) < 2:
         return []  # nothing that could pause: the column is not used, or all zeros

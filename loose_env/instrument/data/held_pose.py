@@ -1,4 +1,4 @@
-"""The pose that a run holds and the joints that it excites, noted or derived from the data."""
+"""Nominal pose and excited joints of a run, as recorded or estimated from data."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _OFF = 0.05
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Held:
-    """How a run was taken."""
+    """Pose and excited joints of a run."""
 
     pose: Array
     """Position of each joint, as its sensors have it where there are any (n,) [rad or m]."""
@@ -37,7 +37,7 @@ class Held:
     """What had to be derived."""
 
     def shown(self, machine: Machine, noted: Mapping[str, float] | None) -> dict[str, float]:
-        """The pose by joint, as it was noted where that is what was measured."""
+        """Pose by joint: the recorded one where it agrees with the measured pose."""
         found = machine.named(self.pose)
         for joint, q in (noted or {}).items():
             if joint in found and abs(found[joint] - q) <= _OFF:
@@ -46,7 +46,7 @@ class Held:
 
 
 def held_in(machine: Machine, run: Run) -> Held:
-    """Say which pose a run holds and which joints it excites.
+    """Determine the pose and the excited joints of a run.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def _positions(machine: Machine, run: Run) -> list[Array | None]:
 
 
 def _shaken(machine: Machine, run: Run) -> list[str]:
-    """Joints whose drives are given noise."""
+    """Joints whose actuators are excited with noise."""
     power = np.zeros(machine.n)
     drives = machine.drives
     for a, name in enumerate(drives.names):

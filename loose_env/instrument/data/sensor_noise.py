@@ -1,4 +1,4 @@
-"""What the sensors of a run add of their own, and up to which frequency they say anything.
+"""Sensor noise and usable bandwidth of a run.
 
 A sensor that is slower than the run's rows, such as an encoder read at 125 Hz beside an
 accelerometer at 1 kHz, is empty above half its own rate. That emptiness is neither its noise nor a
@@ -46,7 +46,7 @@ def sensor_noise(
     lowest: float,
     highest: float,
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Variance of what every sensor adds at every line, and the lines at which it is read.
+    """Noise variance of each sensor per spectral line, and mask of usable lines.
 
     The floor of a reading is the lowest level that any part of its spectrum has: the noise of the
     sensors in use is white in what they read. A reading that ends below the rows' half rate gets
@@ -102,7 +102,7 @@ def sensor_noise(
 
 
 def _parts(frequency: Array, lowest: float, highest: float) -> list[NDArray[np.intp]]:
-    """Lines in parts of equal ratio, at least four in each."""
+    """Spectral lines split into bands of equal ratio, at least four lines each."""
     found: list[NDArray[np.intp]] = []
     low = lowest
     while low < highest:
@@ -124,7 +124,7 @@ def _end(
     edge: float,
     beside: Array | None,
 ) -> tuple[float, float]:
-    """Frequency to which a reading is full, and half its own rate [Hz]; infinite where none is.
+    """Bandwidth and Nyquist frequency of a channel [Hz]; infinite if unlimited.
 
     Where the excited band ends, readings fall too, by as much as they stand above their noise.
     There a joint's sensor has to fall by far more than the accelerometers do; and an end of an
@@ -152,7 +152,7 @@ def _end(
 
 
 def _level(power: Array) -> float:
-    """Mean of powers of noise, by their median: that is 0.69 of it."""
+    """Mean noise power from the median, which is 0.69 of it for chi-squared powers."""
     return float(np.median(power) / np.log(2))
 
 

@@ -1,4 +1,4 @@
-"""Which sensors of a run a diagnosis uses, and why it leaves the others out."""
+"""Selection of the sensors of a run that a diagnosis uses."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MOST_READ = 1e6
 
 
 def readings_in(machine: Machine, run: Run) -> tuple[tuple[Reading, ...], tuple[str, ...]]:
-    """Sensors of a run that are used, in the order of `Machine.readings`, and notes on the rest.
+    """Usable sensors of a run in `Machine.readings` order, and notes on the rest.
 
     A sensor that never changes tells nothing; missing samples (NaN) of one that does are no reason
     to leave it out.
@@ -52,7 +52,7 @@ def readings_in(machine: Machine, run: Run) -> tuple[tuple[Reading, ...], tuple[
 
 
 def columns_in(machine: Machine, run: Run) -> dict[str, NDArray[np.float64]]:
-    """Columns (T,) of a run that are used, by the names that a file has."""
+    """Usable columns (T,) of a run, by the names in its file."""
     found: dict[str, NDArray[np.float64]] = {}
     for reading in readings_in(machine, run)[0]:
         values = np.atleast_2d(run.sensors[reading.sensor].T)
@@ -64,7 +64,7 @@ def columns_in(machine: Machine, run: Run) -> dict[str, NDArray[np.float64]]:
 
 
 def _dead(run: Run, sensor: str) -> str:
-    """Why a sensor tells nothing; "" if it does."""
+    """Reason why a sensor carries no signal; "" if it does."""
     values = run.sensors[sensor]
     columns = [column[np.isfinite(column)] for column in np.atleast_2d(values.T)]
     largest = max(float(np.abs(column).max(initial=0.0)) for column in columns)

@@ -1,4 +1,4 @@
-"""A run as Fourier lines of the band that was excited, with the noise of every reading.
+"""Fourier coefficients of a run in the excited band, with sensor noise.
 
 The commands of a real recorder do not repeat after the record, so records are tapered (Hann)
 before they are transformed; what a linear arm answers then holds line by line wherever the taper
@@ -45,7 +45,7 @@ _INDEPENDENT = 1.5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Lines:
-    """Lines of one run: K lines, A commands, c readings."""
+    """Spectral lines of one run: K lines, A commands, c channels."""
 
     run: str
     """File of the run."""
@@ -99,12 +99,12 @@ class Lines:
 
     @property
     def spacing(self) -> float:
-        """Between lines [Hz]."""
+        """Line spacing [Hz]."""
         return float(np.median(np.diff(self.frequency)))
 
 
 def thinned(lines: Lines, most: int) -> Lines:
-    """Fewer lines of a run, evenly spread."""
+    """Subset of a run's lines, evenly spread over the band."""
     if len(lines.frequency) <= most:
         return lines
     kept = np.linspace(0, len(lines.frequency) - 1, most).round().astype(int)
@@ -114,7 +114,7 @@ def thinned(lines: Lines, most: int) -> Lines:
 
 
 def uniform(time: Array, values: Array) -> tuple[float, Array]:
-    """Samples at an even rate, along straight lines between those that are there.
+    """Samples at a uniform rate, by linear interpolation.
 
     Made for runs without pauses, see `loose_env.instrument.data.dropouts`: the number of even
     samples is that of the time.
@@ -164,7 +164,7 @@ def lines_of(
     number: int = 0,
     whole: bool = False,
 ) -> Lines:
-    """Transform a run.
+    """Transform a run to the frequency domain.
 
     Parameters
     ----------
@@ -306,7 +306,7 @@ def _lines(
 
 
 def _telling(rows: tuple[tuple[Reading, int], ...], frequency: Array, noise: Array) -> list[int]:
-    """Readings that add something: not a position where the same joint's velocity is far better."""
+    """Informative channels: no position whose joint velocity is far less noisy."""
     omega2 = (2 * np.pi * frequency) ** 2
     by_velocity: dict[int, float] = {}
     for k, (r, _) in enumerate(rows):
@@ -327,7 +327,7 @@ def _smoothed(power: Array, width: int) -> Array:
 
 
 def _power(spectrum: ComplexArray, rows: tuple[tuple[Reading, int], ...], width: int) -> Array:
-    """Power of each reading, smoothed; the axes of a sensor count together."""
+    """Smoothed power of each channel; the axes of a sensor are summed."""
     power = _smoothed(np.abs(spectrum) ** 2, width)
     out = power.copy()
     for sensor in {r.sensor for r, _ in rows}:

@@ -1,4 +1,4 @@
-"""Loops of correlation for the figures: the tool's motion against the excited joint's."""
+"""Correlation loops for the report: tool motion against the excited joint."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _PLANES: dict[Literal["xy", "xz", "yz"], tuple[int, int]] = {
 
 
 def loops_of(machine: UncertainMachine, judged: Judged, lines: Lines) -> tuple[Loop, ...]:
-    """Loops of a run in the plane of the tool frame in which it moves most.
+    """Correlation loops of a run in the tool-frame plane of largest motion.
 
     The correlation along u is that of u . a with the acceleration of the excited joint, over the
     lines that were excited; the joint's acceleration is that of the model, which its own sensor

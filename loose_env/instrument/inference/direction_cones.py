@@ -1,4 +1,4 @@
-"""Directions for the reader: of the seat in its link, and as the tool sees it in a pose."""
+"""Seat directions with 95 % cones, in the link frame and in the tool frame."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _VAGUE = np.radians(60.0)
 
 
 def cone(fit: Fit) -> tuple[Vector | None, float | None]:
-    """Direction of a seat in its link's frame, and half the opening of its 95 % cone [degrees]."""
+    """Seat direction in the link frame, and half-angle of its 95 % cone [degrees]."""
     if fit.axis is None or fit.covariance is None:
         return None, None
     half = _half(fit.covariance)
@@ -38,7 +38,7 @@ def cone(fit: Fit) -> tuple[Vector | None, float | None]:
 def seen_in_tool(
     machine: UncertainMachine, judged: Judged, lines: Lines
 ) -> tuple[Vector | None, float | None]:
-    """Direction in which the most likely fault moves the tool in a run, and its cone [degrees]."""
+    """Tool-frame direction of the most likely fault in a run, with cone [degrees]."""
     loose = {name: p for name, p in judged.posterior.items() if name != HEALTHY}
     best = max(loose, key=lambda name: loose[name])
     if judged.posterior[HEALTHY] > 0.5:
@@ -63,7 +63,7 @@ def _half(covariance: Array) -> float:
 
 
 def _signed(axis: Array) -> Array:
-    """The one of an axis's two directions whose largest component is positive."""
+    """Axis sign convention: the largest component is positive."""
     return np.asarray(axis if axis[int(np.argmax(np.abs(axis)))] > 0 else -axis)
 
 

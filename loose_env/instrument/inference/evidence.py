@@ -1,4 +1,4 @@
-"""How well one hypothesis explains all runs: the seat's motion and the model's errors summed out.
+"""Likelihood of a hypothesis over all runs, marginalised over seat motion.
 
 At every line of a run the seat's acceleration is an unknown of its own, for gap, friction and stops
 make of it what they like. What is known is its direction, and how strongly a seat that floats would
@@ -57,7 +57,7 @@ _BLIND = 1e4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Seat:
-    """A place that may be loose."""
+    """Candidate fault location."""
 
     hypothesis: str
     columns: NDArray[np.intp]
@@ -65,13 +65,13 @@ class Seat:
 
     @property
     def slides(self) -> bool:
-        """Whether it is a slide, whose direction is unknown."""
+        """True for a slide, whose direction is unknown."""
         return len(self.columns) > 1
 
 
 @dataclass(kw_only=True, eq=False)
 class Piece:
-    """A piece of a run with the machine's answer and the weights of its residual."""
+    """Block of spectral lines with the arm's response and the residual weights."""
 
     response: Response
     weight: ComplexArray
@@ -85,13 +85,13 @@ class Piece:
 
     @property
     def lines(self) -> Lines:
-        """The piece itself."""
+        """Spectral lines of the block."""
         return self.response.lines
 
 
 @dataclass(kw_only=True, eq=False)
 class Evidence:
-    """Weighs hypotheses by the pieces of all runs.
+    """Likelihood of the hypotheses over the spectral lines of all runs.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class Evidence:
     _drive: list[Array] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        """Take the drives' forces of the nominal arm as the measure of their errors."""
+        """Scale the drive-force errors by the drive forces of the nominal arm."""
         none = np.zeros(len(self.machine.names))
         for one in self.lines:
             force = respond(self.machine.at(one.pose), one, none).drive_force()
@@ -123,11 +123,11 @@ class Evidence:
 
     @property
     def count(self) -> int:
-        """Number of errors: of the machine, and of every run's delays."""
+        """Number of nuisance parameters: of the arm, and delays of every run."""
         return self.machine.count(1 + max((one.number for one in self.lines), default=-1))
 
     def pieces(self, errors: Array, model_error: float) -> list[Piece]:
-        """Answers and weights with some errors of the model."""
+        """Responses and weights for given nuisance parameters."""
         found = []
         for one, drive in zip(self.lines, self._drive, strict=True):
             response = respond(self.machine.at(one.pose), one, errors)
@@ -160,7 +160,7 @@ class Evidence:
         return found
 
     def seat_terms(self, pieces: Sequence[Piece], seat: Seat, axes: Array) -> Array:
-        """Log-likelihood of a seat against none, by axis.
+        """Log-likelihood ratio of a seat against no fault, by axis.
 
         Parameters
         ----------
@@ -208,7 +208,7 @@ class Evidence:
 
 
 def band_terms(piece: Piece, seat: Seat, axes: Array) -> Array:
-    """Log-likelihood against none of every axis, band and share (U, bands, shares)."""
+    """Log-likelihood ratio by axis, band and share (U, bands, shares)."""
     response = piece.response
     terms = seat_products(piece, seat, axes)
     floating = _smooth(response.floating(seat.columns, axes) ** 2)
@@ -219,7 +219,7 @@ def band_terms(piece: Piece, seat: Seat, axes: Array) -> Array:
 
 
 def seat_products(piece: Piece, seat: Seat, axes: Array) -> Products:
-    """Products of a seat's patterns with each other and with the residual, weighted.
+    """Weighted inner products of a seat's regressors and the residual.
 
     A seat that strikes its stops moves faster than samples follow. What of that is folded back
     into the band shows as inertia alone answers it: a second pattern beside the first.
@@ -252,7 +252,7 @@ def seat_products(piece: Piece, seat: Seat, axes: Array) -> Products:
 
 
 def seat_powers(response: Response, share: Array, floating: Array) -> tuple[Array, Array]:
-    """Power of a seat's acceleration that samples follow, and of that which they fold back.
+    """Seat acceleration power below the Nyquist frequency, and aliased power.
 
     A sensor that is read just after a command has stepped also sees the seat follow that step by
     inertia alone, whatever the stops do to it later.
@@ -274,7 +274,7 @@ def seat_powers(response: Response, share: Array, floating: Array) -> tuple[Arra
 
 
 def explained(terms: Products, first: Array, second: Array) -> tuple[Array, Array]:
-    """Misfit that a seat's motion of some powers takes away, and the logarithm of its spread.
+    """Reduction of the chi-square by a seat's motion, and its log-determinant.
 
     Parameters
     ----------
@@ -295,7 +295,7 @@ def explained(terms: Products, first: Array, second: Array) -> tuple[Array, Arra
 
 
 def _smooth(power: Array) -> Array:
-    """Mean over some lines (U, K)."""
+    """Moving average over spectral lines (U, K)."""
     width = min(9, power.shape[1])
     padded = np.pad(power, ((0, 0), (width // 2, width - 1 - width // 2)), mode="edge")
     sums = np.cumsum(np.pad(padded, ((0, 0), (1, 0))), axis=1)

@@ -1,4 +1,4 @@
-"""How far a seat travels: its motion and the force across it, followed in time.
+"""Free travel of a seat from its motion and the force across it over time.
 
 The fit gives the seat's acceleration at every line of a run. Integrated twice that is the seat's
 path, and the arm's equation of motion gives the force across it, with gravity's static load. Inside
@@ -41,7 +41,7 @@ _BETTER = 0.75
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Travel:
-    """What is known of a seat's free travel."""
+    """Estimated free travel of a seat."""
 
     gap: float | None
     """Free travel [m, rad for play of a turning joint]; None where the data do not say."""
@@ -102,7 +102,7 @@ def travel_of(judged: Judged, hypothesis: str, lines: Sequence[Lines]) -> Travel
 
 
 def seat_in_time(piece: Piece, seat: Seat, axis: Array) -> tuple[Array, Array]:
-    """Path of a seat and the force against it, but for a constant (N,) each [m, N or rad, N·m]."""
+    """Seat displacement and force, zero mean (N,) each [m, N or rad, N·m]."""
     lines, response = piece.lines, piece.response
     first = response.columns[:, :, seat.columns] @ axis
     second = np.broadcast_to(response.sudden[:, seat.columns] @ axis, first.shape)
@@ -129,7 +129,7 @@ def seat_in_time(piece: Piece, seat: Seat, axis: Array) -> tuple[Array, Array]:
 
 
 def law_of(path: Array, force: Array) -> float | None:
-    """Free travel that explains the force across a seat best; None unless both stops are struck.
+    """Best-fitting free travel; None unless both stops are reached.
 
     The force is a constant, and beyond either end of the gap a stiffness and a damping of their
     own. Widths and places of the gap are tried one by one.

@@ -1,4 +1,4 @@
-"""What the uncertain machine answers to the commands of a run and to its seats, line by line."""
+"""Frequency response of the uncertain arm to commands and seat motion."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["Response", "respond", "with_leakage"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Response:
-    """The machine with some errors; m moving coordinates, s = 4 n seats, c readings."""
+    """Response for given nuisance parameters; m coordinates, s = 4 n seats, c channels."""
 
     at: PoseModel
     lines: Lines
@@ -46,16 +46,16 @@ class Response:
 
     @property
     def residual(self) -> ComplexArray:
-        """What the sound arm leaves of the readings (K, c)."""
+        """Residual of the healthy arm (K, c)."""
         return np.asarray(self.lines.readings - self.mean)
 
     def joint_columns(self) -> ComplexArray:
-        """Readings per force on each joint (K, c, n)."""
+        """Frequency response from joint forces to the channels (K, c, n)."""
         n = self.at.of.machine.n
         return np.asarray(self.rows @ self.compliance[:, :, :n])
 
     def drive_force(self) -> ComplexArray:
-        """Force of each joint's drive on the sound arm (K, n)."""
+        """Force of each joint's drive on the healthy arm (K, n)."""
         n = self.at.of.machine.n
         s = 2j * np.pi * self.lines.frequency[:, None]
         drives = self.at.of.machine.drives
@@ -63,7 +63,7 @@ class Response:
         return np.asarray(self.force[:, :n] - servo * self.motion[:, :n])
 
     def floating(self, seats: NDArray[np.intp], axes: Array) -> Array:
-        """Acceleration that a seat would have if it floated, by axis (U, K) [m/s² or rad/s²]."""
+        """Acceleration of a frictionless seat, by axis (U, K) [m/s² or rad/s²]."""
         load, mass = self.across_seat(seats)
         drive = axes @ load.T
         pairs = (axes[:, :, None] * axes[:, None, :]).reshape(len(axes), -1)
@@ -71,11 +71,11 @@ class Response:
         return np.asarray(np.abs(drive) / np.maximum(np.abs(heavy), 1e-12))
 
     def across(self, seats: NDArray[np.intp], axes: Array) -> ComplexArray:
-        """Force that the shut seat transmits, by axis (U, K)."""
+        """Force transmitted by the closed seat, by axis (U, K)."""
         return np.asarray(axes @ self.across_seat(seats)[0].T)
 
     def across_seat(self, seats: NDArray[np.intp]) -> tuple[ComplexArray, ComplexArray]:
-        """Force that a shut seat transmits (K, s'), and the apparent mass behind it (K, s', s')."""
+        """Force across a closed seat (K, s'), and apparent mass behind it (K, s', s')."""
         m = self.at.size
         inertia, _ = self.at.parts(self.errors)
         omega2 = ((2 * np.pi * self.lines.frequency) ** 2)[:, None]
@@ -86,7 +86,7 @@ class Response:
         return force, own + moved
 
     def slopes(self, seat: ComplexArray) -> ComplexArray:
-        """Change of the readings by each error (K, c, P).
+        """Jacobian of the channels with respect to the nuisance parameters (K, c, P).
 
         Parameters
         ----------
@@ -164,7 +164,7 @@ class Response:
 
 
 def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
-    """Answer of the machine with some errors, in standard deviations (P,)."""
+    """Frequency response for given nuisance parameters, in standard deviations (P,)."""
     of = at.of
     machine, t = of.machine, of.tolerances
     n, m = machine.n, at.size
@@ -223,7 +223,7 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
 
 
 def _late(at: PoseModel, lines: Lines, errors: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Factors of a run's late commands, and of its late accelerometers (K,) each."""
+    """Delay factors of a run's commands, and of its accelerometers (K,) each."""
     of, t = at.of, at.of.tolerances
     own = errors[of.delays(lines.number)]
     command, sensor = own if len(own) else (0.0, 0.0)  # errors may be those of the machine alone
@@ -232,13 +232,13 @@ def _late(at: PoseModel, lines: Lines, errors: Array) -> tuple[ComplexArray, Com
 
 
 def _each(matrices: Array, rows: ComplexArray) -> ComplexArray:
-    """Every matrix (G, i, j) times every row (K, j): (K, G, i)."""
+    """Product of every matrix (G, i, j) with every row (K, j): (K, G, i)."""
     flat = rows @ matrices.reshape(-1, matrices.shape[-1]).T
     return np.asarray(flat.reshape(len(rows), *matrices.shape[:2]))
 
 
 def with_leakage(at: PoseModel, lines: Lines) -> Lines:
-    """Lines with the readings that the taper leaks from line to line.
+    """Predicted channels including spectral leakage of the window.
 
     The taper mixes every line with its two neighbours. Where the arm's answer changes from line to
     line, what comes from the neighbours was answered a little otherwise; to first order that is
@@ -253,7 +253,7 @@ def with_leakage(at: PoseModel, lines: Lines) -> Lines:
 
 
 def _held(omega: Array, period: float) -> ComplexArray:
-    """A command that is held from sample to sample, against one that follows it at once."""
+    """Zero-order-hold response of a command relative to a continuous one."""
     half = 0.5j * omega * period
     return np.asarray(np.exp(-half) * np.sinc(omega * period / (2 * np.pi)))
 
@@ -274,7 +274,7 @@ def _sudden(
 
 
 def _stepping(response: Response, jacobian: Array, sensing: dict[str, Array], ease: Array) -> Array:
-    """Readings of accelerometers per sudden force on the moving coordinates (1, c, m)."""
+    """Accelerometer response to a force step on the coordinates (1, c, m)."""
     lines, m = response.lines, response.at.size
     rows = np.zeros((1, len(lines.row), m))
     for k, (reading, axis) in enumerate(lines.row):
@@ -287,7 +287,7 @@ def _stepping(response: Response, jacobian: Array, sensing: dict[str, Array], ea
 def _stepped(
     at: PoseModel, lines: Lines, jacobian: Array, jump: ComplexArray, moved: ComplexArray
 ) -> ComplexArray:
-    """Readings just after commands have stepped, less what a held command makes on average (K, c).
+    """Channels just after a command step, less their zero-order-hold mean (K, c).
 
     ``jump`` is the sudden acceleration of the moving coordinates, ``moved`` their motion (K, m).
     """
@@ -305,7 +305,7 @@ def _stepped(
 def _rows(
     at: PoseModel, lines: Lines, jacobian: Array, s: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Readings per displacement (K, c, m), and directly per acceleration of the seats (K, c, s)."""
+    """Channels per displacement (K, c, m), feedthrough of the seats (K, c, s)."""
     n, m = at.of.machine.n, at.size
     seats = at.nominal.inertia.shape[0] - m
     rows = np.zeros((len(s), len(lines.row), m), dtype=complex)
@@ -328,7 +328,7 @@ def _rows(
 
 
 def _sensing(response: Response) -> dict[str, Array]:
-    """Reading of every sensor on a site per true value (3, 3), by the sensor's name."""
+    """Gain matrix (3, 3) of every sensor on a site, by the sensor's name."""
     of, t = response.at.of, response.at.of.tolerances
     found = {}
     rows = [r.sensor for r, _ in response.lines.row]
@@ -344,12 +344,12 @@ def _sensing(response: Response) -> dict[str, Array]:
 
 
 def _own_damping(at: PoseModel, n: int) -> Array:
-    """Damping of the joints themselves (n,)."""
+    """Passive joint damping (n,)."""
     return np.asarray(at.of.machine.linear.springs[1][at.of.moving][:n])
 
 
 def _gain_error(at: PoseModel) -> Array:
-    """Standard deviation of each drive's gain beside its stiffness, relative (n,).
+    """Relative standard deviation of each drive's gain, stiffness excluded (n,).
 
     A position servo's command and stiffness share one gain; a quarter of its tolerance is left.
     """

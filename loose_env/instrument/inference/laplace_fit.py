@@ -1,4 +1,4 @@
-"""Fits one hypothesis to all runs, and weighs it against the others."""
+"""Laplace approximation of the evidence of one hypothesis over all runs."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _UNSEEN = 1.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fit:
-    """The best that one hypothesis can do."""
+    """Maximum a posteriori fit of one hypothesis."""
 
     hypothesis: str
     evidence: float
@@ -85,7 +85,7 @@ def fit_hypothesis(
     start: Fit | None = None,
     steps: int = _STEPS,
 ) -> Fit:
-    """Fit model errors, model error and direction, and sum out what is not asked.
+    """Fit nuisance parameters and direction, and marginalise the rest.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def _state(
 
 
 def _eased(evidence: Evidence, seat: Seat | None, now: _State) -> _State:
-    """Move to a neighbouring model error as long as that is more likely."""
+    """Step to a neighbouring model error while the likelihood improves."""
     for _ in range(len(MODEL_ERRORS)):
         at = int(np.argmin(np.abs(np.log(MODEL_ERRORS / now.model_error))))
         near = [k for k in (at - 1, at + 1) if 0 <= k < len(MODEL_ERRORS)]
@@ -174,7 +174,7 @@ def _eased(evidence: Evidence, seat: Seat | None, now: _State) -> _State:
 
 
 def _looked_again(evidence: Evidence, seat: Seat, now: _State) -> _State:
-    """Take another direction if it has become the better one."""
+    """Switch to another direction if its likelihood has become higher."""
     assert now.axis is not None
     grid = np.vstack([now.axis, axes_grid(_AXES)])
     values = evidence.seat_terms(now.pieces, seat, grid)
@@ -185,7 +185,7 @@ def _looked_again(evidence: Evidence, seat: Seat, now: _State) -> _State:
 
 
 def best_powers(piece: Piece, seat: Seat, axis: Array) -> Array:
-    """Most likely powers of a seat's acceleration at the lines of a piece (K, 2).
+    """Maximum-likelihood powers of a seat's acceleration per line (K, 2).
 
     Of what samples follow, and of what they fold back; see `seat_powers`.
     """
@@ -196,7 +196,7 @@ def best_powers(piece: Piece, seat: Seat, axis: Array) -> Array:
 
 
 def _system(evidence: Evidence, now: _State, seat: Seat | None) -> tuple[Array, Array]:
-    """Normal equations of errors and direction, the seat's motion summed out."""
+    """Normal equations of parameters and direction, seat motion marginalised."""
     count = evidence.count
     across = (
         tangents(now.axis) if seat is not None and seat.slides and now.axis is not None else None
@@ -244,7 +244,7 @@ def _mean(values: Array) -> Array:
 def _stepped(
     evidence: Evidence, seat: Seat | None, now: _State, system: tuple[Array, Array]
 ) -> _State:
-    """Go as much of a Gauss-Newton step as helps."""
+    """Damped Gauss-Newton step by line search."""
     normal, drive = system
     count = len(now.errors)
     step = np.linalg.solve(normal, drive)

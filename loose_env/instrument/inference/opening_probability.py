@@ -1,4 +1,4 @@
-"""Whether the excitation of a run can be expected to open a seat against gravity and friction."""
+"""Probability that a run's excitation opens a seat against gravity and friction."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _OVERCOME = 0.6
 
 
 def seat_forces(response: Response, seats: NDArray[np.intp], axes: Array) -> tuple[Array, Array]:
-    """Rms force across a shut seat in a run, and the static load on it, by axis (U,) each."""
+    """Rms force across a closed seat in a run and its static load, by axis (U,) each."""
     across, lines = response.across(seats, axes), response.lines
     # Lines that were left out between those that are there count too.
     power = 2 * np.sum(np.abs(across) ** 2, axis=1) * lines.spacing * lines.seconds
@@ -30,7 +30,7 @@ def seat_forces(response: Response, seats: NDArray[np.intp], axes: Array) -> tup
 
 
 def open_probability(response: Response, seats: NDArray[np.intp], axes: Array) -> Array:
-    """Probability that a seat opens in a run, its friction unknown, by axis (U,)."""
+    """Probability that a seat opens in a run under unknown friction, by axis (U,)."""
     drive, load = seat_forces(response, seats, axes)
     friction = _FRICTION * (_LEVER if _turns(response, seats) else 1.0)
     held = _OVERCOME * (load[:, None] + friction)
@@ -39,7 +39,7 @@ def open_probability(response: Response, seats: NDArray[np.intp], axes: Array) -
 
 
 def _turns(response: Response, seats: NDArray[np.intp]) -> bool:
-    """Whether a seat is the play of a joint that turns."""
+    """True for the play of a revolute joint."""
     machine = response.at.of.machine
     joint = int(seats[0]) - 3 * machine.n  # the slides of all links come first
     return joint >= 0 and not bool(machine.arm.sliding[joint])

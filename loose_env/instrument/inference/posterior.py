@@ -1,4 +1,4 @@
-"""From the lines of all runs to the probabilities of all hypotheses."""
+"""Posterior probabilities of all hypotheses from the spectral lines of all runs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _PROBED = 2
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Judged:
-    """What all runs together say."""
+    """Posterior over the hypotheses, given all runs."""
 
     posterior: Mapping[str, float]
     fits: Mapping[str, Fit]
@@ -42,7 +42,7 @@ class Judged:
     """All lines of all runs."""
 
     def as_sampled(self, lines: Lines) -> Lines:
-        """Lines of a run, with what was found of how the sensors are sampled."""
+        """Spectral lines of a run with the identified sampling of its sensors."""
         if not self.lines:
             return lines
         return replace(lines, sampled=self.lines[0].sampled, folded=self.lines[0].folded)
@@ -54,7 +54,7 @@ class Judged:
 
 
 def judge(machine: UncertainMachine, lines: Sequence[Lines], *, sound: float) -> Judged:
-    """Weigh all hypotheses.
+    """Compute the posterior over all hypotheses.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def judge(machine: UncertainMachine, lines: Sequence[Lines], *, sound: float) ->
 def _first_look(
     machine: UncertainMachine, lines: Sequence[Lines], seats: Mapping[str, Seat | None]
 ) -> tuple[Evidence, dict[str, Fit]]:
-    """Fit all hypotheses to few lines, and find out how the sensors were sampled."""
+    """Fit all hypotheses to few lines and identify the sensor sampling."""
     few = [thinned(one, _COARSE) for one in lines]
 
     def of(sampled: float, folded: float) -> Evidence:
@@ -119,7 +119,7 @@ def _first_look(
 
 
 def probabilities_of(evidence: Mapping[str, float], *, sound: float) -> dict[str, float]:
-    """Probabilities by log-evidence; faults are equally likely beforehand.
+    """Probabilities from log-evidences, with a uniform prior over the faults.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The arm linearised in a pose, with all that its model may get wrong, to first order.
+"""Arm linearised about a pose, with first-order nuisance parameters.
 
 With x the small motion of joints and elastic parts, and s that of a seat, the arm obeys
 
@@ -35,7 +35,7 @@ _STEP = 1e-4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Bodies:
-    """What depends on bodies and pose: motions m, seats s (n links' slides, n joints' play)."""
+    """Terms that depend on bodies and pose: m coordinates, s seats (slides, plays)."""
 
     inertia: Array
     """(m + s, m + s)."""
@@ -50,7 +50,7 @@ class _Bodies:
 
 
 class UncertainMachine:
-    """A machine and the errors that its model may have, counted in standard deviations.
+    """Arm with nuisance parameters, scaled by their standard deviations.
 
     Parameters
     ----------
@@ -106,16 +106,16 @@ class UncertainMachine:
         self._remembered: dict[bytes, PoseModel] = {}
 
     def count(self, runs: int) -> int:
-        """Number of errors of so many runs: those that all share, then each run's own delays."""
+        """Number of nuisance parameters: those shared, then the delays of each run."""
         return len(self.names) + len(DELAYS) * runs
 
     def delays(self, run: int) -> slice:
-        """Where the errors of a run's own delays lie; see `DELAYS`."""
+        """Indices of a run's own delay parameters; see `DELAYS`."""
         start = self.count(run)
         return slice(start, start + len(DELAYS))
 
     def at(self, pose: Array) -> PoseModel:
-        """Linearise in a pose (n,) [rad or m]. Poses are remembered."""
+        """Linearise about a pose (n,) [rad or m]; results are cached."""
         key = np.asarray(pose, dtype=float).tobytes()
         if key not in self._remembered:
             self._remembered[key] = self._at(np.asarray(pose, dtype=float))
@@ -180,14 +180,14 @@ class UncertainMachine:
 
 
 def _bodies_of(machine: Machine, link: int) -> list[int]:
-    """The link and its flange, in the arm's own model."""
+    """Link and flange bodies in the arm's own model."""
     model = machine.arm.model
     own = int(model.body(machine.arm.seat_bodies[link]).id)
     return [own, int(model.body_parentid[own])]
 
 
 def _changed(machine: Machine, draw: MismatchDraw) -> LinearArm:
-    """Copy the linear arm and change its bodies."""
+    """Copy of the linear arm with changed bodies."""
     linear = machine.linear
     other = copy.copy(linear)
     other.model = copy.copy(linear.model)
@@ -198,7 +198,7 @@ def _changed(machine: Machine, draw: MismatchDraw) -> LinearArm:
 
 
 def _seat_columns(machine: Machine) -> Array:
-    """Motions of all seats in the linear arm's coordinates (nv, 4 n): slides, then play."""
+    """Seat motions in the linear arm's coordinates (nv, 4 n): slides, then play."""
     linear, n = machine.linear, machine.n
     nv = linear.model.nv
     columns = np.zeros((nv, 4 * n))
@@ -215,7 +215,7 @@ def _seat_columns(machine: Machine) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PoseModel:
-    """The uncertain machine in one pose.
+    """Uncertain arm linearised about one pose.
 
     Errors come in the order of `UncertainMachine.names`, those of the runs' delays after them.
     """
@@ -234,7 +234,7 @@ class PoseModel:
 
     @property
     def size(self) -> int:
-        """Number of moving coordinates."""
+        """Number of coordinates."""
         return len(self.of.moving)
 
     def seat_load(self) -> Array:
@@ -242,7 +242,7 @@ class PoseModel:
         return self.nominal.load[self.size :]
 
     def parts(self, errors: Array) -> tuple[Array, Array]:
-        """Inertia and Jacobians with some errors."""
+        """Inertia and Jacobians for given nuisance parameters."""
         some = errors[self.of.bodies]
         return (
             self.nominal.inertia + np.tensordot(some, self.inertia, 1),
@@ -250,7 +250,7 @@ class PoseModel:
         )
 
     def springs(self, errors: Array) -> tuple[Array, Array]:
-        """Stiffness and damping on the moving coordinates with some errors (m,)."""
+        """Coordinate stiffness and damping for given nuisance parameters (m,)."""
         machine, t = self.of.machine, self.of.tolerances
         n, drives = machine.n, machine.drives
         stiffness, damping = (v[self.of.moving] for v in machine.linear.springs)

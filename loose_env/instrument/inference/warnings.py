@@ -1,4 +1,4 @@
-"""What a reader should know before trusting a diagnosis."""
+"""Warnings that limit the validity of a diagnosis."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _STRAINED = 2.2
 def warnings_of(
     machine: Machine, judged: Judged, notes: Sequence[str], travel: Travel | None
 ) -> tuple[str, ...]:
-    """Collect them, the gravest first."""
+    """Collect the warnings, most severe first."""
     said: list[str] = []
     suspect = [one for one in judged.evidence.lines if not one.healthy]
     said += _of_model(judged)
@@ -75,7 +75,7 @@ def _of_model(judged: Judged) -> list[str]:
 
 
 def _of_seats(machine: Machine, judged: Judged, suspect: Sequence[Lines]) -> list[str]:
-    """Seats that no run could open."""
+    """Warnings about seats that no run could open."""
     grid = axes_grid(24)
     never: list[str] = []
     pressed: list[str] = []

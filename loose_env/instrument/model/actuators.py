@@ -1,4 +1,4 @@
-"""How a model's actuators hold and drive its joints: torque per command, spring and damper.
+"""Actuator models of the joints: torque per command, stiffness and damping.
 
 An actuator of MuJoCo gives a joint the torque ``gain u + offset - stiffness q - damping q'``: a
 motor has a gain alone, a position servo a stiffness too, and its command is a position. All
@@ -25,7 +25,7 @@ _LAGS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
 
 @dataclass(frozen=True, kw_only=True)
 class JointDrive:
-    """What one actuator of a model does to the joint that it drives."""
+    """Linear model of one actuator on the joint that it drives."""
 
     actuator: str
     """Name in the model."""
@@ -48,11 +48,11 @@ class JointDrive:
 
     @property
     def servo(self) -> bool:
-        """Whether it holds a position by itself."""
+        """True if it servoes a position by itself."""
         return self.stiffness > 0
 
     def command(self, torque: Array | float, position: float) -> Array | float:
-        """Command that gives a steady torque beside the spring's, at a position and at rest.
+        """Command for a steady torque beside the spring's, at a position and at rest.
 
         Parameters
         ----------
@@ -70,7 +70,7 @@ class JointDrive:
         return (torque - self.offset + self.stiffness * position) / self.gain
 
     def torque(self, command: float, position: float) -> float:
-        """Torque under a command that is held, at a position and at rest [N·m, N].
+        """Torque under a constant command, at a position and at rest [N·m, N].
 
         Examples
         --------
@@ -83,7 +83,7 @@ class JointDrive:
 
 @dataclass(frozen=True, kw_only=True)
 class PassedOver:
-    """An actuator whose torque is not that of a spring, a damper and a gain with a lag."""
+    """Skipped actuator: not modelled by a spring, a damper and a lagged gain."""
 
     actuator: str
     """Name in the model."""
@@ -131,7 +131,7 @@ def actuators_on(
 def drives_of(
     model: mujoco.MjModel, joints: Sequence[str]
 ) -> tuple[tuple[JointDrive | None, ...], tuple[str, ...]]:
-    """Find the actuator of each joint: the one that holds it and that is played.
+    """Find the actuator that servoes and excites each joint.
 
     Of several that is the first position servo, which holds by itself; of several motors the first.
 
@@ -184,7 +184,7 @@ def drives_of(
 
 
 def held_by_drives(arm: Arm, model: mujoco.MjModel, joints: Sequence[str]) -> Arm:
-    """Hold the joints of an arm as the actuators of its model do, excited or not.
+    """Apply actuator stiffness and damping to the joints of an arm.
 
     A joint with a position servo is on that servo's spring and damper, also while it is shaken:
     its command moves the spring's rest. Springs and dampers of several actuators on a joint add up.
@@ -237,7 +237,7 @@ def held_by_drives(arm: Arm, model: mujoco.MjModel, joints: Sequence[str]) -> Ar
 
 
 def _unusable(model: mujoco.MjModel, a: int) -> str:
-    """Why an actuator is no spring, damper and gain with a lag; "" if it is."""
+    """Reason why an actuator is no spring, damper and lagged gain; "" if it is."""
     gain, bias = int(model.actuator_gaintype[a]), int(model.actuator_biastype[a])
     dynamics = int(model.actuator_dyntype[a])
     affine = int(mujoco.mjtGain.mjGAIN_AFFINE)

@@ -1,4 +1,4 @@
-"""In which poses the bodies of a model touch each other or the ground.
+"""Collision checks of poses, between bodies and with the ground.
 
 Poses that keep the arm above what it stands on, where the model knows no ground.
 """
@@ -28,7 +28,7 @@ _STEP = 0.1
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Collisions:
-    """Looks for contacts of a model, its other joints where the model has them."""
+    """Collision checker; joints outside the chain stay at the model's reference."""
 
     model: mujoco.MjModel | None
     """The compiled model with its shapes; None where it cannot be compiled with them."""
@@ -41,7 +41,7 @@ class Collisions:
 
     @classmethod
     def of(cls, spec: mujoco.MjSpec, joints: Sequence[str]) -> Collisions:
-        """Make ready to look; shapes whose files are missing are left out.
+        """Build a checker; shapes whose files are missing are dropped.
 
         Examples
         --------
@@ -74,16 +74,16 @@ class Collisions:
 
     @staticmethod
     def _shapes(model: mujoco.MjModel) -> bool:
-        """Whether any two shapes of the model can touch."""
+        """True if any two shapes of the model can collide."""
         return bool(np.any(model.geom_contype) and np.any(model.geom_conaffinity))
 
     @property
     def known(self) -> bool:
-        """Whether the model says anything about contacts."""
+        """True if the model defines collision geometry."""
         return self.model is not None
 
     def touch(self, pose: ArrayLike) -> tuple[str, ...]:
-        """Pairs of bodies that touch in a pose and should not, in words."""
+        """Describe pairs of bodies in unintended contact in a pose."""
         if self.model is None:
             return ()
         body = self.model.geom_bodyid
@@ -94,7 +94,7 @@ class Collisions:
         return tuple(dict.fromkeys(found))
 
     def touch_between(self, start: ArrayLike, end: ArrayLike) -> tuple[str, ...]:
-        """Pairs that touch on the straight way in joint space from one pose to another."""
+        """Colliding pairs on the straight joint-space path between two poses."""
         if self.model is None:
             return ()
         first, last = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
@@ -120,7 +120,7 @@ class Collisions:
 
 
 def _without_shapes(model: mujoco.MjModel, joints: Sequence[str]) -> tuple[str, ...]:
-    """Bodies that joints move, with all that is fixed to them, that nothing can touch."""
+    """Moving bodies without collision shapes, including all that is fixed to them."""
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     shaped = set(model.body_weldid[model.geom_bodyid[solid]].tolist())
     moved = [int(model.jnt_bodyid[model.joint(joint).id]) for joint in joints]
@@ -128,7 +128,7 @@ def _without_shapes(model: mujoco.MjModel, joints: Sequence[str]) -> tuple[str, 
 
 
 def _compiled(spec: mujoco.MjSpec, joints: Sequence[str]) -> mujoco.MjModel | None:
-    """The model with its shapes, or with what is left of them without meshes."""
+    """Compiled model with its shapes, without meshes where files are missing."""
     spec.compiler.fusestatic = False
     for with_meshes in (True, False):
         trial = spec.copy()
@@ -152,7 +152,7 @@ _BELOW = 0.005
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ground:
-    """A plane across gravity that links and tool stay above."""
+    """Ground plane normal to gravity that links and tool stay above."""
 
     arm: Arm
     """The arm."""
@@ -161,7 +161,7 @@ class Ground:
 
     @classmethod
     def of(cls, arm: Arm, height: float | None = None) -> Ground:
-        """Take a given height [m], or the model's origin for an arm that stands.
+        """Ground at a height [m], or at the model's origin for an upright arm.
 
         An arm that hangs, its second joint below its first, gets no ground by itself, nor one
         without gravity.
@@ -185,13 +185,13 @@ class Ground:
         return cls(arm=arm, height=min(0.0, first))
 
     def clear(self, pose: Array) -> bool:
-        """Whether links beyond the first and the tool are above it."""
+        """True if links beyond the first and the tool are above the ground."""
         if np.isneginf(self.height):
             return True
         return bool((self._heights(pose)[0] >= self.height - _BELOW).all())
 
     def clear_between(self, start: Array, end: Array) -> bool:
-        """Whether the arm stays above it on the straight way in joint space between two poses.
+        """True if the straight joint-space path between two poses is above the ground.
 
         An arm that stands below it is let out, and not in again.
         """

@@ -1,4 +1,4 @@
-"""Commands that hold an arm in a pose, and those with which it was sent there."""
+"""Static commands of a pose, and start commands that move an arm there."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["holding_commands", "starting_commands", "why_not_held"]
 
 
 def holding_commands(machine: ModelArm, pose: Array) -> tuple[dict[str, float], Array]:
-    """Commands that hold the model in a pose, and the torque that takes.
+    """Commands and torques that balance gravity in a pose.
 
     Of several actuators on a joint one carries the load, as
     `loose_env.instrument.model.actuators.drives_of` chooses it; the others are told to give no
@@ -57,7 +57,7 @@ def holding_commands(machine: ModelArm, pose: Array) -> tuple[dict[str, float], 
 
 
 def starting_commands(machine: ModelArm, pose: Array) -> dict[str, float]:
-    """Commands with which the arm was sent to a pose: of position servos the pose itself.
+    """Commands that move the arm to a pose: the pose itself for position servos.
 
     Under them the arm hangs from the pose by as much as its servos give way. Motors hold it as
     `holding_commands` has them.
@@ -78,7 +78,7 @@ def starting_commands(machine: ModelArm, pose: Array) -> dict[str, float]:
 
 
 def why_not_held(machine: ModelArm, pose: Array) -> str:
-    """Why the actuators cannot be told to hold a pose; "" if they can.
+    """Reason why the actuators cannot servo a pose; "" if they can.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def why_not_held(machine: ModelArm, pose: Array) -> str:
 
 
 def _at_the_start(machine: ModelArm, pose: Array, holding: dict[str, float]) -> dict[str, float]:
-    """Commands that hold an arm (actuator -> command) with the pose itself for servos."""
+    """Static commands (actuator -> command), the pose itself for servos."""
     model, data, commands = machine.recordable.model, _standing(machine, pose), dict(holding)
     for drive in drives_of(model, _joints(model))[0]:
         if drive is not None and drive.servo:
@@ -115,7 +115,7 @@ def _at_the_start(machine: ModelArm, pose: Array, holding: dict[str, float]) -> 
 
 
 def _standing(machine: ModelArm, pose: Array) -> mujoco.MjData:
-    """The recordable model at rest in a pose."""
+    """Recordable model at rest in a pose."""
     model = machine.recordable.model
     data = mujoco.MjData(model)
     for name, q in zip(machine.joints, pose, strict=True):
@@ -126,6 +126,6 @@ def _standing(machine: ModelArm, pose: Array) -> mujoco.MjData:
 
 
 def _joints(model: mujoco.MjModel) -> list[str]:
-    """Joints that turn or slide."""
+    """Revolute and prismatic joints."""
     kinds = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
     return [model.joint(j).name for j in range(model.njnt) if int(model.jnt_type[j]) in kinds]

@@ -1,4 +1,4 @@
-"""A model file made ready to be measured: the arm, how its drives hold it, what reads it."""
+"""Arm from a model file, with the drives and sensors of a planned measurement."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _APART = 1e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelArm:
-    """An arm from a file, as it will be measured."""
+    """Arm from a model file, with drives and sensors."""
 
     path: Path
     """The file."""
@@ -81,7 +81,7 @@ class ModelArm:
         return np.array([whole[int(model.joint(name).qposadr[0])] for name in self.joints])
 
     def named(self, notes: Sequence[str]) -> tuple[str, ...]:
-        """Notes with the joints' names in the place of their numbers."""
+        """Notes with joint numbers replaced by joint names."""
 
         def name(found: re.Match[str]) -> str:
             number = int(found[1])
@@ -104,7 +104,7 @@ def load_model_arm(
     payload_kg: float = 0.0,
     payload_at_m: tuple[float, ...] = (0.0, 0.0, 0.0),
 ) -> ModelArm:
-    """Read a model and work out how its arm will be held, shaken and read.
+    """Read a model and derive the drives, excitation and sensors of its arm.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def _check_payload(mass: float, at: tuple[float, ...]) -> None:
 
 
 def _sensed(path: str | Path) -> tuple[str | None, list[str]]:
-    """Site of the model's own accelerometer, and what to know where it has several."""
+    """Site of the model's accelerometer, and a note where there are several."""
     spec = load_spec(path)[2]
     sites, taken = sensed_sites(spec), tool_site(spec)
     if len(sites) < 2:
@@ -211,7 +211,7 @@ def _sensed(path: str | Path) -> tuple[str | None, list[str]]:
 
 
 def _fixed_beyond(file: ModelFile, chain: Chain) -> str | None:
-    """Outermost body fixed to the last link, such as a flange of a URDF, where no site is there."""
+    """Outermost body fixed to the last link (e.g. a URDF flange), if without a site."""
     m, last = file.model, chain.links[-1]
     if chain.tool_site is not None or chain.tool_body != last:
         return None

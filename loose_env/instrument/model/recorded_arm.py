@@ -1,4 +1,4 @@
-"""The machine of a recording: its nominal arm with all seats, its drives, what its sensors read."""
+"""Model of a recorded arm: nominal arm with all seats, drives and sensors."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _KINDS: Mapping[int, SensorKind] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """A sensor that is used."""
+    """Sensor channel that is used."""
 
     sensor: str
     """Its name in the model."""
@@ -53,13 +53,13 @@ class Reading:
 
     @property
     def axes(self) -> int:
-        """Numbers that it gives."""
+        """Number of components."""
         return 3 if self.kind in ("acceleration", "turning") else 1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drives:
-    """What the actuators do to the joints, linear in command, position and velocity."""
+    """Actuator forces on the joints, linear in command, position and velocity."""
 
     names: tuple[str, ...]
     """Actuators of the chain's joints (A,)."""
@@ -122,7 +122,7 @@ class Machine:
 
     @cached_property
     def shown(self) -> Arm:
-        """The arm for a page: its joints have the model's names, also those that it reserves."""
+        """Arm for display: joints bear the model's names, reserved ones included."""
         if self.arm.joints == self.joints:
             return self.arm
         spec = self.arm.spec.copy()
@@ -141,7 +141,7 @@ class Machine:
 
     @cached_property
     def readings(self) -> tuple[Reading, ...]:
-        """Sensors of the model that a diagnosis can use, accelerometers first."""
+        """Usable sensors of the model, accelerometers first."""
         model, found = self.model, []
         for s in range(model.nsensor):
             kind = _KINDS.get(int(model.sensor_type[s]))
@@ -179,7 +179,7 @@ class Machine:
         )
 
     def driven_joint(self, actuator: str) -> int:
-        """Number of the joint that an actuator drives, from 0."""
+        """Index of the joint that an actuator drives, from 0."""
         return int(self.drives.joint[self.drives.names.index(actuator)])
 
     def pose_of(self, pose: Mapping[str, float]) -> Array:
@@ -200,7 +200,7 @@ class Machine:
 def _with_probes(
     arm: Arm, path: Path, tool: str, model: mujoco.MjModel
 ) -> tuple[Arm, tuple[str, ...]]:
-    """Add the sites of all further accelerometers and gyroscopes that ride on the arm's links."""
+    """Add the sites of further accelerometers and gyroscopes on the arm's links."""
     file = read_model_file(path)
     m = file.model
     chain = find_chain(file, tool, None)

@@ -1,4 +1,4 @@
-"""A model for recordings of an arm: inertias written out, no meshes, actuators and sensors."""
+"""Self-contained model for recordings: explicit inertias, no meshes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _TOOL = "tool"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recordable:
-    """A model as ``recording.json`` needs it: every actuator and sensor has a name."""
+    """Model as ``recording.json`` needs it: every actuator and sensor has a name."""
 
     xml: str
     """MJCF, complete in itself."""
@@ -43,7 +43,7 @@ def recordable(
     payload_kg: float = 0.0,
     payload_at_m: tuple[float, ...] = (0.0, 0.0, 0.0),
 ) -> Recordable:
-    """Make a model that recordings can be checked against.
+    """Make a self-contained model that recordings can be validated against.
 
     Shapes from files go, inertias found from them are written out. A site, an accelerometer and
     position sensors are added where they are missing, and a torque motor to every driven joint
@@ -92,7 +92,7 @@ def recordable(
 
 
 def _name(spec: mujoco.MjSpec) -> None:
-    """Name bodies, joints and sites as `read_model_file` does, and all that has columns."""
+    """Name bodies, joints and sites as `read_model_file` does, and all columns."""
     for kind, elements in (
         ("body", spec.bodies[1:]),
         ("joint", spec.joints),
@@ -115,7 +115,7 @@ def _free(name: str, taken: Iterable[str]) -> str:
 
 
 def _write_out(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Write every inertia out, and leave out whatever comes from a file."""
+    """Write explicit inertias, and drop all that refers to files."""
     for body in spec.bodies[1:]:
         k = model.body(body.name).id
         body.mass = float(model.body_mass[k])
@@ -150,7 +150,7 @@ def _tool(spec: mujoco.MjSpec, m: mujoco.MjModel, chain: Chain) -> str:
 def _load(
     spec: mujoco.MjSpec, m: mujoco.MjModel, chain: Chain, mass: float, at: tuple[float, ...]
 ) -> None:
-    """Put a payload on the tool: a solid ball of the density of steel."""
+    """Add a payload to the tool: a solid ball of the density of steel."""
     body, place, quat = chain.tool_body, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
     if chain.tool_site is not None:
         # As compiled: in the file a site may be turned by other angles, or stand in a frame.

@@ -1,4 +1,4 @@
-"""Which accelerometer is the tool's, of a model that has several."""
+"""Tool accelerometer of a model with several accelerometers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _MARK = "loose_env_tool"
 
 
 def mark_tool(spec: mujoco.MjSpec, site: str) -> None:
-    """Write into a model which site is the tool's, as `tool_site` reads it."""
+    """Mark the tool site in a model, as `tool_site` reads it."""
     for text in list(spec.texts):
         if text.name == _MARK:
             spec.delete(text)
@@ -19,7 +19,7 @@ def mark_tool(spec: mujoco.MjSpec, site: str) -> None:
 
 
 def tool_site(spec: mujoco.MjSpec) -> str | None:
-    """Site of the tool's accelerometer; None where no accelerometer sits at a site with a name.
+    """Site of the tool accelerometer; None if no accelerometer has a named site.
 
     It is the one that `mark_tool` marked, else the one with most joints between it and the base;
     of several of these the first sensor's.
@@ -49,7 +49,7 @@ def tool_site(spec: mujoco.MjSpec) -> str | None:
 
 
 def sensed_sites(spec: mujoco.MjSpec) -> tuple[str, ...]:
-    """Sites with an accelerometer, in the order of the sensors, each once."""
+    """Sites with an accelerometer, unique, in sensor order."""
     kind = mujoco.mjtSensor.mjSENS_ACCELEROMETER
     there = {site.name for site in spec.sites}
     names = (s.objname for s in spec.sensors if s.type == kind)
@@ -57,7 +57,7 @@ def sensed_sites(spec: mujoco.MjSpec) -> tuple[str, ...]:
 
 
 def _depth(spec: mujoco.MjSpec, site: str) -> int:
-    """Joints between a site and the base."""
+    """Number of joints between a site and the base."""
     depth, body = 0, spec.site(site).parent
     while body.name != "world":
         depth += len(body.joints)

@@ -188,6 +188,13 @@ def plan(
     ------
     InvalidSetting, InvalidData, UnknownName
         If the model cannot be used, the diagnosis is of another one, or no pose will do.
+
+    Examples
+    --------
+    >>> plan("no_model.xml")
+    Traceback (most recent call last):
+        ...
+    loose_env.errors.InvalidSetting: there is no file 'no_model.xml' in ...
     """
     if choice is None:
         choice = NextSettings() if known is None else known.choice

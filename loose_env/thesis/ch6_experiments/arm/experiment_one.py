@@ -38,9 +38,7 @@ __all__ = [
     "shudder",
 ]
 
-EQUATIONS: dict[str, str] = {}
-"""Function of each equation."""
-
+EQUATIONS: dict[str, str] = {}  # the section has none
 SHUDDER_BAND = (12.0, 120.0)
 """Band that holds the boom's shudder and leaves out the stroke itself [Hz]."""
 SHIFTED_POSE = "A"
@@ -64,9 +62,8 @@ class Shudder:
     size: float
     """Rms of the mean acceleration in the shudder's band, in the 0.2 s after the boom lands."""
     leaves: float
-    """Reach at which the boom leaves its rear seat, mean over strokes [m]."""
     lands: float
-    """Reach at which it lands on the other, mean over strokes [m]."""
+    """Reach at which the boom leaves its rear seat and lands on the other, means [m]."""
     spread: float
     """Standard deviation of the latter over strokes [m]."""
 
