@@ -1,4 +1,4 @@
-"""Agents by name, with the settings and weights that ship beside them.
+"""Registry of agents, with their shipped settings and weights.
 
 An agent is a name of `AGENTS`, or an estimator and a policy in the form ``estimator/policy``,
 such as ``posterior/random``.
@@ -134,7 +134,7 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
 
 
 def describe(name: str) -> str:
-    """Say in a few words what an agent is."""
+    """Describe an agent in a short phrase."""
     if name in AGENTS:
         return AGENTS[name][1]
     estimator, _, policy = name.partition("/")

@@ -1,4 +1,4 @@
-"""What can be wrong with an arm, each fault with its own figures."""
+"""Fault models of an arm, each with its parameters."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ _INDEPENDENT = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Healthy:
-    """An arm with nothing loose: its seat is shut."""
+    """Arm without looseness: its seat is closed."""
 
     kind: ClassVar[FaultKind] = "healthy"
 
     @property
     def hypothesis(self) -> str:
-        """Name of the hypothesis under which this arm falls."""
+        """Name of the hypothesis that this arm belongs to."""
         return "healthy"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Preload:
-    """A seat held closed by a stiff spring: a bolted flange under tension. No fault."""
+    """Preloaded seat: a bolted flange under tension, closed by a stiff spring. No fault."""
 
     kind: ClassVar[FaultKind] = "healthy"
     link: int
@@ -62,7 +62,7 @@ class Preload:
 
     @property
     def hypothesis(self) -> str:
-        """Name of the hypothesis under which this arm falls."""
+        """Name of the hypothesis that this arm belongs to."""
         return "healthy"
 
 
@@ -94,7 +94,7 @@ class StructuralLooseness:
 
     @property
     def hypothesis(self) -> str:
-        """Name of the hypothesis under which this arm falls."""
+        """Name of the hypothesis that this arm belongs to."""
         return f"structural_looseness@link{self.link}"
 
 
@@ -128,7 +128,7 @@ class Backlash:
 
     @property
     def hypothesis(self) -> str:
-        """Name of the hypothesis under which this arm falls."""
+        """Name of the hypothesis that this arm belongs to."""
         return f"backlash@joint{self.joint}"
 
 
@@ -170,13 +170,13 @@ class RotationalLooseness:
 
     @property
     def hypothesis(self) -> str:
-        """Name of the hypothesis under which this arm falls."""
+        """Name of the hypothesis that this arm belongs to."""
         return f"rotational_looseness@link{self.link}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class CompoundLooseness:
-    """A link loose on its flange in two or more directions (3.2.2, 8.3.2).
+    """Link loose on its flange in two or more directions (3.2.2, 8.3.2).
 
     An undersized pin lets the link slide both ways across it: two parts. A seat loose in all
     six directions has six. Each part has its own stops, its own friction and its own place in
@@ -218,7 +218,7 @@ class CompoundLooseness:
 
     @property
     def hypothesis(self) -> str:
-        """Name of the hypothesis under which this arm falls."""
+        """Name of the hypothesis that this arm belongs to."""
         return f"compound_looseness@link{self.link}"
 
 
@@ -228,7 +228,7 @@ LooseFault = StructuralLooseness | Backlash | RotationalLooseness | CompoundLoos
 
 @dataclass(frozen=True, kw_only=True)
 class SeveralFaults:
-    """Faults in several places of one arm. No hypothesis names it.
+    """Several simultaneous faults of one arm. No hypothesis covers them.
 
     Each is what it is alone, with stops, friction and a place in its gap of its own.
     """
@@ -259,7 +259,7 @@ class SeveralFaults:
 
     @property
     def hypothesis(self) -> str:
-        """Name of what is the matter; no verdict can name it."""
+        """Label of the combined fault; no verdict corresponds to it."""
         return SEVERAL_FAULTS
 
 
@@ -267,12 +267,12 @@ Fault = Healthy | Preload | LooseFault | SeveralFaults
 
 
 def is_fault(value: object) -> bool:
-    """Whether a value is a fault, of whatever kind."""
+    """Return whether a value is a fault of any kind."""
     return isinstance(value, get_args(Fault))
 
 
 def unit(what: str, vector: Vector) -> NDArray[np.float64]:
-    """Scale a vector of the link frame to length one (3,).
+    """Normalise a vector of the link frame (3,).
 
     Raises
     ------
@@ -288,7 +288,7 @@ def unit(what: str, vector: Vector) -> NDArray[np.float64]:
 
 
 def _numbers(values: object) -> NDArray[np.float64]:
-    """Numbers as an array; empty where they are none."""
+    """Convert to an array of numbers; empty if not numeric."""
     try:
         return np.empty(0) if isinstance(values, str) else np.asarray(values, dtype=float)
     except (TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""The kinds of fault there are, and the hypotheses about an arm that they make."""
+"""Fault kinds and the hypotheses about an arm that they define."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ UNSURE = "unsure"
 
 
 def checked_kinds(kinds: Sequence[str]) -> tuple[FaultKind, ...]:
-    """Check which kinds are hypotheses; return them in the order of `KINDS`.
+    """Validate the kinds of the hypotheses; return them in the order of `KINDS`.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def checked_kinds(kinds: Sequence[str]) -> tuple[FaultKind, ...]:
 
 
 def hypotheses(arm: Arm, kinds: Sequence[str] = DEFAULT_KINDS) -> tuple[str, ...]:
-    """All hypotheses about an arm: healthy, then every kind at every place, base first.
+    """All hypotheses of an arm: healthy, then every kind at every location, base first.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def hypotheses(arm: Arm, kinds: Sequence[str] = DEFAULT_KINDS) -> tuple[str, ...
 
 
 def place_of(hypothesis: str) -> int | None:
-    """Link or joint number that a hypothesis names; None where it names no one place.
+    """Link or joint number of a hypothesis; None if it has no single location.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""How hard a load presses a loose seat on its stop, in terms of the weight it carries."""
+"""Preload of a loose seat against its stop, relative to the weight it carries."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ GRAVITY = 9.81
 
 
 def seat_weight(arm: Arm, part: SinglePart) -> float:
-    """Most that 1 g in any direction does on a seat of the nominal arm, all joints at zero.
+    """Maximum load of 1 g, in any direction, on a seat of the nominal arm at zero pose.
 
     A slide carries the weight m g of all that lies beyond it; a hinge that weight times the
     distance of its centre of mass from the axis.
@@ -75,7 +75,7 @@ def seat_weight(arm: Arm, part: SinglePart) -> float:
 
 
 def preloaded(arm: Arm, fault: Fault, share: float) -> Fault:
-    """Press every loose seat of a fault on its upper stop with a share of what it carries.
+    """Preload every loose seat of a fault on its upper stop by a share of its weight.
 
     At 1 it takes a shake of 1 g along the seat to open it.
 

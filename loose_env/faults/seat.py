@@ -1,4 +1,4 @@
-"""Which seat a fault has: its degrees of freedom, their kinds, and how they move the link.
+"""Seats of faults: degrees of freedom, their kinds and their link motion.
 
 A seat is one or more extra degrees of freedom between the flange of a link and the link
 itself, called ``seat``, ``seat2``, ...: a slide for structural looseness, a hinge for rotational
@@ -52,21 +52,21 @@ SinglePart = Healthy | Preload | StructuralLooseness | Backlash | RotationalLoos
 
 
 def parts_of(fault: Fault) -> tuple[SinglePart, ...]:
-    """Degrees of freedom of a fault, each as a fault of its own."""
+    """Decompose a fault into single-degree-of-freedom faults."""
     if isinstance(fault, SeveralFaults):
         return tuple(part for one in fault.faults for part in parts_of(one))
     return fault.parts if isinstance(fault, CompoundLooseness) else (fault,)
 
 
 def gaps_of(fault: Fault) -> tuple[float, ...]:
-    """Travel of each part of a fault from stop to stop [m or rad]; 0 where nothing is loose."""
+    """Free travel of each part of a fault [m or rad]; 0 if nothing is loose."""
     return tuple(
         0.0 if isinstance(part, (Healthy, Preload)) else part.gap for part in parts_of(fault)
     )
 
 
 def part_seats(fault: Fault) -> tuple[tuple[int, ...], tuple[SeatKind, ...]]:
-    """Link whose seat each part of a fault uses, and the kind of that part of the seat.
+    """Link and kind of the seat of each part of a fault.
 
     There are no links where any will do.
 
@@ -87,7 +87,7 @@ def part_seats(fault: Fault) -> tuple[tuple[int, ...], tuple[SeatKind, ...]]:
 
 
 def seats_of(fault: Fault) -> tuple[int | None, tuple[SeatKind, ...]]:
-    """Link whose seat a fault uses (None: any) and the kind of each part of that seat.
+    """Link of a fault's seat (None: any) and the kind of each of its parts.
 
     For one fault; `part_seats` knows several as well.
 
@@ -126,7 +126,7 @@ def seats_of(fault: Fault) -> tuple[int | None, tuple[SeatKind, ...]]:
 
 
 def seat_of(fault: Fault) -> tuple[int | None, SeatKind]:
-    """Link whose seat a fault of the thesis uses (None: any) and the kind of that seat.
+    """Link of a thesis fault's seat (None: any) and the kind of that seat.
 
     For callers that know one slide or the play of a joint; `seats_of` knows every fault.
 
@@ -145,7 +145,7 @@ def seat_of(fault: Fault) -> tuple[int | None, SeatKind]:
 
 
 def twist_of(arm: Arm, part: SinglePart) -> Array:
-    """How a link moves per unit travel of its seat, about the origin of its frame.
+    """Twist of a link per unit travel of its seat, about the origin of its frame.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How a seat is put into a MuJoCo spec, and the figures of a fault into its model.
+"""Insertion of a seat into a MuJoCo spec, and of fault parameters into its model.
 
 Every arm under test has a seat, of one degree of freedom or more. Healthy arms have it too,
 shut by an equality constraint, so that all arms with as many degrees of freedom in their seats
@@ -52,7 +52,7 @@ _HINGE, _SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 def seated_spec(
     arm: Arm, link: int | Sequence[int], kinds: SeatKind | Sequence[SeatKind]
 ) -> mujoco.MjSpec:
-    """Copy the arm's spec and give ``link`` a seat: its joints, their stops and their locks.
+    """Copy the arm's spec and add a seat to ``link``: joints, stops and locks.
 
     The spec is the same for every fault on that seat; `set_seat` writes the fault's figures
     into the compiled model.
@@ -103,7 +103,7 @@ def seated_spec(
 
 
 def _seat_link(arm: Arm, spec: mujoco.MjSpec, number: int, kinds: Mapping[int, SeatKind]) -> None:
-    """Give one link its seat; the kinds stand under the numbers of their names."""
+    """Add a seat to one link; kinds are encoded by their index."""
     body = spec.body(arm.seat_bodies[number - 1])
     joint = spec.joint(arm.joints[number - 1])
     if not 1 <= len(kinds) <= 6 - len(body.joints):
@@ -164,7 +164,7 @@ def _add_seat(
 
 
 def set_seat(model: mujoco.MjModel, fault: Fault, data: mujoco.MjData | None = None) -> None:
-    """Write a fault's figures into a compiled model that has its seat.
+    """Write a fault's parameters into a compiled model that has its seat.
 
     Call it after every change of masses, once ``mj_setConst`` has run: the stops are scaled
     with the seat's inverse weight, that along the fault's direction. ``data`` is scratch space of
@@ -197,7 +197,7 @@ def set_seat(model: mujoco.MjModel, fault: Fault, data: mujoco.MjData | None = N
 
 
 def _place(model: mujoco.MjModel, name: str, part: SinglePart) -> bool:
-    """Turn a seat into the fault's direction; return whether anything was changed."""
+    """Orient a seat along the fault's direction; return whether anything changed."""
     if isinstance(part, (Healthy, Backlash)):
         return False
     seat = model.joint(name).id
@@ -257,7 +257,7 @@ def _set_part(model: mujoco.MjModel, name: str, part: SinglePart) -> None:
 
 
 def _require_slow(what: str, stiffness: float, damping: float, weight: float, step: float) -> None:
-    """Refuse a spring or damper too fast for the step; ``weight`` is the inverse of its mass."""
+    """Reject a spring or damper too stiff for the time step; ``weight`` is inverse mass."""
     if stiffness * weight * step**2 > FASTEST_STOP**2:
         mode = np.sqrt(stiffness * weight) / (2 * np.pi)
         raise InvalidSetting(
@@ -280,7 +280,7 @@ def _require_slow_together(
     fault: Fault,
     data: mujoco.MjData | None,
 ) -> None:
-    """Refuse stops that are too fast when every part of a fault rests on one of its own."""
+    """Reject stops that are too stiff for the time step when all parts are in contact."""
     scratch = mujoco.MjData(model) if data is None else data
     dofs = np.array([model.joint(name).dofadr[0] for name in names])
     mujoco.mj_resetData(model, scratch)

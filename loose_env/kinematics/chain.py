@@ -1,4 +1,4 @@
-"""The joints of a serial arm in one pose: kinds, axes and places, base first."""
+"""Joints of a serial arm in one pose: kinds, axes and positions, base first."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Chain:
 
     @classmethod
     def of(cls, arm: Arm, pose: ArrayLike) -> Chain:
-        """Take the joints of an arm at a pose [rad] (n,) from its MuJoCo model.
+        """Extract the joints of an arm at a pose [rad] (n,) from its MuJoCo model.
 
         Bending modes of the arm stay at rest and are no joints of the chain.
 
@@ -94,7 +94,7 @@ class Chain:
 
 
 def require_kind(kind: str) -> None:
-    """Refuse what is no kind of joint.
+    """Reject an unknown kind of joint.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The Jacobian of a serial arm, and which of its columns a loose seat changes (thesis 3.2.2).
+"""Jacobian of a serial arm, and its columns that a loose seat changes (thesis 3.2.2).
 
 A looseness joint is one more column of the Jacobian, whose rate nobody drives or measures.
 Where the loose seat has moved by d, other columns change too; which ones depends on the point
@@ -72,7 +72,7 @@ def geometric_jacobian(chain: Chain, frame: Frame = "world") -> Array:
 
 
 def tool_velocity(jacobian: ArrayLike, rates: ArrayLike) -> Array:
-    """Velocity of the tool from the joints' (3.3); with ``J`` of the loose arm, (3.30).
+    """Tool velocity from joint velocities (3.3); with ``J`` of the loose arm, (3.30).
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def tool_velocity(jacobian: ArrayLike, rates: ArrayLike) -> Array:
 def velocity_error(
     jacobian: ArrayLike, rates: ArrayLike, loose_jacobian: ArrayLike, loose_rates: ArrayLike
 ) -> Array:
-    """Velocity of the loose arm's tool less that of the nominal arm (3.34).
+    """Tool velocity of the loose arm minus that of the nominal arm (3.34).
 
     Examples
     --------
@@ -115,7 +115,7 @@ def velocity_error(
 
 
 def changed_columns(before: ArrayLike, after: ArrayLike, *, tolerance: float) -> NDArray[np.bool_]:
-    """Which columns of a Jacobian changed by more than a tolerance (3.33), shape (n,).
+    """Mask of the Jacobian columns that changed beyond a tolerance (3.33), shape (n,).
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def changed_columns(before: ArrayLike, after: ArrayLike, *, tolerance: float) ->
 
 
 def link_of_changed_columns(changed: Sequence[bool] | NDArray[np.bool_], frame: Frame) -> int:
-    """Find the link whose seat moved, from the columns that changed (after 3.33).
+    """Locate the loose link from the changed columns (after 3.33).
 
     In tool coordinates columns 1 to i change, where i is the loose link. At the world's origin
     columns i+1 to n change. At the tool point in world axes columns 1 to i change if the seat

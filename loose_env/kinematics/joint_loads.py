@@ -1,4 +1,4 @@
-"""Forces and torques at the joints of an arm in a given motion (thesis 5.2, 6.1.2, 7.2.2).
+"""Joint forces and torques of an arm in a given motion (thesis 5.2, 6.1.2, 7.2.2).
 
 Twice: in closed form for two links in the plane, and from MuJoCo's inverse dynamics for any arm.
 A force at a joint is what the part on the base's side exerts on the part on the tool's side.
@@ -101,7 +101,7 @@ class TwoLinks:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointLoads:
-    """Loads at the joints in the axes of the link each joint moves: x along it, z up."""
+    """Joint loads in the frame of the link each joint moves: x along it, z up."""
 
     torque: Array
     """Torque of each drive [N m], or force where the joint slides [N] (..., n)."""
@@ -252,7 +252,7 @@ def arm_loads(
 
 @dataclass(frozen=True, kw_only=True)
 class PeakForce:
-    """Where in a sweep a joint's force in the plane is largest."""
+    """Maximum of a joint's planar force over a sweep, and its location."""
 
     size: float
     """Force [N]."""
@@ -265,12 +265,12 @@ class PeakForce:
 
     @property
     def direction(self) -> str:
-        """Which of the two parts is the larger: "longitudinal" or "tangential"."""
+        """Larger of the two components: "longitudinal" or "tangential"."""
         return "longitudinal" if abs(self.along) >= abs(self.across) else "tangential"
 
 
 def peak_force(force: ArrayLike, settings: Sequence[ArrayLike]) -> PeakForce:
-    """Find the largest force in the plane over a sweep (5.2).
+    """Find the maximum planar force over a sweep (5.2).
 
     Parameters
     ----------
@@ -308,7 +308,7 @@ def peak_force(force: ArrayLike, settings: Sequence[ArrayLike]) -> PeakForce:
 
 
 def carried_bodies(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
-    """Which bodies a body carries, itself included (nbody,).
+    """Mask of the bodies in the subtree of a body, itself included (nbody,).
 
     Examples
     --------

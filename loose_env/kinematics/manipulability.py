@@ -33,7 +33,7 @@ LinkPoint = Literal["centre", "seat"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ellipsoid:
-    """Where joint rates of unit size take the tool: lengths and axes, longest first."""
+    """Manipulability ellipsoid: half axes, longest first, and their directions."""
 
     lengths: Array
     """Half axes (d,) [m/s for unit rates, or m/s per √(N m s²) if weighted by energy]."""
@@ -42,7 +42,7 @@ class Ellipsoid:
 
     @property
     def aspect(self) -> float:
-        """Longest over shortest half axis; infinite where the arm is singular."""
+        """Ratio of longest to shortest half axis; infinite if the arm is singular."""
         short = float(self.lengths[-1])
         return float(self.lengths[0]) / short if short > 0 else float("inf")
 
@@ -125,7 +125,7 @@ def direction_deg(vector: ArrayLike, *, measured_from: AngleFrom = "y") -> float
 
 
 def axis_difference_deg(a: float, b: float) -> float:
-    """Difference of two undirected axes, a less b, from -90 up to 90 [deg].
+    """Signed difference of two undirected axes, a - b, from -90 to 90 [deg].
 
     Examples
     --------
@@ -138,7 +138,7 @@ def axis_difference_deg(a: float, b: float) -> float:
 
 
 def rotation_line(arm: Arm, pose: ArrayLike, joint: int = 1) -> Array:
-    """Direction in which one joint alone moves the tool, z × R, in the tool's axes (d,).
+    """Direction of tool motion due to one joint, z × R, in the tool frame (d,).
 
     Raises
     ------
@@ -178,7 +178,7 @@ def joint_inertia(arm: Arm, pose: ArrayLike) -> Array:
 def submanipulator_jacobian(
     arm: Arm, pose: ArrayLike, link: int, *, point: LinkPoint = "centre"
 ) -> Array:
-    """Jacobian of the proximal part that carries a link and all beyond it (8.2.3).
+    """Jacobian of the proximal part that carries a link and its descendants (8.2.3).
 
     Joints 1 to ``link`` move; everything distal to them is locked and rides along.
 
@@ -222,7 +222,7 @@ def submanipulator_jacobian(
 def submanipulator(
     arm: Arm, pose: ArrayLike, link: int, *, energy: bool = True, point: LinkPoint = "centre"
 ) -> Ellipsoid:
-    """Ellipsoid of the proximal part that drives a link and all it carries (8.2.3).
+    """Ellipsoid of the proximal part that carries a link and its descendants (8.2.3).
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ def submanipulator(
 
 
 def _placed(arm: Arm, pose: ArrayLike) -> mujoco.MjData:
-    """The bare arm at a pose, bending modes at rest."""
+    """Arm without seat at a pose, bending modes at rest."""
     q = np.asarray(pose, dtype=float)
     if q.shape != (arm.n,) or not np.isfinite(q).all():
         raise InvalidSetting(

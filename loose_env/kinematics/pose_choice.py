@@ -1,4 +1,4 @@
-"""Poses that load a link's seat from every side (thesis 4.2.3).
+"""Selection of poses that load a link's seat in every direction (thesis 4.2.3).
 
 Looseness shows only where the push of its seat has a part along its direction. With no direction
 assumed, a pose is good if the pushes from the joints span every direction, and a pose set is
@@ -40,7 +40,7 @@ def worst_push(
     others: Others = "held",
     normalised: bool = True,
 ) -> float:
-    """Push of a link's seat in the direction in which the joints push it least (4.2.3).
+    """Minimum over directions of the load that the joints exert on a link's seat (4.2.3).
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def chebyshev_nodes(low: float, high: float, count: int) -> Array:
 
 
 def chebyshev_poses(arm: Arm, count: int) -> Array:
-    """Poses on the Chebyshev points of every joint's range (4.2.3).
+    """Poses on the Chebyshev nodes of every joint's range (4.2.3).
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def choose_poses(
     keep: float = 0.25,
     difference: Literal["angle", "sine"] = "angle",
 ) -> NDArray[np.intp]:
-    """Choose from the best poses a set that differ most in their joints (4.2.3).
+    """Select, among the best poses, a set with maximum joint-space spread (4.2.3).
 
     The pose of the best score comes first. Each next one is, among the best share ``keep``, the
     one whose least-moved joint differs most from every pose already chosen; of equals the one
@@ -191,7 +191,7 @@ def choose_poses(
 def seat_drive(
     linear: LinearArm, pose: ArrayLike, link: int, *, per: Drive = "torque"
 ) -> tuple[float, float]:
-    """Force that a link's slide passes on in the linear arm, worst direction and in all.
+    """Force transmitted by a link's slide in the linear arm: worst direction and total.
 
     Each joint is excited in turn over the arm's band while the others are held; the powers add.
 

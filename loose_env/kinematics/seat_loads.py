@@ -1,4 +1,4 @@
-"""How a torque at each joint loads the seat of each link (thesis 4.2.3).
+"""Loads on the seat of each link due to joint torques (thesis 4.2.3).
 
 A torque at a joint sets the arm in motion; the seat of a link has to push all that lies beyond
 it. Looseness moves only where that push has a part along it.
@@ -27,7 +27,7 @@ Others = Literal["held", "free"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reactions:
-    """What the seats push from rest, gravity apart (4.2.3); rows force then moment."""
+    """Reactions at the seats from rest, without gravity (4.2.3); force then moment."""
 
     wrench: Array
     """On what a link carries, itself included, per joint acceleration, in the link's axes
@@ -56,7 +56,7 @@ class Reactions:
         return np.asarray(self.wrench @ self.accelerations(others))
 
     def per_energy(self, others: Others = "held") -> Array:
-        """Wrench at each seat per root of the energy that links j to n get (n links, 6, n).
+        """Wrench at each seat per root energy of links j to n (n links, 6, n joints).
 
         Impulses instead of steady torques: an impulsive torque at joint i gives links j to n
         the energy T and the momentum p. What is returned is p / √(2T) [√kg for forces]. No
@@ -70,7 +70,7 @@ class Reactions:
 
 
 def reactions(arm: Arm, pose: ArrayLike, *, point: LinkPoint = "seat") -> Reactions:
-    """Find how every seat is loaded from every joint in a pose (4.2.3).
+    """Compute the load on every seat from every joint in a pose (4.2.3).
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def reactions(arm: Arm, pose: ArrayLike, *, point: LinkPoint = "seat") -> Reacti
 
 
 def reciprocal_product(wrench: ArrayLike, twist: ArrayLike) -> float:
-    """Power of a wrench on a twist (4.2.3); zero means that it does not move the looseness.
+    """Power of a wrench on a twist (4.2.3); zero if it does not move the seat.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a simulated rig is asked to do, and a chunk of it on its way through the engine."""
+"""Measurement jobs of a simulated rig, and batches of jobs in the engine."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Job:
 
 @dataclass(kw_only=True, eq=False)
 class Run:
-    """A chunk of jobs of one length and one model layout on its way through the engine."""
+    """Batch of jobs with one duration and one model layout."""
 
     jobs: Sequence[Job]
     control: Array
@@ -48,7 +48,7 @@ class Run:
 
 
 def check_jobs(arm: Arm, jobs: Sequence[Job]) -> None:
-    """Refuse jobs that do not fit an arm.
+    """Reject jobs that do not match an arm.
 
     Raises
     ------

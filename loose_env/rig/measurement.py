@@ -1,4 +1,4 @@
-"""One measurement: what the sensors and the commands say, and nothing else."""
+"""One measurement: sensor readings and commands, without ground truth."""
 
 from __future__ import annotations
 
@@ -53,8 +53,8 @@ class Measurement:
 
 
 class Rig(Protocol):
-    """Where a measurement comes from: a simulated arm, a recorded or a real one."""
+    """Protocol of a rig: a simulated arm, a recording or a real arm."""
 
     def measure(self, pose: Array, excitation: Excitation) -> Measurement:
-        """Take the arm to a pose, play the excitation, and return the readings."""
+        """Move the arm to a pose, apply the excitation, and return the readings."""
         ...

@@ -1,4 +1,4 @@
-"""The arm as it stands on the rig: seat, drives, brakes and sensors in one model."""
+"""Plant model of the true arm: seat, drives, brakes and sensors."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _MOST = 5  # loose degrees of freedom beside a joint, of the six a body can have
 
 
 class Plant:
-    """One true arm: a compiled model of its own, and where things lie in it."""
+    """One true arm: its compiled model and the indices of its parts."""
 
     def __init__(
         self,
@@ -82,7 +82,7 @@ class Plant:
             model.eq_solref[equality] = (-stiffness * scale, -max(damping * scale, 1e-12))
 
     def hold_at(self, pose: np.ndarray) -> np.ndarray:
-        """Set brakes, springs and shaker to a commanded pose; return the true one."""
+        """Set brakes, springs and shaker to a commanded pose; return the actual one."""
         true = pose + self.mismatch.joint_zero
         self.model.eq_data[self.brakes, 0] = true
         self.model.qpos_spring[self.position] = true
@@ -96,7 +96,7 @@ class Plant:
 
 
 class PlantShop:
-    """Builds plants for one arm; keeps the compiled template of every seat.
+    """Builds the plants of one arm, caching the compiled template of every seat.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class PlantShop:
     def template(
         self, link: int | Sequence[int], kinds: SeatKind | Sequence[SeatKind]
     ) -> mujoco.MjModel:
-        """Compiled model with the given seat; one layout for all seats with as many parts.
+        """Compiled model with the given seat; one layout per number of parts.
 
         The parts may stand on several links: ``link`` is then that of each.
         """
@@ -135,13 +135,13 @@ class PlantShop:
         return found
 
     def spare(self, parts: int) -> mujoco.MjModel:
-        """Compiled model with a seat of so many parts, whichever."""
+        """Compiled model of any seat with a given number of parts."""
         links = [self.arm.n - k // _MOST for k in range(parts)]  # where one is full, the next
         kinds: list[SeatKind] = ["slide" if k % _MOST < 3 else "hinge" for k in range(parts)]
         return self.template(links, kinds)
 
     def build(self, fault: Fault, mismatch: MismatchDraw) -> Plant:
-        """Build the true arm with its fault seated.
+        """Build the true arm with the seat of its fault.
 
         Raises
         ------

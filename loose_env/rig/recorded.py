@@ -1,4 +1,4 @@
-"""A rig that gives out what was recorded before, for trying a session without a machine."""
+"""Rig that replays recorded runs, for trying a session without a machine."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _JOINT = 3.0
 
 
 class RecordedRig:
-    """Answers every measurement with the recorded run that is most like it, each run once.
+    """Answers every measurement with the nearest recorded run, each run once.
 
     Parameters
     ----------
@@ -49,11 +49,11 @@ class RecordedRig:
 
     @property
     def left(self) -> int:
-        """Runs that were not given out yet."""
+        """Runs not yet replayed."""
         return len(self._left)
 
     def measure(self, pose: Array, excitation: Excitation) -> Run:
-        """Give out the run nearest to a pose in which the same joint was shaken, if there is one.
+        """Replay the run nearest in pose with the same excited joint, if there is one.
 
         Raises
         ------

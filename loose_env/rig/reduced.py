@@ -1,4 +1,4 @@
-"""A rig whose arms are simulated by the few equations that small motion leaves.
+"""Rig whose arms are simulated by their linearised equations of motion.
 
 It answers the same calls as `SimulatedRig`, draws the same torques, noise and starting
 places from the same generators, and reads its records with the same sensors. Only the engine
@@ -110,7 +110,7 @@ class ReducedRig(SlotRig):
         self.plants[slot] = plant
 
     def measure_each(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Measurement]]:
-        """Take measurements one by one; yield the index of each job with its measurement."""
+        """Take measurements in sequence; yield each job's index and measurement."""
         check_jobs(self.arm, jobs)
         for k, job in enumerate(jobs):
             yield k, self._measure(job)
@@ -173,7 +173,7 @@ class ReducedRig(SlotRig):
         )
 
     def _room(self, size: int) -> Array:
-        """Give space for the recorded channels, kept from call to call."""
+        """Allocate or reuse the buffers of the recorded channels."""
         if size not in self._rooms:
             self._rooms[size] = np.empty(size)
         return self._rooms[size]

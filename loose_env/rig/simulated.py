@@ -1,4 +1,4 @@
-"""A rig on which many simulated arms are measured at once."""
+"""Rig that measures many simulated arms at once."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ _CHUNK = 16  # arms simulated in one call; reading one chunk overlaps with the n
 
 @dataclass(kw_only=True, eq=False)
 class _EngineRun(Run):
-    """A run and the engine that simulates it."""
+    """Batch of jobs and the engine that simulates it."""
 
     engine: Engine
 
 
 class SimulatedRig(SlotRig):
-    """Measures simulated arms, many at once, on MuJoCo's batched engine.
+    """Measures many simulated arms at once on MuJoCo's batched engine.
 
     Each slot holds one true arm: a fault and a draw of the mismatch. A slot's readings depend
     on its arm, the pose, the excitation and the generator alone, not on the other slots, the
@@ -99,7 +99,7 @@ class SimulatedRig(SlotRig):
 
     @property
     def _batch(self) -> Batch:
-        """The engine of all arms whose seat has one degree of freedom."""
+        """Engine of all arms whose seat has one degree of freedom."""
         return self._engines.of(1).batch
 
     def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
@@ -109,7 +109,7 @@ class SimulatedRig(SlotRig):
         self._models_changed = True
 
     def measure_each(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Measurement]]:
-        """Take measurements as `measure_many`, and give each out as soon as it is there.
+        """Take measurements as `measure_many`, yielding each on completion.
 
         Yields the index of a job with its measurement. While the caller works on it, the engine
         goes on with the next ones. All must be taken out before the rig is used again.
@@ -137,7 +137,7 @@ class SimulatedRig(SlotRig):
             yield from zip(chunk, measured, strict=True)
 
     def _pipeline(self, chunks: Sequence[Sequence[Job]]) -> Iterator[list[Measurement]]:
-        """Prepare and read on this thread while the engine simulates the neighbouring chunk."""
+        """Prepare and read on this thread while the engine simulates the next batch."""
         if len(chunks) == 1:
             run = self._prepare(chunks[0], 0)
             self._simulate(run)
@@ -158,7 +158,7 @@ class SimulatedRig(SlotRig):
                 yield self._read_all(pending[0])
 
     def _prepare(self, jobs: Sequence[Job], room: int) -> _EngineRun:
-        """Draw the torques of jobs of one length and layout and set their arms up."""
+        """Sample the torques of a batch of jobs and set up their arms."""
         factor, rate = self.factor, self.sensors.rate
         half = len(decimation_filter(factor, self.sensors.accelerometer.bandwidth, rate)) // 2
         before = round(self.arm.settling * rate) * factor
@@ -197,7 +197,7 @@ class SimulatedRig(SlotRig):
         )
 
     def _simulate(self, run: _EngineRun) -> None:
-        """Run the engine; fill in what it recorded and which arms failed."""
+        """Run the engine; store its recordings and the failed arms."""
         batch, data, failures = run.engine.batch, run.recorded, run.failures
         ids = np.array([job.slot for job in run.jobs])
         batch.warning[ids] = 0
@@ -224,7 +224,7 @@ class SimulatedRig(SlotRig):
                 failures.setdefault(int(slot), "the simulation diverged: motion not finite")
 
     def _buffer(self, room: int, jobs: int, steps: int, channels: int) -> Array:
-        """Give space for the recorded channels, kept from call to call."""
+        """Allocate or reuse the buffers of the recorded channels."""
         size = jobs * steps * channels
         if self._rooms[room].size < size:
             self._rooms[room] = np.empty(size)

@@ -1,4 +1,4 @@
-"""Checks of what the statistics are given."""
+"""Input validation of the statistics."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""A density made of several Gaussians, fitted to points by expectation maximisation.
+"""Gaussian mixture model, fitted by expectation maximisation.
 
 Dempster, Laird and Rubin, Maximum likelihood from incomplete data via the EM algorithm, 1977;
 Bishop, Pattern Recognition and Machine Learning, 2006, 9.2. The start follows Arthur and
@@ -76,7 +76,7 @@ class GaussianMixture:
             ) from error
 
     def log_densities(self, points: ArrayLike) -> Array:
-        """Log of weight times density of each Gaussian (N, K).
+        """Log of the weighted density of each component (N, K).
 
         Parameters
         ----------
@@ -94,7 +94,7 @@ class GaussianMixture:
             return np.asarray(logs + np.log(self.weights))
 
     def log_density(self, points: ArrayLike) -> Array:
-        """Log of the density, per unit of the points to the power D (N,).
+        """Log density of the mixture (N,).
 
         Parameters
         ----------
@@ -109,7 +109,7 @@ class GaussianMixture:
         return np.asarray(logsumexp(self.log_densities(points), axis=1))
 
     def log_upper_tail(self, points: ArrayLike) -> Array:
-        """Log of the chance that the first dimension is larger than it is, given the others (N,).
+        """Log upper-tail probability of the first dimension, given the others (N,).
 
         Given the others, each Gaussian is one in the first dimension, and its weight goes with
         the density of the others (Bishop 2006, 2.3.1).
@@ -139,7 +139,7 @@ class GaussianMixture:
         return np.asarray(logsumexp(share + tails, axis=1))
 
     def marginal(self, kept: Sequence[int]) -> "GaussianMixture":
-        """Density of some of the dimensions, whatever the others are.
+        """Marginal density of some of the dimensions.
 
         The log density of all dimensions less that of some is the log density of the others
         given these.
@@ -175,7 +175,7 @@ def fit_gaussian_mixture(
     steps: int = 100,
     tolerance: float = 1e-4,
 ) -> GaussianMixture:
-    """Fit Gaussians with full covariances by expectation maximisation.
+    """Fit a mixture with full covariances by expectation maximisation.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ def fit_gaussian_mixture(
 
 
 def _from_shares(points: Array, share: Array, ridge: Array) -> GaussianMixture:
-    """Gaussians of points that belong to each of them in part (N, K): the M-step."""
+    """M-step: Gaussians from responsibilities (N, K)."""
     d = points.shape[1]
     number = share.sum(axis=0) + 1e-9
     means = share.T @ points / number[:, None]
@@ -254,7 +254,7 @@ def _from_shares(points: Array, share: Array, ridge: Array) -> GaussianMixture:
 
 
 def _spread(points: Array, count: int, rng: np.random.Generator) -> Array:
-    """Points far from each other: each is drawn by its squared distance to those before it."""
+    """Initial centres by k-means++ seeding."""
     chosen = [points[rng.integers(len(points))]]
     for _ in range(count - 1):
         away = np.min([((points - one) ** 2).sum(1) for one in chosen], axis=0)
@@ -265,7 +265,7 @@ def _spread(points: Array, count: int, rng: np.random.Generator) -> Array:
 
 
 def _nearest(points: Array, centres: Array) -> NDArray[np.intp]:
-    """Which centre each point is nearest to (N,)."""
+    """Index of the nearest centre of each point (N,)."""
     away = np.stack([((points - one) ** 2).sum(1) for one in centres], axis=1)
     return np.asarray(np.argmin(away, axis=1))
 

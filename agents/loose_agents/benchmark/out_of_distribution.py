@@ -1,4 +1,4 @@
-"""Episodes unlike those that agents are trained on, to see whether they say that they are unsure.
+"""Out-of-distribution episodes: a test of whether agents abstain when they should.
 
 Two faults at once, a mismatch three times as large, an arm of other lengths and masses, a load
 that presses every loose seat against its stop. None of them is used in any training.
@@ -40,7 +40,7 @@ OFF = 0.15
 
 
 class OtherArmRig:
-    """Puts arms on a rig whose every length and mass is further off than the mismatch says.
+    """Rig whose arms deviate from nominal in lengths and masses beyond the mismatch.
 
     Each body is longer or shorter, and heavier or lighter, by one share. Which of the two is
     drawn from the mismatch of the arm, so it takes nothing from any other draw.
@@ -73,7 +73,7 @@ class OtherArmRig:
 
 @dataclass(frozen=True, kw_only=True)
 class UnlikeTask:
-    """Episodes of one kind for one agent, said in names and numbers."""
+    """Serialisable description of out-of-distribution episodes for one agent."""
 
     kind: str
     """One of `UNLIKE`."""
@@ -95,13 +95,13 @@ class UnlikeTask:
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """Everything that the rows depend on."""
+        """Return every setting that determines the rows."""
         named = asdict(self)
         del named["width"]
         return {**named, "version": loose_env.__version__}
 
     def problem(self) -> Problem:
-        """Make the arm and the rules; the reduced engine only where it knows the faults."""
+        """Build the problem; the reduced engine is used only for faults it supports."""
         arguments = dict(self.arguments)
         if self.kind == "several":
             arguments["engine"] = "mujoco"

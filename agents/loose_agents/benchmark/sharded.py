@@ -1,4 +1,4 @@
-"""Evaluation as a map over shards of episodes: the same rows for any backend and worker count."""
+"""Sharded evaluation: the same rows for any backend and number of workers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _THREAD = threading.local()  # agents and problems already made, in each thread 
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluationTask:
-    """Episodes for one agent to play, said in names and numbers: it travels between processes."""
+    """Serialisable description of the episodes that one agent plays."""
 
     agent: str
     """Name of the agent, as `loose_agents.registry.make_agent` knows it."""
@@ -54,7 +54,7 @@ class EvaluationTask:
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """Everything that the rows depend on."""
+        """Return every setting that determines the rows."""
         named = asdict(self)
         for name in ("width", "threads"):
             del named[name]
@@ -62,7 +62,7 @@ class EvaluationTask:
 
 
 def problem_of(env_id: str, arguments: Mapping[str, Any]) -> Problem:
-    """Make the environment once to learn what problem it poses.
+    """Return the problem that an environment poses, by constructing it once.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def play_task(
     shard: int = 200,
     keep: bool = False,
 ) -> list[dict[str, Any]]:
-    """Play a task in shards; what an interrupted call has done is not played again.
+    """Play a task in shards, resuming from the shards already stored.
 
     With one worker it is played in this process, ``task.width`` arms side by side.
 
@@ -149,7 +149,7 @@ def _play_here(task: EvaluationTask, shards: Sequence[Shard], store: ShardStore)
 
 
 def _ready(task: EvaluationTask) -> tuple[Problem, Agent]:
-    """Problem and agent of a task, made once in each thread."""
+    """Problem and agent of a task, cached per thread."""
     made: dict[str, tuple[Problem, Agent]] = _THREAD.__dict__.setdefault("made", {})
     key = json.dumps([task.env_id, task.arguments, task.agent, task.agent_seed], sort_keys=True)
     if key not in made:

@@ -1,4 +1,4 @@
-"""Stopping probabilities and constants, tuned on training episodes.
+"""Tuning of stopping thresholds and constant excitations on training episodes.
 
 An agent plays on without stopping. Its trail then says what every stopping probability would
 have brought, since what it measures does not depend on when it would have stopped. So each
@@ -50,7 +50,7 @@ DIVERGED = np.inf  # the confidence at which every agent stops
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trails:
-    """What E episodes would have come to, had the agent stopped after each of K records.
+    """Outcomes of E episodes had the agent stopped after each of K records.
 
     Where the simulation diverged, the episode ends at that record whatever the threshold; the
     entries after it repeat.
@@ -77,16 +77,16 @@ class Trails:
         return np.asarray(self.reward[np.arange(len(self)), self.ends(threshold)])
 
     def success(self, threshold: float) -> NDArray[np.bool_]:
-        """Whether each episode's verdict is right (E,)."""
+        """Correctness of each episode's verdict (E,)."""
         return np.asarray(self.right[np.arange(len(self)), self.ends(threshold)])
 
     def part(self, chosen: Any) -> Trails:
-        """Return some of the episodes."""
+        """Return a subset of the episodes."""
         return Trails(**{name: values[chosen] for name, values in vars(self).items()})
 
     @classmethod
     def joined(cls, parts: Sequence[dict[str, Any]]) -> Trails:
-        """Put the trails of several ranges of episodes together."""
+        """Concatenate the outcomes of several ranges of episodes."""
         return cls(**{name: np.concatenate([p[name] for p in parts]) for name in parts[0]})
 
 
@@ -100,7 +100,7 @@ def play_trails(
     first: int = 0,
     width: int = 32,
 ) -> Trails:
-    """Play episodes to the last record and note what stopping earlier would have brought.
+    """Play episodes to the last record and store the outcome of each earlier stop.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def play_trails(
 def _group(
     agent: Any, problem: Problem, batch: EpisodeBatch, numbers: range, seed: int, records: int
 ) -> dict[str, Any]:
-    """Play as many episodes as the batch has arms."""
+    """Play one batch of episodes, one per arm."""
     confidence = np.full((len(numbers), records), DIVERGED)
     reward = np.zeros((len(numbers), records))
     right = np.zeros((len(numbers), records), dtype=bool)
@@ -190,7 +190,7 @@ def _truth(batch: EpisodeBatch, slot: int) -> Any:
 def best_threshold(
     trails: Trails, rng: np.random.Generator, *, resamples: int = RESAMPLES
 ) -> float:
-    """Choose the stopping probability with the highest mean return.
+    """Find the stopping probability with the highest mean return.
 
     The return is flat about its top and noisy, so its highest point on the episodes at hand is
     a matter of luck. Taken instead is the median of the highest points over bootstrap resamples
@@ -233,7 +233,7 @@ def best_threshold(
 
 
 def unseen_return(trails: Trails, rng: np.random.Generator) -> float:
-    """Mean return of each half of the episodes at the threshold chosen on the other half."""
+    """Cross-validated mean return: each half at the other half's threshold."""
     half = np.arange(len(trails)) % 2 == 0
     if half.all():
         raise InvalidSetting("two halves need two episodes or more, got 1")
@@ -244,7 +244,7 @@ def unseen_return(trails: Trails, rng: np.random.Generator) -> float:
 
 
 def single_joints(problem: Problem, levels: Sequence[int] | None = None) -> list[tuple[int, ...]]:
-    """Every joint alone at every level: levels of all joints, 0 for off.
+    """Enumerate single-joint excitations at every level; 0 is off.
 
     Parameters
     ----------
@@ -282,7 +282,7 @@ def best_constant(
     *,
     episodes: int,
 ) -> tuple[int, ...]:
-    """Find the constant excitation of the highest return, by halving.
+    """Find the constant excitation with the highest return by successive halving.
 
     All candidates play a quarter of the episodes, the better half of them half of these, and so
     on; whoever is left plays all. Each is judged at the threshold that suits it best.
@@ -318,7 +318,7 @@ def write_tuned(
     constant: Sequence[int] | None = None,
     information: Mapping[str, object] | None = None,
 ) -> None:
-    """Enter what was tuned into a file of settings; what else it holds is kept.
+    """Write tuned values into a settings file, keeping its other entries.
 
     It is written beside its name and renamed, so a reader finds the old or the new one whole.
 

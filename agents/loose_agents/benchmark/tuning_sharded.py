@@ -1,4 +1,4 @@
-"""Trails for tuning as a map over shards of episodes, for any backend."""
+"""Sharded computation of tuning outcomes, for any backend."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _THREAD = threading.local()  # the agent already made, in each thread of a worke
 
 @dataclass(frozen=True, kw_only=True)
 class Player:
-    """Who plays which problem, said in names and numbers: it travels between processes."""
+    """Serialisable description of an agent and the problem that it plays."""
 
     agent: str
     """Estimator and policy, or ``oracle/policy``."""
@@ -100,7 +100,7 @@ def agent_of(player: Player, problem: Problem) -> EpisodeAgent:
 
 
 def trained(problem: Problem) -> str:
-    """Digest of the trained posterior of an arm and difficulty, be there one or not."""
+    """Digest of the trained posterior of an arm and difficulty, if there is one."""
     folder = WEIGHTS / f"posterior-{setting_name(problem)}"
     files = sorted(folder.iterdir()) if folder.is_dir() else []
     return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()
@@ -152,7 +152,7 @@ def play_player(
 
 
 def _play(player: Player, shard: Shard) -> dict[str, Any]:
-    """Play the episodes of a shard; the agent is made once in each thread."""
+    """Play the episodes of a shard; the agent is cached per thread."""
     made = _THREAD.__dict__
     if made.get("player") != player:
         problem = problem_of(player.env_id, player.arguments)

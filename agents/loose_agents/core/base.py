@@ -1,4 +1,4 @@
-"""What every agent has in common: ``predict`` over any number of episodes."""
+"""Base classes of agents: ``predict`` over any number of episodes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["Agent", "EpisodeAgent", "Problem"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Problem:
-    """What an agent knows beforehand: the nominal arm, the rules, the spaces."""
+    """Prior knowledge of an agent: nominal arm, rules and spaces."""
 
     arm: Arm
     settings: DiagnosisSettings
@@ -44,16 +44,16 @@ class Problem:
 
     @property
     def verdicts(self) -> tuple[str, ...]:
-        """What an agent can say: every hypothesis, then "unsure"."""
+        """Verdicts available to an agent: every hypothesis, then "unsure"."""
         return (*self.hypotheses, UNSURE)
 
     def verdict(self, named: str) -> NDArray[np.int64]:
-        """Build the action that names a hypothesis, or says "unsure"."""
+        """Build the action that declares a hypothesis, or "unsure"."""
         return self.actions.encode(verdict=1 + self.verdicts.index(named))
 
 
 class Agent(Protocol):
-    """The one method that the evaluator calls (stable-baselines3's protocol)."""
+    """Protocol of an agent: ``predict``, as in stable-baselines3."""
 
     def predict(
         self,
@@ -62,12 +62,12 @@ class Agent(Protocol):
         episode_start: Any = None,
         deterministic: bool = False,
     ) -> tuple[Any, Any]:
-        """Choose actions for observations (num, size); carry the state along."""
+        """Choose actions for observations (num, size), passing the state through."""
         ...
 
 
 class EpisodeAgent(ABC):
-    """An agent that keeps a memory of its own for every episode.
+    """Agent with a separate state for every episode.
 
     Subclasses say what a fresh memory is and how one observation and the memory make an
     action. ``predict`` does the rest: one observation or many, memories in ``state``.
@@ -79,11 +79,11 @@ class EpisodeAgent(ABC):
 
     @abstractmethod
     def begin(self, rng: np.random.Generator) -> Any:
-        """Return the memory of a new episode."""
+        """Return the initial state of an episode."""
 
     @abstractmethod
     def act(self, observation: NDArray[np.float32], memory: Any) -> NDArray[np.int64]:
-        """Choose an action; may change the memory."""
+        """Choose an action; may update the state in place."""
 
     def predict(
         self,
@@ -108,7 +108,7 @@ class EpisodeAgent(ABC):
         return chosen, memories
 
     def _generator(self, first: NDArray[np.float32]) -> np.random.Generator:
-        """Draw an episode's own generator from its first observation.
+        """Seed an episode's own generator from its first observation.
 
         So an episode goes the same way wherever in a batch it runs.
         """

@@ -1,4 +1,4 @@
-"""Agents made of three parts: an estimator, a policy that chooses poses, and a stopping rule.
+"""Agents composed of an estimator, a measurement policy and a stopping rule.
 
 So that what the estimator gives and what the choice of poses gives can be told apart, any
 estimator plays with any policy.
@@ -35,17 +35,17 @@ DECISIVE = 0.3
 
 
 class Estimator(Protocol):
-    """Turns the records of an episode into probabilities of the hypotheses."""
+    """Maps the records of an episode to probabilities of the hypotheses."""
 
     problem: Problem
     """The nominal arm and the rules."""
 
     def begin(self) -> Any:
-        """Return the memory of a new episode."""
+        """Return the initial state of an episode."""
         ...
 
     def follow(self, observation: NDArray[np.float32], memory: Any) -> NDArray[np.float64]:
-        """Take in the records that are new; return the probabilities (hypotheses,).
+        """Update with the new records; return the probabilities (hypotheses,).
 
         May change the memory. They stand in the order of ``problem.hypotheses``.
         """
@@ -54,7 +54,7 @@ class Estimator(Protocol):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Situation:
-    """What is known when the next record is to be chosen."""
+    """Information available when the next record is chosen."""
 
     observation: NDArray[np.float32]
     """The environment's flat observation."""
@@ -74,7 +74,7 @@ class Policy(Protocol):
     """Chooses the next record."""
 
     def choose(self, situation: Situation) -> NDArray[np.int64]:
-        """Return an action that measures, never one that gives a verdict."""
+        """Return a measurement action, never a verdict."""
         ...
 
 
@@ -82,25 +82,25 @@ class StoppingRule(Protocol):
     """Decides when to stop measuring."""
 
     def stop(self, situation: Situation) -> bool:
-        """Whether the verdict is to be given now; asked after the first record at the earliest."""
+        """Return True to stop and give a verdict; called after at least one record."""
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sure:
-    """Stop once the most probable hypothesis is probable enough."""
+    """Stops once the maximum posterior probability reaches a threshold."""
 
     probability: float = 0.9
     """From which probability on."""
 
     def stop(self, situation: Situation) -> bool:
-        """Whether the most probable hypothesis has reached it."""
+        """Return True once the maximum probability reaches the threshold."""
         return bool(situation.probabilities.max() >= self.probability)
 
 
 @dataclass
 class _Memory:
-    """One episode: its generator and the estimator's memory."""
+    """State of one episode: its generator and the estimator's state."""
 
     rng: np.random.Generator
     estimate: Any
@@ -109,7 +109,7 @@ class _Memory:
 
 
 class BeliefAgent(EpisodeAgent):
-    """Measures as the policy says until the stopping rule is content, then gives a verdict.
+    """Measures by its policy until the stopping rule fires, then gives a verdict.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ class BeliefAgent(EpisodeAgent):
         return _Memory(rng=rng, estimate=self.estimator.begin())
 
     def act(self, observation: NDArray[np.float32], memory: _Memory) -> NDArray[np.int64]:
-        """Measure something, or give the verdict that is worth most."""
+        """Take a measurement, or give the verdict of highest expected reward."""
         problem = self.problem
         probabilities = self.estimator.follow(observation, memory.estimate)
         memory.probabilities = probabilities
@@ -168,13 +168,13 @@ class BeliefAgent(EpisodeAgent):
 
 
 def records_taken(problem: Problem, observation: NDArray[np.float32]) -> int:
-    """Number of records that an observation shows."""
+    """Number of records in an observation."""
     share = float(problem.layout.physical(observation, "spent")[0])
     return round(share * problem.settings.max_records)
 
 
 def surprise_of(memory: Any) -> float:
-    """p-value of an episode among those that its estimator was made for.
+    """p-value of an episode under the estimator's training distribution.
 
     Estimators say it in ``surprise`` of the belief that their memory holds; one for those that
     say nothing.
@@ -183,7 +183,7 @@ def surprise_of(memory: Any) -> float:
 
 
 def verdict_of(problem: Problem, situation: Situation, surprising: float = SURPRISING) -> str:
-    """Verdict that is worth most; "unsure" where the episode is unlike all that is known.
+    """Verdict of highest expected reward; "unsure" for out-of-distribution episodes.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ def verdict_of(problem: Problem, situation: Situation, surprising: float = SURPR
 
 
 def best_verdict(problem: Problem, probabilities: NDArray[np.float64]) -> str:
-    """Verdict of the highest expected reward at the prices of the environment.
+    """Verdict of the highest expected reward under the environment's rewards.
 
     "unsure" only where it is worth more than every name.
     """

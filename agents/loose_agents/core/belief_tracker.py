@@ -1,4 +1,4 @@
-"""Agents that keep a posterior over the hypotheses."""
+"""Posterior tracking over the hypotheses of an episode."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = [
 def record_from(
     layout: ObservationLayout, observation: NDArray[np.float32], slot: int
 ) -> RecordStatistics | None:
-    """Read the statistics of one record back from an observation; None for an empty slot."""
+    """Decode one record's statistics from an observation; None for an empty slot."""
     row = layout.slots_of(observation)[slot]
     if row[0] < 0.5:
         return None
@@ -63,29 +63,29 @@ def record_from(
 
 @dataclass
 class _Memory:
-    """Belief of one episode and how many records went into it."""
+    """Belief of one episode and the number of records in it."""
 
     belief: Any
     records: int = 0
 
 
 class Posterior(Protocol):
-    """What turns records into a belief: the analytic posterior or the learned one."""
+    """Protocol of a posterior, analytic or learned, updated record by record."""
 
     hypotheses: tuple[str, ...]
     """What its probabilities stand for."""
 
     def start(self) -> Any:
-        """Return the prior; anything with ``probabilities``."""
+        """Return the prior, an object with ``probabilities``."""
         ...
 
     def update(self, belief: Any, record: RecordStatistics) -> Any:
-        """Take in one record."""
+        """Update with one record."""
         ...
 
 
 class Tracker:
-    """Turns observations into beliefs, one new record at a time.
+    """Updates beliefs from observations, one new record at a time.
 
     Parameters
     ----------
@@ -112,11 +112,11 @@ class Tracker:
         self._order = [known.index(name) for name in problem.hypotheses]
 
     def begin(self) -> _Memory:
-        """Return the memory of a new episode."""
+        """Return the initial state of an episode."""
         return _Memory(belief=self.posterior.start())
 
     def follow(self, observation: NDArray[np.float32], memory: _Memory) -> NDArray[np.float64]:
-        """Take in the records that are new; return the probabilities of the hypotheses."""
+        """Update with the new records; return the hypotheses' probabilities."""
         layout = self.problem.layout
         taken = records_taken(self.problem, observation)
         for slot in range(memory.records, taken):
@@ -128,12 +128,12 @@ class Tracker:
 
     @property
     def feature_size(self) -> int:
-        """How many numbers `features` gives."""
+        """Number of elements that `features` returns."""
         n, d = self.problem.arm.n, len(self.problem.arm.axes)
         return n * (d * (d + 1) // 2) + 2 * n
 
     def features(self, observation: NDArray[np.float32], memory: _Memory) -> NDArray[np.float32]:
-        """What a policy may want to know beside the probabilities.
+        """Policy features in addition to the probabilities.
 
         For every link the mean of its sliding direction's products of components, in the link's
         frame, times the probability that it is loose; then for every fault the mean place of its
@@ -157,7 +157,7 @@ class Tracker:
 
 
 def belief_of(situation: Situation) -> Belief:
-    """Log-weights of places and frictions behind the probabilities of a situation.
+    """Log-weights of locations and frictions behind a situation's probabilities.
 
     Raises
     ------
@@ -175,7 +175,7 @@ def belief_of(situation: Situation) -> Belief:
 
 
 def analytic_posterior(problem: Problem) -> FaultPosterior:
-    """Build the posterior whose likelihood follows from the nominal arm alone.
+    """Build the posterior whose likelihood is derived from the nominal arm alone.
 
     Raises
     ------

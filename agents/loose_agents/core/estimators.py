@@ -1,4 +1,4 @@
-"""Estimators by name: what turns the records of an episode into probabilities."""
+"""Registry of estimators, which map records to hypothesis probabilities."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def make_estimator(name: str, problem: Problem) -> Estimator:
 
 
 def feature_size(estimator: Estimator) -> int:
-    """How many numbers an estimator shows beside its probabilities; none by default.
+    """Number of an estimator's features beyond its probabilities; 0 by default.
 
     An estimator that has more to say, such as what the next record could show under each
     hypothesis, has an attribute ``feature_size`` and a method
@@ -78,7 +78,7 @@ def feature_size(estimator: Estimator) -> int:
 def further_features(
     estimator: Estimator, observation: NDArray[np.float32], memory: Any
 ) -> NDArray[np.float32]:
-    """What an estimator shows beside its probabilities (feature_size,)."""
+    """Features of an estimator beyond its probabilities (feature_size,)."""
     if not feature_size(estimator):
         return np.zeros(0, dtype=np.float32)
     return np.asarray(

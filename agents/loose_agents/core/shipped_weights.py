@@ -1,4 +1,4 @@
-"""Policies by name: what chooses the next record."""
+"""Tuned settings that ship with the package, by arm and difficulty."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ WEIGHTS = Path(__file__).parents[1] / "weights"
 
 
 def tuned(problem: Problem) -> dict[str, Any]:
-    """Settings tuned on training episodes of an arm and difficulty; empty where there are none.
+    """Settings tuned on training episodes of an arm and difficulty; may be empty.
 
     ``stop`` maps agents to the probability at which they stop, ``constant`` holds the best
     levels of one joint, ``information`` the factors on expected information. Written by
@@ -26,7 +26,7 @@ def tuned(problem: Problem) -> dict[str, Any]:
 
 
 def setting_name(problem: Problem) -> str:
-    """Name of what was tuned or trained for an arm at a difficulty."""
+    """Name of the tuned or trained item for an arm at a difficulty."""
     difficulty = problem.settings.difficulty
     name = difficulty if isinstance(difficulty, str) else "own"
     return f"{problem.arm.name}-{name}"

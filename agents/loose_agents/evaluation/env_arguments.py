@@ -1,4 +1,4 @@
-"""The environment and its arguments as scripts take them."""
+"""Command-line arguments that construct the environment in scripts."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MOST_SHOWN = 300
 
 
 def arguments_of(text: str) -> dict[str, Any]:
-    """Read the environment's arguments from the option ``--arguments``.
+    """Parse the environment's arguments from the option ``--arguments``.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def arguments_of(text: str) -> dict[str, Any]:
 def diagnosis_env(
     env_id: str, arguments: Mapping[str, Any], *, render_mode: str | None = None
 ) -> DiagnosisEnv:
-    """Make an environment without the wrappers: what scripts do with it is checked by tests.
+    """Make the environment without Gymnasium's checking wrappers.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def diagnosis_env(
 
 @contextmanager
 def refused_in_words(env_id: str, arguments: Mapping[str, Any]) -> Iterator[None]:
-    """Say which arguments an environment does not take, where Python only names a type.
+    """Name the arguments that an environment does not accept, in a readable error.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""One evaluator for every agent: the same hidden faults, one row an episode."""
+"""Evaluator shared by all agents: identical hidden faults, one row per episode."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ EVALUATION_SEED = EVALUATION_SEEDS[0]
 
 
 def check_training_seed(seed: int, *, count: int = 1) -> int:
-    """Return a seed that training may use.
+    """Return a seed reserved for training; refuse evaluation seeds.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def check_training_seed(seed: int, *, count: int = 1) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeRow:
-    """How one episode went, and what was hidden in it.
+    """Outcome of one episode and its hidden fault.
 
     The trails have an entry for each record after which the agent was asked again, the first
     record first. Those of probabilities are empty for agents that keep none.
@@ -129,18 +129,18 @@ class EpisodeRow:
 
 @dataclass(frozen=True, kw_only=True)
 class AfterRecords:
-    """A stopping rule that lets an agent neither stop earlier nor go on longer."""
+    """Stopping rule that fires after a fixed number of records."""
 
     records: int
     """Records before the verdict."""
 
     def stop(self, situation: Situation) -> bool:
-        """Whether the records have been taken."""
+        """Return True once the fixed number of records is reached."""
         return situation.records >= self.records
 
 
 def goes_on(agent: Agent, records: int) -> Agent:
-    """Return an agent that measures a given number of times, however sure it is.
+    """Return a copy of an agent that always takes a given number of records.
 
     Raises
     ------
@@ -159,7 +159,7 @@ def goes_on(agent: Agent, records: int) -> Agent:
 
 @dataclass(kw_only=True, eq=False)
 class _Run:
-    """One episode while it is played."""
+    """State of one episode in progress."""
 
     number: int
     state: Any = None
@@ -284,7 +284,7 @@ def evaluate(
 
 
 def _note(batch: EpisodeBatch, slot: int, run: _Run) -> None:
-    """Write down what the agent thinks after the latest record, and what was spent on it."""
+    """Log the agent's posterior after the latest record, and the cost of the record."""
     episode = batch.episode(slot)
     assert episode is not None
     found = getattr(run.state, "probabilities", None)
@@ -302,7 +302,7 @@ def _note(batch: EpisodeBatch, slot: int, run: _Run) -> None:
 def _row(
     batch: EpisodeBatch, slot: int, run: _Run, outcome: Outcome, name: str, seed: int
 ) -> EpisodeRow:
-    """Sum an episode up."""
+    """Summarise an episode as a row."""
     info, names = outcome.info, batch.hypotheses
     episode = batch.episode(slot)
     assert episode is not None
@@ -345,5 +345,5 @@ def _column(entries: Sequence[tuple[Any, ...]], k: int) -> tuple[Any, ...]:
 
 
 def _at(p: NDArray[np.float64] | None, names: Sequence[str], name: str | None) -> float | None:
-    """Probability of a hypothesis, where there is one."""
+    """Probability of a hypothesis, if it exists."""
     return float(p[names.index(name)]) if p is not None and name in names else None

@@ -1,4 +1,4 @@
-"""How few records could do: a bound for the agents of a comparison, from their own episodes.
+"""Lower bounds on the number of records, from the episodes of a comparison.
 
 The bounds of `loose_env.diagnosis.experiment_design.record_bound` need the most that a record says
 and the most arms that k records allow to get right. Neither is known. Both are taken from whoever
@@ -61,20 +61,20 @@ class RecordBound:
     """Highest share of right verdicts after 1, 2, ... records."""
 
     def by_information(self, error: ArrayLike) -> Array:
-        """Bound by what a record says."""
+        """Bound from the information gained per record."""
         return least_records(error, self.prior, information=self.information)
 
     def by_success(self, error: ArrayLike) -> Array:
-        """Bound by what k records allow."""
+        """Bound from the accuracy reached after k records."""
         return least_records(error, self.prior, success=self.success)
 
     def records(self, error: ArrayLike) -> Array:
-        """Larger of the two bounds, for a line in a figure of records over success."""
+        """Larger of the two bounds, as plotted in records against success."""
         return np.maximum(self.by_information(error), self.by_success(error))
 
 
 def record_bound(problem: Problem, rows: Sequence[Row]) -> RecordBound | None:
-    """Work the bound out from episodes of one difficulty.
+    """Compute the bound from episodes of one difficulty.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def record_bound(problem: Problem, rows: Sequence[Row]) -> RecordBound | None:
 
 
 def bound_line(problem: Problem, rows: Sequence[Row]) -> str:
-    """Say how few records would do for the errors of the best agent, difficulty by difficulty.
+    """Format the lower bounds at the best agent's error rate, by difficulty.
 
     The best agent is the one of the highest mean return among those that are told nothing. The
     bound is that of the agents; where an oracle plays, what is left of it with the oracle's
@@ -147,7 +147,7 @@ def bound_line(problem: Problem, rows: Sequence[Row]) -> str:
 
 
 def _told(bound: RecordBound | None, error: float) -> str:
-    """What is left of the bound where the oracle counts too."""
+    """Bound that also covers the oracle."""
     if bound is None:
         return ""
     return (
@@ -157,7 +157,7 @@ def _told(bound: RecordBound | None, error: float) -> str:
 
 
 def _prior(problem: Problem, level: str) -> Array:
-    """Probability of each hypothesis: places are equally likely within a kind."""
+    """Prior of each hypothesis: locations are equally likely within a kind."""
     difficulty = difficulty_named(problem.settings.difficulty if level == "own" else level)
     shares: Mapping[str, float] = difficulty.probabilities(problem.settings.kinds)
     kinds = [name.partition("@")[0] for name in problem.hypotheses]
@@ -165,7 +165,7 @@ def _prior(problem: Problem, level: str) -> Array:
 
 
 def _information(rows: Sequence[Row], chance: Mapping[str, float]) -> list[float]:
-    """Upper ends of the mean gain in log score [nat], record by record."""
+    """Upper confidence limits of the mean gain in log score [nat], by record."""
     trails: list[list[float]] = []
     for row in rows:
         told: Sequence[Any] = row.get("trail_truth")
@@ -183,7 +183,7 @@ def _information(rows: Sequence[Row], chance: Mapping[str, float]) -> list[float
 
 
 def _success(rows: Sequence[Row]) -> list[float]:
-    """Upper ends of the share of right best guesses after 1, 2, ... records.
+    """Upper confidence limits of best-guess accuracy after 1, 2, ... records.
 
     Who has stopped keeps the last guess.
     """

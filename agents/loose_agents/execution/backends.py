@@ -1,4 +1,4 @@
-"""Where shards run: the settings of the backends, and the command line made from them."""
+"""Settings of the execution backends and their command-line options."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ BACKENDS = {
 
 
 def _option(default: Any, kind: type, words: str) -> Any:
-    """Field of the settings that is an option of the command line too."""
+    """Dataclass field that is also a command-line option."""
     return field(default=default, metadata={"type": kind, "help": words})
 
 
 @dataclass(frozen=True, kw_only=True)
 class BackendSettings:
-    """Where shards run and how often one is tried again; no result depends on it.
+    """Execution and retry settings of shards; results do not depend on them.
 
     The help of a field is the help of its option.
 
@@ -86,12 +86,12 @@ class BackendSettings:
 
     @classmethod
     def of(cls, options: argparse.Namespace) -> BackendSettings:
-        """Settings from options read by a parser that `add_backend_options` has prepared."""
+        """Build settings from options parsed after `add_backend_options`."""
         return cls(**{f.name: getattr(options, f.name) for f in fields(cls)})
 
 
 def add_backend_options(parser: argparse.ArgumentParser) -> None:
-    """Give a parser an option for each field of `BackendSettings`.
+    """Add a command-line option for each field of `BackendSettings`.
 
     Parameters
     ----------

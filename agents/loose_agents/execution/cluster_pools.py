@@ -1,4 +1,4 @@
-"""Pools of workers that may stand on other machines: Ray, Dask and Slurm."""
+"""Worker pools on clusters: Ray, Dask and Slurm."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LONGEST_PAUSE = 2.0  # [s], so that a shared file system is not asked too often
 
 
 class RayPool:
-    """Tasks of a Ray cluster: one that runs already, one at an address, or one started here."""
+    """Ray tasks on a running cluster, one at an address, or a local one."""
 
     def __init__(self, settings: BackendSettings, most: int) -> None:
         self._ray: Any = load_extra("ray", "ray", _import_ray)
@@ -38,7 +38,7 @@ class RayPool:
         self._busy: set[Any] = set()
 
     def submit(self, work: Callable[[Any], Any], shard: Any) -> Any:
-        """Begin a task; the work itself travels once, however many shards there are."""
+        """Submit a task; the function is serialised once for all shards."""
         if self._work is None or self._work[0] is not work:
             self._work = (work, self._ray.put(work))
         ticket = self._call.remote(self._work[1], shard)
@@ -46,7 +46,7 @@ class RayPool:
         return ticket
 
     def wait(self, tickets: Sequence[Any]) -> Sequence[Any]:
-        """Wait for one of the tasks."""
+        """Wait for at least one task."""
         done: list[Any] = self._ray.wait(list(tickets), num_returns=1)[0]
         return done
 
@@ -66,7 +66,7 @@ class RayPool:
             raise WorkerDied(_first_line(error)) from error
 
     def close(self) -> None:
-        """Cancel what runs, and end a cluster that was started here."""
+        """Cancel running tasks and shut down a cluster started here."""
         for ticket in self._busy:
             self._ray.cancel(ticket, force=True)
         self._busy.clear()
@@ -98,7 +98,7 @@ class RayPool:
 
 
 class DaskPool:
-    """Tasks of a Dask cluster: one at an address, or one started here."""
+    """Dask tasks on a cluster at an address, or on a local one."""
 
     def __init__(self, settings: BackendSettings, most: int) -> None:
         self._dask: Any = load_extra("dask", "distributed", _import_distributed)
@@ -116,12 +116,12 @@ class DaskPool:
         self.size = max(1, min(settings.workers or available, most))
 
     def submit(self, work: Callable[[Any], Any], shard: Any) -> Any:
-        """Begin a task."""
+        """Submit a task."""
         # Not pure: a key made from the arguments would hand back an earlier failure.
         return self._client.submit(guarded, work, shard, pure=False)
 
     def wait(self, tickets: Sequence[Any]) -> Sequence[Any]:
-        """Wait for one of the tasks."""
+        """Wait for at least one task."""
         self._dask.wait(list(tickets), return_when="FIRST_COMPLETED")
         return [ticket for ticket in tickets if ticket.done()]
 
@@ -133,7 +133,7 @@ class DaskPool:
             raise WorkerDied(_first_line(error)) from error
 
     def close(self) -> None:
-        """Let go of the tasks, which cancels them, and end a cluster that was started here."""
+        """Release the tasks, which cancels them; shut down a cluster started here."""
         self._client.close()
         if self._cluster is not None:
             self._cluster.close()
@@ -158,7 +158,7 @@ class DaskPool:
 
 
 class SlurmPool:
-    """Jobs of a Slurm cluster, one a shard, through submitit.
+    """Slurm jobs through submitit, one per shard.
 
     A job takes seconds to begin: make shards of minutes.
     """
@@ -186,7 +186,7 @@ class SlurmPool:
         self._busy: set[Any] = set()
 
     def submit(self, work: Callable[[Any], Any], shard: Any) -> Any:
-        """Queue a job; it inherits the environment."""
+        """Submit a job; it inherits the environment."""
         # What can be imported here can be imported there, if the file system is shared.
         with _environment({**ONE_THREAD, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}):
             job = self._executor.submit(guarded, work, shard)
@@ -194,7 +194,7 @@ class SlurmPool:
         return job
 
     def wait(self, tickets: Sequence[Any]) -> Sequence[Any]:
-        """Look until one of the jobs is over."""
+        """Poll until at least one job has finished."""
         pause = SHORTEST_PAUSE
         while not (done := [job for job in tickets if job.done()]):
             time.sleep(pause)
@@ -219,7 +219,7 @@ class SlurmPool:
         return result
 
     def close(self) -> None:
-        """Cancel the jobs that are not over."""
+        """Cancel the unfinished jobs."""
         for job in self._busy:
             job.cancel(check=False)
         self._busy.clear()
@@ -227,7 +227,7 @@ class SlurmPool:
 
 @contextmanager
 def _environment(variables: dict[str, str]) -> Iterator[None]:
-    """Set variables that processes started meanwhile inherit."""
+    """Set environment variables temporarily, for child processes to inherit."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:

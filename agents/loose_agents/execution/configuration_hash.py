@@ -1,4 +1,4 @@
-"""The hash of a configuration, and what differs between two of them."""
+"""Hashes of configurations and differences between them."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def configuration_hash(configuration: Any) -> str:
 
 
 def canonical(value: Any) -> Any:
-    """Reduce a configuration to what JSON holds, one form for each value.
+    """Reduce a configuration to JSON types, with a unique form for each value.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def canonical(value: Any) -> Any:
 
 
 def differences(before: Any, now: Any) -> str:
-    """Name what differs between two configurations, each by its path.
+    """List the differences between two configurations, each by its path.
 
     Parameters
     ----------

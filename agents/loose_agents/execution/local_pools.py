@@ -1,4 +1,4 @@
-"""Pools of workers: what each backend does to run a call and to notice that its worker died.
+"""Local worker pools and the pool interface, including worker-death detection.
 
 joblib's own front (``Parallel``) fails as a whole when a worker dies and does not say which call
 it was running. The pools here therefore speak to each backend's executor: loky's, as joblib
@@ -54,12 +54,12 @@ ORPHAN_CHECK = 1.0  # [s] between a worker's looks whether its parent still live
 
 
 class WorkerDied(Exception):
-    """The process that ran a call is gone, by a signal, for want of memory or by its own exit."""
+    """Worker process ended by a signal, out of memory or by its own exit."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Raised:
-    """What a call raised, in a form that every backend carries back alike."""
+    """Exception raised by a call, serialised alike by every backend."""
 
     error: BaseException | None
     """The exception; None where it cannot be pickled."""
@@ -70,26 +70,26 @@ class Raised:
 
 
 class Pool(Protocol):
-    """Workers that run one call each. A ticket stands for a call that was begun."""
+    """Pool of workers, each running one call; a ticket identifies a call."""
 
     size: int
     """Calls that run side by side."""
 
     def submit(self, work: Callable[[Any], Any], shard: Any) -> Any:
-        """Begin a call of `guarded`, on a worker that is free, and return its ticket."""
+        """Submit a call of `guarded` to a free worker and return its ticket."""
 
     def wait(self, tickets: Sequence[Any]) -> Sequence[Any]:
-        """Wait until one of these calls or more is over; return the tickets of those."""
+        """Wait until at least one call has finished; return the finished tickets."""
 
     def result(self, ticket: Any) -> Any:
-        """Result of a call that is over; raise `WorkerDied` where its worker did."""
+        """Result of a finished call; raise `WorkerDied` if its worker died."""
 
     def close(self) -> None:
-        """Stop what still runs and end what the pool has started."""
+        """Cancel running calls and shut down what the pool started."""
 
 
 def guarded(work: Callable[[Any], Any], shard: Any) -> Any:
-    """Call the work in a worker; what it raises comes back as `Raised`."""
+    """Run the call in a worker; exceptions are returned as `Raised`."""
     try:
         return work(shard)
     except (Exception, SystemExit) as error:
@@ -109,14 +109,14 @@ def _travels(error: BaseException) -> bool:
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Number of CPU cores available to this process."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def load_extra(backend: str, package: str, load: Callable[[], ModuleType]) -> ModuleType:
-    """Import the package of a backend, or say how to install it.
+    """Import a backend's package, or raise with installation instructions.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def load_extra(backend: str, package: str, load: Callable[[], ModuleType]) -> Mo
 
 
 class ThreadPool:
-    """Threads of this process: for work that waits or that leaves Python, and to find errors.
+    """Thread pool, for I/O or work that releases the GIL, and for debugging.
 
     They share the process: its BLAS keeps the number of threads it was started with, and work
     that kills its process kills everything.
@@ -155,11 +155,11 @@ class ThreadPool:
         self._threads = concurrent.futures.ThreadPoolExecutor(self.size, "shard")
 
     def submit(self, work: Callable[[Any], Any], shard: Any) -> Any:
-        """Hand the call to a thread."""
+        """Submit the call to a thread."""
         return self._threads.submit(guarded, work, shard)
 
     def wait(self, tickets: Sequence[Any]) -> Sequence[Any]:
-        """Wait for one of the calls."""
+        """Wait for at least one call."""
         return _first_done(tickets)
 
     def result(self, ticket: Any) -> Any:
@@ -167,12 +167,12 @@ class ThreadPool:
         return ticket.result()
 
     def close(self) -> None:
-        """Start no more; a thread cannot be stopped, so what runs is left to end."""
+        """Start no further calls; running threads are left to finish."""
         self._threads.shutdown(wait=False, cancel_futures=True)
 
 
 class LokyPool:
-    """Processes of this machine.
+    """Process pool on this machine, through loky.
 
     Every worker is an executor of its own. A process that dies breaks its executor and no
     other: the shard at fault is known, and only that one is run again.
@@ -185,7 +185,7 @@ class LokyPool:
         self._busy: dict[Any, Any] = {}
 
     def submit(self, work: Callable[[Any], Any], shard: Any) -> Any:
-        """Hand the call to a free process; one that died while it was idle is made anew."""
+        """Submit the call to a free process, replacing one that died while idle."""
         executor = self._free.pop()
         try:
             ticket = executor.submit(guarded, work, shard)
@@ -196,7 +196,7 @@ class LokyPool:
         return ticket
 
     def wait(self, tickets: Sequence[Any]) -> Sequence[Any]:
-        """Wait for one of the calls."""
+        """Wait for at least one call."""
         return _first_done(tickets)
 
     def result(self, ticket: Any) -> Any:
@@ -211,7 +211,7 @@ class LokyPool:
         return result
 
     def close(self) -> None:
-        """Kill the processes; nobody waits for what they were doing."""
+        """Kill the processes; their pending results are discarded."""
         executors = [*self._free, *self._busy.values()]
         for executor in executors:
             executor.shutdown(wait=False, kill_workers=True)
@@ -228,21 +228,21 @@ def _import_loky() -> ModuleType:
 
 
 def _follow(parent: int) -> None:
-    """Make this worker end with its parent, and only with it."""
+    """Tie this worker's lifetime to its parent's."""
     # Ctrl-C reaches every process of the terminal; the parent ends its workers itself.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
 
 
 def _end_with(parent: int) -> None:
-    """End this process once its parent was killed: nobody waits for its result any more."""
+    """Exit once the parent process has been killed."""
     while os.getppid() == parent:
         time.sleep(ORPHAN_CHECK)
     os._exit(1)
 
 
 def _exit_code(error: BaseException) -> str:
-    """Line of loky's message that tells how the process ended, or all of it."""
+    """Extract the exit code from loky's message, or return the whole message."""
     lines = [line for line in str(error).splitlines() if "exit code" in line]
     return lines[0].strip() if lines else " ".join(str(error).split())
 

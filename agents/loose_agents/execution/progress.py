@@ -1,4 +1,4 @@
-"""One line that says how far work is, how fast it goes and how long it will still take."""
+"""Single-line progress display with rate and remaining time."""
 
 from __future__ import annotations
 
@@ -59,17 +59,17 @@ class ProgressLine:
         self._width = 0
 
     def __enter__(self) -> ProgressLine:
-        """Begin."""
+        """Start the display."""
         return self
 
     def __exit__(self, *reason: object) -> None:
-        """End the line, whatever ended the work."""
+        """End the line, also after an exception."""
         if self._width:
             self._stream.write("\n")
             self._stream.flush()
 
     def advance(self, units: int, words: str = "") -> None:
-        """Count units that were done, and say so where it is time.
+        """Add completed units and refresh the display when due.
 
         Parameters
         ----------
@@ -109,7 +109,7 @@ class ProgressLine:
 
 
 def _rate(rate: float) -> str:
-    """Rate per second, or per minute or hour where that is below one."""
+    """Format a rate per second, or per minute or hour if below one."""
     for name, seconds in (("s", 1.0), ("min", 60.0)):
         if rate * seconds >= 1.0:
             return f"{rate * seconds:.1f}/{name}"
@@ -117,7 +117,7 @@ def _rate(rate: float) -> str:
 
 
 def _duration(seconds: float) -> str:
-    """Time in its two largest parts."""
+    """Format a duration in its two largest units."""
     if seconds == float("inf"):
         return "unknown time"
     whole = round(seconds)

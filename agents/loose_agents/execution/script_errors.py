@@ -1,4 +1,4 @@
-"""What goes wrong in a script, said in one line."""
+"""One-line error messages for scripts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["errors_in_one_line"]
 
 @contextmanager
 def errors_in_one_line(script: str, *, interrupted: str = "") -> Iterator[None]:
-    """End the script with one line where what it was given cannot be done, or it is interrupted.
+    """End the script with a one-line message on invalid input or an interrupt.
 
     Any other error is a fault of the program and keeps its trace.
 

@@ -1,4 +1,4 @@
-"""A folder with a file for each shard that is done, so that work can go on where it stopped."""
+"""On-disk store of completed shards, one file each, for resumable work."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DESCRIPTION = "configuration.json"
 
 
 class Span(Protocol):
-    """What a store needs to know of a shard."""
+    """Protocol of a shard as seen by a store."""
 
     @property
     def start(self) -> int:
@@ -35,16 +35,16 @@ class Span(Protocol):
 
 
 class Codec(Protocol):
-    """How one shard's result becomes a file, and again a result."""
+    """Encoder and decoder of a shard's result."""
 
     suffix: str
     """End of the file's name, with its dot."""
 
     def write(self, value: Any, file: BinaryIO) -> None:
-        """Write a result; raise `InvalidData` where it is of another kind."""
+        """Write a result; raise `InvalidData` if its type is wrong."""
 
     def read(self, path: Path) -> Any:
-        """Read a result; raise `InvalidData` where the file is cut short or broken."""
+        """Read a result; raise `InvalidData` if the file is truncated or corrupt."""
 
 
 class ArrayCodec:
@@ -53,7 +53,7 @@ class ArrayCodec:
     suffix = ".npz"
 
     def write(self, value: Any, file: BinaryIO) -> None:
-        """Write a mapping of names to arrays; equal arrays give equal bytes."""
+        """Write a mapping of names to arrays, byte-for-byte reproducibly."""
         if not isinstance(value, Mapping):
             raise InvalidData(f"a {type(value).__name__} is no mapping of names to arrays")
         with zipfile.ZipFile(file, "w") as archive:
@@ -69,7 +69,7 @@ class ArrayCodec:
                     np.lib.format.write_array(member, array, allow_pickle=False)
 
     def read(self, path: Path) -> dict[str, np.ndarray]:
-        """Read the arrays; zip's checksums tell a broken file."""
+        """Read the arrays; zip checksums detect a corrupt file."""
         try:
             with path.open("rb") as file, zipfile.ZipFile(file) as archive:
                 return {
@@ -89,7 +89,7 @@ class ArrayCodec:
 
 
 class RowCodec:
-    """Rows (a list of dictionaries with values that JSON has) in a ``.json`` file, one a line.
+    """Rows (a list of JSON-compatible dictionaries) in a ``.json`` file, one per line.
 
     The rows stand in one JSON document, whose last bracket a file cut short lacks. A float comes
     back as it was; a tuple comes back as a list.
@@ -122,7 +122,7 @@ class RowCodec:
 
 
 class ShardStore:
-    """A folder of results, one file a shard, all made with one configuration.
+    """Folder of results, one file per shard, all from one configuration.
 
     A file is named after its shard's episodes, so shards of another size never mix. It is
     written beside its name and renamed: a run that is killed leaves whole files only.
@@ -184,11 +184,11 @@ class ShardStore:
         return self.folder / f"shard-{shard.start:09d}-{shard.stop:09d}{self._codec.suffix}"
 
     def missing(self, shards: Sequence[Any]) -> list[Any]:
-        """Shards that have no file, or one that is broken; every file is read to see."""
+        """Shards whose file is absent or corrupt; every file is read."""
         return [shard for shard in shards if not self._holds(shard)]
 
     def write(self, shard: Span, value: Any) -> None:
-        """Keep the result of a shard.
+        """Store the result of a shard.
 
         Raises
         ------
@@ -214,11 +214,11 @@ class ShardStore:
         return self._codec.read(path)
 
     def read_all(self, shards: Sequence[Span]) -> Iterator[Any]:
-        """Results of the shards, one after the other, in their order."""
+        """Iterate over the results of the shards in order."""
         return map(self.read, shards)
 
     def unlike(self, configuration: Any) -> str:
-        """In what another configuration differs from this store's; empty if in nothing."""
+        """Differences between another configuration and this store's; may be empty."""
         if configuration_hash(configuration) == self.hash:
             return ""
         return differences(configuration, self.configuration) or "its hash is another"

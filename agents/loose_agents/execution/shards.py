@@ -1,4 +1,4 @@
-"""Work cut into shards of episodes, done by any backend with any number of workers.
+"""Division of episodes into shards, run by any backend and number of workers.
 
 Results do not depend on the backend, the number of workers, the size of a shard or what was
 interrupted: everything random in episode k comes from ``episode_seed(seed, k)`` (as
@@ -35,12 +35,12 @@ POOLS: dict[str, Callable[[BackendSettings, int], Pool]] = {
 
 
 class ShardFailed(LooseEnvError, RuntimeError):
-    """A shard has no result: its work raised an error, or its worker died too often."""
+    """Shard without a result: its work raised, or its worker died too often."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shard:
-    """Episodes that are worked on together: ``start`` and those after it, before ``stop``.
+    """Contiguous range of episodes, ``start`` to ``stop - 1``.
 
     Raises
     ------
@@ -61,7 +61,7 @@ class Shard:
     """The episode after its last."""
 
     def __post_init__(self) -> None:
-        """Check that it holds an episode."""
+        """Check that the shard is not empty."""
         if self.index < 0 or not 0 <= self.start < self.stop:
             raise InvalidSetting(
                 f"shard {self.index} from {self.start} to {self.stop}: its number is 0 or more, "
@@ -70,20 +70,20 @@ class Shard:
 
     @property
     def episodes(self) -> range:
-        """Numbers of its episodes."""
+        """Indices of the episodes."""
         return range(self.start, self.stop)
 
     def __len__(self) -> int:
-        """Return how many episodes it holds."""
+        """Return the number of episodes."""
         return self.stop - self.start
 
     def __str__(self) -> str:
-        """Return its number and its episodes, for messages."""
+        """Return the shard's index and episode range, for messages."""
         return f"shard {self.index} (episodes {self.start} to {self.stop - 1})"
 
 
 def shard_of(total: int, size: int) -> tuple[Shard, ...]:
-    """Cut episodes 0 to ``total - 1`` into shards.
+    """Divide episodes 0 to ``total - 1`` into shards.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def shard_of(total: int, size: int) -> tuple[Shard, ...]:
 
 
 def episode_seed(seed: int, episode: int) -> np.random.SeedSequence:
-    """Seed of one episode, whatever shard it lies in and whoever works on it.
+    """Seed of one episode, independent of shard and worker.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def map_shards(
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> Generator[tuple[int, Any], None, None]:
-    """Run the work for each shard and yield each result as it is done, in any order.
+    """Run the work for each shard and yield results in order of completion.
 
     A shard whose worker dies (a kill, want of memory, an exit of its own) runs again, and no
     other with it. What the work itself raises is not tried again. Closing the iterator stops
@@ -198,7 +198,7 @@ def run_shards(
     stream: TextIO | None = None,
     **options: Any,
 ) -> int:
-    """Run the work for the shards that a store lacks, and store each result as it is done.
+    """Run the shards missing from a store, and store each result on completion.
 
     Stopped at any moment, by Ctrl-C or by a kill, the store holds every shard that was done;
     the same call goes on from there, with any backend.
@@ -261,7 +261,7 @@ def _mapped(
     settings: BackendSettings,
     progress: Callable[[int, int], None] | None,
 ) -> Generator[tuple[int, Any], None, None]:
-    """Keep as many calls under way as there are workers, until every shard has its result."""
+    """Keep every worker busy until every shard has its result."""
     if not len(shards):
         return
     pool = POOLS[settings.backend](settings, len(shards))

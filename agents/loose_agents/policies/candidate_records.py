@@ -1,4 +1,4 @@
-"""Records that a policy may choose between: where the joints go, which are shaken, how long."""
+"""Candidate records of a policy: pose, excited joints and duration."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Candidate:
 def poses(
     problem: Problem, situation: Situation, count: int
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Moves to choose between, drawn from all that the ranges allow, and where they lead.
+    """Sample moves uniformly from the allowed ranges, with the resulting poses.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def poses(
 
 
 def excitations(problem: Problem) -> list[tuple[NDArray[np.intp], int]]:
-    """Levels of the joints and index of the length, of everything worth weighing.
+    """Enumerate excitation levels of the joints and indices of the duration.
 
     All joints together at the top level for the longest time comes first; then they at the lower
     levels and for shorter times, and each joint alone at the two highest levels.
@@ -80,7 +80,7 @@ def candidate_at(
     levels: NDArray[np.intp],
     duration: int,
 ) -> Candidate:
-    """Describe a record: the torque that the levels mean in a pose, and its price."""
+    """Build a candidate: the torque of the levels in a pose, and its cost."""
     seconds = problem.settings.durations[duration]
     wanted = np.array([0.0, *problem.arm.levels])[levels]
     excitation, _ = at_levels(problem.linear.at(pose), wanted, duration=seconds)

@@ -1,4 +1,4 @@
-"""Greedy: the record that is expected to say most about the hypotheses, for its price."""
+"""Greedy policy: maximum expected information gain net of cost."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["GreedyPolicy", "GreedySettings", "ranked"]
 
 @dataclass(frozen=True, kw_only=True)
 class GreedySettings:
-    """How many records are weighed, and what information is worth."""
+    """Number of candidate records and value of information."""
 
     poses: int = 16
     """Poses weighed with all joints shaken at the top level."""
@@ -29,7 +29,7 @@ class GreedySettings:
 
 
 class GreedyPolicy:
-    """Chooses by expected information over pose, joints, level and length.
+    """Maximises expected information over pose, joints, level and duration.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class GreedyPolicy:
         self.settings = GreedySettings() if settings is None else settings
 
     def choose(self, situation: Situation) -> NDArray[np.int64]:
-        """Take the best of the records weighed."""
+        """Choose the best of the scored records."""
         faults = self.information.imagine(belief_of(situation), situation.rng)
         return ranked(self.problem, self.information, self.settings, situation, faults)[0].action
 
@@ -63,7 +63,7 @@ def ranked(
     situation: Situation,
     faults: ImaginedFaults,
 ) -> list[Candidate]:
-    """Weigh records and bring the best ones first."""
+    """Score candidate records and sort them, best first."""
 
     def value(candidate: Candidate) -> float:
         if not candidate.torque.any():  # gravity leaves the drives nothing

@@ -23,7 +23,7 @@ __all__ = ["LinkFindingAgent"]
 
 @dataclass
 class _Search:
-    """Memory of one search."""
+    """State of one search."""
 
     low: int
     high: int
@@ -33,7 +33,7 @@ class _Search:
 
 
 class LinkFindingAgent(EpisodeAgent):
-    """Excite one joint, move the others one by one, watch the direction turn (4.2.2).
+    """Excites one joint, moves the others one by one, tracks the direction (4.2.2).
 
     Parameters
     ----------
@@ -50,11 +50,11 @@ class LinkFindingAgent(EpisodeAgent):
         self.settings = LinkFindingSettings() if settings is None else settings
 
     def begin(self, rng: np.random.Generator) -> Any:
-        """Start with every link in question."""
+        """Start with every link as a candidate."""
         return _Search(low=1, high=self.problem.arm.n)
 
     def act(self, observation: NDArray[np.float32], memory: _Search) -> NDArray[np.int64]:
-        """Take in the latest record, then move on or decide."""
+        """Process the latest record, then move on or decide."""
         problem, settings = self.problem, self.settings
         spent = problem.layout.physical(observation, "spent")[0]
         taken = round(float(spent) * problem.settings.max_records)
@@ -76,7 +76,7 @@ class LinkFindingAgent(EpisodeAgent):
         return self._measure(memory, observation, joint)
 
     def _judge(self, memory: _Search, seen: Sighting) -> None:
-        """Narrow the links in question by what the last move did."""
+        """Narrow the candidate links by the result of the last move."""
         joint = memory.moved
         if joint is None or not memory.low < joint <= memory.high:
             return
@@ -110,7 +110,7 @@ class LinkFindingAgent(EpisodeAgent):
     def _measure(
         self, memory: _Search, observation: NDArray[np.float32], joint: int | None
     ) -> NDArray[np.int64]:
-        """Move one joint as far as it will go, then excite and measure."""
+        """Move one joint to the end of its reach, then excite and measure."""
         problem = self.problem
         n = problem.arm.n
         moves = np.full(n, problem.settings.stay, dtype=np.intp)

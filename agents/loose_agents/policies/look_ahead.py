@@ -1,4 +1,4 @@
-"""Two steps ahead: the record after which the best verdict or one more record is worth most."""
+"""Two-step look-ahead policy on the expected reward of the best verdict."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["LookAheadPolicy", "LookAheadSettings"]
 
 @dataclass(frozen=True, kw_only=True)
 class LookAheadSettings:
-    """How far and how widely it looks."""
+    """Depth and width of the look-ahead."""
 
     first: int = 4
     """First records that are looked at, the best by information."""
@@ -33,7 +33,7 @@ class LookAheadSettings:
 
 
 class LookAheadPolicy:
-    """Weighs records by what the best verdict is worth after them, or after one more.
+    """Scores records by the expected reward after them, or after one more.
 
     Values are those of the environment's prices: the expected reward of the best name, less
     what the records cost.
@@ -58,7 +58,7 @@ class LookAheadPolicy:
         self.settings = LookAheadSettings() if settings is None else settings
 
     def choose(self, situation: Situation) -> NDArray[np.int64]:
-        """Take the record of the highest value."""
+        """Choose the record of the highest value."""
         faults = self.information.imagine(belief_of(situation), situation.rng)
         firsts = ranked(self.problem, self.information, self.settings.greedy, situation, faults)[
             : self.settings.first
@@ -67,7 +67,7 @@ class LookAheadPolicy:
         return firsts[int(np.argmax(values))].action
 
     def _value(self, candidate: Candidate, faults: ImaginedFaults, situation: Situation) -> float:
-        """Expected reward from here on if this record is taken."""
+        """Expected reward after taking this record."""
         if not candidate.torque.any():
             return -np.inf
         likely = self.information.likelihood(
@@ -102,7 +102,7 @@ class LookAheadPolicy:
         return prices.wrong + stake * total - candidate.price
 
     def _sures(self, weights: Array, faults: ImaginedFaults) -> Array:
-        """Probability of the most probable hypothesis (K,) for weights (K, M)."""
+        """Maximum posterior probability (K,) for weights (K, M)."""
         labels = np.zeros((weights.shape[1], int(faults.hypothesis.max()) + 1))
         labels[np.arange(len(labels)), faults.hypothesis] = 1.0
         return np.asarray((weights @ labels).max(1))

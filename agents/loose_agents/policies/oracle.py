@@ -1,4 +1,4 @@
-"""The oracle: an agent's own posterior and policy, told all about the fault but where it is.
+"""Oracle agent: the agent's posterior and policy given all but the location.
 
 It is no agent: what it is told, no agent may know. It says how much of an agent's error comes
 from not knowing the direction of the slide and the friction of the guide.
@@ -39,7 +39,7 @@ SURE = 0.9
 
 @dataclass(frozen=True, kw_only=True)
 class Told:
-    """What the oracle knows."""
+    """Side information given to the oracle."""
 
     direction: int
     """Index of the sliding direction among those of the posterior, in the link's frame."""
@@ -48,7 +48,7 @@ class Told:
 
 
 def restricted(belief: Belief, told: Told) -> Belief:
-    """Leave of a belief what agrees with what was told; the hypotheses' prior stays as it was.
+    """Condition a belief on the side information, keeping the hypotheses' prior.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def restricted(belief: Belief, told: Told) -> Belief:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class InformedBelief:
-    """A posterior's belief, and what was told beside the records."""
+    """Posterior belief combined with the side information."""
 
     base: Any
     """As the posterior keeps it."""
@@ -90,7 +90,7 @@ class InformedBelief:
 
     @cached_property
     def belief(self) -> Belief:
-        """Log-weights of everything still in question."""
+        """Log-weights of the remaining candidates."""
         whole = getattr(self.base, "belief", self.base)
         return whole if self.told is None else restricted(whole, self.told)
 
@@ -101,7 +101,7 @@ class InformedBelief:
 
 
 class _InformedPosterior:
-    """A posterior whose beliefs remember what was told."""
+    """Posterior whose beliefs carry the side information."""
 
     def __init__(self, base: Any) -> None:
         self.base, self.hypotheses = base, base.hypotheses
@@ -111,12 +111,12 @@ class _InformedPosterior:
         return InformedBelief(base=self.base.start(), told=told)
 
     def update(self, belief: InformedBelief, record: RecordStatistics) -> InformedBelief:
-        """Take in one record."""
+        """Update with one record."""
         return InformedBelief(base=self.base.update(belief.base, record), told=belief.told)
 
 
 class OracleAgent(BeliefAgent):
-    """Plays like a `BeliefAgent` that is told direction and friction when an episode begins.
+    """`BeliefAgent` that is given direction and friction at the start of an episode.
 
     `loose_agents.evaluation.evaluate.evaluate` tells it, by ``informed``.
 
@@ -154,7 +154,7 @@ class OracleAgent(BeliefAgent):
         )
 
     def begin(self, rng: np.random.Generator) -> Any:
-        """Refuse to play without being told.
+        """Refuse to play without side information.
 
         Raises
         ------
@@ -168,7 +168,7 @@ class OracleAgent(BeliefAgent):
         )
 
     def informed(self, fault: Fault, observation: NDArray[np.float32]) -> Any:
-        """Return the memory of an episode in which a fault is hidden."""
+        """Return the initial state of an episode with a hidden fault."""
         rng = self._generator(np.asarray(observation))
         memory = super().begin(rng)
         # A stream of its own: the policy draws what it would have drawn untold.
@@ -176,7 +176,7 @@ class OracleAgent(BeliefAgent):
         return memory
 
     def told(self, fault: Fault, rng: np.random.Generator) -> Told:
-        """What is told of a fault: the nearest direction and node of friction.
+        """Side information of a fault: nearest direction and friction node.
 
         Of what it does not have, that of a slide drawn as the environment draws faults.
         """
@@ -193,7 +193,7 @@ class OracleAgent(BeliefAgent):
         )
 
     def _drawn(self, rng: np.random.Generator) -> StructuralLooseness:
-        """Draw a slide that could have been hidden."""
+        """Sample a slide that could have been hidden."""
         link = 1 + int(rng.integers(self.problem.arm.n))
         drawn = self._sampler.draw(rng, hypothesis=f"structural_looseness@link{link}")
         assert isinstance(drawn, StructuralLooseness)

@@ -1,4 +1,4 @@
-"""Policies by name: what chooses the next record."""
+"""Registry of policies, which choose the next record."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["POLICIES", "information_of", "make_policy"]
 
 
 def information_of(problem: Problem, estimator: Estimator) -> RecordInformation:
-    """Weigh records for the beliefs of an estimator.
+    """Build the information criterion for the beliefs of an estimator.
 
     Raises
     ------
@@ -94,7 +94,7 @@ POLICIES: dict[str, tuple[Callable[[Problem, Estimator], Policy], str]] = {
 
 
 def make_policy(name: str, problem: Problem, estimator: Estimator) -> Policy:
-    """Make a policy for a problem and the estimator it plays with.
+    """Make a policy for a problem and its estimator.
 
     Raises
     ------

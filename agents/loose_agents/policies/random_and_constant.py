@@ -1,4 +1,4 @@
-"""Random poses, joints, levels and record lengths.
+"""Baseline policies: random records, and constant excitation in random poses.
 
 The constant policy: always the same excitation, in random poses.
 """
@@ -16,7 +16,7 @@ __all__ = ["ConstantPolicy", "RandomPolicy", "random_moves"]
 
 
 class RandomPolicy:
-    """One joint at a random level and for a random time, every joint moved at random.
+    """Excites one random joint at a random level and duration, in random poses.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class RandomPolicy:
         self.problem = problem
 
     def choose(self, situation: Situation) -> NDArray[np.int64]:
-        """Draw an action from the episode's generator."""
+        """Sample an action from the episode's generator."""
         problem, rng = self.problem, situation.rng
         moves = random_moves(problem, situation)
         levels = np.zeros(problem.arm.n, dtype=np.intp)
@@ -38,13 +38,13 @@ class RandomPolicy:
 
 
 def random_moves(problem: Problem, situation: Situation) -> NDArray[np.intp]:
-    """One of the moves each joint's range allows, drawn for every joint (n,)."""
+    """Sample an allowed move for every joint (n,)."""
     allowed = problem.actions.allowed_moves(situation.pose)
     return np.array([situation.rng.choice(np.flatnonzero(row)) for row in allowed])
 
 
 class ConstantPolicy:
-    """Shakes the same joints at the same level for the same time, in random poses.
+    """Applies a constant excitation in random poses.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class ConstantPolicy:
         self.problem, self.levels, self.duration = problem, np.array(levels), duration
 
     def choose(self, situation: Situation) -> NDArray[np.int64]:
-        """Move at random and excite as always."""
+        """Move at random and apply the constant excitation."""
         return self.problem.actions.encode(
             moves=random_moves(self.problem, situation),
             levels=self.levels,

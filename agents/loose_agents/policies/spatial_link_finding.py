@@ -1,4 +1,4 @@
-"""Link finding by the direction of the transmission's change, on any arm, plane or space.
+"""Link finding by the direction of the transmission change, planar or spatial.
 
 All joints are excited at once: the regression of the tool's motion on theirs takes them apart, and
 one record then sees a slide in any direction. Where nothing stands out, the seat may be held shut
@@ -45,7 +45,7 @@ _POLICIES = ("images", "images_one", "turns")
 
 @dataclass(frozen=True, kw_only=True)
 class SpaceLinkFindingSettings:
-    """How the agent moves, and when it is content."""
+    """Motion and stopping criteria of the agent."""
 
     policy: Policy = "images"
     """Predicted images with all joints moving or one at a time, or turns judged by 4.31."""
@@ -81,7 +81,7 @@ class SpaceLinkFindingSettings:
 
 @dataclass
 class _Search:
-    """Memory of one search."""
+    """State of one search."""
 
     rng: np.random.Generator
     search: TurnSearch
@@ -92,7 +92,7 @@ class _Search:
 
 
 class SpaceLinkFindingAgent(EpisodeAgent):
-    """Look where the looseness points, move, look again (4.2.2, in space).
+    """Spatial link finding: measure the direction of looseness, move, repeat (4.2.2).
 
     Parameters
     ----------
@@ -126,12 +126,12 @@ class SpaceLinkFindingAgent(EpisodeAgent):
             )
 
     def begin(self, rng: np.random.Generator) -> Any:
-        """Start with every link in question, at the top level."""
+        """Start with every link as a candidate, at the top level."""
         arm = self.problem.arm
         return _Search(rng=rng, search=TurnSearch.over(arm.n), level=len(arm.levels))
 
     def act(self, observation: NDArray[np.float32], memory: _Search) -> NDArray[np.int64]:
-        """Take in the latest record, then move on or decide."""
+        """Process the latest record, then move on or decide."""
         problem, settings = self.problem, self.settings
         most = problem.settings.max_records
         taken = round(float(problem.layout.physical(observation, "spent")[0]) * most)
@@ -212,7 +212,7 @@ class SpaceLinkFindingAgent(EpisodeAgent):
         return self._measure(memory, moves)
 
     def _judge(self, memory: _Search, seen: ChangeSighting, visible: bool) -> None:
-        """Narrow the links in question by what the last move did."""
+        """Narrow the candidate links by the result of the last move."""
         joint, memory.moved = memory.moved, None
         if joint is None or not memory.sightings:
             return
@@ -230,7 +230,7 @@ class SpaceLinkFindingAgent(EpisodeAgent):
         )
 
     def _decide_by_turns(self, memory: _Search) -> NDArray[np.int64]:
-        """Name the link, unless some joint's play explains every direction better."""
+        """Declare the link, unless one joint's backlash fits every direction better."""
         found = self._posterior(memory)
         slide = f"structural_looseness@link{memory.search.link(self.settings.rules)}"
         play = [name for name in self.names if name.startswith("backlash")]
@@ -239,7 +239,7 @@ class SpaceLinkFindingAgent(EpisodeAgent):
         return self._name(best if explained else slide, found)
 
     def _name(self, hypothesis: str, found: LinkPosterior | None) -> NDArray[np.int64]:
-        """Give a verdict; where it is no hypothesis here, the most probable one that is."""
+        """Give a verdict, falling back to the most probable hypothesis available."""
         if hypothesis not in self.problem.hypotheses:
             likely = self.prior if found is None else found.probabilities
             hypothesis = self.names[int(np.argmax(likely))]
@@ -251,13 +251,13 @@ class SpaceLinkFindingAgent(EpisodeAgent):
         )
 
     def _alike(self, found: LinkPosterior) -> tuple[str, ...]:
-        """Return the best hypothesis and those that no move can tell from it."""
+        """Return the best hypothesis and those indistinguishable from it by any move."""
         k = self.names.index(found.best)
         direction = found.directions[k] if k < self.problem.arm.n else None
         return look_alikes(self.frames, found.best, direction, tolerance=self.model.floor)
 
     def _clearest_sd(self, memory: _Search) -> float:
-        """Standard deviation of the clearest direction so far [rad]."""
+        """Smallest standard deviation of the directions so far [rad]."""
         d = self.frames.dimension
         return float(np.sqrt((d - 1) / max(np.trace(s.precision) for s in memory.sightings)))
 
@@ -269,7 +269,7 @@ class SpaceLinkFindingAgent(EpisodeAgent):
         return np.array([memory.rng.choice(np.flatnonzero(row)) for row in allowed])
 
     def _moves_to(self, pose: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.intp]:
-        """Index of the move of each joint that leads nearest to a pose."""
+        """Index of each joint's move that leads nearest to a pose."""
         off = np.abs((target - pose)[:, None] - self.problem.actions.steps)
         return np.argmin(off, axis=1).astype(np.intp)
 

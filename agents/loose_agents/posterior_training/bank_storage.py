@@ -1,4 +1,4 @@
-"""Banks on disk: a folder of shards of records, and beside it the figures worked out from them.
+"""Storage of record banks: shards of records with their precomputed features.
 
 Options of the scripts that build and use banks.
 """
@@ -49,7 +49,7 @@ SHARD = 500
 
 @dataclass(frozen=True, kw_only=True)
 class BankPlan:
-    """A bank, said in names and numbers."""
+    """Serialisable description of a record bank."""
 
     env_id: str
     """Id of the environment."""
@@ -67,7 +67,7 @@ class BankPlan:
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """Everything that one episode of the bank depends on."""
+        """Return every setting that determines one episode of the bank."""
         return {
             "env": self.env_id,
             "arguments": dict(self.arguments),
@@ -78,16 +78,16 @@ class BankPlan:
 
     @property
     def shards(self) -> tuple[Shard, ...]:
-        """Parts of the bank."""
+        """Shards of the bank."""
         return shard_of(self.episodes, SHARD)
 
     def problem(self) -> Problem:
-        """Make the arm and the rules."""
+        """Build the problem."""
         return problem_of(self.env_id, self.arguments)
 
 
 def build_bank(plan: BankPlan, folder: Path, settings: BackendSettings | None = None) -> ShardStore:
-    """Make what is missing of a bank."""
+    """Simulate the missing shards of a bank."""
     store = ShardStore(folder / "records", plan.configuration, ArrayCodec())
     run_shards(partial(_bank_shard, plan), plan.shards, store, settings=settings)
     return store
@@ -96,7 +96,7 @@ def build_bank(plan: BankPlan, folder: Path, settings: BackendSettings | None = 
 def build_figures(
     plan: BankPlan, folder: Path, settings: BackendSettings | None = None
 ) -> ShardStore:
-    """Work out what is missing of a bank's figures; the bank must be there."""
+    """Compute the missing features of a bank, which must exist."""
     configuration = plan.configuration | {
         "directions": directions_of(plan),
         "place": PLACE_FEATURES,
@@ -108,24 +108,24 @@ def build_figures(
 
 
 def read_bank(plan: BankPlan, folder: Path, shards: tuple[Shard, ...] | None = None) -> RecordBank:
-    """Read a bank, or some of its shards."""
+    """Read a bank, or a subset of its shards."""
     store = ShardStore(folder / "records", plan.configuration, ArrayCodec())
     chosen = plan.shards if shards is None else shards
     return RecordBank.joined([RecordBank(**part) for part in store.read_all(chosen)])
 
 
 def read_figures(store: ShardStore, shards: tuple[Shard, ...]) -> PlaceFigures:
-    """Read the figures of some shards."""
+    """Read the features of some shards."""
     return PlaceFigures.joined([PlaceFigures(**part) for part in store.read_all(shards)])
 
 
 def directions_of(plan: BankPlan) -> int:
-    """Sliding directions of a link that figures are worked out for."""
+    """Sliding directions of a link for which features are computed."""
     return plan.directions or (24 if len(_problem(plan).arm.axes) == 2 else 100)
 
 
 def seat_features(problem: Problem, directions: int) -> SeatFeatures:
-    """What works out the figures of a problem's records."""
+    """Build the feature extractor of a problem's records."""
     return SeatFeatures(
         problem.linear,
         problem.settings.sensors,
@@ -164,7 +164,7 @@ def _features(problem: Problem, directions: int) -> SeatFeatures:
 
 
 def add_bank_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that say which bank is meant."""
+    """Add the command-line options that specify a bank."""
     parser.add_argument("--env", default="loose_env/Planar-v0", help="environment id")
     parser.add_argument(
         "--arguments",
@@ -180,7 +180,7 @@ def add_bank_options(parser: argparse.ArgumentParser) -> None:
 
 
 def plan_of(options: argparse.Namespace) -> BankPlan:
-    """Read the options.
+    """Build the plan from parsed options.
 
     Raises
     ------

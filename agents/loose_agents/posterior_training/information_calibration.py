@@ -1,4 +1,4 @@
-"""What a record was expected to say, set against what records of a bank did say.
+"""Calibration of expected information gain against the gain in a record bank.
 
 The expected information rests on the nominal arm and on a rough idea of how seats open. How much
 of it comes true depends on the record's length and on which joints are shaken. These few factors
@@ -27,7 +27,7 @@ _LEAST = 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Transitions:
-    """Records of a bank: what was expected of each, and what it brought (N)."""
+    """Expected and realised information gain of N records of a bank."""
 
     expected: Array
     """Information without any factor [nat] (N,)."""
@@ -47,7 +47,7 @@ def transitions_of(
     *,
     records: int = 3,
 ) -> Transitions:
-    """Follow the episodes of a bank and weigh each record before it is taken in.
+    """Replay the episodes of a bank and predict the gain of each record.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def transitions_of(
 
 
 def fit_factors(found: Transitions) -> InformationFactors:
-    """Fit the factors by least squares; the mean of a gain is what is predicted."""
+    """Fit the factors by least squares to the mean information gain."""
     n = found.excited.shape[1]
 
     def factors(x: Array) -> InformationFactors:

@@ -1,4 +1,4 @@
-"""Works out how the records of trained-kind arms look, for `NoveltyReference`.
+"""Fits the in-distribution reference used by `NoveltyReference`.
 
 Only arms of the trained kind are shown to it. The mixtures are fitted to episodes that the
 network was trained on, the table of scores comes from episodes that neither has seen.
@@ -38,7 +38,7 @@ _EVEN = 1e-3  # spread of scores that are all alike
 
 @dataclass(frozen=True, kw_only=True)
 class NoveltySettings:
-    """How the reference is worked out."""
+    """Settings of the reference fit."""
 
     components: int = 12
     """Gaussians of each mixture."""
@@ -59,7 +59,7 @@ class NoveltySettings:
 def seen_episodes(
     problem: Problem, features: SeatFeatures, bank: RecordBank
 ) -> Iterator[list[Seen]]:
-    """Go through the episodes of a bank that have records; yield what each record showed.
+    """Iterate over the episodes of a bank that have records, with their statistics.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def episode_sights(
     prior: Array,
     counts: Sequence[int],
 ) -> list[Array]:
-    """What may give an episode away after so many of its records.
+    """Novelty statistics of an episode after a number of records.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def fit_reference(
     directions: Array,
     settings: NoveltySettings | None = None,
 ) -> NoveltyReference:
-    """Fit the mixtures, rank the held-out episodes.
+    """Fit the mixtures and rank the held-out episodes.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def fit_reference(
     prior = np.concatenate([[third], np.full(2 * n, third - np.log(n))])
 
     def sights_of(episodes: Iterable[Sequence[Seen]], most: int) -> list[list[Array]]:
-        """By number of records, what each episode showed."""
+        """Novelty statistics of each episode, by number of records."""
         found: list[list[Array]] = [[] for _ in range(s.tables)]
         for _, seen in zip(range(most), episodes, strict=False):
             counts = range(1, len(seen) + 1)
@@ -209,7 +209,7 @@ def fit_reference(
 def with_reference(
     tensors: Mapping[str, NDArray[Any]], reference: NoveltyReference
 ) -> dict[str, NDArray[Any]]:
-    """Put a reference beside a network's tensors, in place of one that was there."""
+    """Store a reference beside a network's tensors, replacing an existing one."""
     kept = {name: values for name, values in tensors.items() if not name.startswith(REFERENCE)}
     return kept | {REFERENCE + name: values for name, values in _rounded(reference).items()}
 

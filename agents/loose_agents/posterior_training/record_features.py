@@ -1,4 +1,4 @@
-"""The figures of every record of a bank, worked out once before a network is trained on them."""
+"""Features of every record of a bank, precomputed for training."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["PlaceFigures", "figures_of"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlaceFigures:
-    """Figures of N records of E episodes, those of an episode one after the other."""
+    """Features of N records of E episodes, grouped by episode."""
 
     place: NDArray[np.float16]
     """By place, `PLACE_FEATURES` (N, P, C)."""
@@ -34,7 +34,7 @@ class PlaceFigures:
 
     @classmethod
     def joined(cls, parts: list[PlaceFigures]) -> PlaceFigures:
-        """Put the figures of several shards together."""
+        """Concatenate the features of several shards."""
         return cls(
             **{
                 name: np.concatenate([getattr(part, name) for part in parts])
@@ -44,12 +44,12 @@ class PlaceFigures:
 
     @property
     def first(self) -> NDArray[np.int64]:
-        """Where the records of each episode begin (E,)."""
+        """Index of the first record of each episode (E,)."""
         return np.asarray(np.cumsum(self.count) - self.count)
 
 
 def figures_of(problem: Problem, features: SeatFeatures, bank: RecordBank) -> PlaceFigures:
-    """Work out the figures of all records of a bank.
+    """Compute the features of all records of a bank.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A bank of simulated records: episodes of random actions, made once and used by every agent.
+"""Bank of simulated records: episodes of random actions shared by all agents.
 
 What limits a learned diagnosis is the number of records it has seen. A bank holds, for each of
 its episodes, the observation slots of a few records taken at random and the truth behind them.
@@ -28,7 +28,7 @@ _ACTIONS = 16  # stream of the random actions, beyond those of the episode itsel
 
 @dataclass(frozen=True, kw_only=True)
 class BankSettings:
-    """How the records of a bank are taken."""
+    """Sampling settings of the records of a bank."""
 
     records: int = 4
     """Records an episode."""
@@ -44,7 +44,7 @@ class BankSettings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordBank:
-    """Episodes of records with the truth behind them; E episodes of up to R records."""
+    """Episodes of records with their ground truth; E episodes of up to R records."""
 
     slots: NDArray[np.float32]
     """Observation slots, zero where no record was taken (E, R, elements)."""
@@ -63,12 +63,12 @@ class RecordBank:
         return len(self.truth)
 
     def part(self, chosen: Any) -> RecordBank:
-        """Return some of the episodes."""
+        """Return a subset of the episodes."""
         return RecordBank(**{name: values[chosen] for name, values in vars(self).items()})
 
     @classmethod
     def joined(cls, parts: list[RecordBank]) -> RecordBank:
-        """Put banks of one problem together."""
+        """Concatenate banks of one problem."""
         most = max(part.slots.shape[1] for part in parts)
 
         def padded(values: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -85,7 +85,7 @@ class RecordBank:
 def play_episodes(
     problem: Problem, settings: BankSettings, *, seed: int, start: int, stop: int, width: int = 32
 ) -> RecordBank:
-    """Make the episodes ``start`` to ``stop - 1`` of a seed.
+    """Simulate the episodes ``start`` to ``stop - 1`` of a seed.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def _action(
     settings: BankSettings,
     rng: np.random.Generator,
 ) -> NDArray[np.int64]:
-    """Draw a record: random moves, some joints at one level, a random length."""
+    """Sample a record: random moves, excited joints and levels, and duration."""
     n = problem.arm.n
     allowed = problem.actions.allowed_moves(_of(batch, slot).pose)
     moves = np.array([rng.choice(np.flatnonzero(row)) for row in allowed])

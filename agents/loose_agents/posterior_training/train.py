@@ -1,4 +1,4 @@
-"""Training of the learned likelihood on the figures of a record bank.
+"""Training of the learned likelihood on the features of a record bank.
 
 The loss is the log score of the hypotheses after each record, and beside it, in small part, of
 direction and friction where the truth is loose: the sums over them stay meaningful, and policies
@@ -28,7 +28,7 @@ __all__ = ["PosteriorTraining", "TrainingSettings"]
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingSettings:
-    """Size of the network and course of its training."""
+    """Architecture and optimisation settings of the training."""
 
     hidden: int = 48
     """Hidden units."""
@@ -49,7 +49,7 @@ class TrainingSettings:
 
 
 class _Layers(nn.Module):
-    """The network of `SeatNetwork`, tensor by tensor."""
+    """Trainable form of `SeatNetwork`."""
 
     def __init__(self, figures: PlaceFigures, settings: TrainingSettings, hypotheses: int) -> None:
         super().__init__()
@@ -80,7 +80,7 @@ class _Layers(nn.Module):
 
 
 class PosteriorTraining:
-    """One training: data, network, optimiser; resumes from a checkpoint.
+    """Training state: data, network and optimiser; resumes from a checkpoint.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ class PosteriorTraining:
         self.node = torch.from_numpy(np.clip(node, 0, s.frictions - 1).astype(np.int64))
 
     def rows(self, episodes: NDArray[np.intp], records: int) -> NDArray[np.intp]:
-        """Where the first records of episodes lie (episodes * records,)."""
+        """Indices of the first records of episodes (episodes * records,)."""
         return (self.figures.first[episodes][:, None] + np.arange(records)).ravel()
 
     def posterior(self, rows: NDArray[np.intp], records: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -159,7 +159,7 @@ class PosteriorTraining:
         *,
         stream: TextIO | None = None,
     ) -> None:
-        """Go on to the last step; keep checkpoints in a folder and start from the one there.
+        """Train to the last step, writing checkpoints and resuming from an existing one.
 
         Parameters
         ----------
@@ -214,7 +214,7 @@ class PosteriorTraining:
         return score + self.settings.further * self._further(episodes, truth, total)
 
     def _further(self, episodes: NDArray[np.intp], truth: Tensor, total: Tensor) -> Tensor:
-        """Log score of direction and friction, given the hypothesis that is true."""
+        """Log score of direction and friction, conditional on the true hypothesis."""
         n, count = self.n, len(self.directions)
         node = self.node[torch.from_numpy(episodes)]
         loss = torch.zeros(())
@@ -235,7 +235,7 @@ class PosteriorTraining:
         return loss
 
     def calibrate(self, figures: PlaceFigures) -> None:
-        """Set the tempers so that held-out episodes get the best log score.
+        """Fit the temperatures that maximise the log score on held-out episodes.
 
         One factor for each of the first four numbers of records, one for all above, where
         held-out episodes are few. Training leaves the posterior a little less sure than it may be.
@@ -270,7 +270,7 @@ class PosteriorTraining:
         self.figures = seen
 
     def scores(self, figures: PlaceFigures, *, most: int = 4) -> list[dict[str, float]]:
-        """How well held-out episodes are judged after one record, two, and so on.
+        """Scores on held-out episodes by number of records.
 
         Parameters
         ----------
@@ -310,7 +310,7 @@ class PosteriorTraining:
         return found
 
     def tensors(self) -> dict[str, NDArray[Any]]:
-        """Everything that `SeatNetwork` needs."""
+        """Return all tensors of `SeatNetwork`."""
         state = self.layers.state_dict()
         return {name: state[name].cpu().numpy().copy() for name in SeatNetwork.shapes}
 
@@ -342,7 +342,7 @@ class PosteriorTraining:
 
 
 def _calibration_error(confidence: NDArray[np.floating], right: NDArray[np.bool_]) -> float:
-    """Mean distance between confidence and share of right answers over ten bins [1]."""
+    """Expected calibration error over ten confidence bins [1]."""
     bins = np.minimum((10 * confidence).astype(int), 9)
     return float(
         sum(abs(float((confidence[bins == b] - right[bins == b]).sum())) for b in range(10))

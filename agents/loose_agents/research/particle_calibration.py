@@ -1,4 +1,4 @@
-"""Whether the particles' own probabilities are right: cases simulated from their own prior.
+"""Simulation-based calibration of the particle posterior under its own prior.
 
 All cases share one record's pose and excitation, so that they share the particles too: these are
 simulated once and weighed anew for every case, without a ladder. Hundreds of cases cost as much
@@ -36,7 +36,7 @@ _FIRST_CASE = 10_000_000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CalibrationCases:
-    """Cases drawn from the prior, and what posteriors make of them."""
+    """Cases drawn from the prior, with their posteriors."""
 
     truth: NDArray[np.intp]
     """Index of what is true (M,)."""
@@ -44,7 +44,7 @@ class CalibrationCases:
     """Probabilities of the hypotheses by posterior, "particles" first (M, H)."""
 
     def promised(self, posterior: str) -> float:
-        """Mean probability that a calibrated posterior as sure as this gives to the truth."""
+        """Mean probability of the truth expected of a calibrated posterior."""
         return float((self.probabilities[posterior] ** 2).sum(axis=1).mean())
 
 
@@ -60,7 +60,7 @@ def calibration_cases(
     repeated: int = 40,
     repeats: int = 8,
 ) -> CalibrationCases:
-    """Draw cases from the prior in a record's pose and excitation, and weigh them.
+    """Sample cases from the prior for one record, and compute their posteriors.
 
     Parameters
     ----------

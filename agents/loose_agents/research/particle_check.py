@@ -1,4 +1,4 @@
-"""Check fast posteriors against the one by particles, on episodes of random actions."""
+"""Comparison of fast posteriors with the particle posterior on random episodes."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ _ACTIONS, _PARTICLES = 17, 18  # streams of an episode beyond those of its own
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Played:
-    """What was measured in one episode, and what was true."""
+    """Measurements and ground truth of one episode."""
 
     truth: int
     """Index of the true hypothesis."""
@@ -128,7 +128,7 @@ def particle_row(
     number: int,
     runs: int = 2,
 ) -> dict[str, Any]:
-    """Weigh one episode by particles, several times anew; a row that can be stored.
+    """Particle posteriors of one episode, over several runs, as a storable row.
 
     The evidence is that of every island, over the largest of its run.
     """
@@ -162,7 +162,7 @@ def particle_row(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Weighed:
-    """What the particles say of the stored episodes."""
+    """Particle posteriors of the stored episodes."""
 
     evidence: tuple[Array, ...]
     """Log evidence of each episode: runs, islands, hypotheses (R, B, H)."""
@@ -171,7 +171,7 @@ class Weighed:
 
     @classmethod
     def of(cls, rows: Sequence[Mapping[str, Any]]) -> Weighed:
-        """Read rows that `particle_row` made."""
+        """Build from rows of `particle_row`."""
         evidence = tuple(
             np.array([run["log_evidence"] for run in row["runs"]], dtype=float) for row in rows
         )
@@ -183,7 +183,7 @@ class Weighed:
         return len(self.evidence[0][0])
 
     def by_run(self, run: int, islands: slice = slice(None)) -> Array:
-        """Probabilities by one run, or by some of its islands alone (E, H)."""
+        """Probabilities by run, or by a subset of its islands (E, H)."""
         return np.array(
             [
                 probabilities_from(prior, log[run, islands])
@@ -198,13 +198,13 @@ class Weighed:
 
     @property
     def standard_error(self) -> Array:
-        """Standard error of that mean, by the spread of the runs (E, H)."""
+        """Standard error of that mean, from the variance between runs (E, H)."""
         runs = [self.by_run(run) for run in range(len(self.evidence[0]))]
         return np.asarray(np.std(runs, axis=0, ddof=1) / np.sqrt(len(runs)))
 
 
 def distance(one: Array, other: Array) -> Array:
-    """Total variation between probabilities of each episode, 0 for equal to 1 for apart (E,).
+    """Total variation distance between probabilities of each episode (E,).
 
     Examples
     --------
@@ -216,7 +216,7 @@ def distance(one: Array, other: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """One posterior, and how far it is from the particles', over the same episodes."""
+    """Distance of one posterior from the particle posterior over the same episodes."""
 
     log_score: float
     """Mean log probability of the truth, at least that of `FLOOR`."""
@@ -241,7 +241,7 @@ class Comparison:
 
 
 def compare(probabilities: Array, particles: Array, truth: NDArray[np.intp]) -> Comparison:
-    """Compare a posterior's probabilities with the particles'.
+    """Compare a posterior's probabilities with those of the particle posterior.
 
     Parameters
     ----------
@@ -286,7 +286,7 @@ def compare(probabilities: Array, particles: Array, truth: NDArray[np.intp]) -> 
 
 @dataclass(frozen=True, kw_only=True)
 class AtSize:
-    """The particles as far as a share of them goes."""
+    """Particle posterior from a fraction of the particles."""
 
     share: float
     """Share of a run's particles; above one, runs are put together."""
@@ -301,7 +301,7 @@ class AtSize:
 def by_size(
     weighed: Weighed, others: Mapping[str, Array], truth: NDArray[np.intp]
 ) -> tuple[AtSize, ...]:
-    """See how noise and distances fall with the number of particles.
+    """Compute sampling error and distances against the number of particles.
 
     A share of a run is a group of its islands; the scatter of summaries is that of the whole run.
     """
@@ -350,7 +350,7 @@ def draw_check(
     *,
     caption: str,
 ) -> None:
-    """Draw the probabilities of other posteriors against the particles', a panel for each.
+    """Plot other posteriors against the particle posterior, one panel each.
 
     Parameters
     ----------

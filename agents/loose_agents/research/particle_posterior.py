@@ -1,4 +1,4 @@
-"""The posterior by particles on records of the environment: arms drawn as it draws them.
+"""Particle posterior on the environment's records, with its own arm prior.
 
 It is no agent's estimator, being slow, but the yardstick for those that are fast: it asks nothing
 of the physics but the simulation itself (see `loose_env.diagnosis.research.particles.evidence`). A
@@ -42,7 +42,7 @@ _SLOTS = 32
 
 
 class _Given:
-    """Stands where a generator is asked for random numbers and hands out given ones.
+    """Random generator stand-in that returns given numbers.
 
     So the prior is the environment's own draw, as a function of standard normal variates.
     """
@@ -63,7 +63,7 @@ class _Given:
 
 
 class SimulatedRecords:
-    """Simulates particles in the poses of given records, excited as these were.
+    """Simulates particles in the poses and with the excitations of given records.
 
     Parameters
     ----------
@@ -112,14 +112,14 @@ class SimulatedRecords:
         return 0 if isinstance(fault, Healthy) else counter.taken
 
     def fault(self, hypothesis: str, variates: Array) -> Fault:
-        """Make the fault that standard normal variates (V,) stand for."""
+        """Build the fault that standard normal variates (V,) map to."""
         if not len(variates):
             return Healthy()
         given = cast(np.random.Generator, _Given(variates))
         return self.sampler.draw(given, hypothesis=hypothesis)
 
     def true_arm(self, realisation: int) -> MismatchDraw:
-        """Draw the arm of a realisation; that of realisation 0 is the nominal one."""
+        """Sample the arm of a realisation; realisation 0 is the nominal arm."""
         if realisation == 0:
             return self._nominal
         return self.mismatch.draw(self.problem.arm, self._generator(len(self.records), realisation))
@@ -171,7 +171,7 @@ class SimulatedRecords:
 
 
 def _statistics_if_any(measurement: Measurement) -> RecordStatistics | None:
-    """Statistics of a measurement; None where it failed or its readings make none."""
+    """Statistics of a measurement; None if it failed or is degenerate."""
     if measurement.failure is not None:
         return None
     try:
@@ -181,7 +181,7 @@ def _statistics_if_any(measurement: Measurement) -> RecordStatistics | None:
 
 
 def _prior(problem: Problem, sampler: FaultSampler) -> Array:
-    """Probability of each hypothesis: that of its kind, even among places (H,)."""
+    """Prior of each hypothesis: its kind's, uniform over locations (H,)."""
     kinds = [name.partition("@")[0] for name in problem.hypotheses]
     shares = [sampler.probabilities.get(kind, 0.0) / kinds.count(kind) for kind in kinds]
     return np.array(shares)
@@ -189,7 +189,7 @@ def _prior(problem: Problem, sampler: FaultSampler) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ParticleBelief:
-    """What the records so far say; worked out when it is first asked for."""
+    """Particle posterior given the records so far, computed lazily."""
 
     posterior: ParticlePosterior
     """The posterior it belongs to."""
@@ -208,7 +208,7 @@ class ParticleBelief:
 
 
 class ParticlePosterior:
-    """Bayes' rule over faults by simulating thousands of arms for every set of records.
+    """Bayes' rule over faults by simulating thousands of arms per set of records.
 
     Can stand where the other posteriors stand, as in `loose_agents.core.belief_tracker.Tracker`,
     at seconds to minutes for each set of records. Direction, gap, friction, stops and mismatch are
@@ -261,11 +261,11 @@ class ParticlePosterior:
         return ParticleBelief(posterior=self)
 
     def update(self, belief: ParticleBelief, record: RecordStatistics) -> ParticleBelief:
-        """Take in one record; nothing is simulated before the probabilities are asked for."""
+        """Update with one record; simulation is deferred until probabilities are read."""
         return ParticleBelief(posterior=self, records=(*belief.records, record))
 
     def evidence(self, records: Sequence[RecordStatistics]) -> Evidence:
-        """Weigh the hypotheses by all the records of one arm."""
+        """Compute the evidence of the hypotheses from all records of one arm."""
         model = SimulatedRecords(self.problem, self.sampler, self.rig, records, seed=self.seed)
         # A branch of its own beside those of the records' realisations.
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(len(records),)))

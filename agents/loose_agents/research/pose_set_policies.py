@@ -1,4 +1,4 @@
-"""Policies that choose poses only: a set laid out beforehand, greedy separation, another's moves.
+"""Pose-selection policies: fixed sets, greedy separation, another agent's moves.
 
 All of them play the same excitation, so that what the choice of poses gives stands alone.
 """
@@ -48,7 +48,7 @@ def levels_for(problem: Problem, excited: Excited) -> NDArray[np.intp]:
 
 
 def nearest_moves(problem: Problem, pose: ArrayLike, target: ArrayLike) -> NDArray[np.intp]:
-    """Move of every joint that brings it nearest to a target, within its range (n,).
+    """Move of each joint that brings it nearest to a target, within limits (n,).
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def nearest_moves(problem: Problem, pose: ArrayLike, target: ArrayLike) -> NDArr
 
 
 class PoseSetPolicy:
-    """Plays a set of poses one after the other, by the nearest reachable moves.
+    """Visits a set of poses in order, by the nearest reachable moves.
 
     After the last pose it begins again.
 
@@ -108,14 +108,14 @@ class PoseSetPolicy:
         self.levels = levels_for(problem, excited)
 
     def choose(self, situation: Situation) -> NDArray[np.int64]:
-        """Go to the pose whose turn it is."""
+        """Go to the next pose of the set."""
         target = self.poses[situation.records % len(self.poses)]
         moves = nearest_moves(self.problem, situation.pose, target)
         return self.problem.actions.encode(moves=moves, levels=self.levels)
 
 
 class GreedySeparation:
-    """Goes where the images of the hypotheses, weighed by the posterior, lie farthest apart.
+    """Maximises the posterior-weighted separation of the hypotheses' images.
 
     The first record is taken where the arm stands.
 
@@ -149,7 +149,7 @@ class GreedySeparation:
         self.sight = image_posterior if sight is None else sight
 
     def choose(self, situation: Situation) -> NDArray[np.int64]:
-        """Weigh the moves within reach."""
+        """Score the reachable moves and choose the best."""
         problem = self.problem
         if situation.records == 0:
             return problem.actions.encode(levels=self.levels)
@@ -175,7 +175,7 @@ class GreedySeparation:
 
 
 def image_posterior(problem: Problem, situation: Situation) -> LinkPosterior:
-    """Put the tracker's belief into the form that the choice of a move takes.
+    """Convert the tracker's belief to the input of the move selection.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ def image_posterior(problem: Problem, situation: Situation) -> LinkPosterior:
 
 
 class MovesOf:
-    """Moves as another agent does, at the common excitation.
+    """Copies another agent's moves, at the common excitation.
 
     Where that agent would give a verdict the arm stays. One instance plays one episode.
 
@@ -234,7 +234,7 @@ class MovesOf:
         self._state: Sequence[Any] | None = None
 
     def choose(self, situation: Situation) -> NDArray[np.int64]:
-        """Ask the agent and keep its moves."""
+        """Query the other agent and use its moves."""
         start = np.array([situation.records == 0])
         actions, self._state = self.agent.predict(
             situation.observation[None], self._state, start, deterministic=True

@@ -1,4 +1,4 @@
-"""How often pose sets name the loose link: blocks of cases, from directions and from records.
+"""Accuracy of link identification by pose set, from directions and from records.
 
 Every block can be worked out alone and anywhere: all that is random in case k comes from streams of
 its own, the same for every strategy.
@@ -100,14 +100,14 @@ class Records:
     seed: int = 0
 
     def rules(self) -> DiagnosisSettings:
-        """Rules of the environment, as its users find them."""
+        """Rules of the environment with its default settings."""
         rules = DiagnosisSettings(difficulty=self.difficulty)
         return rules if self.engine == "mujoco" else replace(rules, engine=self.engine)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """One block of cases for one strategy on one arm."""
+    """Block of cases for one strategy on one arm."""
 
     arm: str
     strategy: str
@@ -115,24 +115,24 @@ class Task:
     cases: int
 
     def __str__(self) -> str:
-        """Return what it is, for messages."""
+        """Return a description, for messages."""
         return f"{self.strategy} on {self.arm}, cases from {self.first}"
 
 
 @functools.cache
 def sets_of(arm: str, moves: tuple[float, ...]) -> PoseSets:
-    """Maker of pose sets, which remembers the poses it has scored."""
+    """Factory of pose sets that caches pose scores."""
     return PoseSets(ARMS[arm](), moves=np.array(moves))
 
 
 def stream(seed: int, arm: str, case: int, *kind: int) -> np.random.Generator:
-    """Generator of one kind of draw of one case: the same for every strategy and worker."""
+    """Generator of one kind of draw of one case, common to strategies and workers."""
     key = (list(ARMS).index(arm), case, *kind)
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
 
 
 def link_log_likelihoods(images: Array, seen: Array, width: float) -> Array:
-    """Log-likelihood of each link after each pose; `link_posterior` for many cases at once.
+    """Log-likelihood of each link after each pose; vectorised `link_posterior`.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def link_log_likelihoods(images: Array, seen: Array, width: float) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Case:
-    """A loose link that shows its direction, scattered, wherever it is looked at."""
+    """Case of a loose link whose direction is observed with scatter."""
 
     link: int
     direction: Array
@@ -165,21 +165,21 @@ class Case:
 
     @classmethod
     def draw(cls, sets: PoseSets, rng: np.random.Generator) -> Case:
-        """Draw link, direction in the link's frame, and where the arm stands."""
+        """Sample link, direction in the link frame, and initial pose."""
         z = rng.standard_normal(sets.frames.dimension)
         link = 1 + int(rng.integers(sets.arm.n))
         start = sets.arm.random_pose(rng)
         return cls(link=link, direction=z / np.linalg.norm(z), start=start)
 
     def seen(self, images: Array, width: float, rng: np.random.Generator) -> Array:
-        """Axes seen with given images (poses, n, d, d)."""
+        """Observed axes for given images (poses, n, d, d)."""
         return scattered_axes(images[:, self.link - 1] @ self.direction, width, rng)
 
 
 def greedy_poses(
     sets: PoseSets, case: Case, count: int, sd: float, rngs: Sequence[np.random.Generator]
 ) -> Array:
-    """Go where the images of the links in question lie farthest apart, direction by direction."""
+    """Maximise the separation of the candidate links' images, pose by pose."""
     frames, width = sets.frames, bingham_width(sd, sets.frames.dimension)
     noise, draw = rngs
     n = sets.arm.n
@@ -197,7 +197,7 @@ def greedy_poses(
 
 
 def directions_block(task: Task, settings: Directions) -> list[Row]:
-    """Number of right links after each pose, for each scatter."""
+    """Number of correctly identified links after each pose, for each scatter."""
     sets = sets_of(task.arm, tuple(MOVES))
     frames, count, seed = sets.frames, settings.poses, settings.seed
     numbers = range(task.first, task.first + task.cases)
@@ -242,7 +242,7 @@ def directions_block(task: Task, settings: Directions) -> list[Row]:
 
 
 def limit_rows(settings: Directions) -> list[Row]:
-    """The limits, for each arm and scatter."""
+    """Theoretical limits for each arm and scatter."""
     rows = []
     for name in settings.arms:
         arm = ARMS[name]()
@@ -283,7 +283,7 @@ def policy_for(task: Task, problem: Problem, settings: Records, start: Array, k:
 
 
 def records_block(task: Task, settings: Records) -> list[Row]:
-    """Number of right links after each record, and were direction and friction known.
+    """Correct links after each record, also given direction and friction.
 
     The latter is worked out from the same records beside the episode; no strategy sees it.
     """
@@ -345,7 +345,7 @@ def records_block(task: Task, settings: Records) -> list[Row]:
 def informed_links(
     posterior: FaultPosterior, belief: Belief, direction: Array, friction: float
 ) -> Array:
-    """Log-weight of each link for one who knows the slide's direction and its friction.
+    """Log-weight of each link given the slide's direction and friction.
 
     Neither says which link it is: both are drawn alike for all. Nodes of the posterior's grid near
     the truth count, those half a spacing away for 0.6.

@@ -1,4 +1,4 @@
-"""Models of stable-baselines3 on disk, read without running anything that is in the file.
+"""Safe reading and writing of stable-baselines3 models without executing code.
 
 A model's ``.zip`` holds tensors, and settings of which some are pickled objects: unpickling runs
 whatever the file says. So only the tensors and plain JSON are read here. The rest of a model, its
@@ -45,7 +45,7 @@ _NETWORK = (
 
 @dataclass(frozen=True, kw_only=True)
 class StoredModel:
-    """What is read of a model's file."""
+    """Contents read from a model file."""
 
     path: Path
     parameters: Mapping[str, Any]
@@ -57,7 +57,7 @@ class StoredModel:
 
 
 def zipped(model: Any, state: Any) -> bytes:
-    """A model of stable-baselines3 with what its run remembers.
+    """Serialise a stable-baselines3 model with the state of its run.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def zipped(model: Any, state: Any) -> bytes:
 
 
 def read_model(path: str | Path, device: str = "cpu") -> StoredModel:
-    """Read tensors and plain settings. Nothing is unpickled but tensors, by torch's own rules.
+    """Read tensors and plain settings; only torch's restricted unpickler is used.
 
     Raises
     ------
@@ -115,7 +115,7 @@ def read_model(path: str | Path, device: str = "cpu") -> StoredModel:
 
 
 def restore(stored: StoredModel, model: Any, kind: type[Any]) -> Any:
-    """Put tensors and counters into a model made anew; return what the run remembers.
+    """Load tensors and counters into a new model; return the run state.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def restore(stored: StoredModel, model: Any, kind: type[Any]) -> Any:
 
 
 def put_parameters(stored: StoredModel, model: Any) -> None:
-    """Put the tensors of a file into a model.
+    """Load a file's tensors into a model.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def put_parameters(stored: StoredModel, model: Any) -> None:
 
 
 def network_arguments(stored: StoredModel) -> dict[str, Any]:
-    """Arguments that the policy's network was made with, as far as they are plain.
+    """Keyword arguments of the policy's network that are plain values.
 
     Raises
     ------
@@ -201,7 +201,7 @@ def _count(value: Any) -> int:
 
 
 def _plain(value: Any) -> Any:
-    """Values that JSON has; arrays of generators' states as their bytes."""
+    """Convert to JSON-compatible values; generator states become bytes."""
     import numpy as np
 
     if isinstance(value, np.ndarray):

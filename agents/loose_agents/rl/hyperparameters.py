@@ -1,4 +1,4 @@
-"""Hyperparameters in the format of the rl-zoo, and the short words of its command line."""
+"""Hyperparameters in rl-zoo format and their command-line overrides."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _GIVEN = ("self", "env", "tensorboard_log", "verbose", "seed", "device", "_init_
 
 
 class LinearSchedule:
-    """Falls in proportion to what is left of the training, from a first value to zero.
+    """Linear schedule from an initial value to zero over the training.
 
     Examples
     --------
@@ -51,7 +51,7 @@ class LinearSchedule:
         self.first = float(first)
 
     def __call__(self, left: float) -> float:
-        """Value at a share of the training left."""
+        """Value at a remaining fraction of the training."""
         return left * self.first
 
     def __repr__(self) -> str:
@@ -59,7 +59,7 @@ class LinearSchedule:
 
 
 def algorithm_named(name: str) -> type[Any]:
-    """Class of an algorithm, by the rl-zoo's name.
+    """Return the algorithm class by its rl-zoo name.
 
     Raises
     ------
@@ -84,12 +84,12 @@ def algorithm_named(name: str) -> type[Any]:
 
 
 def shipped_file(algorithm: str) -> Path:
-    """File of hyperparameters that ships for an algorithm."""
+    """Path of the shipped hyperparameter file of an algorithm."""
     return HYPERPARAMETERS / f"{ALGORITHMS[algorithm][0]}.yml"
 
 
 def value_of(text: str) -> Any:
-    """Read a value written in Python: numbers, strings, lists, ``dict(...)``, ``nn.ReLU``.
+    """Parse a Python literal, ``dict(...)`` or ``nn.ReLU``.
 
     Nothing is run. A word alone is a string.
 
@@ -147,7 +147,7 @@ def _value(node: ast.expr) -> Any:
 
 
 def key_values(words: Sequence[str], option: str) -> dict[str, Any]:
-    """Read ``key:value`` words as the rl-zoo's command line takes them.
+    """Parse ``key:value`` words in the syntax of rl-zoo's command line.
 
     Raises
     ------
@@ -172,7 +172,7 @@ def key_values(words: Sequence[str], option: str) -> dict[str, Any]:
 
 
 def read_hyperparameters(path: str | Path, env_id: str) -> dict[str, Any]:
-    """Read the hyperparameters of an environment: its own entry, or that named "default".
+    """Read an environment's hyperparameters, falling back to "default".
 
     Raises
     ------
@@ -210,7 +210,7 @@ def read_hyperparameters(path: str | Path, env_id: str) -> dict[str, Any]:
 
 
 def model_arguments(given: dict[str, Any], algorithm: str) -> dict[str, Any]:
-    """Turn hyperparameters into arguments of the algorithm's class.
+    """Convert hyperparameters to keyword arguments of the algorithm.
 
     Schedules such as "lin_3e-4" become functions, and policy_kwargs in text becomes a dict.
     What concerns the run and not the model is left out.

@@ -40,7 +40,7 @@ _LEAST = 1e-6
 
 
 class PolicyForm:
-    """What the policy sees and chooses, and how its choice becomes an action.
+    """Observation and action encoding of the learned policy.
 
     It sees, one after the other: the probabilities of the hypotheses; their logarithms (the
     natural ones, those below 1e-6 cut off, divided by 7); the largest probability; the logarithm of
@@ -93,7 +93,7 @@ class PolicyForm:
         probabilities: NDArray[np.float64],
         further: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
-        """What the policy sees (features,)."""
+        """Observation of the policy (features,)."""
         p = np.asarray(probabilities, dtype=float)
         logs = np.log(np.maximum(p, _LEAST)) / 7.0
         entropy = -np.sum(p * np.log(np.maximum(p, 1e-12))) / np.log(max(len(p), 2))
@@ -111,7 +111,7 @@ class PolicyForm:
         return np.asarray(np.clip(both, space.low, space.high))
 
     def stops(self, choice: NDArray[np.int64], records: int, *, least: int = 1) -> bool:
-        """Whether a choice ends the episode: not before ``least`` records, always after the last.
+        """Return True if a choice ends the episode, within the record limits.
 
         Parameters
         ----------
@@ -133,13 +133,13 @@ class PolicyForm:
         *,
         least: int = 1,
     ) -> NDArray[np.int64]:
-        """Turn a choice into an action of the environment; arguments as in `stops`."""
+        """Convert a choice to an action of the environment; arguments as in `stops`."""
         if self.stops(choice, records, least=least):
             return self.problem.verdict(best_verdict(self.problem, probabilities))
         return self.measuring(choice)
 
     def measuring(self, choice: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Turn a choice into an action that measures, whether it stops or not."""
+        """Convert a choice to a measurement action, ignoring its stop decision."""
         problem = self.problem
         n = problem.arm.n
         choice = np.asarray(choice)
@@ -151,7 +151,7 @@ class PolicyForm:
         )
 
     def mask(self, pose: NDArray[np.float64], records: int, *, least: int = 1) -> NDArray[np.bool_]:
-        """Which options make sense, one choice after the other (options,).
+        """Mask of valid options, choice by choice (options,).
 
         No move past the range of a joint, no stop before ``least`` records, no going on after
         the last. A pose read from an observation is known up to whole turns: of a joint that
@@ -172,7 +172,7 @@ class PolicyForm:
 
 @dataclass
 class _Memory:
-    """One episode: its generator, and what the estimator and the network remember."""
+    """State of one episode: generator, estimator state and network state."""
 
     rng: np.random.Generator
     estimate: Any
@@ -249,7 +249,7 @@ class LearnedAgent(EpisodeAgent):
         return _Memory(rng=rng, estimate=self.estimator.begin(), state=self.network.begin())
 
     def act(self, observation: NDArray[np.float32], memory: _Memory) -> NDArray[np.int64]:
-        """Ask the policy."""
+        """Evaluate the policy."""
         problem, form = self.problem, self.form
         probabilities = self.estimator.follow(observation, memory.estimate)
         memory.probabilities = probabilities

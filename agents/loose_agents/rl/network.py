@@ -1,4 +1,4 @@
-"""The trained policy's network: weights without code, forward pass in numpy."""
+"""Forward pass of the trained policy network in numpy, with code-free weights."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ class Layer:
     """(out,)."""
 
     def __call__(self, x: Weights) -> Weights:
-        """Apply it to (in,)."""
+        """Apply the layer to (in,)."""
         # A plain sum: the same to the last bit whatever the number of threads.
         return np.asarray(np.einsum("oi,i->o", self.weight, x) + self.bias)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cell:
-    """One layer of a long short-term memory, laid out as torch does it.
+    """LSTM layer with torch's parameter layout.
 
     The rows are input gate, forget gate, candidate and output gate, ``size`` of each
     (Hochreiter & Schmidhuber 1997, with the forget gate of Gers et al. 2000).
@@ -64,7 +64,7 @@ class Cell:
         return self.on_state.weight.shape[1]
 
     def __call__(self, x: Weights, hidden: Weights, cell: Weights) -> tuple[Weights, Weights]:
-        """Take in (in,); return the next hidden and cell state, (size,) each."""
+        """Apply to (in,); return the next hidden and cell state, (size,) each."""
         gates = self.on_input(x) + self.on_state(hidden)
         enter, keep, candidate, show = np.split(gates, 4)
         after = _sigmoid(keep) * cell + _sigmoid(enter) * np.tanh(candidate)
@@ -73,7 +73,7 @@ class Cell:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PolicyNetwork:
-    """The actor of a policy of stable-baselines3: memory cells if any, layers, a head a choice."""
+    """Actor of a stable-baselines3 policy: LSTM cells, layers, one head per choice."""
 
     layers: tuple[Layer, ...]
     """Layers with an activation between them; the last gives the logits."""
@@ -93,14 +93,14 @@ class PolicyNetwork:
             )
 
     def begin(self) -> State:
-        """Return the state of a new episode."""
+        """Return the initial state of an episode."""
         return tuple(
             (np.zeros(c.size, dtype=np.float32), np.zeros(c.size, dtype=np.float32))
             for c in self.cells
         )
 
     def logits(self, features: NDArray[np.float32], state: State) -> tuple[Weights, State]:
-        """Logits of all options, one choice after the other, and the next state."""
+        """Logits of all options, choice by choice, and the next state."""
         y = np.asarray(features, dtype=np.float32)
         after = []
         for cell, (hidden, kept) in zip(self.cells, state, strict=True):
@@ -144,7 +144,7 @@ def _sigmoid(x: Weights) -> Weights:
 
 
 def network_of(model: Any) -> PolicyNetwork:
-    """Copy the actor out of a model of stable-baselines3 or sb3-contrib.
+    """Extract the actor from a stable-baselines3 or sb3-contrib model.
 
     Raises
     ------
@@ -194,7 +194,7 @@ def _network(
 
 
 def _tensors(network: PolicyNetwork) -> dict[str, Weights]:
-    """Name the weights as torch does."""
+    """Return the weights under torch's parameter names."""
     tensors: dict[str, Weights] = {}
     for k, cell in enumerate(network.cells):
         for part, own in (("ih", cell.on_input), ("hh", cell.on_state)):
@@ -208,7 +208,7 @@ def _tensors(network: PolicyNetwork) -> dict[str, Weights]:
 
 
 def save_network(network: PolicyNetwork, folder: str | Path) -> None:
-    """Write the weights; beside their name first, then renamed."""
+    """Write the weights atomically, by renaming a temporary file."""
     from safetensors.numpy import save
 
     described = {
@@ -229,7 +229,7 @@ def save_network(network: PolicyNetwork, folder: str | Path) -> None:
 
 
 def _check_chain(network: PolicyNetwork) -> None:
-    """Refuse layers that do not follow from one another."""
+    """Check that the dimensions of consecutive layers agree."""
     size = None
     for cell in network.cells:
         size = _width(cell.on_input, size)
@@ -241,7 +241,7 @@ def _check_chain(network: PolicyNetwork) -> None:
 
 
 def _width(layer: Layer, given: int | None) -> int:
-    """Outputs of a layer that takes so many numbers."""
+    """Output dimension of a layer with a given input dimension."""
     weight, bias = layer.weight, layer.bias
     if weight.ndim != 2 or bias.shape != weight.shape[:1] or not weight.shape[0]:
         raise ValueError(f"a layer of shapes {weight.shape} and {bias.shape}")
@@ -251,7 +251,7 @@ def _width(layer: Layer, given: int | None) -> int:
 
 
 def load_network(folder: str | Path, form: _Form) -> PolicyNetwork:
-    """Load the weights. Nothing is unpickled.
+    """Load the weights without unpickling.
 
     Raises
     ------

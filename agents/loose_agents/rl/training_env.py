@@ -1,4 +1,4 @@
-"""The environment as the learned policy trains on it: posterior in, short choices out."""
+"""Training environment of the learned policy: posterior in, compact choices out."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _TRAINING, _EVALUATION = range(2)
 
 
 def training_seed(seed: int, steps: int) -> int:
-    """Seed of the environments of a run that goes on after so many steps.
+    """Seed of the environments of a run resumed after a number of steps.
 
     A run that is resumed so meets faults that it has not met. The seeds of a run's
     environments count up from this one. They are numbers of 62 bits: they do not meet the
@@ -49,7 +49,7 @@ def training_seed(seed: int, steps: int) -> int:
 
 
 def evaluation_seed(seed: int) -> int:
-    """Seed of the episodes that a run is evaluated on, the same every time."""
+    """Fixed seed of the evaluation episodes of a run."""
     return _seed(seed, _EVALUATION, 0)
 
 
@@ -59,7 +59,7 @@ def _seed(seed: int, role: int, index: int) -> int:
 
 
 def forced_records(done: float, *, first: int = 3, until: float = 0.4) -> int:
-    """Records before which stopping is refused, early in the training.
+    """Minimum number of records before stopping, as a curriculum.
 
     A policy that knows nothing stops early, is mostly wrong, and never sees what a later record
     would have told. So it is made to go on at first: before ``first`` records, then before
@@ -85,12 +85,12 @@ def forced_records(done: float, *, first: int = 3, until: float = 0.4) -> int:
 
 
 def log_posterior(probability: float) -> float:
-    """Log-posterior of the truth as the shaping counts it: the natural one, cut off below."""
+    """Clipped natural log-posterior of the truth, used for reward shaping."""
     return float(np.log(max(probability, np.exp(LOG_FLOOR))))
 
 
 class TrackedVecEnv(VecEnvWrapper):
-    """Puts an estimator between the environments and the learner.
+    """Vectorised wrapper that applies an estimator to the observations.
 
     With ``shaping`` the reward of a record is raised by that many times what the record adds to
     the log-posterior of the truth. Without discount these gains sum to the log-posterior of the
@@ -143,12 +143,12 @@ class TrackedVecEnv(VecEnvWrapper):
         self._potentials = np.zeros(self.num_envs)
 
     def reset(self) -> Any:
-        """Begin an episode in every environment."""
+        """Reset every environment."""
         observations = self.venv.reset()
         return np.stack([self._begin(i, row) for i, row in enumerate(observations)])
 
     def step_async(self, actions: NDArray[np.int64]) -> None:
-        """Translate the policy's choices and step."""
+        """Convert the policy's choices to actions and step."""
         self.venv.step_async(
             np.array(
                 [
@@ -164,7 +164,7 @@ class TrackedVecEnv(VecEnvWrapper):
         )
 
     def step_wait(self) -> Any:
-        """Update the posteriors; an episode that ended starts from the prior again."""
+        """Update the posteriors; finished episodes restart from the prior."""
         observations, rewards, dones, infos = self.venv.step_wait()
         features = []
         for i, row in enumerate(observations):
@@ -178,7 +178,7 @@ class TrackedVecEnv(VecEnvWrapper):
         return np.stack(features), rewards, dones, infos
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Which options make sense, as MaskablePPO takes them (num_envs, options)."""
+        """Action masks for MaskablePPO (num_envs, options)."""
         layout = self.problem.layout
         return np.stack(
             [
@@ -190,7 +190,7 @@ class TrackedVecEnv(VecEnvWrapper):
     def env_method(
         self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
     ) -> list[Any]:
-        """Call a method; ``action_masks`` gives the masks of the policy's own choices."""
+        """Call a method; ``action_masks`` returns the masks of the policy's choices."""
         if method_name != "action_masks":
             return self.venv.env_method(method_name, *args, indices=indices, **kwargs)
         masks = self.action_masks()
@@ -199,7 +199,7 @@ class TrackedVecEnv(VecEnvWrapper):
         return [masks[i] for i in (indices if isinstance(indices, Iterable) else [indices])]
 
     def _begin(self, i: int, row: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Start from the prior; what the policy sees."""
+        """Reset to the prior; return the policy's observation."""
         self._memories[i] = self.estimator.begin()
         episode = self.diagnosis.batch.episode(i)
         assert episode is not None
@@ -209,7 +209,7 @@ class TrackedVecEnv(VecEnvWrapper):
         return features
 
     def _follow(self, i: int, row: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Take an observation in; what the policy sees."""
+        """Process an observation; return the policy's observation."""
         memory = self._memories[i]
         self._probabilities[i] = self.estimator.follow(row, memory)
         self._records[i] = records_taken(self.problem, row)
@@ -224,7 +224,7 @@ class TrackedVecEnv(VecEnvWrapper):
         return log_posterior(float(share))
 
     def _gain(self, i: int) -> float:
-        """Shaping of the step just taken."""
+        """Shaping reward of the last step."""
         before, after = self._potentials[i], self._potential(i)
         self._potentials[i] = after
         return self.shaping * (after - before)

@@ -1,4 +1,4 @@
-"""Options of training, those of the rl-zoo and a few more, and their refusals in one line."""
+"""Command-line options of training: rl-zoo's and extensions, with validation."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ __all__ = ["OneLineParser", "check_training", "training_parser"]
 
 
 class OneLineParser(argparse.ArgumentParser):
-    """Says what is wrong in one line."""
+    """Argument parser with one-line error messages."""
 
     def error(self, message: str) -> NoReturn:
-        """End with the message."""
+        """Exit with the message."""
         self.exit(2, f"{self.prog.removesuffix('.py')}: {message}; --help lists the options\n")
 
 
 def training_parser(description: str | None = None) -> OneLineParser:
-    """Options of the training."""
+    """Build the parser of the training options."""
     options = OneLineParser(
         prog="train", description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -63,7 +63,7 @@ def training_parser(description: str | None = None) -> OneLineParser:
 
 
 def check_training(options: argparse.Namespace) -> None:
-    """Refuse what makes no sense, and fill in what is left open.
+    """Validate the options and fill in defaults.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A training run on disk: checkpoints, evaluations, the best policy; it survives being killed.
+"""Resumable training run: checkpoints, evaluations and the best policy.
 
 Everything is written beside its name and renamed. The checkpoint alone decides where a run goes
 on: it holds the model with its optimiser, the step count, the states of the random generators and
@@ -37,19 +37,19 @@ NOT_COMPARED = ("n_timesteps", "versions", "git_commit", "command", "trained", "
 
 @dataclass(frozen=True)
 class RunFolder:
-    """Names of the files of a run, those of the rl-zoo where it has one."""
+    """File names of a run, following rl-zoo."""
 
     root: Path
     """The run's own folder."""
 
     @property
     def checkpoint(self) -> Path:
-        """From here the run goes on."""
+        """Checkpoint from which the run resumes."""
         return self.root / "checkpoint.zip"
 
     @property
     def configuration(self) -> Path:
-        """Everything that the result depends on."""
+        """Configuration file with every setting that determines the result."""
         return self.root / CONFIGURATION
 
     @property
@@ -59,16 +59,16 @@ class RunFolder:
 
     @property
     def best(self) -> Path:
-        """Folder of the policy that did best in an evaluation."""
+        """Folder of the policy with the best evaluation."""
         return self.root / "best"
 
     @property
     def best_model(self) -> Path:
-        """The same as a model of stable-baselines3."""
+        """Best policy as a stable-baselines3 model."""
         return self.root / "best_model.zip"
 
     def clear(self) -> None:
-        """Remove what an earlier run left, the checkpoint first."""
+        """Remove the files of an earlier run, the checkpoint first."""
         for path in (self.checkpoint, self.evaluations, self.best_model, self.root / WEIGHTS):
             path.unlink(missing_ok=True)
         shutil.rmtree(self.best, ignore_errors=True)
@@ -92,7 +92,7 @@ class RunFolder:
 
 @dataclass
 class RunState:
-    """What a checkpoint remembers beside the model."""
+    """Run state stored in a checkpoint beside the model."""
 
     steps: list[int] = field(default_factory=list)
     """When the evaluations took place."""
@@ -108,7 +108,7 @@ class RunState:
     """States of the generators of Python, numpy and torch."""
 
     def remember_generators(self) -> None:
-        """Take the states of the global generators down."""
+        """Store the states of the global random generators."""
         import torch
 
         self.generators = {
@@ -118,7 +118,7 @@ class RunState:
         }
 
     def restore_generators(self) -> None:
-        """Put them back.
+        """Restore the states of the global random generators.
 
         Raises
         ------
@@ -139,7 +139,7 @@ class RunState:
 
 
 def write(path: Path, data: bytes) -> None:
-    """Write beside, put it on the disk, then rename."""
+    """Write a file atomically: temporary file, fsync, rename."""
     beside = path.with_name(path.name + ".part")
     with beside.open("wb") as file:
         file.write(data)
@@ -149,7 +149,7 @@ def write(path: Path, data: bytes) -> None:
 
 
 def write_model(path: Path, model: Any) -> None:
-    """Write a model of stable-baselines3, with what its run remembers."""
+    """Write a stable-baselines3 model with the run state."""
     write(path, zipped(model, model.run_state))
 
 
@@ -159,14 +159,14 @@ def write_json(path: Path, content: object) -> None:
 
 
 def differences(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
-    """Name what differs between two configurations, other than what may."""
+    """List differences between configurations, except in permitted entries."""
     keys = (set(before) | set(now)) - set(NOT_COMPARED)
     plain = json.loads(json.dumps(now))
     return sorted(key for key in keys if before.get(key) != plain.get(key))
 
 
 def git_commit(folder: Path) -> str | None:
-    """Commit of the repository in a folder, with "+" where files differ; None if there is none."""
+    """Git commit of a folder, with "+" if dirty; None outside a repository."""
 
     def ask(*words: str) -> str:
         return subprocess.run(
@@ -190,7 +190,7 @@ def git_commit(folder: Path) -> str | None:
 
 @dataclass(frozen=True, kw_only=True)
 class Schedule:
-    """When what happens in a run; steps are those of the environments."""
+    """Schedule of the events of a run, in environment steps."""
 
     total: int
     """Steps in all."""
@@ -205,7 +205,7 @@ class Schedule:
 
 
 class RunCallback(BaseCallback):
-    """Keeps a run on disk, evaluates it, moves the curriculum on and shows progress.
+    """Saves checkpoints, evaluates, advances the curriculum and shows progress.
 
     All of it happens between updates, where the model is whole: the steps that it counts are
     those that it has learned from.
@@ -247,7 +247,7 @@ class RunCallback(BaseCallback):
 
     @property
     def state(self) -> RunState:
-        """What the checkpoint remembers; it travels with the model."""
+        """Run state stored in the checkpoint with the model."""
         found: RunState = self.model.run_state
         return found
 

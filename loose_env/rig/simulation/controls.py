@@ -1,4 +1,4 @@
-"""The torques of a run: the random part, and what holds the arm against gravity."""
+"""Torques of a run: random excitation plus gravity compensation."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["controls"]
 def controls(
     nominal: LinearArm, jobs: Sequence[Job], *, timestep: float, before: int, after: int
 ) -> Array:
-    """Draw the torques of every step, and the shaker's force where there is one.
+    """Sample the torques of every step, and the shaker force if present.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""MuJoCo's batched engine, once for every model layout that the rig's arms have."""
+"""MuJoCo's batched engine, one instance per model layout of the rig's arms."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Engine:
 
 
 class Engines:
-    """One engine for every number of loose degrees of freedom in a seat, made when needed.
+    """Engines by number of loose degrees of freedom, created on demand.
 
     All models of a batch must have one layout, and a seat loose in two directions has a joint
     more than one loose in one. Arms whose seats have the same number share an engine; nobody
@@ -57,7 +57,7 @@ class Engines:
         return found
 
     def load(self, plants: Sequence[Plant]) -> None:
-        """Give every engine the models of its arms."""
+        """Load the models of the arms into every engine."""
         for parts in {plant.parts for plant in plants}:
             spare = self._shop.spare(parts)
             models = [plant.model if plant.parts == parts else spare for plant in plants]

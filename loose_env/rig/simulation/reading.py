@@ -1,4 +1,4 @@
-"""From recorded motion to readings: the sensors' part of a simulated measurement."""
+"""Sensor models: conversion of simulated motion to readings."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def read_record(
     mismatch: MismatchDraw,
     gravity: Array,
 ) -> Measurement:
-    """Read job ``k`` of a run with the sensors of an arm.
+    """Read job ``k`` of a run with an arm's sensors.
 
     Parameters
     ----------

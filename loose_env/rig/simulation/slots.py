@@ -1,4 +1,4 @@
-"""What simulated rigs have in common: arms in slots, measured one or many at once."""
+"""Base class of simulated rigs: arms in slots, measured singly or in batches."""
 
 from __future__ import annotations
 

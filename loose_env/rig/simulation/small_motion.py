@@ -1,4 +1,4 @@
-"""The equations of small motion of one true arm in one pose, read off its MuJoCo model.
+"""Linearised equations of motion of one arm in one pose, from its MuJoCo model.
 
 Within a record the joints move by fractions of a milliradian and the seat by fractions of a
 millimetre, so the inertia matrix, the tool's Jacobian and gravity's linear part may be taken as
@@ -52,7 +52,7 @@ class SeatLaw:
 
     @property
     def numbers(self) -> Array:
-        """All figures as one array, as the compiled loop takes them (11,)."""
+        """All parameters as one array, the input of the compiled loop (11,)."""
         return np.array(
             [
                 self.low,
@@ -69,7 +69,7 @@ class SeatLaw:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SmallMotion:
-    """One true arm about one pose; D degrees of freedom are free to move."""
+    """Linearised motion of one true arm about one pose, with D degrees of freedom."""
 
     dofs: NDArray[np.intp]
     """Which degrees of freedom of the model they are (D,)."""
@@ -104,7 +104,7 @@ class SmallMotion:
 def small_motion(
     plant: Plant, arm: Arm, data: mujoco.MjData, excitation: Excitation, place: float
 ) -> SmallMotion:
-    """Linearise a true arm about the pose at which it was set up to be held.
+    """Linearise a true arm about its initial pose.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def small_motion(
 
 
 def require_one_part(plant: Plant) -> None:
-    """Refuse an arm that is loose in more than one degree of freedom.
+    """Reject an arm that is loose in more than one degree of freedom.
 
     Raises
     ------
@@ -209,7 +209,7 @@ def _require_linear(model: mujoco.MjModel, plant: Plant) -> None:
 
 
 def _place(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, place: float) -> None:
-    """Set the arm up as the batched engine does: at its pose, all else at zero, at rest."""
+    """Set the arm to its pose at rest, all other coordinates zero."""
     data.qpos[:] = 0.0
     data.qvel[:] = 0.0
     data.qacc_warmstart[:] = 0.0
@@ -237,7 +237,7 @@ def _sensors(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array, 
 
 
 def _gravity_stiffness(model: mujoco.MjModel, data: mujoco.MjData, bias: Array) -> Array:
-    """Change of gravity's force per displacement of each degree of freedom (nv, nv)."""
+    """Gravity stiffness matrix of the degrees of freedom (nv, nv)."""
     change = np.zeros((model.nv, model.nv))
     if not np.abs(bias).max() > 0:
         return change
@@ -255,7 +255,7 @@ def _gravity_stiffness(model: mujoco.MjModel, data: mujoco.MjData, bias: Array) 
 
 
 def _holding(model: mujoco.MjModel, equality: int, dof: int) -> tuple[float, float, float]:
-    """Inertance, stiffness and damping of a held joint."""
+    """Inertance, stiffness and damping of a braked or servoed joint."""
     impedance = float(model.eq_solimp[equality, 0])
     inertance = impedance / ((1 - impedance) * model.dof_invweight0[dof])
     stiff, damper = -model.eq_solref[equality]
@@ -263,7 +263,7 @@ def _holding(model: mujoco.MjModel, equality: int, dof: int) -> tuple[float, flo
 
 
 def _law(model: mujoco.MjModel, dof: int, *, rest: float) -> SeatLaw:
-    """Read the constraint law of the seat off the model."""
+    """Extract the constraint law of the seat from the model."""
     stops = [model.tendon(f"seat_{side}").id for side in ("low", "high")]
     soft = model.tendon_solimp_lim[stops, 0]
     inertance = soft / ((1 - soft) * model.tendon_invweight0[stops])

@@ -1,4 +1,4 @@
-"""The compiled loop that integrates small motion, as MuJoCo's Euler integrator steps."""
+"""Compiled loop that integrates small motion like MuJoCo's Euler integrator."""
 
 from __future__ import annotations
 

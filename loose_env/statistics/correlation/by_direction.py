@@ -25,7 +25,7 @@ from loose_env.typing import Array
 
 
 class MaximumCorrelation(NamedTuple):
-    """Largest correlation over all directions, and where it is."""
+    """Maximum correlation over all directions, and its direction."""
 
     value: float
     """Correlation, 0 to 1."""
@@ -120,7 +120,7 @@ def correlation_loop_from(cov: Covariances, angles: ArrayLike) -> Array:
 
 
 def lowest_correlation_direction(x: ArrayLike, a: ArrayLike) -> float:
-    """Find the direction in the plane along which the tool does not follow the excited joint.
+    """Find the planar direction uncorrelated with the excited joint.
 
     The correlation is zero perpendicular to c = cov(x, a), so no search is needed:
     phi0 = atan2(c_y, c_x) + 90 degrees.
@@ -161,7 +161,7 @@ def lowest_correlation_direction_from(cov: Covariances) -> float:
 
 
 def lowest_correlation_search(x: ArrayLike, a: ArrayLike, tolerance: float = 1e-9) -> float:
-    """Search the direction of lowest correlation as the thesis does: bisect for the zero crossing.
+    """Find the direction of lowest correlation by the thesis's bisection.
 
     The correlation changes sign from 0 to pi (4.15), so a crossing lies between.
     `lowest_correlation_direction` gives the same angle at once.
@@ -219,7 +219,7 @@ def lowest_correlation_search(x: ArrayLike, a: ArrayLike, tolerance: float = 1e-
 
 
 def maximum_correlation(x: ArrayLike, a: ArrayLike) -> MaximumCorrelation:
-    """Find the largest correlation over all directions: C in the thesis's tables.
+    """Find the maximum correlation over all directions: C in the thesis's tables.
 
     It lies along S^-1 c and is sqrt(c.S^-1 c) / sd(x).
 

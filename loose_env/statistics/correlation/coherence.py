@@ -19,7 +19,7 @@ from loose_env.typing import Array
 
 
 class LowestCoherence(NamedTuple):
-    """Direction that follows the excited joints least."""
+    """Direction of lowest coherence with the excited joints."""
 
     direction: Array
     """Unit vector in the tool frame, shape (d,); the last non-zero component is positive."""
@@ -30,7 +30,7 @@ class LowestCoherence(NamedTuple):
 
 
 class RankTest(NamedTuple):
-    """Test of whether some direction follows no excited joint."""
+    """Test for a direction uncorrelated with every excited joint."""
 
     statistic: float
     """Chi-square."""
@@ -92,7 +92,7 @@ def lowest_coherence_direction_from(cov: Covariances) -> LowestCoherence:
 
 
 def rank_test(x: ArrayLike, a: ArrayLike, count: float | None = None) -> RankTest:
-    """Test whether some direction of the tool follows none of the excited joints.
+    """Test whether some tool direction is uncorrelated with all excited joints.
 
     If it does, -[N - 1 - (d + m + 1)/2] ln(1 - rho_d^2) is chi-square with m - d + 1 degrees of
     freedom. A small p-value says that every direction follows. A missing direction is no proof

@@ -1,4 +1,4 @@
-"""The thesis's comparative index between a nominal state and a suspected fault."""
+"""Thesis's comparative index between a nominal state and a suspected fault."""
 
 import math
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""Directions in space that follow no excitation: closed forms, no search.
+"""Directions uncorrelated with the excitation, in closed form.
 
 With c_i = cov(x_i, a), a direction u of the tool frame is uncorrelated with joint i if u . c_i is
 zero. One excited joint leaves a whole plane of such directions, two leave one axis, and from three
@@ -58,7 +58,7 @@ def uncorrelated_plane(x: ArrayLike, a: ArrayLike) -> Array:
 
 
 def uncorrelated_axis(x: ArrayLike, a: ArrayLike) -> Array:
-    """Find the one direction that is uncorrelated with two excited joints: their cross product.
+    """Find the axis uncorrelated with two excited joints: their cross product.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def uncorrelated_axis(x: ArrayLike, a: ArrayLike) -> Array:
 
 
 def lowest_coherence_of_records(records: Sequence[Covariances]) -> LowestCoherence:
-    """Find the direction that follows the excited joints least, over several records of one pose.
+    """Find the direction of lowest coherence over several records of one pose.
 
     As `lowest_coherence_direction`, with the variance that the joints explain, C Sx^-1 C.T, and
     the whole variance S each averaged over the records, which count alike: each record's tool

@@ -1,4 +1,4 @@
-"""What an estimate of an outer product says about the angle of its axis."""
+"""Fisher information of an outer product's estimate about the angle of its axis."""
 
 import numpy as np
 

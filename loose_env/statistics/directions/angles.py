@@ -52,7 +52,7 @@ def axial_difference(a: Angles, b: float | Angles) -> Array: ...
 @overload
 def axial_difference(a: float, b: Angles) -> Array: ...
 def axial_difference(a: float | Angles, b: float | Angles) -> float | Array:
-    """Turn from axis `b` to axis `a` the short way.
+    """Signed smallest rotation from axis `b` to axis `a`.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def axial_mean(angles: ArrayLike, weights: ArrayLike | None = None) -> float:
 
 
 def axial_vector(direction: ArrayLike) -> Array:
-    """Scale an axis to unit length and choose its sign: the last non-zero component is positive.
+    """Normalise an axis so that its last non-zero component is positive.
 
     In the plane this picks the vector whose angle lies in [0, pi).
 

@@ -1,4 +1,4 @@
-"""Axes in space: grids of them, angles between them, a search on the hemisphere.
+"""Axes in space: grids, angles and minimisation over the hemisphere.
 
 A looseness slides both ways, so a direction and its opposite are one axis, and half a sphere
 holds them all.
@@ -18,7 +18,7 @@ from loose_env.typing import Array
 
 
 class HemisphereSearch(NamedTuple):
-    """What a search on the hemisphere found."""
+    """Result of a search on the hemisphere."""
 
     direction: Array
     """Unit vector, shape (3,); the last non-zero component is positive."""
@@ -29,7 +29,7 @@ class HemisphereSearch(NamedTuple):
 
 
 def axes_grid(count: int, dimension: int = 3) -> Array:
-    """Spread axes evenly over half a circle or half a sphere.
+    """Distribute axes evenly over a half circle or a half sphere.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def axial_angle_between(first: ArrayLike, second: ArrayLike) -> float:
 
 
 def tangents(direction: ArrayLike) -> Array:
-    """Unit vectors across a direction and across each other.
+    """Orthonormal basis of the plane perpendicular to a direction.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def hemisphere_search(
     spacing: float = math.radians(15.0),
     tolerance: float = math.radians(0.1),
 ) -> HemisphereSearch:
-    """Search the hemisphere for the axis at which a criterion is smallest.
+    """Minimise a criterion over the axes of the hemisphere.
 
     As the thesis sketches it (6.5.2): candidates are spaced evenly over one hemisphere, then the
     spacing about the best one is bisected until it is fine enough. The closed forms need no

@@ -1,4 +1,4 @@
-"""From the scatter of one record to a confidence interval of an axis.
+"""Bootstrap confidence interval of an axis from one record.
 
 An axis found from covariances errs, near the truth, by the mean of one series, its influence:
 what each sample adds to the error. The memory of that series gives the standard deviation of the
@@ -39,7 +39,7 @@ class DirectionInterval:
     """Confidence level."""
 
     def contains(self, angle: float) -> bool:
-        """Whether an axis lies in the interval."""
+        """Return whether an axis lies in the interval."""
         turn = axial_difference(angle, self.direction)
         low, high = self.lower - self.direction, self.upper - self.direction
         # At +90 degrees from the estimate the same axis also lies at -90.
@@ -48,7 +48,7 @@ class DirectionInterval:
 
 @dataclass(frozen=True, slots=True)
 class Resampling:
-    """How an interval is to be found; the fields are those of `direction_interval`."""
+    """Resampling settings; the fields are those of `direction_interval`."""
 
     rate: float
     level: float
@@ -77,7 +77,7 @@ def interval(
     axis: Callable[[Array], Array],
     how: Resampling,
 ) -> DirectionInterval:
-    """Find the confidence interval of an axis that is a function of cov(first, second).
+    """Compute the confidence interval of an axis that is a function of cov(first, second).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How well a direction in the plane is known from one record."""
+"""Confidence intervals of a planar direction from one record."""
 
 import math
 
@@ -24,7 +24,7 @@ def direction_interval(
     resamples: int = 1000,
     block: float | None = None,
 ) -> DirectionInterval:
-    """Find the confidence interval of the direction of lowest correlation.
+    """Compute the confidence interval of the direction of lowest correlation.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def change_direction_interval(
     resamples: int = 1000,
     block: float | None = None,
 ) -> DirectionInterval:
-    """Find the confidence interval of the direction of a transmission change.
+    """Compute the confidence interval of the direction of a transmission change.
 
     The direction is that of `transmission_change` against a reference taken as exact; where the
     reference is itself measured, its scatter comes on top.
@@ -179,7 +179,7 @@ def _turn_by_sample(
     x: Array,
     a: Array,
 ) -> Array:
-    """Turn of the leading left singular vector by the noise in each sample, rad, sign free."""
+    """Influence of each sample on the leading left singular vector [rad], up to sign."""
     left, values, right = np.linalg.svd(change)
     first, second = float(values[0]), float(values[1]) if len(values) == 2 else 0.0
     if first - second <= 1e-12 * float(np.linalg.norm(b)):

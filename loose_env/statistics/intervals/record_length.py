@@ -1,4 +1,4 @@
-"""Scatter of a direction by formula, and the length of record that a wanted scatter needs."""
+"""Standard deviation of a direction, and the record length required for it."""
 
 import math
 
@@ -12,7 +12,7 @@ from loose_env.statistics.sampling.effective_samples import effective_samples
 
 
 def direction_sd(x: ArrayLike, a: ArrayLike, rate: float) -> float:
-    """Compute the standard deviation of the direction of lowest correlation by formula.
+    """Standard deviation of the direction of lowest correlation, in closed form.
 
     sd = sd(u) sd(x) / (|c| sqrt(N_eff)), with u the tool acceleration along that direction,
     c = cov(x, a) and N_eff from `effective_samples`. For small angles, and for u unrelated to x,
@@ -61,7 +61,7 @@ def direction_sd(x: ArrayLike, a: ArrayLike, rate: float) -> float:
 
 
 def record_length_for(sd_wanted: float, x: ArrayLike, a: ArrayLike, rate: float) -> float:
-    """Find the length of record that gives a direction of wanted standard deviation.
+    """Record length required for a given standard deviation of the direction.
 
     `direction_sd` of a trial record, inverted: scatter falls with the root of time.
 

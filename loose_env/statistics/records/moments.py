@@ -1,4 +1,4 @@
-"""Third and fourth moments: how far a motion is from Gaussian, and in which direction.
+"""Skewness and excess kurtosis of a motion, by direction.
 
 Sums are divided by the number of samples, as in the thesis (4.16 to 4.20).
 """

@@ -1,4 +1,4 @@
-"""Memory of a series: how much the mean of dependent samples scatters.
+"""Integrated autocorrelation time and long-run variance of dependent samples.
 
 Covariance of the means of several dependent series.
 """
@@ -14,7 +14,7 @@ from loose_env.typing import Array
 
 
 class Memory(NamedTuple):
-    """What the autocovariance of a series says about the scatter of its mean."""
+    """Autocorrelation of a series and its effect on the scatter of the mean."""
 
     block: float
     """Length of bootstrap blocks that suits the series, samples."""
@@ -27,7 +27,7 @@ class Memory(NamedTuple):
 
 
 def memory_of(series: Array, block: float | None = None) -> Memory:
-    """Estimate the memory of a series.
+    """Estimate the integrated autocorrelation time of a series.
 
     The autocovariance is summed with flat-top weights up to twice the last significant lag, which
     hardly bends the variance, or with falling weights over one block (Newey and West), which
@@ -86,7 +86,7 @@ def memory_window(covariance: Array) -> int:
 
 
 class LongRun(NamedTuple):
-    """What the autocovariances of several series say about the scatter of their means."""
+    """Long-run covariance of several series, which governs the scatter of their means."""
 
     covariance: Array
     """Covariance of the means times the number of samples, shape (k, k)."""

@@ -14,7 +14,7 @@ def resampled_covariances(
     resamples: int,
     rng: np.random.Generator,
 ) -> Array:
-    """Covariances of `first` with `second` in records put together from blocks of this one.
+    """Covariances of `first` with `second` in block-bootstrap resamples of a record.
 
     A record of N samples is laid in a circle and ceil(N / length) blocks are drawn from it with
     replacement. Only sums over blocks are needed, so no record is put together in fact.

@@ -1,4 +1,4 @@
-"""How many independent samples a record is worth."""
+"""Effective sample size of a record."""
 
 import math
 
@@ -10,7 +10,7 @@ from loose_env.statistics._checks import as_record, require_finite
 
 
 def effective_samples(x: ArrayLike, u: ArrayLike) -> float:
-    """Count the independent samples that would scatter cov(x, u) as much.
+    """Effective sample size for the covariance cov(x, u).
 
     N_eff = T int(Sx) int(Su) / int(Sx Su) over two-sided spectra, for x and u uncorrelated.
     About 2 * bandwidth * time for flat spectra in one band, far fewer near a resonance, and

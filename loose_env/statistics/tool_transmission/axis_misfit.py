@@ -1,4 +1,4 @@
-"""How well one axis, or all but one, explains a change of transmission.
+"""Goodness of fit of a transmission change along one axis, or across it.
 
 For any axis u the change along it is u v.T with the v that fits best; what is left, weighed by the
 errors' covariance, is the misfit of the axis.
@@ -65,7 +65,7 @@ class Misfit:
         return np.asarray(self.total - np.sum(drive * fitted, axis=1))
 
     def likely(self) -> Array:
-        """Axes that may well be the lowest, shape (K, d).
+        """Axes near the minimum of the misfit, shape (K, d).
 
         Directions of the columns and of the change as a whole, plain and with each column in units
         of its scatter, and where `followed` leads from them.
@@ -79,7 +79,7 @@ class Misfit:
         return np.concatenate((starts, [self.followed(axis) for axis in starts]))
 
     def followed(self, axis: Array) -> Array:
-        """Take turns in fitting v and u from an axis on, shape (d,); they never climb."""
+        """Alternating minimisation over v and u from a starting axis, shape (d,)."""
         for _ in range(_TURNS):
             v = self.drives(axis)
             gram = np.einsum("m,imjn,n->ij", v, self.precision, v)
@@ -100,7 +100,7 @@ class Misfit:
         return np.asarray(fitted if axes.ndim == 2 else fitted[0])
 
     def without(self, axes: Array) -> Array:
-        """Misfit if nothing of the change lay along these axes and anything across, shape (K,).
+        """Misfit with the components along these axes removed, shape (K,).
 
         Small where a change of fewer directions than d explains all: it has no part along u.
         """
@@ -113,7 +113,7 @@ class Misfit:
 
 
 def lowest_axis(at: Callable[[Array], Array], likely: Array) -> tuple[Array, float]:
-    """Lowest point of a smooth function of axes.
+    """Minimise a smooth function of axes.
 
     From the best of a grid and of some likely axes, ever finer about them. Valleys can be far
     narrower than the grid: the scatter of loose motion is nearly all along the seat.

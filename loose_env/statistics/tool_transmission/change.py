@@ -1,4 +1,4 @@
-"""Transmission of joint motion to the tool, and how a fault changes it.
+"""Transmission from joint motion to the tool, and its change due to a fault.
 
 The tool acceleration is B x plus what the excited joints do not explain. Against the healthy arm
 in the same pose, a loose seat sliding along z_l changes B along z_l alone: the change has rank
@@ -122,7 +122,7 @@ def transmission_by_instrument_from(command_x: Covariances, command_a: Covarianc
 
 
 def apparent_inertia(command: ArrayLike, x: ArrayLike) -> Array:
-    """Find the inertia that the excited joints feel from commanded torque and joint acceleration.
+    """Estimate the apparent inertia of the excited joints from torque and acceleration.
 
     Torque is regressed on acceleration with the command u as instrument,
     M = cov(u, u) cov(x, u)^-1, so noise in x does not shrink it. For one joint this is

@@ -1,4 +1,4 @@
-"""The direction of a change of transmission, with its confidence region, in the plane and in space.
+"""Direction of a transmission change and its confidence region, in 2-D and 3-D.
 
 A seat that slides along z changes the transmission by an outer product, z v.T, whatever joints are
 excited: v says how far each drives the seat. What is measured is that product plus errors whose
@@ -36,7 +36,7 @@ _STRENGTHS = np.concatenate(([0.0], np.geomspace(0.3, 3000.0, 30)))
 
 
 class Region:
-    """Axes whose misfit is not too far above the lowest.
+    """Confidence region: axes whose misfit is within a threshold of the minimum.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class Region:
             self.widening = exact / float(chdtri(across, 1.0 - level))
 
     def excess(self, axes: Array) -> Array:
-        """Rise of the misfit over what is allowed, at unit vectors (K, d); up to 1 is inside."""
+        """Misfit over the threshold, at unit vectors (K, d); at most 1 inside."""
         misfit, drives = self.misfit.at(axes), self.misfit.drives(axes)
         strength = angle_information(self.misfit.precision, axes, drives)
         allowed = np.interp(strength, _STRENGTHS, self.allowed)
@@ -77,7 +77,7 @@ class Region:
 
 @lru_cache(maxsize=64)
 def _allowed(d: int, m: int, level: float) -> Array:
-    """Rise of the misfit at the true axis that errors alone exceed with chance 1 - level.
+    """Misfit threshold at the given confidence level.
 
     By how well the change tells the angle of the true axis (`_STRENGTHS`, `angle_information`).
     For errors that are alike in all entries this is exact: with y the part along the axis, of size
@@ -97,7 +97,7 @@ def _allowed(d: int, m: int, level: float) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChangeDirection:
-    """Direction of a change of transmission and the region of axes it cannot be told from."""
+    """Direction of a transmission change and its confidence region."""
 
     direction: Array
     """Unit vector in the tool frame, shape (d,); its last non-zero component is positive."""
@@ -118,13 +118,13 @@ class ChangeDirection:
     """The region itself."""
 
     def contains(self, axis: ArrayLike) -> bool:
-        """Whether an axis of the tool frame, shape (d,), lies inside the region."""
+        """Return whether an axis of the tool frame, shape (d,), lies in the region."""
         unit = as_direction(axis, len(self.direction), "axis")
         return bool(self.region.excess(unit[None])[0] <= 1.0)
 
 
 def change_direction(change: TransmissionEstimate, level: float = 0.95) -> ChangeDirection:
-    """Find the one direction that explains a change of transmission, and its confidence region.
+    """Estimate the direction of a transmission change, with its confidence region.
 
     Where all errors are alike this is the leading left singular vector of the change.
 
@@ -183,7 +183,7 @@ def change_direction(change: TransmissionEstimate, level: float = 0.95) -> Chang
 
 
 def _extent(region: Region, direction: Array) -> tuple[float, float]:
-    """Largest angle of the region about its direction, and the rms angle of its inner border."""
+    """Largest angle of the region about its direction, and rms angle of its border."""
     across = tangents(direction)
     if len(across) == 1:
         ways = np.concatenate((across, -across))
@@ -203,7 +203,7 @@ def _extent(region: Region, direction: Array) -> tuple[float, float]:
 
 
 def _curvature(misfit: Misfit, direction: Array, step: float) -> Array:
-    """Second derivatives of the misfit across a direction, by differences over a step (rad)."""
+    """Hessian of the misfit across a direction, by finite differences (step in rad)."""
     across = tangents(direction)
     size = len(across)
     ways = np.concatenate([np.eye(size), np.ones((1, size))]) @ across
@@ -219,7 +219,7 @@ def _curvature(misfit: Misfit, direction: Array, step: float) -> Array:
 
 
 def _crossing(radii: Array, excess: Array, k: int) -> float:
-    """Angle at which the region is left after the k-th radius, -1 being the middle."""
+    """Angle at which the region ends after the k-th radius; -1 is the centre."""
     if k == len(radii) - 1:
         return float(radii[-1])
     low, start = (0.0, 0.0) if k < 0 else (math.sqrt(excess[k]), float(radii[k]))

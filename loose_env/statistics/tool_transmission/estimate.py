@@ -1,4 +1,4 @@
-"""Transmission with the scatter of its estimate, so that records can be joined and compared."""
+"""Transmission estimates with their covariance, for joining and comparing records."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from loose_env.typing import Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TransmissionEstimate:
-    """A transmission and how far it may be off."""
+    """Transmission estimate with its covariance."""
 
     b: Array
     """Transmission, or a change of it, m/s^2 per rad/s^2, shape (d, m)."""
@@ -34,7 +34,7 @@ class TransmissionEstimate:
             )
 
     def minus(self, reference: "TransmissionEstimate | ArrayLike") -> "TransmissionEstimate":
-        """Change against a reference: a measured one with scatter of its own, or exact figures.
+        """Change against a reference, either an estimate or exact values.
 
         Raises
         ------
@@ -56,7 +56,7 @@ class TransmissionEstimate:
         )
 
     def turned(self, matrix: ArrayLike) -> "TransmissionEstimate":
-        """See the tool through a matrix: T b, with the scatter that goes with it.
+        """Transform the tool axes by a matrix: T b, with the covariance.
 
         Parameters
         ----------
@@ -75,7 +75,7 @@ class TransmissionEstimate:
         return TransmissionEstimate(t @ self.b, covariance, self.degrees)
 
     def with_errors(self, errors: ArrayLike) -> "TransmissionEstimate":
-        """Add independent errors that the records do not show.
+        """Add independent errors that the records do not reveal.
 
         Parameters
         ----------
@@ -101,7 +101,7 @@ class TransmissionEstimate:
 def estimate_transmission(
     x: ArrayLike, a: ArrayLike, rate: float, *, command: ArrayLike | None = None
 ) -> TransmissionEstimate:
-    """Regress the tool acceleration on joint accelerations, with the scatter of the result.
+    """Regress tool acceleration on joint accelerations, with the covariance.
 
     The scatter allows for memory in the signals and for residuals whose size follows the
     excitation, as the motion in a gap does (heteroscedastic and autocorrelated residuals).
@@ -159,7 +159,7 @@ def estimate_transmission(
 
 
 def join_transmissions(estimates: Sequence[TransmissionEstimate]) -> TransmissionEstimate:
-    """Lay independent estimates side by side: other joints, or the same in other records.
+    """Concatenate independent estimates: other joints, or other records.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def join_transmissions(estimates: Sequence[TransmissionEstimate]) -> Transmissio
 
 
 def pool_transmissions(estimates: Sequence[TransmissionEstimate]) -> TransmissionEstimate:
-    """Average independent estimates of the same transmission, each by its precision.
+    """Precision-weighted mean of independent estimates of one transmission.
 
     Parameters
     ----------
@@ -248,6 +248,6 @@ def pool_transmissions(estimates: Sequence[TransmissionEstimate]) -> Transmissio
 
 
 def _regular(covariance: Array) -> Array:
-    """Give directions without any scatter a little, so that an inverse exists."""
+    """Regularise a covariance so that its inverse exists."""
     most = float(np.max(np.diag(covariance), initial=0.0))
     return np.asarray(covariance + (1e-12 * most + 1e-300) * np.eye(len(covariance)))

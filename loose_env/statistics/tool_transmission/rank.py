@@ -1,4 +1,4 @@
-"""How many directions a change of transmission has: none, one, several."""
+"""Rank of a transmission change: zero, one or more directions."""
 
 import math
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ _DRAWS = 10000
 
 @dataclass(frozen=True, slots=True)
 class ChangeRank:
-    """How many directions a change of transmission has."""
+    """Rank of a transmission change with its test results."""
 
     rank: int
     """0: no change; 1: one direction; 2 or more: several."""
@@ -30,7 +30,7 @@ class ChangeRank:
 
 
 def change_rank(change: TransmissionEstimate, significance: float = 0.01) -> ChangeRank:
-    """Count the directions of a change of transmission.
+    """Test the rank of a transmission change.
 
     Ranks are tried from zero up; the first that the change's errors can explain is the answer. No
     change is tested against one direction, by what that direction explains; one against several, by
@@ -87,7 +87,7 @@ def change_rank(change: TransmissionEstimate, significance: float = 0.01) -> Cha
 
 
 def _chance(misfit: float, constraints: int, degrees: float) -> float:
-    """Chance of a larger misfit; F instead of chi-square where the scatter is estimated."""
+    """p-value of a misfit: chi-square, or F if the covariance is estimated."""
     if not math.isfinite(degrees):
         return float(chdtrc(constraints, misfit))
     return float(fdtrc(constraints, max(degrees, 1.0), misfit / constraints))
@@ -95,13 +95,13 @@ def _chance(misfit: float, constraints: int, degrees: float) -> float:
 
 @lru_cache(maxsize=64)
 def _evidence_of_errors(d: int, m: int) -> Array:
-    """Evidence for one direction that errors alone make: largest squared singular values (K,)."""
+    """Null distribution of the evidence for one direction (K,)."""
     z = np.random.default_rng(0).standard_normal((_DRAWS, d, m))
     return np.asarray(np.linalg.svd(z, compute_uv=False)[:, 0] ** 2)
 
 
 def _chance_of_evidence(evidence: float, d: int, m: int, degrees: float) -> float:
-    """Chance that errors alone give as much evidence for one direction.
+    """p-value of the evidence for one direction under errors alone.
 
     A sharper test against one direction than asking whether all entries together are too large.
     Never below that of the draws it rests on.
