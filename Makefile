@@ -68,7 +68,7 @@ build: $(DEV) ## make the wheel and the sdist, and try each in a clean environme
 		echo "Trying $$file"; \
 		$(PYTHON) -m venv --clear "$$scratch/venv"; \
 		"$$scratch/venv/bin/pip" install --quiet -c constraints.txt "$$file"; \
-		(cd "$$scratch" && venv/bin/python -I -W error "$(CURDIR)/scripts/smoke.py"); \
+		(cd "$$scratch" && venv/bin/python -I -W error "$(CURDIR)/scripts/dev/smoke.py"); \
 	done
 
 clean: ## remove .venv, the built files and the caches

@@ -146,7 +146,7 @@ def play_episode(
     observation = env.batch.observe(0)
     belief = agent.estimator.begin()
     problem, state, total, step = agent.problem, None, 0.0, 0
-    print(f"\nepisode {number}: {believed(problem, agent.estimator.follow(observation, belief))}")
+    print(f"\nepisode {number}: {believed(problem, agent.estimator.follow(observation, belief))}")  # type: ignore[arg-type]
     while True:
         action, state = agent.predict(observation, state)
         observation, reward, terminated, truncated, info = env.step(action)
@@ -160,9 +160,9 @@ def play_episode(
         decoded = env.actions.decode(action)
         pose = problem.layout.pose_of(observation)
         print(
-            f"  {step:2d}  pose {posed(env, pose)}  |  m/s² {shaken(env, decoded)}  "
+            f"  {step:2d}  pose {posed(env, pose)}  |  m/s² {shaken(env, decoded)}  "  # type: ignore[arg-type]
             f"{decoded.duration:g} s  |  "
-            f"{believed(problem, agent.estimator.follow(observation, belief))}"
+            f"{believed(problem, agent.estimator.follow(observation, belief))}"  # type: ignore[arg-type]
         )
         if pictures is not None:
             write_picture(env, pictures / f"episode{number}_record{step}.png")

@@ -96,7 +96,7 @@ def fits_of(name: str, records: int, seed: int) -> list[Found]:
                 continue
             play = isinstance(fault, Backlash)
             axes = linear.slide_dofs.shape[1]
-            direction = np.eye(axes)[:1] if play else np.array([fault.direction[:axes]])
+            direction = np.eye(axes)[:1] if play else np.array([fault.direction[:axes]])  # type: ignore[union-attr]
             place = arm.n + fault.joint - 1 if isinstance(fault, Backlash) else fault.link - 1
             record = statistics_of(measurement)
             each = [fit_record(a, record, direction, floor, difficulty.mismatch) for a in arms]
@@ -215,7 +215,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         else:
             page = table_of([f for f in without if f.play is play])
         pages = pressed_table_of([f for f in found if f.play is play], page)
-        stored[name] = _short(pages)
+        stored[name] = _short(pages)  # type: ignore[assignment]
     beside = options.out.with_suffix(".part")
     beside.write_text(json.dumps(stored) + "\n")
     beside.replace(options.out)

@@ -142,7 +142,7 @@ def bare_seconds_per_record(env_id: str, arms: int, rounds: int, duration: int |
     def keep(run: Run) -> None:
         ids = np.array([job.slot for job in run.jobs])
         kept.append((ids, rig._batch.state[ids].copy(), run.delivered))
-        simulate(run)
+        simulate(run)  # type: ignore[arg-type]
 
     rig._simulate = keep  # type: ignore[method-assign]
     batch.step(range(arms), actions_of(batch, rng, duration))
@@ -158,7 +158,7 @@ def bare_seconds_per_record(env_id: str, arms: int, rounds: int, duration: int |
         for _, ids, states, _, _ in runs:
             rig._batch.state[ids] = states
         begin = time.perf_counter()
-        for steps, ids, _, controls, out in runs:
+        for steps, ids, _, controls, out in runs:  # type: ignore[assignment]
             rig._batch.rollout(steps, controls, record=("sensordata",), ids=ids, out=out)
         if k > 0:  # the first one warms up
             spent += time.perf_counter() - begin

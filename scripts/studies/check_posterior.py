@@ -168,7 +168,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     chosen = parser.parse_args(arguments)
     check_training_seed(chosen.seed)
     rules = DiagnosisSettings(difficulty=chosen.difficulty, engine="reduced")
-    problem = Problem.of(ARMS[chosen.arm](), rules)
+    problem = Problem.of(ARMS[chosen.arm](), rules)  # type: ignore[no-untyped-call]
     settings = ParticleSettings(
         particles=chosen.particles,
         moves=chosen.moves,

@@ -181,7 +181,7 @@ def true_xml(settings: Settings, mode: float) -> str:
         damping=[damping, 0, 0],
     )
     spec.compile()
-    return spec.to_xml()
+    return spec.to_xml()  # type: ignore[no-any-return]
 
 
 RATE = 2000

@@ -185,7 +185,7 @@ def measured_cases(arm: Arm, cases: int, seed: int, kind: str) -> Iterator[Case]
                 for k in range(2) if shake is not None else ():
                     stream = np.random.SeedSequence(seed, spawn_key=(case, 1, j, k))
                     rng = np.random.default_rng(stream)
-                    jobs.append(Job(slot=2 * i + k, pose=pose, excitation=shake, rng=rng))
+                    jobs.append(Job(slot=2 * i + k, pose=pose, excitation=shake, rng=rng))  # type: ignore[arg-type]
             for job, measured in zip(jobs, rig.measure_many(jobs), strict=True):
                 taken[job.slot].append(measured)
         for i, (case, fault, _, pose, _) in enumerate(chosen):

@@ -127,9 +127,9 @@ def study(
     done = {(r["arm"], r["strategy"], r.get("first")) for r in rows}
     missing = [task for task in tasks if (task.arm, task.strategy, task.first) not in done]
     work = (
-        functools.partial(directions_block, settings=settings)
+        functools.partial(directions_block, settings=settings)  # type: ignore[arg-type]
         if directions
-        else functools.partial(records_block, settings=settings)
+        else functools.partial(records_block, settings=settings)  # type: ignore[arg-type]
     )
     arms = list(ARMS)
 
@@ -173,7 +173,7 @@ def limit_of(whole: dict[tuple[str, float, str], Row], arm: str, sd: float) -> A
     if sd > 0:
         return np.array(whole[arm, sd, LIMIT]["share"])
     own = [row for (name, part, _), row in whole.items() if name == arm and part == 0]
-    return np.max([row["informed"] / row["cases"] for row in own], axis=0)
+    return np.max([row["informed"] / row["cases"] for row in own], axis=0)  # type: ignore[no-any-return]
 
 
 # Showing
@@ -376,13 +376,13 @@ def evaluate(chosen: argparse.Namespace, levels: Sequence[str]) -> None:
         directions = replace(directions, cases=40, block=20, poses=4, samples=4000)
         records = replace(records, cases=12, block=12, poses=3)
     if chosen.cases is not None:
-        directions, records = (replace(s, cases=chosen.cases) for s in (directions, records))
+        directions, records = (replace(s, cases=chosen.cases) for s in (directions, records))  # type: ignore[assignment]
     backend = BackendSettings.of(chosen)
     rows: list[Row] = []
     for level, settings in zip(levels, (directions, records), strict=True):
         path = folder / f"pose_sets_{level}.json"
         if level in chosen.level:
-            rows += study(path, settings, backend=backend, afresh=chosen.afresh)
+            rows += study(path, settings, backend=backend, afresh=chosen.afresh)  # type: ignore[arg-type]
         elif path.exists():  # drawn and printed as it was stored
             rows += json.loads(path.read_text(encoding="utf-8"))["rows"]
     if not rows:

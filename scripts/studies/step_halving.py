@@ -158,7 +158,7 @@ def cases_of(
             excitation, _ = at_levels(linear.at(pose), level, duration=duration)
             if all(excitation.excited):  # gravity leaves torque to spare at every joint
                 break
-        softened = min(np.divide(fault.stiffness, wanted.stiffness)) < 1 - 1e-9
+        softened = min(np.divide(fault.stiffness, wanted.stiffness)) < 1 - 1e-9  # type: ignore[union-attr]
         cases.append(
             Case(fault=fault, pose=pose, excitation=excitation, seed=k, softened=bool(softened))
         )

@@ -70,7 +70,7 @@ class Trails:
     def ends(self, threshold: float) -> NDArray[np.intp]:
         """Index of the record after which each episode ends (E,)."""
         sure = self.confidence >= threshold
-        return np.where(sure.any(1), sure.argmax(1), self.confidence.shape[1] - 1)
+        return np.where(sure.any(1), sure.argmax(1), self.confidence.shape[1] - 1)  # type: ignore[no-any-return]
 
     def returns(self, threshold: float) -> Array:
         """Return of each episode (E,)."""

@@ -73,7 +73,7 @@ def diagnosis_env(
     """
     drawn = {} if render_mode is None else {"render_mode": render_mode}
     with refused_in_words(env_id, arguments):
-        env = gymnasium.make(env_id, **drawn, **arguments).unwrapped
+        env = gymnasium.make(env_id, **drawn, **arguments).unwrapped  # type: ignore[arg-type]
     if not isinstance(env, DiagnosisEnv):
         raise UnknownName(f"{env_id} is no diagnosis environment; those are {', '.join(IDS)}")
     return env

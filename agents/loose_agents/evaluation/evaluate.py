@@ -153,7 +153,7 @@ def goes_on(agent: Agent, records: int) -> Agent:
             "estimator, a policy and a stopping rule can be made to go on"
         )
     changed = copy.copy(agent)
-    changed.stopping = AfterRecords(records=records)  # type: ignore[attr-defined]
+    changed.stopping = AfterRecords(records=records)
     return changed
 
 

@@ -168,7 +168,7 @@ def _information(rows: Sequence[Row], chance: Mapping[str, float]) -> list[float
     """Upper confidence limits of the mean gain in log score [nat], by record."""
     trails: list[list[float]] = []
     for row in rows:
-        told: Sequence[Any] = row.get("trail_truth")
+        told: Sequence[Any] = row.get("trail_truth")  # type: ignore[assignment]
         if told is not None and len(told) and chance.get(row["truth"], 0.0) > 0:
             trails.append([chance[row["truth"]], *told])
     logs = [np.log(np.maximum(np.asarray(trail, dtype=float), _LEAST)) for trail in trails]
@@ -187,7 +187,7 @@ def _success(rows: Sequence[Row]) -> list[float]:
 
     Who has stopped keeps the last guess.
     """
-    trails = [(row["truth"], list(best)) for row in rows if _has(best := row.get("trail_best"))]
+    trails = [(row["truth"], list(best)) for row in rows if _has(best := row.get("trail_best"))]  # type: ignore[arg-type]
     if len(trails) < FEWEST:
         return []
     longest = max(len(best) for _, best in trails)

@@ -86,7 +86,7 @@ class LinkFindingAgent(EpisodeAgent):
             if memory.tries <= self.settings.retries:
                 return
             # Out of retries: the nearer of the two thresholds decides.
-            finding = self._nearer(memory.sightings[-1], seen, joint)
+            finding = self._nearer(memory.sightings[-1], seen, joint)  # type: ignore[assignment]
         memory.tries = 0
         if finding == "turned":
             memory.high = joint - 1
@@ -132,7 +132,7 @@ class LinkFindingAgent(EpisodeAgent):
         read = self.problem.layout.physical
 
         def at(name: str) -> NDArray[np.float64]:
-            return read(observation, name)[slot]
+            return read(observation, name)[slot]  # type: ignore[no-any-return]
 
         return Sighting(
             pose=self.problem.layout.record_poses_of(observation)[slot],

@@ -146,7 +146,7 @@ class OracleAgent(BeliefAgent):
         self._posterior = _InformedPosterior(estimator.posterior)
         super().__init__(problem, Tracker(problem, self._posterior), policy, stopping, seed=seed)
         self._directions = self._posterior.start().belief.directions
-        self._frictions = np.asarray(estimator.posterior.frictions)  # type: ignore[attr-defined]
+        self._frictions = np.asarray(estimator.posterior.frictions)  # type: ignore[union-attr]
         self._sampler = FaultSampler(
             problem.linear,
             difficulty_named(problem.settings.difficulty),

@@ -271,7 +271,7 @@ class SpaceLinkFindingAgent(EpisodeAgent):
     def _moves_to(self, pose: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.intp]:
         """Index of each joint's move that leads nearest to a pose."""
         off = np.abs((target - pose)[:, None] - self.problem.actions.steps)
-        return np.argmin(off, axis=1).astype(np.intp)
+        return np.argmin(off, axis=1).astype(np.intp)  # type: ignore[no-any-return]
 
     def _measure(self, memory: _Search, moves: NDArray[np.intp]) -> NDArray[np.int64]:
         levels = np.full(self.problem.arm.n, memory.level, dtype=np.intp)

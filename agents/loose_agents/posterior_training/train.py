@@ -71,8 +71,8 @@ class _Layers(nn.Module):
 
     def forward(self, place: Tensor, record: Tensor, one_hot: Tensor) -> tuple[Tensor, Tensor]:
         """Likelihood (N, P, F) and last hidden layer (N, P, W)."""
-        x = (place.float() - self.place_mean) / self.place_scale
-        r = (record - self.record_mean) / self.record_scale
+        x = (place.float() - self.place_mean) / self.place_scale  # type: ignore[operator]
+        r = (record - self.record_mean) / self.record_scale  # type: ignore[operator]
         whole = self.record_out(nn.functional.silu(self.record_in(r)))
         y = self.place(x) + self.hypothesis(one_hot) + whole[:, None]
         hidden = nn.functional.silu(self.hidden(nn.functional.silu(y)))
@@ -146,7 +146,7 @@ class PosteriorTraining:
         total = total * torch.exp(temper)[None, :, None, None] - np.log(self.settings.frictions)
         by_place = torch.logsumexp(total, -1)
         slides = self.n * len(self.directions)
-        by_link = by_place[..., :slides].unflatten(-1, (self.n, len(self.directions)))
+        by_link = by_place[..., :slides].unflatten(-1, (self.n, len(self.directions)))  # type: ignore[no-untyped-call]
         slide = torch.logsumexp(by_link, -1) - np.log(len(self.directions))
         healthy = torch.zeros_like(slide[..., :1])
         log = torch.cat([healthy, slide, by_place[..., slides:]], -1) + self.prior
@@ -207,7 +207,8 @@ class PosteriorTraining:
 
     def _loss(self, episodes: NDArray[np.intp], records: int, rng: np.random.Generator) -> Tensor:
         rows = self.rows(episodes, records).reshape(-1, records)
-        rows = rng.permuted(rows, axis=1).ravel()  # the records of an episode have no order
+        # The records of an episode have no order.
+        rows = rng.permuted(rows, axis=1).ravel()  # type: ignore[assignment]
         log, total, _ = self.posterior(rows, records)
         truth = torch.from_numpy(self.figures.truth[episodes])
         score = -log.gather(-1, truth[:, None, None].expand(-1, records, 1)).mean()
@@ -223,7 +224,7 @@ class PosteriorTraining:
             true = torch.from_numpy(self.figures.direction[episodes])[slides]
             cosine = (true[:, : self.directions.shape[1]] @ self.directions.T).abs().clamp(max=1)
             near = torch.softmax(-((torch.arccos(cosine) / self.spread) ** 2) / 2, -1)
-            own = total[:, :, : n * count].unflatten(2, (n, count))[slides, :, truth[slides] - 1]
+            own = total[:, :, : n * count].unflatten(2, (n, count))[slides, :, truth[slides] - 1]  # type: ignore[no-untyped-call]
             log = torch.log_softmax(own.flatten(-2), -1).reshape(own.shape)
             log = log[torch.arange(len(slides)), :, :, node[slides]]
             loss = loss - (near[:, None] * log).sum(-1).mean() * len(slides) / len(truth)

@@ -194,7 +194,7 @@ class Weighed:
     @property
     def probabilities(self) -> Array:
         """Mean of the runs (E, H)."""
-        return np.mean([self.by_run(run) for run in range(len(self.evidence[0]))], axis=0)
+        return np.mean([self.by_run(run) for run in range(len(self.evidence[0]))], axis=0)  # type: ignore[no-any-return]
 
     @property
     def standard_error(self) -> Array:

@@ -59,7 +59,7 @@ class _Given:
         return self.normals[start : self.taken].reshape(size)
 
     def random(self, size: Any) -> Array:
-        return np.minimum(ndtr(self.standard_normal(size)), _BELOW_ONE)
+        return np.minimum(ndtr(self.standard_normal(size)), _BELOW_ONE)  # type: ignore[no-any-return]
 
 
 class SimulatedRecords:
@@ -269,4 +269,4 @@ class ParticlePosterior:
         model = SimulatedRecords(self.problem, self.sampler, self.rig, records, seed=self.seed)
         # A branch of its own beside those of the records' realisations.
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(len(records),)))
-        return evidence_by_particles(model, self.settings, rng)
+        return evidence_by_particles(model, self.settings, rng)  # type: ignore[arg-type]

@@ -102,7 +102,7 @@ class Records:
     def rules(self) -> DiagnosisSettings:
         """Rules of the environment with its default settings."""
         rules = DiagnosisSettings(difficulty=self.difficulty)
-        return rules if self.engine == "mujoco" else replace(rules, engine=self.engine)
+        return rules if self.engine == "mujoco" else replace(rules, engine=self.engine)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -334,7 +334,7 @@ def records_block(task: Task, settings: Records) -> list[Row]:
             among[slot] = found / found.sum() if found.sum() > 0 else 1 / arm.n
         right.append(int(np.sum(np.argmax(among, axis=1) == truth)))
         named = [
-            int(np.argmax(informed_links(tracker.posterior, m.belief, *known)))
+            int(np.argmax(informed_links(tracker.posterior, m.belief, *known)))  # type: ignore[arg-type]
             for m, known in zip(memories, secrets, strict=True)
         ]
         informed.append(int(np.sum(np.array(named) == truth)))

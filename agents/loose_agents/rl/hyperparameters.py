@@ -184,7 +184,7 @@ def read_hyperparameters(path: str | Path, env_id: str) -> dict[str, Any]:
         If PyYAML is not installed.
     """
     try:
-        import yaml
+        import yaml  # type: ignore[import-untyped]
     except ImportError as error:
         raise MissingExtra(
             "hyperparameter files need PyYAML; install it with: pip install -e '.[train]'"

@@ -61,7 +61,7 @@ class Cell:
     @property
     def size(self) -> int:
         """Number of units."""
-        return self.on_state.weight.shape[1]
+        return self.on_state.weight.shape[1]  # type: ignore[no-any-return]
 
     def __call__(self, x: Weights, hidden: Weights, cell: Weights) -> tuple[Weights, Weights]:
         """Apply to (in,); return the next hidden and cell state, (size,) each."""
@@ -107,7 +107,7 @@ class PolicyNetwork:
             y, kept = cell(y, hidden, kept)
             after.append((y, kept))
         for layer in self.layers[:-1]:
-            y = _ACTIVATIONS[self.activation](layer(y))
+            y = _ACTIVATIONS[self.activation](layer(y))  # type: ignore[operator]
         return self.layers[-1](y), tuple(after)
 
     def choose(
@@ -172,7 +172,7 @@ def _network(
     def layer(weight: str, bias: str) -> Layer:
         return Layer(weight=state[weight], bias=state[bias])
 
-    cells = []
+    cells = []  # type: ignore[var-annotated]
     while f"lstm_actor.weight_ih_l{len(cells)}" in state:
         k = len(cells)
         cells.append(

@@ -227,4 +227,4 @@ class TrackedVecEnv(VecEnvWrapper):
         """Shaping reward of the last step."""
         before, after = self._potentials[i], self._potential(i)
         self._potentials[i] = after
-        return self.shaping * (after - before)
+        return self.shaping * (after - before)  # type: ignore[no-any-return]

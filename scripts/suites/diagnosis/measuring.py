@@ -52,7 +52,7 @@ def taken(case: Case, played: Motion, name: str, rng: np.random.Generator, *, so
     assert played.excited is not None and played.pose is not None
     return Run(
         name=name,
-        time=np.arange(len(signals.position)) * SAMPLE,
+        time=np.arange(len(signals.position)) * SAMPLE,  # type: ignore[arg-type]
         controls={f"motor{j + 1}": played.commands[:, j] for j in joints},
         sensors=sensors,
         excited=(f"joint{played.excited + 1}",),

@@ -136,7 +136,7 @@ class Visibility:
         if self.form == RANDOM:
             transfer = self._transfer(signals)[0] / self._scale
             return np.concatenate((transfer.real.ravel(), transfer.imag.ravel()))
-        return np.sqrt(THIN) * signals.normalised(self.noise)[::THIN].ravel()
+        return np.sqrt(THIN) * signals.normalised(self.noise)[::THIN].ravel()  # type: ignore[no-any-return]
 
     def _sensitivities(self) -> Array:
         """Change of the features with every factor, of shape (features, 6 n)."""
@@ -197,7 +197,7 @@ class Visibility:
         """An excess in its own standard deviations."""
         if not np.isfinite(excess):
             return float("inf")
-        return excess / np.sqrt(2 * self.count + 4 * excess)
+        return excess / np.sqrt(2 * self.count + 4 * excess)  # type: ignore[no-any-return]
 
     def of(self, kind: Kind, place: Place, drawn: Parameters, size: float) -> float:
         """Score of an effect of a given size, beyond what its rivals explain."""

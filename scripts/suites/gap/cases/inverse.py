@@ -38,7 +38,7 @@ def _needed(bodies, damping, gravity, q, v, a):  # type: ignore[no-untyped-def]
 
 def _smooth(values: Array) -> Array:
     low = signal.butter(4, BAND, fs=1 / SAMPLE, output="sos")
-    return signal.sosfiltfilt(low, values, axis=0)
+    return signal.sosfiltfilt(low, values, axis=0)  # type: ignore[no-any-return]
 
 
 def torque_residual(signals: Signals, figures: Figures, factors: Factors) -> Array:
@@ -62,4 +62,4 @@ def torque_residual(signals: Signals, figures: Figures, factors: Factors) -> Arr
     needed = _needed(system.bodies, system.laws[:, DAMPING].copy(), system.gravity, q, v, a)
     residual = _smooth(signals.torque) - needed
     edge = 2 * THINNED
-    return residual[edge:-edge:THINNED]
+    return residual[edge:-edge:THINNED]  # type: ignore[no-any-return]

@@ -124,8 +124,8 @@ def rich_motion(
     make = {
         "multisine": _multisine, "reversals": _reversals, "steps": _steps, "chirp": _chirp,
     }[family]  # fmt: skip
-    shape = make(rng, time, figures.joints)
-    shape = (shape - shape[0]) * _minimum_jerk(time / FADE)[:, None]
+    shape = make(rng, time, figures.joints)  # type: ignore[arg-type]
+    shape = (shape - shape[0]) * _minimum_jerk(time / FADE)[:, None]  # type: ignore[arg-type]
     shape /= np.maximum(np.abs(shape).max(axis=0), 1e-9)
     start = figures.home + figures.reach * rng.uniform(-0.2, 0.2, figures.joints)
     sizes = figures.reach * rng.uniform(0.55, 0.9, figures.joints)
@@ -162,7 +162,7 @@ def shaken_motion(
     level = float(np.exp(rng.uniform(np.log(0.06), np.log(0.2)))) * link.limit / link.kp
     time = np.arange(samples) * SAMPLE
     commands = np.tile(pose, (samples, 1))
-    commands[:, joint] += level * noise / noise.std() * _minimum_jerk(time / 0.3)
+    commands[:, joint] += level * noise / noise.std() * _minimum_jerk(time / 0.3)  # type: ignore[arg-type]
     return Motion(commands=commands, excited=joint, pose=pose, family="shaken")
 
 
@@ -185,7 +185,7 @@ def free_motion(rng: np.random.Generator, figures: Figures, *, seconds: float) -
     rates = rng.uniform(0.5, 1.2, figures.joints)
     sizes = rng.uniform(0.3, 0.7, figures.joints)
     wave = np.sin(2 * np.pi * rates * time[:, None] + phases) - np.sin(phases)
-    commands = np.array(figures.hanging) + sizes * wave * _minimum_jerk(time / 1.0)[:, None]
+    commands = np.array(figures.hanging) + sizes * wave * _minimum_jerk(time / 1.0)[:, None]  # type: ignore[arg-type]
     return Motion(commands=commands, release=round(swing / SAMPLE), family="free")
 
 

@@ -53,7 +53,7 @@ def _run(case: Case, motion: Motion, signals: Signals, name: str) -> Run:
         extra["pose"] = {f"joint{j + 1}": float(motion.pose[j]) for j in joints}
     return Run(
         name=name,
-        time=np.arange(len(signals.position)) * SAMPLE,
+        time=np.arange(len(signals.position)) * SAMPLE,  # type: ignore[arg-type]
         controls=controls,
         sensors=sensors,
         torques=torques,

@@ -56,7 +56,7 @@ SLIDE_SPEED = 0.2
 
 def _law(system: System, place: Place) -> np.ndarray:
     """Row of laws of a joint's motor side; writing to it changes the system."""
-    return system.laws[int(system.drives[place.index, 0])]
+    return system.laws[int(system.drives[place.index, 0])]  # type: ignore[no-any-return]
 
 
 def _speed(figures: Figures, place: Place) -> float:

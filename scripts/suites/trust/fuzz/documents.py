@@ -270,7 +270,7 @@ def logs() -> dict[str, bytes]:
         ns = round(t * 1e9)
         message = json.dumps({"q": float(q)}).encode()
         writer.add_message(channel, log_time=ns, data=message, publish_time=ns)
-    writer.finish()
+    writer.finish()  # type: ignore[no-untyped-call]
     sets = [
         pyuff.prepare_58(
             id1="accelerometer", func_type=1, rsp_node=1, rsp_dir=k, ref_node=0, ref_dir=0,
@@ -296,5 +296,5 @@ def rows() -> dict[str, bytes]:
     row: dict[str, Any] = {"agent": "a", "seed": 1, "episode": 0, "reward": 0.5, "success": True}
     with tempfile.TemporaryDirectory() as place:
         for form in ("json", "parquet"):
-            write_rows(place, "rows", [row, row | {"episode": 1}], {"env": "e"}, form=form)  # type: ignore[arg-type]
+            write_rows(place, "rows", [row, row | {"episode": 1}], {"env": "e"}, form=form)
         return {p.name: p.read_bytes() for p in Path(place).iterdir()}

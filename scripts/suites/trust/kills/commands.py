@@ -124,7 +124,7 @@ def make_recording(folder: Path) -> None:
             row[:] = data.sensordata
         shown += rng.normal(0, [2e-5, 0.02, 0.02, 0.02], shown.shape)
         sensors = {"angle": shown[:, 0], "acc": shown[:, 1:]}
-        runs.append(Run(name=f"run-{k}.csv", time=time, controls={"m": command}, sensors=sensors))
+        runs.append(Run(name=f"run-{k}.csv", time=time, controls={"m": command}, sensors=sensors))  # type: ignore[arg-type]
     write_recording(folder, model_xml=_ARM, runs=runs, file_format="csv")
 
 
@@ -157,7 +157,7 @@ def make_shaken_recording(folder: Path) -> None:
         runs.append(
             Run(
                 name=f"run-{k}.parquet",
-                time=time,
+                time=time,  # type: ignore[arg-type]
                 controls=controls | {"shake": noise},
                 sensors=sensors,
                 pose=pose,
@@ -192,7 +192,7 @@ def _policies(out: Path) -> list[str]:
         _try(found, file, lambda f=file: read_model(f))  # type: ignore[misc]
         if file.name == "checkpoint.zip":
             run = read_model(file).run
-            steps = run["state"]["items"] if run else found.append(f"{RUN} is missing")
+            steps = run["state"]["items"] if run else found.append(f"{RUN} is missing")  # type: ignore[func-returns-value]
             evaluated = dict(steps or [])["steps"]
             if sorted(set(evaluated)) != evaluated:
                 found.append(f"evaluations at {evaluated}: one is there twice")

@@ -72,7 +72,7 @@ def run_whole(command: Command, out: Path) -> list[float]:
         time.sleep(POLL)
     if process.returncode:
         raise RuntimeError(f"{command.name} failed: {_said(process, out)}")
-    return np.diff([*times, time.monotonic()]).tolist()
+    return np.diff([*times, time.monotonic()]).tolist()  # type: ignore[no-any-return]
 
 
 def kill_often(
