@@ -238,7 +238,7 @@ def _each(matrices: Array, rows: ComplexArray) -> ComplexArray:
 
 
 def with_leakage(at: PoseModel, lines: Lines) -> Lines:
-    """Predicted channels including spectral leakage of the window.
+    """Lines with their predicted spectral leakage set, to first order.
 
     The taper mixes every line with its two neighbours. Where the arm's answer changes from line to
     line, what comes from the neighbours was answered a little otherwise; to first order that is

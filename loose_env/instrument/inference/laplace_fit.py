@@ -157,7 +157,7 @@ def _state(
 
 
 def _eased(evidence: Evidence, seat: Seat | None, now: _State) -> _State:
-    """Step to a neighbouring model error while the likelihood improves."""
+    """Step to a neighbouring model error while the log posterior density improves."""
     for _ in range(len(MODEL_ERRORS)):
         at = int(np.argmin(np.abs(np.log(MODEL_ERRORS / now.model_error))))
         near = [k for k in (at - 1, at + 1) if 0 <= k < len(MODEL_ERRORS)]

@@ -1,4 +1,4 @@
-"""Fisher information of an outer product's estimate about the angle of its axis."""
+"""Efficient information of an outer product's estimate about the angle of its axis."""
 
 import numpy as np
 
