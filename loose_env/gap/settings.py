@@ -1,7 +1,4 @@
-"""How a recording is compared with its model: what a caller may choose.
-
-When an effect counts as found, and how much is tried.
-"""
+"""Settings of `loose gap`, and acceptance criteria of its effect search."""
 
 from __future__ import annotations
 
@@ -21,7 +18,7 @@ _MOST_EFFECTS, _MOST_THREADS, _SEEDS = 30, 10_000, 2**63
 
 @dataclass(frozen=True, kw_only=True)
 class GapSettings:
-    """How a recording is compared with its model.
+    """Settings of the comparison of a recording with its model.
 
     Examples
     --------
@@ -55,7 +52,7 @@ class GapSettings:
     """Threads of the simulation; 0: all processors."""
 
     def __post_init__(self) -> None:
-        """Check.
+        """Check the values.
 
         Raises
         ------
@@ -90,13 +87,13 @@ class GapSettings:
 
 
 def _is_number(value: object) -> bool:
-    """Whether a value is a number, and no truth value."""
+    """Return whether a value is a number, and no bool."""
     return isinstance(value, Real) and not isinstance(value, bool)
 
 
 @dataclass(frozen=True, kw_only=True)
 class NamingSettings:
-    """When an effect counts as found."""
+    """Acceptance criteria of effects, and sizes of the search."""
 
     most: int = 3
     """Most effects named."""

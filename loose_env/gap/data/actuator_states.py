@@ -1,4 +1,4 @@
-"""What actuators with dynamics of their own make of their commands in a run."""
+"""Activation states of actuators with internal dynamics, from their commands."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ __all__ = ["activations"]
 
 _FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
 _RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
-_SHORTEST = 1e-15  # as MuJoCo bounds a time constant [s]
+_SHORTEST = 1e-15  # MuJoCo's lower bound of a time constant [s]
 
 
 def activations(model: mujoco.MjModel, controls: Array, step: float) -> Array | None:
-    """Activation of every actuator that has one, as it acts in every step of a run.
+    """Compute the activation of every actuator that has one, by simulation step.
 
-    The first command is taken to have been held before, and a filter to have followed it. An
-    integrator goes on from where it was, which nobody measured; muscles and others depend on more
+    The first command is assumed to have been held before the run, with filters at steady state. The
+    state of an integrator depends on its unknown initial value; muscles and others depend on more
     than their commands.
 
     Parameters
     ----------
     model : mujoco.MjModel
-        With the integrator that simulates it.
+        The model, with the integrator of the simulation.
     controls : ndarray (steps, actuators)
         Commands, held from step to step; those of actuators beyond them are zero.
     step : float
@@ -34,7 +34,7 @@ def activations(model: mujoco.MjModel, controls: Array, step: float) -> Array | 
     Returns
     -------
     ndarray (steps, model.na), or None
-        Means over each step; None where it is not known: an actuator with dynamics is no
+        Means over each step; None where it is not known: an actuator with dynamics is not a
         first-order filter.
 
     Examples
@@ -56,9 +56,9 @@ def activations(model: mujoco.MjModel, controls: Array, step: float) -> Array | 
 
 
 def _filtered(model: mujoco.MjModel, number: int, command: Array, step: float) -> list[float]:
-    """Mean activation of a first-order filter in each step, as MuJoCo clamps and integrates it.
+    """Mean activation of a first-order filter in each step, as MuJoCo integrates it.
 
-    Its steps of Runge and Kutta let the activation move within a step; others hold it.
+    Runge-Kutta substeps let the activation move within a step; other integrators hold it.
     """
     if model.actuator_ctrllimited[number]:
         command = np.clip(command, *model.actuator_ctrlrange[number])
@@ -68,7 +68,7 @@ def _filtered(model: mujoco.MjModel, number: int, command: Array, step: float) -
     lag = max(float(model.actuator_dynprm[number, 0]), _SHORTEST)
     exact, moving = -float(np.expm1(-step / lag)), int(model.opt.integrator) == _RUNGE_KUTTA
     plain = int(model.actuator_dyntype[number]) == _FILTERS[0]
-    # What a step of the method makes of a rate, and what the exact filter makes of that.
+    # Gain of one integration step on a rate, and the correction to the exact filter.
     share = exact if moving else step / lag
     if not plain:
         share *= exact * lag / step

@@ -1,4 +1,4 @@
-"""A measured run, laid out on the steps of a simulation."""
+"""A measured run, aligned with the steps of a simulation."""
 
 from __future__ import annotations
 
@@ -33,56 +33,56 @@ class Channel:
     """One scalar column that is compared."""
 
     column: str
-    """Without the axis: "sensor.name" or "torque.name"."""
+    """Column without the axis: "sensor.name" or "torque.name"."""
     axis: int | None = None
-    """0, 1, 2 for x, y, z of a vector."""
+    """Axis: 0, 1, 2 for x, y, z of a vector."""
 
     @property
     def name(self) -> str:
-        """As in the recording, axis included."""
+        """Column name as in the recording, axis included."""
         return self.column if self.axis is None else f"{self.column}.{'xyz'[self.axis]}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trial:
-    """One run, ready to be compared with a simulation."""
+    """One run, aligned for comparison with a simulation."""
 
     name: str
     """File of the run."""
     form: str
     """ "forward", "inverse" or "free"."""
     time: Array
-    """Samples [s], from 0 (T,)."""
+    """Sample times [s], from 0 (T,)."""
     measured: Array
-    """What the channels showed; NaN where nothing was read (T, C)."""
+    """Readings of the channels; NaN where nothing was read (T, C)."""
     step: float
     """Simulation step [s]."""
     steps: int
-    """Simulation steps from the first to the last sample, both counted."""
+    """Number of simulation steps from the first to the last sample, both included."""
     controls: Array
     """Commands at every step (steps, actuators); zero without commands."""
     position: Array
-    """Joints at the first sample [rad, m] (joints,)."""
+    """Joint positions at the first sample [rad, m] (joints,)."""
     speed: Array
-    """Their speeds [rad/s, m/s] (joints,)."""
+    """Joint speeds at the first sample [rad/s, m/s] (joints,)."""
     resting: bool
-    """Whether the arm stood still at the first samples, held by its commands."""
+    """Whether the arm is at rest at the first samples, held by its commands."""
     settles: bool = True
-    """Whether the nominal model comes to rest under commands that are held."""
+    """Whether the nominal model settles under constant commands."""
     joints: tuple[str, ...] = ()
     """Names of the joints, in the model's order."""
     excited: tuple[str, ...] = ()
-    """Joints driven by random noise."""
+    """Joints excited by random noise."""
     motion: dict[str, Array] = field(default_factory=dict)
-    """Joint -> its measured position at the samples (T,); joints that were measured only."""
+    """Joint -> its measured position at the samples (T,); measured joints only."""
 
     @property
     def rate(self) -> float:
-        """Samples per second, mean."""
+        """Mean sample rate [1/s]."""
         return (len(self.time) - 1) / float(self.time[-1])
 
     def finer(self, parts: int) -> Trial:
-        """The same, every step in so many parts."""
+        """Copy with every step divided into a number of substeps."""
         if parts == 1:
             return self
         steps = (self.steps - 1) * parts + 1
@@ -90,14 +90,14 @@ class Trial:
         return replace(self, step=self.step / parts, steps=steps, controls=controls)
 
     def coarser(self, most: int) -> Trial:
-        """The same with several steps in one, at most so many and none that hides a command.
+        """Copy with several steps merged, up to a number, that keeps all command changes.
 
         Samples and changes of commands stay at the beginning of a step.
         """
         return next((found for k in range(most, 1, -1) if (found := self._joined(k))), self)
 
     def _joined(self, parts: int) -> Trial | None:
-        """The same with so many steps in one; None where samples or commands come between."""
+        """Copy with steps merged; None where samples or commands come between."""
         at, steps = self.time / (self.step * parts), -(-(self.steps - 1) // parts) + 1
         controls = self.controls[::parts]
         between = np.any(np.abs(at - np.round(at)) > 1e-5)
@@ -107,7 +107,7 @@ class Trial:
         return replace(self, step=self.step * parts, steps=steps, controls=controls)
 
     def until(self, seconds: float) -> Trial:
-        """The beginning of the run, of so many seconds; the whole if it is no longer."""
+        """Beginning of the run, of a length in seconds; the whole if it is no longer."""
         count = int(np.searchsorted(self.time, seconds, side="right"))
         if count >= len(self.time):
             return self
@@ -122,15 +122,15 @@ class Trial:
         )
 
     def between(self, first: int, last: int) -> Trial:
-        """A window of the run, from one sample to before another, as a run of its own.
+        """Window of the run, from one sample to before another, as a run of its own.
 
-        Its start is taken from parabolas through the measured motion about it; where a joint was
-        not read there, from a straight line between its readings before and after.
+        Its initial state is taken from parabolas through the measured motion about it; where a
+        joint was not read there, from a straight line between its readings before and after.
 
         Parameters
         ----------
         first, last : int
-            Samples; the first is taken in.
+            Sample indices; the last is excluded.
         """
         if first <= 0 and last >= len(self.time):
             return self
@@ -147,7 +147,7 @@ class Trial:
             elif np.isfinite(values).any():
                 position[number], speed[number], still = _across(away, values)
             else:
-                continue  # never read: where the run began, as far as anybody knows
+                continue  # never read: the initial position of the run is the best estimate
             resting &= still
         controls = self.controls[begun : begun + steps]
         resting &= bool(np.ptp(self.controls[max(begun - 50, 0) : begun + 1], axis=0).max() == 0)
@@ -165,7 +165,7 @@ class Trial:
         )
 
     def at_samples(self, values: Array) -> Array:
-        """Values at the steps (..., steps, C) -> at the samples (..., T, C), interpolated."""
+        """Interpolate values at the steps (..., steps, C) to the samples (..., T, C)."""
         at = np.clip(self.time / self.step, 0, self.steps - 1)
         low = np.minimum(np.floor(at + 1e-6).astype(int), self.steps - 1)
         high = np.minimum(low + 1, self.steps - 1)
@@ -176,7 +176,7 @@ class Trial:
 
 
 def channels_of(runs: list[Run]) -> tuple[Channel, ...]:
-    """Every column that any run shows, in the order of its first appearance."""
+    """List every column of any run, in the order of its first appearance."""
     found: dict[Channel, None] = {}
     for run in runs:
         for prefix, columns in (("sensor", run.sensors), ("torque", run.torques)):
@@ -188,7 +188,7 @@ def channels_of(runs: list[Run]) -> tuple[Channel, ...]:
 
 
 def step_for(run: Run, longest: float) -> float:
-    """Step [s] of at most ``longest`` that divides the sample interval where that is even."""
+    """Step [s] of at most ``longest`` that divides a uniform sample interval."""
     intervals = np.diff(run.time)
     typical = float(np.median(intervals))
     if np.max(np.abs(intervals - typical)) > _REGULAR * typical:
@@ -198,18 +198,18 @@ def step_for(run: Run, longest: float) -> float:
 
 
 def lay_out(run: Run, machine: Machine, channels: tuple[Channel, ...], *, step: float) -> Trial:
-    """Lay a run out on steps.
+    """Align a run with simulation steps.
 
     Commands are held from their sample to the next. A missing command keeps the one before.
 
     Parameters
     ----------
     run : Run
-        As it was recorded.
+        The run as recorded.
     machine : Machine
         The nominal model.
     channels : tuple of Channel
-        What is compared; missing ones become NaN.
+        The compared channels; missing ones become NaN.
     step : float
         Longest simulation step [s].
     """
@@ -228,7 +228,7 @@ def lay_out(run: Run, machine: Machine, channels: tuple[Channel, ...], *, step: 
         if name in run.controls:
             controls[:, k] = _filled(run.controls[name])[held]
     position, speed, resting, motion = _start(run, machine, time)
-    forward = run.comparison == "forward"  # a free arm is let go
+    forward = run.comparison == "forward"  # a free arm is released
     settles = not forward or comes_to_rest(machine, position, controls[0])
     commands = np.column_stack([_filled(values) for values in run.controls.values()] or [time * 0])
     resting = resting and forward and settles
@@ -252,7 +252,7 @@ def lay_out(run: Run, machine: Machine, channels: tuple[Channel, ...], *, step: 
 
 
 def _filled(values: Array) -> Array:
-    """Values with gaps closed by the value before, those at the start by the first one."""
+    """Forward-fill gaps in values; those at the start take the first value."""
     good = np.isfinite(values)
     if good.all():
         return values
@@ -287,15 +287,15 @@ def _start(run: Run, machine: Machine, time: Array) -> tuple[Array, Array, bool,
 
 
 def _tells(time: Array, values: Array) -> bool:
-    """Whether a parabola through readings (T,) says where they are at time 0, or hardly beyond."""
+    """Return whether readings (T,) cover time 0 well enough for a parabola."""
     read = time[np.isfinite(values)]
     return len(read) >= 4 and max(read[0], -read[-1]) <= _BEYOND * (read[-1] - read[0])
 
 
 def _across(time: Array, values: Array) -> tuple[float, float, bool]:
-    """Value and slope at time 0 of the straight line across a gap in readings, and whether level.
+    """Value and slope at time 0 by a line across a gap in readings, and whether flat.
 
-    Before the first reading and after the last one it is level.
+    Before the first reading and after the last one it is flat.
     """
     good = np.isfinite(values)
     t, v = time[good], values[good]
@@ -310,10 +310,10 @@ def _across(time: Array, values: Array) -> tuple[float, float, bool]:
 
 
 def _line(time: Array, values: Array, *, whole: bool = False) -> tuple[float, float, bool]:
-    """Value and slope at time 0 by a parabola, and whether it stands still there.
+    """Value and slope at time 0 by a parabola, and whether it is at rest there.
 
-    Through the first samples, or through the whole. Still is what has no slope beyond its
-    standard error three times over.
+    Fitted to the first samples, or to all of them. At rest means a slope of less than three
+    standard errors.
     """
     count = len(time) if whole else int(np.clip(np.searchsorted(time, _REST), 8, len(time)))
     good = np.isfinite(values[:count])

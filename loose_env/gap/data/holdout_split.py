@@ -1,4 +1,4 @@
-"""Which runs are fitted to, and which are kept to judge by: whole runs, never rows."""
+"""Hold-out split into training and held-out runs: whole runs, never rows."""
 
 from __future__ import annotations
 
@@ -16,27 +16,26 @@ _LARGEST = 0.5
 def split_runs(
     names: Sequence[str], *, share: float = 0.25, held_out: Sequence[str] = ()
 ) -> tuple[list[int], list[int]]:
-    """Numbers of the runs to fit to, and of those held out.
+    """Split runs into training and held-out runs, by families of motions.
 
-    Families of motions are held out whole: ``single_joint_elbow`` says little about a model that
-    ``single_joint_wrist`` did not say before. Runs whose names begin with the same word are a
-    family, unless only numbers follow it, or most runs would be in it. Families are held out
-    evenly through the recording, at least one, the last among them; whatever the share, one is
-    left to fit to.
+    Families are held out whole: ``single_joint_elbow`` is nearly redundant with
+    ``single_joint_wrist`` for scoring. Runs whose names begin with the same word are a family,
+    unless only numbers follow it, or most runs would be in it. Families are held out evenly through
+    the recording, at least one, the last among them; whatever the share, one remains for training.
 
     Parameters
     ----------
     names : sequence of str
         Files of the runs.
     share : float
-        Share held out, about, above 0 and below 1.
+        Approximate held-out share, above 0 and below 1.
     held_out : sequence of str
-        Files that are held out in place of these, or how their names begin.
+        Files that are held out in place of these, or prefixes of their names.
 
     Raises
     ------
     InvalidData
-        If there are fewer than two runs, or none is left on one side, or a name is that of no run.
+        If there are fewer than two runs, or one side is empty, or a name matches no run.
 
     Examples
     --------
@@ -75,7 +74,7 @@ def split_runs(
 
 
 def _chosen(names: Sequence[str], held_out: Sequence[str]) -> set[int]:
-    """Numbers of the runs that a user holds out."""
+    """Indices of the runs that a user holds out."""
     found: set[int] = set()
     for given in held_out:
         own = {k for k, name in enumerate(names) if name == given or name.startswith(given)}
@@ -90,7 +89,7 @@ def _chosen(names: Sequence[str], held_out: Sequence[str]) -> set[int]:
 
 
 def _families(names: Sequence[str]) -> list[list[int]]:
-    """Numbers of the runs of each family, in the order of their first ones."""
+    """Indices of the runs of each family, in the order of their first ones."""
     found: dict[str, list[int]] = {}
     for k, name in enumerate(names):
         stem = name.rsplit("/", 1)[-1].rsplit(".", 1)[0]

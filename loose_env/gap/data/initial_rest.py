@@ -1,8 +1,8 @@
-"""Whether an arm rests when a run begins, and whether its model would rest there, too.
+"""Initial rest: detects arms at rest at the start, and models that settle there.
 
-An arm that stands still under its first command has been doing so: springs have taken their load.
-The model is therefore held under that command before a run that begins at rest. An arm that is set
-off by its first command, or by a torque that nothing opposes, must not be held: it would be gone.
+An arm at rest under its first command has been so before: springs are in equilibrium. The model is
+therefore settled under that command before a run that begins at rest. An arm set in motion by its
+first command, or by an unopposed torque, must not be settled: it would drift away.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _NO_MATTER = 1e-3
 
 
 def stays(time: Array, values: Array, controls: Array) -> bool:
-    """Whether a joint stays where it is for as long as the first commands are held.
+    """Return whether a joint stays at rest while the first commands are held.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def stays(time: Array, values: Array, controls: Array) -> bool:
     Returns
     -------
     bool
-        True, too, where the commands change before it can be told.
+        True, too, where the commands change before it can be determined.
 
     Examples
     --------
@@ -67,9 +67,9 @@ def stays(time: Array, values: Array, controls: Array) -> bool:
 
 
 def comes_to_rest(machine: Machine, position: Array, commands: Array) -> bool:
-    """Whether the nominal model, let go at rest in a pose, comes to rest nearby.
+    """Return whether the nominal model, released at rest in a pose, settles nearby.
 
-    A servo swings to where it carries its load; a torque that nothing opposes drives on and on.
+    A servo moves to where it carries its load; an unopposed torque accelerates without bound.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def comes_to_rest(machine: Machine, position: Array, commands: Array) -> bool:
     for k in range(len(way)):
         mujoco.mj_step(model, data)
         way[k] = data.qpos - start
-    last = max(count // 4, 1)  # the mean of a while, for a servo may ring
+    last = max(count // 4, 1)  # mean over an interval, as a servo may oscillate
     soon = np.abs(np.mean(way[count - last : count], axis=0))
     later = np.abs(np.mean(way[-last:], axis=0))
     return bool(np.all((later <= _CREEPS * soon) | (later < _NO_MATTER)))

@@ -1,4 +1,4 @@
-"""How exactly each channel was read: the noise floor, from the measured data alone."""
+"""Noise floor of each channel, from the measured data alone."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _MEDIAN = 0.97
 
 
 def noise_floor(values: Array) -> float:
-    """Standard deviation of a channel's noise.
+    """Estimate the standard deviation of a channel's noise.
 
-    From the top of the spectrum: the noise of encoders and accelerometers is about as strong at
-    every frequency, the machine's motion is not. It is read in short windows, and the median of
-    them counts, since a few hold steps and impacts. At least that of rounding to the channel's
-    steps (a step over the root of 12).
+    It is taken from the top of the spectrum: the noise of encoders and accelerometers is nearly
+    white, the machine's motion is not. The level is the median over short windows, since a few
+    contain steps and impacts. It is at least the rounding error of the channel's resolution (a step
+    over the root of 12).
 
     Parameters
     ----------
@@ -46,9 +46,9 @@ def noise_floor(values: Array) -> float:
 
 
 def channel_floor(values: Array) -> float:
-    """As `noise_floor`; NaN where a channel shows one value throughout.
+    """Noise floor as of `noise_floor`; NaN where a channel is constant throughout.
 
-    An encoder that stays on one of its steps does not say how wide that step is.
+    An encoder that stays on one of its steps does not reveal its resolution.
 
     Examples
     --------
@@ -69,13 +69,13 @@ def _tops(values: Array) -> Array:
     power = power / np.sum(shape**2)
     angle = np.linspace(0, np.pi, power.shape[1])
     top = (angle >= _TOP * np.pi) & (angle < 0.98 * np.pi)
-    # Second differences keep what would leak from the low frequencies out; divided out again.
+    # Second differences prevent leakage from low frequencies; their gain is divided out again.
     level = power[:, top] / (2 - 2 * np.cos(angle[top])) ** 2
     return np.asarray(np.sqrt(np.mean(level, axis=1)))
 
 
 def resolution_of(values: Array) -> float:
-    """Step of a channel that was rounded; 0 where it was not.
+    """Resolution of a rounded channel; 0 if it was not rounded.
 
     Examples
     --------

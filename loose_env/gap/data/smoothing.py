@@ -1,11 +1,11 @@
-"""The motion that a run shows, smoothed without phase, and what of its noise is left.
+"""Zero-phase smoothing of measured motion, with its remaining noise.
 
-Position, speed and acceleration pass the same low-pass filter as the torques that are compared with
-them, forwards and backwards, so that a torque in proportion to an acceleration stays so. The band
-ends where the motion does, or before, where the noise of the acceleration begins to drown that of
-the torque, if that does not cut the bulk of the motion: errors are white up to there, and above it
-they grow with the square of the frequency. What has no motion in it has nothing to tell, but a
-spring's resonance lets noise in. A speed sensor takes over from the encoder's derivative at high
+Position, speed and acceleration pass the same low-pass filter as the torques compared with them,
+forwards and backwards, so that a torque proportional to an acceleration stays so. The band ends
+where the motion does, or earlier, where the noise of the acceleration exceeds that of the torque,
+if that does not cut most of the motion: errors are white up to there, and above it they grow with
+the square of the frequency. Frequencies without motion carry no information, but a spring's
+resonance amplifies noise there. A speed sensor replaces the encoder's derivative at high
 frequencies, from where it is the less noisy of the two.
 """
 
@@ -53,18 +53,18 @@ _KERNEL = 4096
 
 @lru_cache(maxsize=256)
 def _low_pass(order: int, end: float, rate: float) -> Array:
-    """Second-order sections of a Butterworth low-pass; all hypotheses filter by the same ones."""
+    """Second-order sections of a Butterworth low-pass, shared by all hypotheses."""
     return np.asarray(butter(order, end, fs=rate, output="sos"))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Band:
-    """A low-pass filter without phase on an even grid."""
+    """Zero-phase low-pass filter on a uniform grid."""
 
     rate: float
-    """Samples per second of the grid."""
+    """Sample rate of the grid [1/s]."""
     end: float
-    """Frequency at which half of an amplitude passes [Hz]."""
+    """Cut-off frequency, at which half of an amplitude passes [Hz]."""
 
     def smooth(self, values: Array) -> Array:
         """Filter values (T, ...) forwards and backwards."""
@@ -75,37 +75,37 @@ class Band:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motion:
-    """Smoothed motion of all joints on an even grid, and what of it is compared."""
+    """Smoothed motion of all joints on a uniform grid, with the compared points."""
 
     band: Band
-    """What passed."""
+    """Filter of the motion."""
     time: Array
-    """Grid [s] (G,)."""
+    """Grid times [s] (G,)."""
     position: Array
-    """[rad, m] (G, joints)."""
+    """Position [rad, m] (G, joints)."""
     speed: Array
-    """[rad/s, m/s] (G, joints)."""
+    """Velocity [rad/s, m/s] (G, joints)."""
     acceleration: Array
-    """[rad/s², m/s²] (G, joints)."""
+    """Acceleration [rad/s², m/s²] (G, joints)."""
     noise: Array
     """Standard deviation of position, speed and acceleration (3, joints)."""
     chosen: NDArray[np.intp]
-    """Points of the grid that are compared (E,)."""
+    """Indices of the compared grid points (E,)."""
 
     @property
     def states(self) -> tuple[Array, Array, Array]:
-        """Position, speed and acceleration where they are compared (E, joints)."""
+        """Position, speed and acceleration at the compared points (E, joints)."""
         at = self.chosen
         return self.position[at], self.speed[at], self.acceleration[at]
 
 
 def even_grid(time: Array) -> Array:
-    """As many points from the first to the last time, evenly spaced (T,)."""
+    """Uniform grid with as many points from the first to the last time (T,)."""
     return np.linspace(time[0], time[-1], len(time))
 
 
 def filled(time: Array, values: Array, grid: Array) -> Array:
-    """Values (T,) on a grid (G,), straight lines across gaps.
+    """Interpolate values (T,) to a grid (G,), linearly across gaps.
 
     Examples
     --------
@@ -119,7 +119,7 @@ def filled(time: Array, values: Array, grid: Array) -> Array:
 
 
 def motion_band(columns: Sequence[Array], rate: float) -> float:
-    """Highest frequency at which one of some readings stands out of its noise [Hz].
+    """Highest frequency at which any of some readings exceeds its noise [Hz].
 
     Parameters
     ----------
@@ -139,21 +139,21 @@ def motion_band(columns: Sequence[Array], rate: float) -> float:
 
 
 def _ends(values: Array, rate: float) -> tuple[float, float]:
-    """Frequencies below which lie nearly all of a reading's motion, and what stands out of it [Hz].
+    """Upper frequencies of most of a reading's motion, and of all above noise [Hz].
 
-    Nearly all: 99 % of the mean square speed that stands out of the noise.
+    Most of the motion is 99 % of the mean square speed above the noise.
     """
     floor = noise_floor(values)
     change = np.diff(values, 2)
     size = min(len(change), max(64, int(2 * rate)))
     frequency, power = welch(change, fs=rate, window="blackmanharris", nperseg=size, detrend=False)
-    # Second differences raise high frequencies, of signal and noise alike.
+    # Second differences amplify high frequencies, of signal and noise alike.
     raised = (2 - 2 * np.cos(2 * np.pi * frequency / rate)) ** 2
     segments = max(1, (len(change) - size // 2) // (size - size // 2))
     by_chance = chi2.isf(_CHANCE / len(frequency), 2 * segments) / (2 * segments)
     stands_out = max(_STANDS_OUT * (1 + 2 / np.sqrt(segments)), by_chance)
     visible = power > stands_out * raised * floor**2 * 2 / rate
-    # One line alone may be interference: its neighbour has to stand out too.
+    # One line alone may be interference: its neighbour has to exceed the noise too.
     sure = np.flatnonzero(visible[1:-1] & (visible[:-2] | visible[2:])) + 1
     if not len(sure):
         return _LOWEST, _LOWEST
@@ -224,8 +224,8 @@ def _band_end(
 ) -> float:
     """End of the band of a run [Hz].
 
-    Where the motion ends; or before, where noise of the acceleration begins to drown that of the
-    torque, but not so low that it cuts the bulk of the motion: the model is not linear in that.
+    The end of the motion; or lower, where noise of the acceleration exceeds that of the torque, but
+    not so low that it cuts most of the motion: the model is not linear in that.
     """
     rate = trial.rate
     ends = [_ends(values, rate) for values in positions.values()]
@@ -243,7 +243,7 @@ def _balance(
     positions: dict[int, Array],
     speeds: dict[int, Array],
 ) -> float:
-    """Frequency at which the torques' noise is that of inertia times acceleration [Hz].
+    """Frequency where torque noise equals inertia times acceleration noise [Hz].
 
     Geometric mean over the joints whose torque was measured; 0 if there are none.
     """
@@ -272,7 +272,7 @@ def _joint_columns(
     readings: dict[str, Array],
     grid: Array,
 ) -> tuple[dict[int, Array], dict[int, Array]]:
-    """Position and speed readings on the grid, by the number of their joint."""
+    """Position and speed readings on the grid, by joint index."""
     positions: dict[int, Array] = {}
     speeds: dict[int, Array] = {}
     for k, channel in enumerate(channels):
@@ -298,7 +298,7 @@ def _derivative(values: Array, rate: float, order: int = 1) -> Array:
 
 
 def _low(values: Array, band: Band, crossing: float) -> Array:
-    """What the encoder contributes: 1 / (1 + (f / crossing)²) of it, without phase."""
+    """Complementary low-pass of the encoder: 1 / (1 + (f / crossing)²), zero-phase."""
     if crossing >= _HIGHEST * band.rate:
         return values
     low = _low_pass(1, crossing, band.rate)
@@ -307,9 +307,9 @@ def _low(values: Array, band: Band, crossing: float) -> Array:
 
 
 def _settled(values: Array, band: Band, crossing: float) -> Array:
-    """Values (T,) with level ends in the place of what filters make of the ends of a run.
+    """Flatten the ends of values (T,), where filters of a run have transients.
 
-    A derivative is far off there, and a slow filter would carry that far into the run.
+    A derivative is inaccurate there, and a slow filter would spread that far into the run.
     """
     ends = int(2 * band.rate / band.end)
     inner = values[ends : len(values) - ends]
@@ -320,7 +320,7 @@ def _settled(values: Array, band: Band, crossing: float) -> Array:
 
 
 def _smoothed(position: Array, speed: Array | None, band: Band, crossing: float) -> Array:
-    """Position, speed and acceleration (3, T)."""
+    """Smooth to position, speed and acceleration (3, T)."""
     smooth = band.smooth(position)
     rate = _derivative(smooth, band.rate)
     if speed is not None:
@@ -330,10 +330,10 @@ def _smoothed(position: Array, speed: Array | None, band: Band, crossing: float)
 
 
 def _crossing(position: Array, speed: Array | None, band: Band) -> float:
-    """Frequency from which the speed sensor is the less noisy one [Hz].
+    """Crossover frequency above which the speed sensor is less noisy [Hz].
 
-    Where speed and derivative differ by more than their noise, the speed sensor is taken to be
-    as bad as that: many drives filter what they show as speed.
+    Where speed and derivative differ by more than their noise, that difference is taken as the
+    error of the speed sensor: many drives filter their speed signal.
     """
     if speed is None:
         return np.inf
@@ -350,9 +350,9 @@ def _crossing(position: Array, speed: Array | None, band: Band) -> float:
 
 
 def _noise_left(position: Array, speed: Array | None, band: Band, crossing: float) -> Array:
-    """Standard deviation of white noise in position and speed that is left in each of the three.
+    """Standard deviation of filtered white noise in position, speed and acceleration.
 
-    Gains of the filters are the norms of their responses to one sample's error.
+    Gains of the filters are the norms of their impulse responses.
     """
     size = min(len(position), _KERNEL)
     impulse, nothing = np.zeros(size), np.zeros(size)

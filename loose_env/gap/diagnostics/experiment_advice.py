@@ -1,7 +1,4 @@
-"""What motions could not show, or tell apart, and what would help: as data and in sentences.
-
-Motions and measurements that show effects, and that separate those which look alike.
-"""
+"""Advice on experiments: motions and measurements that make effects identifiable."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ _LISTED = 3
 
 
 def identifiability_words(found: Identifiability) -> list[str]:
-    """Sentences on what cannot be seen or told apart, how much is missing and what would help."""
+    """Report effects that cannot be seen or distinguished, and experiments that help."""
     said, by_kind = [], dict[str, list[Unseen]]()
     for each in found.unseen:
         by_kind.setdefault(each.kind, []).append(each)

@@ -1,8 +1,8 @@
-"""Where runs disagree that are compared by features, because stops are struck in them.
+"""Localisation of model error in impact-dominated runs, by their features.
 
-Their trajectories part ways with any simulation; what may be held against each other channel by
-channel are the features, the power at each frequency, and what goes with the measured motion, with
-which the simulated rattle has nothing to do.
+The trajectories are chaotic; the quantities comparable by channel are the features, the power
+spectrum, and the dependence on the measured motion, with which the simulated rattle is
+uncorrelated.
 """
 
 from __future__ import annotations
@@ -39,29 +39,31 @@ class StruckChannel:
     """One channel of one run that is compared by features."""
 
     gap: ChannelGap
-    """Where it disagrees; over what a right model scatters by, in place of the noise."""
+    """Residual of the channel in the run; over the deviation of a correct model, in place of the
+    noise."""
     features: Array
-    """Measured less simulated features about it, in standard deviations of a right model (F,)."""
+    """Measured less simulated features of the channel, in standard deviations of a correct model
+    (F,)."""
     frequency: Array
-    """[Hz] (K,)."""
+    """Frequencies [Hz] (K,)."""
     power: Array
-    """1 and by how much the measured power differs from the simulated one with the noise, over
-    the power of the noise (K,)."""
+    """1 plus the difference of the measured power from the simulated one with noise, over the
+    noise power (K,)."""
 
 
 def struck_channels(
     comparison: Comparison, hypothesis: Hypothesis, motions: Sequence[JointMotion]
 ) -> list[StruckChannel]:
-    """Hold the runs that are compared by features against a simulation, channel by channel.
+    """Compare runs by their features with a simulation, channel by channel.
 
     Parameters
     ----------
     comparison : Comparison
-        The runs; of others nothing is returned.
+        The runs; those compared sample by sample are ignored.
     hypothesis : Hypothesis
-        What is simulated.
+        The simulated hypothesis.
     motions : sequence of JointMotion
-        Of each run.
+        Motion of each run.
     """
     if not comparison.features:
         return []
@@ -74,7 +76,7 @@ def struck_channels(
 
 
 def struck_left(channels: Sequence[StruckChannel]) -> list[LeftOver]:
-    """What is left by channel, over all its runs; features have no order in time to be tested."""
+    """Residual tests by channel, over all its runs; features have no time order."""
     found: dict[str, list[StruckChannel]] = {}
     for each in channels:
         found.setdefault(each.gap.channel, []).append(each)
@@ -144,7 +146,7 @@ def _series(
     values: Array,
     sample: NDArray[np.intp] | None = None,
 ) -> Series:
-    """Values of a run (T,), or those at some samples, as a series."""
+    """Series of a run's values (T,), or of those at some samples."""
     if sample is None:
         sample = np.flatnonzero(np.isfinite(values))
         values = values[sample]
@@ -155,7 +157,7 @@ def _series(
 
 
 def _bands(frequency: Array, seen: Array, shown: Array, series: Series) -> tuple[Band, ...]:
-    """By how much the power differs from the simulated one with the noise, beyond chance."""
+    """Difference of measured and simulated power in bands, beyond sampling error."""
     span = float(series.time[-1] - series.time[0])
     segments = max(1.0, 2 * span / _SEGMENT - 1)
     found = []

@@ -1,10 +1,11 @@
-"""Which effects these motions could show, and which of them look alike in these motions.
+"""Identifiability of effects from the recorded motions, and confusable effects.
 
-Every effect is simulated once at a size that would matter, on top of what was found. What that
-changes in the readings, less what the nominal figures can take up within their tolerance, is all
-that a fit has to go by: its length says whether the effect is seen at all, what another effect
-leaves of it whether the two are told apart. How both grow with the time recorded says how much more
-of the same motions would do, if any: no length tells an effect from a figure within its tolerance.
+Every effect is simulated once at a size that would matter, on top of the identified effects. The
+change of the readings, after projecting out the nominal parameters within their tolerance, is the
+information available to a fit: its length determines whether the effect is visible, and the part
+that another effect cannot absorb whether the two are distinguishable. The growth of both with
+recording time gives the additional length of the same motions needed, if any: no length
+distinguishes an effect from a parameter within its tolerance.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ _RIDGE = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class _Signature:
-    """What an effect of some size changes in the readings (N,), in standard deviations."""
+    """Change of the readings by an effect (N,), in standard deviations."""
 
     effect: Effect
     values: tuple[float, ...]
@@ -62,22 +63,22 @@ class _Signature:
 def identifiability(
     comparison: Comparison, best: Fit, candidates: Sequence[Effect]
 ) -> Identifiability:
-    """Tell what the runs fitted to can show.
+    """Determine the effects that the training runs can identify.
 
     Parameters
     ----------
     comparison : Comparison
         The runs.
     best : Fit
-        What was found, on them.
+        The best fit, on them.
     candidates : sequence of Effect
-        What else may be there.
+        Candidate effects.
     """
     short = windowed(comparison, _SECONDS)
     base = _on(comparison, short, best)
     seconds = sum(float(trial.time[-1]) for trial in comparison.trials)
     looked = sum(float(trial.time[-1]) for trial in short.trials)
-    # In standard deviations of all the runs, what is left counted as their noise.
+    # In standard deviations of all the runs, with the residual counted as their noise.
     rms = max(float(np.sqrt(np.mean(base.residual**2))), 1.0)
     rows = independent_rows(base.residual, short.rows.block, short.rows.channel)
     unit = float(np.sqrt(rows / len(base.residual) * max(seconds / looked, 1.0))) / rms
@@ -110,11 +111,11 @@ def identifiability(
 
 
 def _on(comparison: Comparison, short: Comparison, best: Fit) -> Fit:
-    """What was found as it looks on some windows, with sensitivities of its own."""
+    """The best fit on some windows, with sensitivities of its own."""
     if short is comparison:
         return refined(best, comparison)
     kept = [k for k, effect in enumerate(best.effects) if effect.kind != "start"]
-    effects = tuple(best.effects[k] for k in kept)  # windows begin elsewhere
+    effects = tuple(best.effects[k] for k in kept)  # windows have other initial states
     own = slices_of(best.effects)
     free = np.concatenate([best.free[own[k]] for k in kept])
     residual = short.residuals([hypothesis_of(effects, free)])[0]
@@ -125,18 +126,18 @@ def _on(comparison: Comparison, short: Comparison, best: Fit) -> Fit:
 
 @dataclass(frozen=True, eq=False)
 class _Fitted:
-    """Parameters that are fitted along, and what is known of them."""
+    """Jointly fitted parameters, with their priors."""
 
     jacobian: Array
     """Change of the readings with them, in standard deviations (N, P)."""
     weights: Array
-    """What is known of each, 0: nothing (P,)."""
+    """Prior weight of each, 0: none (P,)."""
     curvature: Array
     """Squares and products of the jacobian's columns (P, P)."""
 
     @classmethod
     def of(cls, base: Fit, effects: Sequence[int], unit: float) -> _Fitted:
-        """Those of some effects of a fit, by their numbers."""
+        """Those of some effects of a fit, by their indices."""
         own = slices_of(base.effects)
         kept = [k for e in effects for k in range(own[e].start, own[e].stop)]
         jacobian = unit * base.jacobian[:, kept]
@@ -144,7 +145,7 @@ class _Fitted:
         return cls(jacobian, weights, jacobian.T @ jacobian)
 
     def size(self, change: Array, other: Array) -> float:
-        """Multiple of another change that takes up most of one (N,), once all have been fitted."""
+        """Coefficient of another change that absorbs most of one (N,), in a joint fit."""
         whole = self.curvature + np.diag(self.weights**2)
         scale = np.sqrt(np.maximum(np.diag(whole), 1e-300))
         scaled = whole / np.outer(scale, scale) + _RIDGE * np.eye(len(whole))
@@ -154,7 +155,7 @@ class _Fitted:
         return (float(change @ other) - float(one @ taken)) / max(left, 1e-300)
 
     def length(self, change: Array, other: Array | None = None, *, times: float = 1.0) -> float:
-        """Length of what is left of a change of the readings (N,) once all have been fitted.
+        """Length of a change of the readings (N,), all fitted parameters projected out.
 
         Parameters
         ----------
@@ -163,7 +164,7 @@ class _Fitted:
         other : ndarray (N,), optional
             Another that is fitted too, at any size.
         times : float
-            How many times as long the runs are: more rows, the same knowledge beforehand.
+            Factor on the length of the runs: more rows, with the same priors.
         """
         across, curvature, weights = self.jacobian.T @ change, self.curvature, self.weights
         if other is not None:
@@ -177,7 +178,7 @@ class _Fitted:
         return float(np.sqrt(max(times * float(change @ change) - times**2 * float(taken), 0.0)))
 
     def more(self, change: Array, seconds: float, other: Array | None = None) -> float | None:
-        """How much longer the runs would have to be [s]; None where no length will do."""
+        """Additional length of the runs needed [s]; None where no length will do."""
         low, high = 1.0, _NEVER
         if self.length(change, other, times=high) < _NEEDED:
             return None
@@ -189,7 +190,7 @@ class _Fitted:
 
 
 def _of_named(short: Comparison, base: Fit, unit: float) -> list[tuple[_Signature, Fit]]:
-    """Named effects at their own size, what their presence changes, and the fit without each."""
+    """Identified effects at fitted size, their signatures, and the fit without each."""
     found, own = [], slices_of(base.effects)
     for k, effect in enumerate(base.effects):
         if effect.kind in UNNAMED:
@@ -208,7 +209,7 @@ def _of_named(short: Comparison, base: Fit, unit: float) -> list[tuple[_Signatur
 def _of_candidates(
     short: Comparison, base: Fit, candidates: Sequence[Effect], unit: float
 ) -> list[_Signature]:
-    """Candidates at the first of their starts; without those that nothing reads."""
+    """Candidates at the first of their starts, without those that affect no reading."""
     entries = [(c, tuple(c.starts[0])) for c in candidates]
     return [each for each in _changes(short, base, entries, unit, cheap=True) if each.change.any()]
 
@@ -221,10 +222,10 @@ def _changes(
     *,
     cheap: bool = False,
 ) -> list[_Signature]:
-    """What effects of some size change, on top of what was found.
+    """Changes of the readings by effects of some size, on top of the best fit.
 
-    The difference of two cheap simulations will do for a first look at what adds no spring: their
-    error is in both.
+    The difference of two cheap simulations is accurate enough for effects that add no spring: the
+    step error is in both.
     """
     found: list[_Signature | None] = [None] * len(entries)
     stiff = any(effect.adds_motion for effect in base.effects)
@@ -248,15 +249,15 @@ def _with_named(
     unit: float,
     seconds: float,
 ) -> list[Alike]:
-    """Named effects that another one could take the place of, all else as it was found."""
+    """Identified effects that another one could replace, the rest unchanged."""
     found = []
     for one, without in named:
         fitted = _Fitted.of(without, range(len(without.effects)), unit)
         pairs = [(_pair(fitted, one, other, seconds), other) for other in others]
         own = fitted.length(one.change)
         near = [k for k, (pair, _) in enumerate(pairs) if pair.sureness < _NEARLY * own]
-        # What does about the same may do just the same at another size and in its place, or only
-        # at a size that it cannot have, such as that of a friction that drives.
+        # An effect with a similar signature may fit equally well at another size, or only at a size
+        # that it cannot have, such as that of a friction that adds energy.
         again = [_resized(pairs[k][1], fitted.size(one.change, pairs[k][1].change)) for k in near]
         there = _changes(short, without, again, unit)
         for k, other in zip(near, there, strict=True):
@@ -276,7 +277,7 @@ def _resized(seen: _Signature, share: float) -> tuple[Effect, tuple[float, ...]]
 
 
 def _among(fitted: _Fitted, shown: Sequence[_Signature], seconds: float) -> list[Alike]:
-    """Effects that were not named and look like their kin."""
+    """Pairs of confusable effects that were not identified."""
     found = []
     for k, one in enumerate(shown):
         for other in shown[k + 1 :]:
@@ -287,7 +288,7 @@ def _among(fitted: _Fitted, shown: Sequence[_Signature], seconds: float) -> list
 
 
 def _sorted(pairs: Sequence[Alike]) -> list[Alike]:
-    """Those that are not told apart, the most alike first."""
+    """Pairs that are not distinguishable, most confusable first."""
     return sorted((pair for pair in pairs if pair.sureness < _NEEDED), key=_sureness)
 
 

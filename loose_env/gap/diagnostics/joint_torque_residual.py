@@ -1,4 +1,4 @@
-"""How a machine moved in a run, what load its joints bore, and what torque the model lacks."""
+"""Motion, joint loads and residual joint torques of a run."""
 
 from __future__ import annotations
 
@@ -25,38 +25,38 @@ _EDGE = 1.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointMotion:
-    """Motion of all joints in one run, on an even clock."""
+    """Motion of all joints in one run, on a uniform time grid."""
 
     joints: tuple[str, ...]
-    """Names."""
+    """Names of the joints."""
     units: tuple[str, ...]
-    """Unit of what drives each, "N·m" or "N"."""
+    """Unit of each joint's driving force, "N·m" or "N"."""
     time: Array
-    """[s] (T,)."""
+    """Time [s] (T,)."""
     position: Array
-    """[rad, m] (T, J); NaN where the joint was not measured."""
+    """Position [rad, m] (T, J); NaN where the joint was not measured."""
     speed: Array
-    """[rad/s, m/s] (T, J)."""
+    """Velocity [rad/s, m/s] (T, J)."""
     acceleration: Array
-    """[rad/s², m/s²] (T, J)."""
+    """Acceleration [rad/s², m/s²] (T, J)."""
     load: Array
-    """Torque [N·m] or force [N] that the nominal model needs for it (T, J); NaN where not every
-    joint was measured."""
+    """Inverse dynamics torque [N·m] or force [N] of the nominal model (T, J); NaN where not
+    every joint was measured."""
     missing: Array
-    """What was applied beyond that (T, J): torque that the nominal model does not explain. NaN
-    where it is not known."""
+    """Residual torque (T, J): applied torque less that of the nominal model. NaN where it is not
+    known."""
     missing_floor: Array
-    """Standard deviation of ``missing`` that the noise of the readings makes (J,)."""
+    """Standard deviation of ``missing`` due to the noise of the readings (J,)."""
 
     def regressor(self, name: str, joint: int) -> Array:
-        """Values (T,) of one of `loose_env.gap.diagnostics.regressors.REGRESSORS` at a joint."""
+        """Values (T,) of one regressor of `diagnostics.regressors` at a joint."""
         if name == "direction":
             return direction_of(self.speed[:, joint])
         table = {"position": self.position, "velocity": self.speed, "load": self.load}
         return np.asarray(table.get(name, self.acceleration)[:, joint])
 
     def at(self, name: str, joint: int, time: Array) -> Array:
-        """The same at other times (N,); directions are not interpolated."""
+        """Interpolate to other times (N,); directions are not interpolated."""
         values = self.regressor(name, joint)
         if name == "direction":
             near = np.clip(np.searchsorted(self.time, time), 0, len(self.time) - 1)
@@ -67,12 +67,12 @@ class JointMotion:
 def joint_motion(
     machine: Machine, trial: Trial, channels: Sequence[Channel], floors: Array
 ) -> JointMotion:
-    """Hold the measured motion of a run against the nominal model.
+    """Compare the measured motion of a run with the nominal model.
 
-    In a forward run the torque that was applied is what the nominal actuators give at this motion;
-    in an inverse run it is the torque measured; in a free run there is none. All of them pass the
-    filter that smooths the motion. Where an actuator's activation is not known
-    (`loose_env.gap.data.actuator_states`), neither is the torque that was applied.
+    In a forward run the applied torque is that of the nominal actuators at this motion; in an
+    inverse run it is the measured torque; in a free run there is none. All of them pass the filter
+    that smooths the motion. Where an actuator's activation is not known
+    (`loose_env.gap.data.actuator_states`), neither is the applied torque.
 
     Parameters
     ----------
@@ -81,9 +81,9 @@ def joint_motion(
     trial : Trial
         The run.
     channels : sequence of Channel
-        What was measured.
+        The measured channels.
     floors : ndarray (C,)
-        Noise standard deviation of each.
+        Noise standard deviation of each channel.
     """
     joints = machine.joints
     units = tuple("N·m" if machine.turns(joint) else "N" for joint in joints)
@@ -127,7 +127,7 @@ def joint_motion(
 
 
 def _unknown(joints: tuple[str, ...], units: tuple[str, ...], trial: Trial) -> JointMotion:
-    """Nothing is known but the time."""
+    """Motion with known times only."""
     empty = np.full((len(trial.time), len(joints)), np.nan)
     return JointMotion(
         joints=joints,
@@ -143,14 +143,14 @@ def _unknown(joints: tuple[str, ...], units: tuple[str, ...], trial: Trial) -> J
 
 
 def _torques(machine: Machine, trial: Trial, motion: Motion) -> tuple[Array, Array]:
-    """Torque that the nominal model needs, and what its actuators give (T, J).
+    """Inverse dynamics torque of the nominal model, and its actuator torque (T, J).
 
     The latter is NaN in a forward run where an activation is not known.
     """
     model = machine.model.__copy__()
     if machine.integrator is not None:
         model.opt.integrator = machine.integrator
-    # Contacts and stops of a motion that is only nearly exact would be noise.
+    # Contacts and stops of an approximate motion would be noise.
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     friction = model.dof_frictionloss.copy()
@@ -178,7 +178,7 @@ def _torques(machine: Machine, trial: Trial, motion: Motion) -> tuple[Array, Arr
 
 
 def _held(values: Array, step: float, time: Array) -> Array:
-    """Mean about each time (T, N) of values (steps, N) held from their step to the next."""
+    """Average zero-order-hold values (steps, N) about each time (T, N)."""
     half = 0.5 * float(np.median(np.diff(time)))
     edges = np.arange(len(values) + 1) * step
     sums = np.vstack([np.zeros(values.shape[1]), np.cumsum(values, axis=0)])
@@ -192,7 +192,7 @@ def _held(values: Array, step: float, time: Array) -> Array:
 
 
 def _needed_noise(machine: Machine, trial: Trial, motion: Motion) -> Array:
-    """What the noise of the motion makes of the torque needed, less that applied (J,)."""
+    """Noise of the inverse dynamics torque less the applied torque (J,)."""
     model = machine.model
     data = mujoco.MjData(model)
     data.qpos[:] = motion.position[len(motion.time) // 2]

@@ -1,8 +1,8 @@
-"""Where measurement and model disagree: by channel, run, frequency, motion and load.
+"""Localisation of model error by channel, run, frequency, motion and load.
 
-Everything here is a function of residuals that are there already. Readings show the disagreement
-in noise standard deviations; beside them stands a view as torque, which says of each joint what
-drove it, or held it back, beyond the nominal model.
+All functions here are computed from existing residuals. Readings show the error in noise standard
+deviations; in addition the residual torque of each joint gives the driving or braking torque beyond
+the nominal model.
 """
 
 from __future__ import annotations
@@ -59,18 +59,18 @@ def locate(
     channels: Sequence[Channel],
     motions: Sequence[JointMotion],
 ) -> Location:
-    """Locate a disagreement.
+    """Locate the model error in a residual.
 
     Parameters
     ----------
     residual : ndarray (N,)
         Measured less predicted, in noise standard deviations.
     rows : Rows
-        Where each number comes from.
+        Run, channel and sample of each number.
     trials, channels : sequence of Trial, of Channel
-        The runs and what was compared.
+        The runs and the compared channels.
     motions : sequence of JointMotion
-        Of each run, as of `loose_env.gap.diagnostics.joint_torque_residual.joint_motion`.
+        Motion of each run, as of `loose_env.gap.diagnostics.joint_torque_residual.joint_motion`.
     """
     many = series_of(residual, rows, trials, channels)
     sums = np.zeros((len(trials), len(channels)))
@@ -127,9 +127,9 @@ def _bands(series: Series) -> tuple[Band, ...]:
 
 
 def depends_on(many: Sequence[Series], motions: Sequence[JointMotion]) -> tuple[Dependence, ...]:
-    """For each regressor the joint whose own explains most of series of one channel.
+    """Find, by regressor, the joint that explains most of a channel's series.
 
-    ``motions`` are those of all runs, by number of the trial.
+    ``motions`` are those of all runs, by index of the trial.
     """
     thinned = [(s, np.arange(0, len(s.sample), max(1, len(s.sample) // _SAMPLES))) for s in many]
     residual = np.concatenate([s.residual[keep] for s, keep in thinned])
@@ -178,14 +178,14 @@ def _joint_gaps(run: str, motion: JointMotion) -> list[JointGap]:
 
 
 def strongest(depends: Sequence[Dependence], *, least: float = _LEAST) -> Dependence | None:
-    """The dependence to tell of: the simplest that explains about as much as the strongest.
+    """Select the simplest dependence that explains about as much as the strongest.
 
     Parameters
     ----------
     depends : sequence of Dependence
-        Those of one channel.
+        Dependences of one channel.
     least : float
-        Share of the residual's power from which on one is worth telling.
+        Minimum share of the residual's power.
     """
     sure = [d for d in depends if d.sureness >= _SURE and d.share >= least]
     if not sure:
@@ -196,7 +196,7 @@ def strongest(depends: Sequence[Dependence], *, least: float = _LEAST) -> Depend
 
 
 def main_band(gap: ChannelGap) -> Band | None:
-    """Band with most of the power beyond that of noise; None where there is only noise."""
+    """Band with most of the power beyond that of noise; None if there is only noise."""
     return _loudest(gap) if _shows(gap) else None
 
 
@@ -208,21 +208,21 @@ def _loudest(gap: ChannelGap) -> Band | None:
 
 
 def _shows(gap: ChannelGap) -> bool:
-    """Whether there is more than noise: large, or faint and yet surely no white noise."""
+    """Return whether a residual exceeds noise: in size, or by autocorrelation."""
     return gap.over_floor >= _VISIBLE or gap.sureness >= _NO_NOISE
 
 
 def where_it_lives(location: Location, *, most: int = 3, always: bool = False) -> list[str]:
-    """Sentences that say where a disagreement is, the worst channels first.
+    """Describe the location of a model error in sentences, worst channels first.
 
     Parameters
     ----------
     location : Location
-        The disagreement.
+        The localised model error.
     most : int
-        Most channels, and joints, that are told of.
+        Maximum number of channels, and of joints.
     always : bool
-        Whether something is known to disagree: the likeliest channel is told of even where none
+        Whether a model error is certain: the likeliest channel is reported even where none
         stands out.
 
     Examples
@@ -250,9 +250,9 @@ def where_it_lives(location: Location, *, most: int = 3, always: bool = False) -
 
 
 def _channel_words(gap: ChannelGap, *, whole: bool) -> str:
-    """A sentence on one channel; with ``whole`` it says, too, that nothing of the motion fits."""
+    """Describe one channel; with ``whole``, also that no regressor explains it."""
     faint = gap.over_floor < _VISIBLE
-    # The part that hangs together: of a faint gap most of the power is noise.
+    # The autocorrelated part: of a small residual most of the power is noise.
     share = min((gap.together / gap.over_floor) ** 2, 1.0) if faint and gap.over_floor else 1.0
     if faint:
         words = (
@@ -291,7 +291,7 @@ def _worst(gaps: Sequence[ChannelGap], *, faint: bool) -> list[ChannelGap]:
 
 
 def _torque_words(joints: Sequence[JointGap], most: int) -> list[str]:
-    """The same of the torque that is not explained."""
+    """Describe the residual torque by joint."""
     shares: dict[str, list[JointGap]] = {}
     for gap in joints:
         if np.isfinite(gap.floor) and gap.missing > _VISIBLE * gap.floor:

@@ -1,8 +1,8 @@
-"""Open-loop error by horizon: the simulation is restarted from the measured state, many times.
+"""Open-loop prediction error by horizon, with restarts from the measured state.
 
-A restart takes the state that the hypothesis has at that time of the run and corrects it by what
-the joint sensors showed beyond its prediction. Joints that are not measured, and motions that an
-effect adds, keep their simulated state.
+A restart takes the simulated state of the hypothesis at that time of the run and corrects it by the
+prediction error of the joint sensors. Joints that are not measured, and coordinates added by an
+effect, keep their simulated state.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ __all__ = ["HORIZONS", "HorizonError", "horizon_errors"]
 
 
 HORIZONS = (0.1, 0.5, 2.0)
-"""How long the simulation runs on its own [s]."""
+"""Horizons of open-loop prediction [s]."""
 _EVERY = 1.0
 """Time between restarts [s]."""
 _AROUND = 0.03
@@ -51,16 +51,16 @@ _WILD = 1e4
 
 @dataclass(frozen=True, kw_only=True)
 class HorizonError:
-    """Error of predictions that run on their own for some time."""
+    """Open-loop prediction error over one horizon."""
 
     horizon: float
-    """How long [s]."""
+    """Length of the horizon [s]."""
     over_floor: float
     """Root mean square over all samples up to then, in noise standard deviations."""
     by_channel: dict[str, float]
-    """The same by channel."""
+    """Root mean square by channel."""
     starts: int
-    """Restarts."""
+    """Number of restarts."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,11 +69,11 @@ class _Whole:
 
     model: mujoco.MjModel
     controls: Array
-    """What reached the actuators (steps, controls)."""
+    """Controls after delays and filters (steps, controls)."""
     states: dict[str, Array]
     """qpos, qvel, act at every step (steps, ...)."""
     shown: Array
-    """Sensors at the samples (T, sensors)."""
+    """Sensor values at the samples (T, sensors)."""
 
 
 def horizon_errors(
@@ -87,7 +87,7 @@ def horizon_errors(
     every: float = _EVERY,
     threads: int = 0,
 ) -> tuple[HorizonError, ...]:
-    """Restart a hypothesis from the measured state at many times of runs.
+    """Compute open-loop prediction errors with restarts from the measured state.
 
     Parameters
     ----------
@@ -96,13 +96,13 @@ def horizon_errors(
     trials : sequence of Trial
         The runs; inverse ones have no open loop and are left out.
     channels : tuple of Channel
-        What is compared.
+        The compared channels.
     floors : ndarray (C,)
         Noise standard deviation of each channel.
     hypothesis : Hypothesis
-        What is simulated.
+        The simulated hypothesis.
     horizons : sequence of float
-        How long the simulation runs on its own [s].
+        Horizons of open-loop prediction [s].
     every : float
         Time between restarts [s].
     threads : int
@@ -111,7 +111,7 @@ def horizon_errors(
     Returns
     -------
     tuple of HorizonError
-        By horizon; without those that are longer than every run.
+        Errors by horizon, without horizons longer than every run.
     """
     longest = max(horizons)
     squares = np.zeros((len(horizons), len(channels)))
@@ -166,7 +166,7 @@ def _starts(trial: Trial, every: float, shortest: float) -> NDArray[np.intp]:
 
 
 def _whole(simulator: Simulator, hypothesis: Hypothesis, trial: Trial) -> _Whole:
-    """Simulate a run from its start, and keep every state."""
+    """Simulate a run from its start, and store every state."""
     machine = simulator.machine
     model = hypothesis.model(machine, trial.step, released=trial.form == "free")
     commanded = trial.controls
@@ -208,7 +208,7 @@ def _restarted(
     longest: float,
     floors: Array,
 ) -> list[Array]:
-    """Errors (T', C) from each start, in noise standard deviations; its first row is the start."""
+    """Errors (T', C) from each start, in noise deviations; the first row is the start."""
     if not len(starts):
         return []
     model, machine = whole.model, simulator.machine
@@ -248,7 +248,7 @@ def _restarted(
 def _corrections(
     simulator: Simulator, trial: Trial, residual: Array, starts: NDArray[np.intp]
 ) -> tuple[Array, Array]:
-    """What the joint sensors show beyond a prediction: positions and speeds (S, joints)."""
+    """Prediction error of the joint sensors: positions and speeds (S, joints)."""
     machine = simulator.machine
     interval = float(np.median(np.diff(trial.time)))
     half = max(_LEAST // 2, round(0.5 * _AROUND / interval))
@@ -279,7 +279,7 @@ def _corrections(
 
 
 def _line(time: Array, values: Array) -> tuple[float, float]:
-    """Value at zero and slope of a straight line; both 0 where nothing was read."""
+    """Intercept and slope of a straight line; both 0 where nothing was read."""
     good = np.isfinite(values)
     if good.sum() < 3:
         return 0.0, 0.0
@@ -288,7 +288,7 @@ def _line(time: Array, values: Array) -> tuple[float, float]:
 
 
 def _places(machine: Machine, model: mujoco.MjModel) -> tuple[list[int], list[int]]:
-    """Where a model keeps positions and speeds of the machine's joints."""
+    """Addresses of the machine's joints in qpos and qvel."""
     at = [model.joint(name) for name in machine.joints]
     return [int(j.qposadr[0]) for j in at], [int(j.dofadr[0]) for j in at]
 
@@ -296,9 +296,9 @@ def _places(machine: Machine, model: mujoco.MjModel) -> tuple[list[int], list[in
 def _followed(
     moved: Batch | BatchWithTerms, batch: Batch, controls: Array
 ) -> tuple[dict[str, Array], dict[str, Array]]:
-    """States at the beginning of every step (sims, steps, ...), and what was recorded of it.
+    """States at the beginning of every step (sims, steps, ...), and the record.
 
-    What the engine records of a step is the state after it, and the readings before it.
+    MuJoCo records the state after a step, and the readings before it.
     """
     begin = {name: np.array(getattr(batch, name)) for name in STATES}
     found = _rollout(moved, controls, (*STATES, "sensordata"))
@@ -317,7 +317,7 @@ def _shown(
     states: dict[str, Array],
     found: dict[str, Array],
 ) -> Array:
-    """Sensors (sims, steps, sensors).
+    """Sensor values (sims, steps, sensors).
 
     `steps` are those of the run which each simulation passes (sims, steps).
     """
@@ -335,7 +335,7 @@ def _shown(
 
 
 def _between(values: Array, steps: Array) -> Array:
-    """Values (steps, K) at steps that need not be whole (T,), straight lines between."""
+    """Interpolate values (steps, K) linearly at fractional steps (T,)."""
     low = np.minimum(np.floor(steps + 1e-6).astype(int), len(values) - 1)
     high = np.minimum(low + 1, len(values) - 1)
     share = np.clip(steps - low, 0.0, 1.0)[:, None]
@@ -345,7 +345,7 @@ def _between(values: Array, steps: Array) -> Array:
 def _rollout(
     batch: Batch | BatchWithTerms, controls: Array, names: tuple[str, ...]
 ) -> dict[str, Array]:
-    """Advance every simulation; what went wild is NaN from its start."""
+    """Advance every simulation; a diverged one is NaN from its start."""
     try:
         found = batch.rollout(
             controls.shape[1],

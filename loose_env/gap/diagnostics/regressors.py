@@ -1,4 +1,4 @@
-"""What a residual goes with: how much of it is a function of position, of speed, of load ..."""
+"""Dependence of a residual on position, speed, load and other regressors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _STILL = 0.05
 
 
 def direction_of(speed: Array) -> Array:
-    """Direction of motion (T,): -1, 0 where a joint stands, 1; NaN where the speed is.
+    """Direction of motion (T,): -1, 0 at rest, 1; NaN where the speed is NaN.
 
     Examples
     --------
@@ -38,7 +38,7 @@ def direction_of(speed: Array) -> Array:
 
 
 def binned(regressor: Array, *, bins: int = _BINS) -> tuple[IndexArray, Array]:
-    """Bins of about as many samples each.
+    """Bin a regressor into bins of about equal sample count.
 
     Returns
     -------
@@ -69,17 +69,17 @@ def binned(regressor: Array, *, bins: int = _BINS) -> tuple[IndexArray, Array]:
 def dependence(
     residual: Array, regressor: Array, block: IndexArray, *, on: str = "", of: str = ""
 ) -> Dependence | None:
-    """Measure how much of a residual is a function of a regressor, whatever its shape.
+    """Measure the share of a residual that is a function of a regressor.
 
     The residual's mean in every bin of the regressor predicts it. Each block of time is predicted
-    from the others, so that chance explains nothing on average.
+    from the others, so that the expected share is zero without a dependence.
 
     Parameters
     ----------
     residual, regressor : ndarray (N,)
         Sample by sample; samples that are not finite are left out.
     block : ndarray (N,)
-        Block of time of each sample, within which residuals hang together.
+        Block of time of each sample, within which residuals are autocorrelated.
     on, of : str
         Names of the regressor.
 

@@ -1,4 +1,4 @@
-"""What is left once the named effects are added: how much, where, and as torque at which joints."""
+"""Residual of the corrected model: its size, location, and torque by joint."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ _SURE = 4.0
 def left_words(
     base: Judged, best: Judged, location: Location, *, most: int = 3, struck: bool = False
 ) -> list[str]:
-    """Sentences on how much is left after the named effects, and where; none if nothing is.
+    """Describe the residual of the corrected model in sentences; none if it is noise.
 
     Parameters
     ----------
     base, best : Judged
         The nominal model, and the corrected one.
     location : Location
-        Where the corrected one disagrees.
+        Localised residual of the corrected model.
     most : int
-        Most channels, and joints, that are told of.
+        Maximum number of channels, and of joints.
     struck : bool
-        Whether a part was named that strikes its stops at moments that no simulation repeats.
+        Whether a part with chaotic impacts against its stops was identified.
     """
     before, after = base.held_rms, best.held_rms
     together = float(largest(best.held_structure.sum(axis=1)))
@@ -70,7 +70,7 @@ def left_words(
 def left_motions(
     machine: Machine, comparison: Comparison, hypothesis: Hypothesis
 ) -> tuple[JointMotion, ...] | None:
-    """Motion of the runs with the torque that the corrected model does not explain.
+    """Motion of the runs with the residual torque of the corrected model.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def left_motions(
     comparison : Comparison
         The runs.
     hypothesis : Hypothesis
-        What was added to it.
+        The effects added to it.
 
     Returns
     -------
@@ -109,7 +109,7 @@ def left_motions(
 
 
 def _with_torques(motion: JointMotion, pairs: Sequence[tuple[Effect, Array]]) -> JointMotion:
-    """The same with what effects add to the joints' torques taken into account."""
+    """Add the effects' joint torques to the model torque."""
     added = [
         effect.torque(motion.position, motion.speed, values)
         for effect, values in pairs

@@ -1,4 +1,4 @@
-"""Residuals as series of time, one a run and channel, and their spectra."""
+"""Residual time series, one per run and channel, and their spectra."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ _POINTS = 60
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Series:
-    """What is left of one channel in one run."""
+    """Residual of one channel in one run."""
 
     run: str
     """File of the run."""
     trial: int
-    """Its number among the trials."""
+    """Index of the run among the trials."""
     channel: str
-    """As in the recording."""
+    """Name of the channel, as in the recording."""
     sample: NDArray[np.intp]
-    """Samples in the run (N,)."""
+    """Indices of the samples in the run (N,)."""
     time: Array
-    """Of these samples [s] (N,)."""
+    """Times of these samples [s] (N,)."""
     residual: Array
     """Measured less predicted, in noise standard deviations (N,)."""
     block: NDArray[np.intp]
@@ -52,7 +52,7 @@ def series_of(
 ) -> list[Series]:
     """Split a residual vector (N,) by run and channel.
 
-    Those without a sample are left out, and runs of which features are compared.
+    Those without a sample are left out, and runs that are compared by features.
     """
     found = []
     for t, trial in enumerate(trials):
@@ -78,9 +78,9 @@ def series_of(
 
 
 def density(series: Series) -> tuple[Array, Array]:
-    """Spectral density of a series, over that of white noise of one standard deviation.
+    """Spectral density of a series, over that of white noise of unit variance.
 
-    The series is laid on an even clock first, straight lines over missing samples.
+    The series is resampled to a uniform grid first, with linear interpolation over missing samples.
 
     Returns
     -------
@@ -103,7 +103,7 @@ def density(series: Series) -> tuple[Array, Array]:
 
 
 def mean_spectrum(many: Sequence[Series]) -> tuple[Array, Array]:
-    """Spectrum of several series of one channel, averaged over those of the first one's clock."""
+    """Average the spectra of several series of one channel, on the first one's grid."""
     found = [density(series) for series in many]
     found = [f for f in found if len(f[0])]
     if not found:
@@ -118,7 +118,7 @@ def spectrum(many: Sequence[Series], *, points: int = _POINTS) -> tuple[Array, A
 
 
 def in_bands(frequency: Array, power: Array, *, points: int = _POINTS) -> tuple[Array, Array]:
-    """Means of a spectrum (K,), (K,) in bands of even width on a logarithmic axis."""
+    """Average a spectrum (K,), (K,) in bands of equal width on a logarithmic axis."""
     if len(frequency) < 2:
         return frequency, power
     edges = np.geomspace(frequency[0] * 0.999, frequency[-1] * 1.001, points + 1)
@@ -131,7 +131,7 @@ def in_bands(frequency: Array, power: Array, *, points: int = _POINTS) -> tuple[
 
 
 def band_edges(highest: float) -> list[float]:
-    """Edges of the frequency bands of a location [Hz]: 0, 1, 3, 10, ... and half the rate.
+    """Edges of the frequency bands [Hz]: 0, 1, 3, 10, ... and half the rate.
 
     Examples
     --------

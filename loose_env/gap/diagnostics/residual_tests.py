@@ -1,4 +1,4 @@
-"""Tests of what is left of a residual: whether it is noise, and if not, what it goes with."""
+"""Whiteness tests of residuals, with trends and dependence on regressors."""
 
 from __future__ import annotations
 
@@ -55,18 +55,18 @@ def left_over(
     channels: Sequence[Channel],
     motions: Sequence[JointMotion],
 ) -> tuple[LeftOver, ...]:
-    """Test what is left on some runs, channel by channel.
+    """Test the residuals of some runs for whiteness, channel by channel.
 
     Parameters
     ----------
     residual : ndarray (N,)
         Measured less predicted, in noise standard deviations.
     rows : Rows
-        Where each number comes from.
+        Run, channel and sample of each number.
     trials, channels : sequence of Trial, of Channel
-        The runs and what was compared.
+        The runs and the compared channels.
     motions : sequence of JointMotion
-        Of each run.
+        Motion of each run.
     """
     by_channel: dict[str, list[Series]] = {}
     for series in series_of(residual, rows, trials, channels):
@@ -104,7 +104,7 @@ def _test(name: str, many: Sequence[Series], motions: Sequence[JointMotion]) -> 
 
 
 def _trend(many: Sequence[Series]) -> tuple[float, float]:
-    """Growth over a run and its sureness, from the means of blocks of time."""
+    """Trend over a run and its z-score, from the means of blocks of time."""
     times, means = [], []
     for series in many:
         span = float(series.time[-1]) or 1.0

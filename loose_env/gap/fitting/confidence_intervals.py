@@ -1,4 +1,4 @@
-"""How surely the parameters of a fit are known: a block bootstrap of its last step."""
+"""Confidence intervals by a block bootstrap of the last Gauss-Newton step."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ class Intervals:
     free: Array
     """Free numbers of the fit (P,)."""
     covariance: Array
-    """Of the free numbers, over blocks (P, P)."""
+    """Covariance of the free numbers, over blocks (P, P)."""
     misfit: float = 1.0
-    """Variance of the blocks' slopes, in units of what the noise alone makes; at least 1."""
+    """Variance of the blocks' gradients over that of noise alone; at least 1."""
 
     def may_be_nothing(self, effect: Effect, own: slice) -> bool:
-        """Whether an effect, whose parameters stand at `own`, may be nothing at all.
+        """Return whether the 95 % confidence region of an effect includes zero.
 
-        Parts of a vector that trade against each other may each be zero, and yet not all of them:
-        the region in which they lie together decides, an ellipse of 95 %.
+        `own` are the indices of its parameters. Components of a correlated vector may each be zero,
+        but not all of them: the joint confidence ellipse decides.
         """
         if not effect.vanishes(self.low[own], self.high[own]):
             return False
@@ -59,24 +59,23 @@ class Intervals:
 def bootstrap(
     comparison: Comparison, fitted: Fit, rng: np.random.Generator, *, draws: int = 500
 ) -> Intervals:
-    """Draw blocks of time with replacement and take the step that each draw asks for.
+    """Bootstrap blocks of time, with one Gauss-Newton step for each draw.
 
-    The residual is linear in the parameters nearby, so that no draw needs a simulation. Blocks
-    keep together what hangs together in time. Where the model fits badly the data are worth as much
-    less (a quasi-likelihood, Wedderburn, Biometrika 61, 1974), and what is known beforehand weighs
-    more: else a wrong model would move masses and gains, and what trades against them, far beyond
-    the tolerance within which they are known.
+    The residual is nearly linear in the parameters, so that no draw needs a simulation. Blocks
+    preserve autocorrelation. Where the model fits badly the data are down-weighted (a
+    quasi-likelihood, Wedderburn, Biometrika 61, 1974), and priors weigh more: else a wrong model
+    would move masses and gains, and parameters correlated with them, far beyond their tolerance.
 
     Parameters
     ----------
     comparison : Comparison
-        What was fitted to.
+        The training runs.
     fitted : Fit
         The fit, with fresh sensitivities.
     rng : numpy.random.Generator
         Draws the blocks.
     draws : int
-        How many draws.
+        Number of draws.
     """
     parameters = parameters_of(fitted.effects)
     _, weights = prior_of(parameters)
@@ -94,16 +93,15 @@ def bootstrap(
     inverse = np.linalg.inv(curvatures.sum(axis=0) + known)
     drawn = rng.multinomial(blocks, np.full(blocks, 1 / blocks), size=draws)
     curvature = np.tensordot(drawn, curvatures, 1) + known
-    # Deviations from the whole sample's slope, so that a fit at a bound is not pushed further.
+    # Deviations from the whole sample's gradient, so that a fit at a bound is not pushed further.
     slope = (drawn - 1) @ slopes
-    # What is known beforehand is as uncertain as it says: along directions that the data leave
-    # open it decides.
+    # Priors have their stated uncertainty: they determine the directions that the data leave open.
     slope += weights * rng.standard_normal(slope.shape)
     steps = -np.linalg.solve(curvature, slope[..., None])[..., 0]
     free = fitted.free + steps
     low, high = np.quantile(free, (0.025, 0.975), axis=0)
     covariance = inverse @ (slopes.T @ slopes + np.diag(weights**2)) @ inverse
-    # Data that do not answer to a parameter have no scatter in it either: it may be anything.
+    # Data that are insensitive to a parameter show no scatter in it: it may take any value.
     blind = (np.einsum("bpp->p", curvatures) < _ANSWER) & (weights == 0)
     ends = np.array([p.bounds for p in parameters])
     low[blind], high[blind] = ends[blind].T
@@ -119,7 +117,7 @@ def bootstrap(
 
 
 def _misfit(curvatures: Array, slopes: Array) -> float:
-    """How much more the slopes of blocks (B, P) vary than by noise: there as their curvature."""
+    """Ratio of the gradients' variance over blocks (B, P) to that of noise."""
     by_noise = np.einsum("bpp->p", curvatures)
     seen = by_noise > 0
     if not seen.any():
@@ -128,21 +126,21 @@ def _misfit(curvatures: Array, slopes: Array) -> float:
 
 
 def widened(comparison: Comparison, fitted: Fit, intervals: Intervals) -> Intervals:
-    """Intervals at least as wide as the runs disagree.
+    """Widen intervals to cover the disagreement between runs.
 
-    A law that is a little wrong asks every motion for other parameters. The slope of each run at
-    the common fit says which way; their scatter is that of a cluster-robust covariance (Liang and
-    Zeger, Biometrika 73, 1986), with Student's law for as few runs as a recording has (Bell and
-    McCaffrey, Survey Methodology 28, 2002). That is a rough figure: by it alone no interval comes
-    to include nothing, which other runs have refuted; the end on that side stays where it is.
-    Nor is any interval surer of a value than the law itself is.
+    A slightly wrong law fits every motion with other parameters. The gradient of each run at the
+    common fit gives the direction; their scatter is that of a cluster-robust covariance (Liang and
+    Zeger, Biometrika 73, 1986), with Student's t for as few runs as a recording has (Bell and
+    McCaffrey, Survey Methodology 28, 2002). This is a rough estimate: by it alone no interval is
+    widened to include zero where other runs have refuted that; the end on that side remains as it
+    is. No interval is narrower than the uncertainty of the law itself.
 
     Parameters
     ----------
     comparison, fitted
         As of `bootstrap`.
     intervals : Intervals
-        To be widened.
+        Intervals to widen.
     """
     intervals = _no_surer(fitted, intervals)
     runs = np.unique(comparison.rows.trial)
@@ -172,7 +170,7 @@ def widened(comparison: Comparison, fitted: Fit, intervals: Intervals) -> Interv
 
 
 def joined(first: Intervals, second: Intervals) -> Intervals:
-    """Intervals of two sets of parameters that were fitted one after the other."""
+    """Join the intervals of two sets of parameters fitted one after the other."""
     count = len(first.free)
     covariance = np.zeros((count + len(second.free),) * 2)
     covariance[:count, :count] = first.covariance
@@ -187,7 +185,7 @@ def joined(first: Intervals, second: Intervals) -> Intervals:
 
 
 def _no_surer(fitted: Fit, intervals: Intervals) -> Intervals:
-    """Intervals no surer than `_EXACT`, of a value or of how far it is from nothing."""
+    """Limit the precision of intervals to `_EXACT`, of a value or its size."""
     parameters = parameters_of(fitted.effects)
     values = values_of(parameters, fitted.free)
     nothing = np.concatenate(
@@ -209,7 +207,7 @@ def _no_surer(fitted: Fit, intervals: Intervals) -> Intervals:
 def _short_of_nothing(
     effect: Effect, intervals: Intervals, own: slice, low: Array, high: Array
 ) -> tuple[Array, Array]:
-    """Wider ends (P,), but those between which and the values nothing lies as they were."""
+    """Widen interval ends (P,), except those that would newly include zero."""
     before = intervals.low[own], intervals.high[own]
     if effect.nothing is None:
         ends = [dict(effect.limit).get(p.name) for p in effect.parameters]

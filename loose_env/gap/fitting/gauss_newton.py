@@ -1,7 +1,7 @@
-"""Fits the parameters of a hypothesis: bounded Gauss-Newton on batched simulations.
+"""Bounded Gauss-Newton fit of a hypothesis' parameters, on batched simulations.
 
-Each iteration is two batches: one for the sensitivities, one that tries several step lengths at
-once. The bounded linear problem inside is scipy's.
+Each iteration is two batches: one for the sensitivities, one for several step lengths at once. The
+bounded linear least-squares problem is solved by scipy.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _NONE, _NEW, _ALL = 0, 1, 2
 
 @dataclass(frozen=True, kw_only=True)
 class FitSettings:
-    """How a fit goes about it."""
+    """Settings of the Gauss-Newton fit."""
 
     iterations: int = 16
     """Most Gauss-Newton steps."""
@@ -76,18 +76,18 @@ fresh ones are no better at the end than those from afar."""
 
 
 def strikes(effects: Sequence[Effect]) -> bool:
-    """Whether one of some effects has stops."""
+    """Return whether any of some effects has stops."""
     return any(effect.has_stops for effect in effects)
 
 
 def how_to_fit(effects: Sequence[Effect]) -> FitSettings:
-    """How a hypothesis of these effects is fitted."""
+    """Return the fit settings for a hypothesis of these effects."""
     return BESIDE_STOPS if strikes(effects) else FitSettings()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fit:
-    """A hypothesis with its best parameters."""
+    """A hypothesis with its best-fit parameters."""
 
     effects: tuple[Effect, ...]
     """In the order of their parameters."""
@@ -98,16 +98,16 @@ class Fit:
     jacobian: Array
     """Change of the residual with the free numbers (N, P)."""
     cost: float
-    """Sum of squares of the residual, and of what the free numbers are off their centres."""
+    """Cost: sum of squares of the residual, and of the deviations from priors."""
 
     @property
     def hypothesis(self) -> Hypothesis:
-        """What it says."""
+        """The hypothesis at the fitted values."""
         return hypothesis_of(self.effects, self.free)
 
     @property
     def named(self) -> tuple[Effect, ...]:
-        """Effects that may be named: neither nominal figures nor starts of runs."""
+        """Effects that may be identified: neither nominal parameters nor initial states."""
         return tuple(effect for effect in self.effects if effect.kind not in UNNAMED)
 
     @property
@@ -117,12 +117,15 @@ class Fit:
 
 
 def parameters_of(effects: Sequence[Effect]) -> tuple[Parameter, ...]:
-    """Parameters of all effects, one after the other."""
+    """Concatenate the parameters of all effects."""
     return tuple(p for effect in effects for p in effect.parameters)
 
 
 def hypothesis_of(effects: Sequence[Effect], free: Array) -> Hypothesis:
-    """Hypothesis of effects with free numbers (P,); a `StartState` becomes its starts."""
+    """Build a hypothesis of effects from free numbers (P,).
+
+    A `StartState` becomes the initial states of the runs.
+    """
     kept, values, at = [], [], 0
     position = speed = None
     for effect in effects:
@@ -138,13 +141,13 @@ def hypothesis_of(effects: Sequence[Effect], free: Array) -> Hypothesis:
 
 
 def slices_of(effects: Sequence[Effect]) -> tuple[slice, ...]:
-    """Where each effect's parameters stand among those of all."""
+    """Slices of each effect's parameters in the parameter vector."""
     ends = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
     return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
 
 
 def slice_of(effects: Sequence[Effect], effect: Effect) -> slice:
-    """Where the parameters of one of them stand among those of all."""
+    """Slice of one effect's parameters in the parameter vector."""
     return dict(zip(map(id, effects), slices_of(effects), strict=True))[id(effect)]
 
 
@@ -157,7 +160,7 @@ def sensitivities(
     *,
     difference: float = FitSettings.difference,
 ) -> Array:
-    """Change of the residual with some of the free numbers (N, len(which)); inward at bounds."""
+    """Jacobian of the residual in some free numbers (N, len(which)); inward at bounds."""
     known = _of_starts(comparison, effects, free, residual, which)
     rest = [k for k in which if k not in known]
     known |= _differences(comparison, effects, free, residual, rest, difference)
@@ -165,7 +168,7 @@ def sensitivities(
 
 
 def _nuisances(effects: Sequence[Effect]) -> set[int]:
-    """Numbers of the free numbers that are nominal figures."""
+    """Indices of the free numbers that are nominal parameters."""
     return {
         k
         for effect, own in zip(effects, slices_of(effects), strict=True)
@@ -182,7 +185,7 @@ def _differences(
     which: Sequence[int],
     difference: float,
 ) -> dict[int, Array]:
-    """Free number -> change of the residual with it (N,), by a step inside its bounds."""
+    """Derivatives of the residual (N,) by free number; finite differences in bounds."""
     parameters = parameters_of(effects)
     tried, steps = [], []
     for k in which:
@@ -205,7 +208,7 @@ def _of_starts(
     residual: Array,
     which: Sequence[int],
 ) -> dict[int, Array]:
-    """Number of a start's parameter -> change of the residual with it (N,)."""
+    """Derivatives of the residual in the parameters of initial states (N,), by index."""
     found, at = {}, 0
     for effect in effects:
         own = range(at, at + len(effect.parameters))
@@ -218,14 +221,14 @@ def _of_starts(
 
 
 def prior_of(parameters: Sequence[Parameter]) -> tuple[Array, Array]:
-    """Centres and weights of the free numbers (P,), weight 0 where nothing is known."""
+    """Prior means and weights of the free numbers (P,), weight 0 without a prior."""
     centres = [0.0 if p.centre is None else p.free(p.centre) for p in parameters]
     weights = [0.0 if p.spread is None else 1.0 / p.spread for p in parameters]
     return np.array(centres), np.array(weights)
 
 
 def cost_of(residual: Array, free: Array, parameters: Sequence[Parameter]) -> float:
-    """Sum of squares, what is known beforehand included."""
+    """Sum of squares, priors included."""
     centres, weights = prior_of(parameters)
     return float(residual @ residual + np.sum((weights * (free - centres)) ** 2))
 
@@ -244,18 +247,18 @@ def fit(
     Parameters
     ----------
     comparison : Comparison
-        What is compared.
+        Comparison of the runs.
     effects : sequence of Effect
-        The hypothesis; those whose sensitivities are known stand first.
+        The hypothesis; those whose sensitivities are known come first.
     start : ndarray (P,)
-        Free numbers from which it starts.
+        Initial free numbers.
     settings : FitSettings, optional
-        How it goes about it; as of `how_to_fit` if not given.
+        Settings of the fit; those of `how_to_fit` if not given.
     known : ndarray (N, K), optional
-        Sensitivities of the first K free numbers from a fit nearby, worked out again where they
-        mislead.
+        Sensitivities of the first K free numbers from a fit nearby, recomputed where they
+        are inaccurate.
     residual : ndarray (N,), optional
-        At the start.
+        Residual at the start.
     """
     settings = settings or how_to_fit(effects)
     parameters = parameters_of(effects)
@@ -265,8 +268,8 @@ def fit(
         residual = comparison.residuals([hypothesis_of(effects, free)])[0]
     cost = cost_of(residual, free, parameters)
     held = 0 if known is None else known.shape[1]
-    # Nominal figures move within their tolerance only: where their sensitivities are known, they
-    # are not worked out again.
+    # Nominal parameters move within their tolerance only: known sensitivities of these are not
+    # recomputed.
     kept = _nuisances(effects) if held else set()
     again = [k for k in range(len(parameters)) if k not in kept]
     jacobian = np.zeros((len(residual), len(parameters)))
@@ -291,7 +294,7 @@ def fit(
             step, left, after = min((step, left, after), damped, key=lambda found: found[2])
             hoped = cost - cost_of(residual + jacobian @ step, free + step, parameters)
         if which and cost - after < settings.enough * cost <= hoped:
-            # far from the best the slope says where it lies and not how far
+            # far from the optimum the gradient gives the direction and not the distance
             short = [share * long for long in steps[1:] for share in settings.shorter]
             shortened = _best_of(comparison, effects, free, parameters, short)
             step, left, after = min((step, left, after), shortened, key=lambda found: found[2])
@@ -306,7 +309,7 @@ def fit(
             else:
                 renew = first or _ALL
         elif gained < settings.trusted * hoped:
-            renew = _ALL if which else first or _ALL  # the old ones mislead
+            renew = _ALL if which else first or _ALL  # the old sensitivities are inaccurate
         else:
             renew = _NONE
     return Fit(effects=tuple(effects), free=free, residual=residual, jacobian=jacobian, cost=cost)
@@ -319,7 +322,7 @@ def _best_of(
     parameters: Sequence[Parameter],
     steps: Sequence[Array],
 ) -> tuple[Array, Array, float]:
-    """The best of some steps, with what it leaves and its cost."""
+    """Return the best of some steps, with its residual and cost."""
     found = comparison.residuals([hypothesis_of(effects, free + step) for step in steps])
     costs = [cost_of(r, free + s, parameters) for r, s in zip(found, steps, strict=True)]
     best = int(np.argmin(costs))
@@ -333,7 +336,7 @@ def step_of(
     parameters: Sequence[Parameter],
     damping: float,
 ) -> Array:
-    """Bounded step that lowers the linearised cost most (P,)."""
+    """Bounded step that minimises the linearised cost (P,)."""
     centres, weights = prior_of(parameters)
     curvature = jacobian.T @ jacobian + np.diag(weights**2)
     slope = jacobian.T @ residual + weights**2 * (free - centres)

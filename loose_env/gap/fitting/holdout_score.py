@@ -1,4 +1,4 @@
-"""Judges fits by runs that they have not seen."""
+"""Scores fits on training and held-out runs."""
 
 from __future__ import annotations
 
@@ -28,27 +28,27 @@ _FAR_BELOW = 0.1
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Judged:
-    """A fit with what it leaves on runs that it was not fitted to."""
+    """A fit with its residuals on the held-out runs."""
 
     fitted: Fit
-    """On the runs it was fitted to."""
+    """The fit to the training runs."""
     held_residual: Array
-    """On the others, in noise standard deviations (M,)."""
+    """Residual on the held-out runs, in noise standard deviations (M,)."""
     held_blocks: Array
-    """Twice its negative log-likelihood by block of time (B,): sums of squares, but for torques
-    behind springs, whose noise is another
+    """Twice its negative log-likelihood by block of time (B,): sums of squares, except for
+    torques behind springs, whose noise differs
     (`loose_env.gap.residuals.residual_model.Comparison.levels`)."""
     fitted_blocks: Array
-    """The same on the runs it was fitted to (A,)."""
+    """The same on the training runs (A,)."""
     held_structure: Array
-    """Sums of its products with itself a little later, by lag and block (3, B)."""
+    """Sums of lagged products of the residual, by lag and block (3, B)."""
     fitted_structure: Array
-    """The same on the runs it was fitted to (3, A)."""
+    """The same on the training runs (3, A)."""
     channel_structure: Array
-    """The largest over the lags of all runs by channel, and the number of products (2, C)."""
+    """Largest lagged product of all runs by channel, and number of products (2, C)."""
     logs: tuple[float, float] = (0.0, 0.0)
-    """What of the log-likelihoods, on the runs fitted to and on those held out, comes from the
-    size of the noise alone."""
+    """Part of the log-likelihoods, on training and held-out runs, that is due to the noise level
+    alone."""
 
     @property
     def held_rms(self) -> float:
@@ -57,18 +57,18 @@ class Judged:
 
     @property
     def free_count(self) -> int:
-        """How many free numbers it has."""
+        """Number of free numbers."""
         return len(parameters_of(self.fitted.effects))
 
     @property
     def total(self) -> float:
-        """Twice the negative log-likelihood of all runs, what is known beforehand included."""
+        """Twice the negative log-likelihood of all runs, priors included."""
         prior = self.fitted.cost - float(self.fitted.residual @ self.fitted.residual)
         return prior + float(self.fitted_blocks.sum() + self.held_blocks.sum())
 
     @property
     def structure(self) -> float:
-        """What hangs together in time of all residuals."""
+        """Autocorrelated part of all residuals."""
         return float(largest(self.held_structure.sum(axis=1) + self.fitted_structure.sum(axis=1)))
 
     @property
@@ -79,7 +79,7 @@ class Judged:
 
     @property
     def loud(self) -> bool:
-        """Whether it leaves more than noise on the held-out runs or on all, by size alone."""
+        """Return whether the residual on held-out or all runs exceeds the noise in size."""
         held = float(self.held_blocks.sum()) - self.logs[1]
         if held > _LOUD**2 * len(self.held_residual):
             return True
@@ -87,7 +87,7 @@ class Judged:
 
     @property
     def blows(self) -> bool:
-        """Whether what it leaves is loud, and hardly hangs together in time."""
+        """Return whether the residual is large but hardly autocorrelated: impacts."""
         return self.loud and self.structure < _BLOWS * self.excess
 
     @property
@@ -96,12 +96,13 @@ class Judged:
 
     @property
     def structure_sureness(self) -> float:
-        """How surely anything does: over what white noise of the same size shows by chance.
+        """Significance (z) of the residual autocorrelation, against white noise.
 
-        Of the runs held out, or of all, whichever is surer: one family of motions may show what
-        the others hardly do. An autocorrelation of white noise scatters by one over the root of the
-        sample size (Bartlett, J. R. Stat. Soc. Suppl. 8, 1946, 27). Residuals far below the noise
-        are those of the arithmetic and count as no gap, however they hang together.
+        The larger of that of held-out runs and of all runs: one family of motions may show an
+        effect that the others hardly do. An autocorrelation of white noise has a standard deviation
+        of one over the root of the sample size (Bartlett, J. R. Stat. Soc. Suppl. 8, 1946, 27).
+        Residuals far below the noise are rounding errors and count as no model error, however
+        autocorrelated.
         """
         squares = (
             float(blocks.sum()) - logs
@@ -118,33 +119,33 @@ class Judged:
 
 @dataclass(frozen=True, kw_only=True)
 class Lead:
-    """By how much one fit is ahead of another."""
+    """Improvement of one fit over another."""
 
     held: float
-    """On held-out runs, in standard deviations of the difference over blocks."""
+    """Improvement (z) on held-out runs, over blocks."""
     fitted: float
-    """On the runs fitted to, likewise."""
+    """Improvement (z) on the training runs, over blocks."""
     share: float
-    """Share of what there was to explain that it explains, 1: all of it."""
+    """Share of the explainable sum of squares that is explained, 1: all of it."""
 
 
 class Judge:
-    """Judges fits.
+    """Scores fits on training and held-out runs.
 
     Parameters
     ----------
     comparison, held_out : Comparison
-        The runs fitted to, and those to judge by.
+        The training runs and the held-out runs.
     """
 
     def __init__(self, comparison: Comparison, held_out: Comparison) -> None:
         self.comparison, self.held_out = comparison, held_out
-        # Where held-out runs began is theirs alone, and no credit to any hypothesis.
+        # Initial states of held-out runs are fitted separately, and credited to no hypothesis.
         self._start = StartState(held_out.machine, held_out.trials, held_out.channels)
         self._fitted, self._held = Structure(comparison.rows), Structure(held_out.rows)
 
     def judge(self, fitted: Fit) -> Judged:
-        """Simulate the held-out runs and sum up."""
+        """Simulate the held-out runs and score the fit."""
         _, residual = self._start.fitted(self.held_out, fitted.hypothesis)
         level, held_level = (c.levels(fitted.hypothesis) for c in (self.comparison, self.held_out))
         own, held = fitted.residual / level, residual / held_level
@@ -162,10 +163,10 @@ class Judge:
 
 
 def lead_of(ahead: Judged, behind: Judged, *, strikes: bool = False) -> Lead:
-    """By how much the first is ahead of the second; negative where it is not.
+    """Return the improvement of the first fit over the second; negative if worse.
 
-    Blocks count by their ranks too (`sureness_of`) where an effect with stops is in one of the two
-    only, or where ``strikes`` says that the two differ by such a one.
+    Blocks also count by rank (`sureness_of`) where an effect with stops is in one of the two only,
+    or where ``strikes`` says that the two differ by such an effect.
     """
     one, other = ({e.key: e for e in j.fitted.named} for j in (ahead, behind))
     strikes = strikes or any((one | other)[key].has_stops for key in one.keys() ^ other.keys())
@@ -177,9 +178,10 @@ def lead_of(ahead: Judged, behind: Judged, *, strikes: bool = False) -> Lead:
 
 
 def share_of(ahead: Judged, behind: Judged) -> float:
-    """Share of what there was to explain that the first explains, 1: all of it.
+    """Share of the explainable sum of squares that the first explains, 1: all of it.
 
-    Of what hangs together in time; where that is next to nothing, of what is more than noise.
+    It is computed of the autocorrelated part; where that is close to zero, of the part above the
+    noise.
     """
     if behind.blows:
         return 1.0 - ahead.excess / behind.excess
@@ -187,7 +189,7 @@ def share_of(ahead: Judged, behind: Judged) -> float:
 
 
 def machine_part(judged: Judged) -> Hypothesis:
-    """What a fit says of the machine, not of the state in which runs began."""
+    """Return a fit without the initial states of runs."""
     whole = judged.fitted.hypothesis
     kept = [
         (effect, values)
@@ -198,13 +200,13 @@ def machine_part(judged: Judged) -> Hypothesis:
 
 
 def sureness_of(behind: Array, ahead: Array, *, strikes: bool = False) -> float:
-    """By how much smaller sums by block (B,) are: in standard deviations over blocks.
+    """Improvement (z) of one fit over another, from sums by block (B,).
 
     Blocks are taken as independent. Roots are compared, so that one block of impacts does not
     outweigh all others. Where a part with stops makes the difference (``strikes``), that is not
-    enough: a simulation that misses a blow by a moment is wrong there by twice the blow, however
-    right it is elsewhere. So ranks of the gains are compared as well (the signed ranks of Wilcoxon,
-    Biometrics Bull. 1, 1945, 80), and the surer of the two counts.
+    enough: a simulation with a slightly mistimed impact has twice the error of the impact there,
+    however accurate it is elsewhere. The gains are therefore also compared by rank (the signed
+    ranks of Wilcoxon, Biometrics Bull. 1, 1945, 80), and the larger of the two z-scores counts.
 
     Examples
     --------
@@ -213,7 +215,7 @@ def sureness_of(behind: Array, ahead: Array, *, strikes: bool = False) -> float:
     >>> round(sureness_of(before, after), 1), round(sureness_of(before, after, strikes=True), 1)
     (0.4, 5.6)
     """
-    # a log-likelihood may be below zero, where noise is small
+    # twice a negative log-likelihood may be below zero, where noise is small
     least = min(0.0, float(behind.min(initial=0.0)), float(ahead.min(initial=0.0)))
     gains = np.sqrt(behind - least) - np.sqrt(ahead - least)
     sure = _self_normalized(gains)
@@ -223,12 +225,12 @@ def sureness_of(behind: Array, ahead: Array, *, strikes: bool = False) -> float:
 
 
 def _self_normalized(gains: Array) -> float:
-    """Sum of gains (B,) over the root of their sum of squares."""
+    """Self-normalised sum: sum of gains (B,) over the root of their sum of squares."""
     return float(gains.sum()) / max(float(np.sqrt(np.sum(gains**2))), 1e-12)
 
 
 def _sureness(*parts: tuple[int, float, Array]) -> float:
-    """Structure of some runs together: for each count, sum of squares and products by block."""
+    """Autocorrelation (z) of some runs, from counts, sums of squares and products."""
     count = sum(part[0] for part in parts)
     mean_square = sum(part[1] for part in parts) / count
     structure = float(largest(np.sum([products.sum(axis=1) for *_, products in parts], axis=0)))
@@ -236,9 +238,9 @@ def _sureness(*parts: tuple[int, float, Array]) -> float:
 
 
 def _added(one: Array, other: Array) -> Array:
-    """Largest sums of both over the lags by channel, and their number (2, C).
+    """Largest sums of two tables over the lags by channel, and their number (2, C).
 
-    One of the tables by lag and channel, whose last rows count, may know fewer channels.
+    One of the tables by lag and channel, whose last rows are counts, may have fewer channels.
     """
     found = np.zeros((len(one), max(one.shape[1], other.shape[1])))
     found[:, : one.shape[1]] += one

@@ -1,8 +1,9 @@
-"""The state in which a run begins, which its sensors show only as well as they are.
+"""Initial states of runs, estimated from noisy sensors and fitted as nuisances.
 
-A free response, or a run that begins in motion, is simulated from its measured first samples. What
-these are off is fitted with every hypothesis and never named. A run depends on its own start only,
-so all runs share the simulations of the sensitivities: two for each joint, however many runs.
+A free response, or a run that begins in motion, is simulated from its measured first samples. Their
+errors are fitted with every hypothesis and never reported as an effect. A run depends on its own
+initial state only, so all runs share the simulations of the sensitivities: two for each joint,
+however many runs.
 """
 
 from __future__ import annotations
@@ -36,14 +37,14 @@ _FURTHEST = 30.0
 
 
 class StartState(Effect):
-    """Offsets of the measured start, of each run's joints: position and speed.
+    """Offsets of the measured initial position and speed, for the joints of each run.
 
     Parameters
     ----------
     machine : Machine
         The nominal model.
     trials : sequence of Trial
-        The runs, as the comparison has them.
+        The runs of the comparison.
     channels : tuple of Channel
         Their columns.
     """
@@ -59,12 +60,12 @@ class StartState(Effect):
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
-        """All of the model."""
+        """Locations: the whole model."""
         return ("all",)
 
     @cached_property
     def moving(self) -> tuple[int, ...]:
-        """Numbers of the runs whose start is not that of an arm at rest."""
+        """Indices of the runs that do not start at rest."""
         return tuple(
             t
             for t, trial in enumerate(self.trials)
@@ -74,12 +75,12 @@ class StartState(Effect):
 
     @cached_property
     def spreads(self) -> Array:
-        """Standard deviation of the measured start, of position and speed (runs, 2, joints)."""
+        """Standard deviation of the measured initial state (runs, 2, joints)."""
         return np.array([_spread(self.machine, self.trials[t], self.channels) for t in self.moving])
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """By run, position of every joint, speed of every joint."""
+        """Parameters: by run, position of every joint, speed of every joint."""
         found = []
         for k, t in enumerate(self.moving):
             for which, name in enumerate(("position", "speed")):
@@ -97,11 +98,11 @@ class StartState(Effect):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """As measured."""
+        """Starting values: the measured initial state."""
         return ((0.0,) * len(self.parameters),)
 
     def offsets(self, values: Array) -> tuple[Array, Array]:
-        """Positions and speeds to be added to the measured starts (trials, joints) each."""
+        """Offsets of the measured initial positions and speeds (trials, joints) each."""
         found = np.zeros((2, len(self.trials), len(self.machine.joints)))
         if self.moving:
             own = np.reshape(values, (len(self.moving), 2, len(self.machine.joints)))
@@ -116,16 +117,16 @@ class StartState(Effect):
         *,
         difference: float = 0.05,
     ) -> Array:
-        """Change of the residual with each free number (N, P), all runs at a time.
+        """Jacobian of the residual in the initial states (N, P), all runs at a time.
 
         Parameters
         ----------
         comparison : Comparison
-            Of the same runs.
+            Comparison of the same runs.
         hypothesis : Hypothesis
-            With the starts about which they are wanted.
+            Hypothesis with the initial states to differentiate about.
         residual : ndarray (N,)
-            Of that hypothesis.
+            Residual of that hypothesis.
         difference : float
             Step, in free units.
         """
@@ -152,14 +153,14 @@ class StartState(Effect):
     def fitted(
         self, comparison: Comparison, hypothesis: Hypothesis, *, iterations: int = 3
     ) -> tuple[Hypothesis, Array]:
-        """Fit the starts alone: for runs that a hypothesis was not fitted to.
+        """Fit the initial states alone, for runs outside the training data.
 
         Returns
         -------
         hypothesis : Hypothesis
-            With starts.
+            Hypothesis with fitted initial states.
         residual : ndarray (N,)
-            What it leaves.
+            Its residual.
         """
         free = np.zeros(len(self.parameters))
         now = self._at(hypothesis, free)
@@ -189,26 +190,27 @@ class StartState(Effect):
 
 
 def _compared_at_once(trial: Trial) -> bool:
-    """Whether the beginning counts; a window's start has died away by the time it does."""
+    """Return whether the first samples count; those of a window are transient."""
     return bool(np.isfinite(trial.measured[: max(1, round(_LINE * trial.rate))]).any())
 
 
 def _with_start(hypothesis: Hypothesis, position: Array, speed: Array) -> Hypothesis:
-    """The hypothesis with other starts."""
+    """Replace the initial states of a hypothesis."""
     return replace(hypothesis, position=position, speed=speed)
 
 
 def _spread(machine: Machine, trial: Trial, channels: tuple[Channel, ...]) -> Array:
-    """Standard deviation of a run's measured start (2, joints).
+    """Standard deviation of a run's measured initial state (2, joints).
 
-    Of a straight line through the first samples by its noise, and by its distance from a parabola:
-    an arm that accelerates leaves the line. A speed that was read counts as well as it was read.
+    That of a straight line through the first samples by its noise, and by its distance from a
+    parabola: an accelerating arm deviates from the line. A measured speed has the accuracy of its
+    sensor.
     """
     count = int(np.clip(np.searchsorted(trial.time, _LINE), 6, len(trial.time)))
     time = trial.time[:count]
     reach = float(time[-1])
     loads = np.maximum(machine.load_scales / machine.inertias, 1e-9)
-    # Where nothing is read: as far as the joint's typical load takes it.
+    # Without readings: the range that the joint's typical load can reach.
     found = np.stack([loads * reach**2, loads * reach])
     read = np.zeros(len(machine.joints), dtype=bool)
     for k, channel in enumerate(channels):
@@ -231,7 +233,7 @@ def _spread(machine: Machine, trial: Trial, channels: tuple[Channel, ...]) -> Ar
             first = max(3, int(np.searchsorted(trial.time, 0.005)))
             known = int(good[:first].sum())
             if not known or not np.isfinite(floor):
-                continue  # lost where the run begins: the speed is not from this sensor
+                continue  # not read at the start of the run: the speed is not from this sensor
             short = np.ptp(values[:count][good][: 2 * first])
             found[1, joint] = np.hypot(floor / np.sqrt(known), short)
             read[joint] = True

@@ -1,8 +1,8 @@
-"""How near to nothing an effect may be: what the runs refute.
+"""Profile bounds: tightens intervals to exclude values that the runs refute.
 
-The bootstrap of an interval draws steps of a linear fit. Where stops are struck the sum of squares
-is no parabola, and such an interval may reach a limit that the runs have plainly refuted, such as a
-seat that sticks for ever; or no effect at all, with which no fit does as well.
+The bootstrap of an interval draws steps of a linearised fit. In impact-dominated runs the sum of
+squares is not quadratic, and such an interval may reach a limit that the runs clearly refute, such
+as a seat that sticks for ever; or zero effect, with which no fit is as good.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ _SHARES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)
 def short_of_limit(
     comparison: Comparison, fitted: Fit, intervals: Intervals, effect: Effect
 ) -> Intervals:
-    """Take back the ends of an interval that lie beyond what the runs refute.
+    """Tighten interval ends that lie beyond values which the runs refute.
 
     Parameters
     ----------
     comparison : Comparison
-        What was fitted to.
+        The training runs.
     fitted : Fit
         The fit.
     intervals : Intervals
-        Of all its parameters.
+        Intervals of all its parameters.
     effect : Effect
         One of its effects; nothing is changed if it has no limit, or if that is not refuted.
     """
@@ -77,18 +77,18 @@ def short_of_limit(
 def short_of_nothing(
     comparison: Comparison, fitted: Fit, intervals: Intervals, effect: Effect
 ) -> Intervals:
-    """Take back the interval of an effect beside stops that ends beyond what the runs refute.
+    """Tighten the interval end of an effect beside stops to what the runs refute.
 
-    All else is fitted again without the effect. If that surely leaves more, the parameter that is
-    furthest from nothing, by its own scatter, is given as much room towards nothing as a lead of
-    two standard deviations is of the lead over nothing: it grows about as the distance.
+    All else is refitted without the effect. If that is significantly worse, by an improvement z of
+    the fit with the effect, the parameter furthest from zero, in standard deviations, gets its
+    interval end towards zero at no more than 2 / z of the distance: z grows about as the distance.
 
     Parameters
     ----------
     comparison, fitted, intervals
         As of `short_of_limit`.
     effect : Effect
-        One of its effects; nothing is changed if no part with stops is there, if it is nothing only
+        One of its effects; nothing is changed if no part with stops is there, if it is zero only
         in a limit, or if that is not refuted.
     """
     if effect.nothing is None or not strikes(fitted.effects):

@@ -1,4 +1,4 @@
-"""Goes on from a fit: on its own runs, with fresh slopes, to its end, or without an effect."""
+"""Refits of a fit: fresh sensitivities, convergence, or one effect fewer."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["fit_without", "fitted_on", "polished", "refined", "settled"]
 
 
 def fit_without(comparison: Comparison, fitted: Fit, effect: Effect) -> Fit:
-    """Leave out one effect of a fit and fit the others again."""
+    """Drop one effect of a fit and refit the others."""
     own = slice_of(fitted.effects, effect)
     kept = [k for k in range(len(fitted.free)) if not own.start <= k < own.stop]
     others = [e for e in fitted.effects if e is not effect]
@@ -29,7 +29,7 @@ def fit_without(comparison: Comparison, fitted: Fit, effect: Effect) -> Fit:
 
 
 def fitted_on(comparison: Comparison, fitted: Fit) -> Fit:
-    """Fit on, with the sensitivities there are."""
+    """Continue a fit with its existing sensitivities."""
     return fit(
         comparison,
         fitted.effects,
@@ -40,12 +40,12 @@ def fitted_on(comparison: Comparison, fitted: Fit) -> Fit:
 
 
 def polished(comparison: Comparison, fitted: Fit) -> Fit:
-    """Fit on, with sensitivities worked out anew once."""
+    """Continue a fit with sensitivities recomputed once."""
     return fitted_on(comparison, refined(fitted, comparison))
 
 
 def refined(fitted: Fit, comparison: Comparison) -> Fit:
-    """The same with sensitivities worked out anew, all of them."""
+    """Recompute all sensitivities of a fit."""
     count = len(parameters_of(fitted.effects))
     jacobian = sensitivities(
         comparison,
@@ -59,10 +59,10 @@ def refined(fitted: Fit, comparison: Comparison) -> Fit:
 
 
 def settled(comparison: Comparison, fitted: Fit) -> Fit:
-    """Fit a hypothesis with stops to its end by short differences, where that is better.
+    """Converge a hypothesis with stops by short differences, where that is better.
 
-    Long ones find the way between blows that are just missed and just struck; at its end short ones
-    are truer.
+    Long differences bridge the discontinuity between a missed and an actual impact; near
+    convergence short ones are more accurate.
     """
     short = replace(BESIDE_STOPS, difference=FitSettings.difference)
     found = fit(comparison, fitted.effects, fitted.free, settings=short, residual=fitted.residual)

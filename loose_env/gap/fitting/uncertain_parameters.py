@@ -1,6 +1,6 @@
-"""The figures of a nominal model, which are known within a tolerance only.
+"""Uncertain parameters of the nominal model, known within a tolerance.
 
-They are fitted with every hypothesis, within the tolerance, and never named.
+They are fitted with every hypothesis, within the tolerance, and never reported as an effect.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _SPREAD = 0.6
 
 @dataclass(frozen=True)
 class _Figure:
-    """One figure: what, and of what."""
+    """One nominal parameter: field and element of the model."""
 
     field: str
     of: str
@@ -42,7 +42,7 @@ class NominalFigures(Effect):
     machine : Machine
         The nominal model.
     tolerance : float
-        Within which they are known, as a share.
+        Relative tolerance within which they are known.
 
     Examples
     --------
@@ -60,12 +60,12 @@ class NominalFigures(Effect):
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
-        """All of the model."""
+        """Locations: the whole model."""
         return ("all",)
 
     @cached_property
     def figures(self) -> tuple[_Figure, ...]:
-        """Which figures of the model are not zero."""
+        """Nominal parameters of the model that are not zero."""
         model, machine = self.machine.model, self.machine
         found = [
             _Figure(field, link)
@@ -89,7 +89,7 @@ class NominalFigures(Effect):
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One factor each."""
+        """Parameters: one scale factor each."""
         wide = _BEYOND * self.tolerance
         return tuple(
             Parameter(
@@ -106,11 +106,11 @@ class NominalFigures(Effect):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """As nominal."""
+        """Starting values: nominal."""
         return ((1.0,) * len(self.figures),)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Multiply the figures."""
+        """Scale the nominal parameters."""
         for figure, factor in zip(self.figures, values, strict=True):
             if figure.field == "mass":
                 spec.body(figure.of).mass *= factor
@@ -128,7 +128,7 @@ class NominalFigures(Effect):
 
 
 def _scale_gain(actuator: mujoco.MjsActuator, factor: float, *, velocity: bool) -> None:
-    """Multiply the gain, or the gain on speed, of an actuator."""
+    """Scale the gain, or the velocity gain, of an actuator."""
     bias = np.array(actuator.biasprm)
     if velocity:
         bias[2] *= factor

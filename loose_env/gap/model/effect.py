@@ -1,8 +1,8 @@
-"""What a model can lack: one physical effect at one place, with bounded parameters.
+"""Base class of effects: one physical effect at one location, with parameters.
 
 An effect acts in up to four ways, each a method that a subclass overrides: `Effect.edit` changes
-the MuJoCo spec, `Effect.command` what reaches the actuators, `Effect.torque` adds to what acts on
-the joints, `Effect.read` changes what the sensors show.
+the MuJoCo spec, `Effect.command` the commands of the actuators, `Effect.torque` adds to the torque
+on the joints, `Effect.read` changes the sensor values.
 A new effect is one small class in one file:
 
     class MotorConstant(Effect):
@@ -26,7 +26,7 @@ A new effect is one small class in one file:
         def edit(self, spec, values):
             ...
 
-How accelerometers shook beyond the model, and in which pose.
+`ResidualAccelerations` holds accelerometer residuals by pose.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ Readings = dict[str, Array]
 
 
 class Effect:
-    """One effect at one place.
+    """One physical effect at one location.
 
     Parameters
     ----------
     machine : Machine
-        The nominal model and its figures.
+        The nominal model and its parameters.
     where : str
         One of `places`.
 
@@ -78,28 +78,29 @@ class Effect:
     nothing: ClassVar[tuple[float, ...] | None] = None
     """Values at which the effect vanishes; None where it does so only in a limit."""
     proportional: ClassVar[int | None] = None
-    """Number of the only parameter that what it changes is about proportional to; None if all of
-    them scale it, or none does."""
+    """Index of the only parameter that its change is about proportional to; None if all of them
+    scale it, or none does."""
     adds_up: ClassVar[bool] = False
-    """Whether its parameters are small steps along axes, of which what they change adds up: then
-    screening looks at each by itself and works out how much of every one is best."""
+    """Whether its parameters are small steps along axes, whose changes add up: then screening
+    evaluates each by itself and computes the best coefficient of every one."""
     searches: ClassVar[bool] = False
-    """Whether `starts` cannot cover what it may be, so that `propose` has to find it in data."""
+    """Whether `starts` cannot cover its range, so that `propose` has to find starts in data."""
     limit: ClassVar[tuple[tuple[str, str], ...]] = ()
-    """Parameters, and which of their bounds, "low" or "high", are together nearest to no effect at
-    all, where `nothing` is None."""
+    """Parameters, and their bounds, "low" or "high", that together define the limit of no
+    effect, where `nothing` is None."""
     adds_motion: ClassVar[bool] = False
-    """Whether the edit adds a degree of freedom, which no inverse comparison can show."""
+    """Whether the edit adds a degree of freedom, which is invisible in an inverse comparison."""
     sharp: ClassVar[bool] = False
-    """Whether it asks for finer steps than a smooth model: a stiff spring, a joint that sticks."""
+    """Whether it needs finer steps than a smooth model: a stiff spring, a joint with stiction."""
     has_stops: ClassVar[bool] = False
-    """Whether parts of it strike each other: what follows a blow, no simulation repeats exactly.
-    Parameters named `gap`, `stiffness` and `damping_ratio`, if any, are those of the stops."""
+    """Whether it has parts with stops: after an impact no simulation is reproducible. Parameters
+    named `gap`, `stiffness` and `damping_ratio`, if any, are those of the stops."""
     shifts: ClassVar[bool] = False
-    """Whether it shifts signals in time by its only parameter: accelerations answer that in
-    proportion over a fraction of a millisecond only, positions over many."""
+    """Whether it shifts signals in time by its only parameter: accelerations are linear in it
+    over a fraction of a millisecond only, positions over many."""
     variants: ClassVar[tuple[str, ...]] = ("",)
-    """Forms of the same kind, the usual one first; the result file does not tell them apart."""
+    """Variants of the same kind, the default one first; the result file does not distinguish
+    them."""
 
     def __init__(self, machine: Machine, where: str, variant: str | None = None) -> None:
         if where not in self.places(machine):
@@ -116,19 +117,19 @@ class Effect:
         self.machine, self.where, self.variant = machine, where, variant
 
     def __repr__(self) -> str:
-        """Kind, place, and the variant where there are several."""
+        """Format kind, location, and the variant where there are several."""
         return f"{self.kind}@{self.where}" + (f" ({self.variant})" if self.variant else "")
 
     @property
     def key(self) -> tuple[str, str, str]:
-        """Kind, place and variant."""
+        """Kind, location and variant."""
         return self.kind, self.where, self.variant
 
     @property
     def part(self) -> str:
-        """What its place names: "joint", "link", "actuator", "sensor", or "arm" for all of it.
+        """Element type of its location: "joint", "link", "actuator", "sensor", or "arm".
 
-        As `acts_on` says; without, by what it does and by the names of the model.
+        As in `acts_on`; without, inferred from its methods and from the names of the model.
         """
         if self.acts_on:
             return self.acts_on
@@ -145,56 +146,56 @@ class Effect:
 
     @property
     def drives(self) -> bool:
-        """Whether it acts on what actuators do.
+        """True if it changes the actuators.
 
-        None of them is on in a free run, and of an inverse run only the torque is known.
+        None of them is active in a free run, and of an inverse run only the torque is known.
         """
         return self.part == "actuator" or type(self).command is not Effect.command
 
     @property
     def moves(self) -> bool:
-        """Whether it acts on the motion, not on the readings alone."""
+        """True if it changes the motion, not the readings alone."""
         own = type(self)
         acting = ((own.edit, Effect.edit), (own.command, Effect.command))
         return any(a is not b for a, b in (*acting, (own.torque, Effect.torque)))
 
     @classmethod
     def forms(cls, machine: Machine, where: str) -> tuple[str, ...]:
-        """Those of `variants` that make a difference at a place; never empty."""
+        """Return the `variants` that are distinct at a location; never empty."""
         return cls.variants
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
-        """Where it can be: names of the model, or "tool", "base", "all"."""
+        """Return possible locations: names of the model, or "tool", "base", "all"."""
         raise NotImplementedError
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """What is to be found out."""
+        """Parameters to be fitted."""
         raise NotImplementedError
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Values from which fits begin, each clearly visible."""
+        """Starting values of fits, each clearly visible."""
         raise NotImplementedError
 
     @property
     def close_starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts for inverse runs, where those of an effect may have to lie closer together."""
+        """Starts for inverse runs, which may have to lie closer together."""
         return self.starts
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Change the spec in place; names that the recording uses must stay valid."""
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Change the spec of the model that is written out, which has no `command` and no `read`.
+        """Change the spec of the exported model, which has no `command` and no `read`.
 
-        As `edit`, unless MJCF has means of its own for what those two do.
+        As `edit`, unless MJCF has elements of its own for the function of those two.
         """
         self.edit(spec, values)
 
     def command(self, time: Array, controls: Array, values: Array) -> Array:
-        """What reaches the actuators.
+        """Compute the commands that reach the actuators.
 
         Parameters
         ----------
@@ -208,7 +209,7 @@ class Effect:
         return controls
 
     def command_at(self, time: Array, controls: Array, values: Array) -> Array:
-        """What is at the actuators at each step itself, for what sensors read there.
+        """Compute the instantaneous commands at each step, for sensor values there.
 
         A step is simulated with the mean over it, as of `command`; where a held command changes
         within the step, an acceleration at its beginning is that of the command before.
@@ -216,22 +217,22 @@ class Effect:
         return self.command(time, controls, values)
 
     def lateness(self, values: Array) -> tuple[str, float] | None:
-        """Sensor that shows what was, and by how much [s]; None for what `read` can shift.
+        """Return a delayed sensor with its delay [s]; None for one that `read` can shift.
 
-        A reading that jumps with commands, such as an acceleration, cannot be drawn out of its
-        samples: it is worked out from the motion of then.
+        A reading that jumps with commands, such as an acceleration, cannot be interpolated between
+        its samples: it is computed from the motion at the earlier time.
         """
         return None
 
     def torque(self, position: Array, speed: Array, values: Array) -> Array:
-        """What acts on the joints besides what the model has, in their direction.
+        """Compute joint torques beyond those of the model, in the joints' direction.
 
-        A smooth function of the state, the same forwards and backwards. A simulation holds its
-        mean over each step, which limits how steep it may be: at a stiffness of 0.01 inertia /
-        step² the joint swings 0.04 % too fast, at 0.1 inertia / step² 0.4 %, and at 2 the
-        simulation breaks; damping is off by 0.04 % at 0.1 inertia / step, by 0.5 % at 0.3, and
-        breaks at 2. Friction that holds at rest is too steep: it is a joint's `frictionloss`,
-        set in `edit`.
+        A smooth function of the state, the same in forward and inverse dynamics. A simulation holds
+        its mean over each step, which limits how steep it may be: at a stiffness of 0.01 inertia /
+        step² the joint oscillates 0.04 % too fast, at 0.1 inertia / step² 0.4 %, and at 2 the
+        simulation is unstable; damping has an error of 0.04 % at 0.1 inertia / step, of 0.5 % at
+        0.3, and is unstable at 2. Friction that holds at rest is too steep: it is a joint's
+        `frictionloss`, set in `edit`.
 
         Parameters
         ----------
@@ -248,15 +249,15 @@ class Effect:
         return np.zeros_like(position)
 
     def torque_code(self, values: Array) -> str:
-        """Python lines that add `torque` to a simulation of the written model; "" if nothing.
+        """Python lines that add `torque` to a simulation of the written model; "" if none.
 
         They add to ``torque`` by ``position`` and ``speed``, arrays by joint (joints,) that the
-        lines of `loose_env.gap.output.export_mjcf.correction_code` have laid out by then.
+        lines of `loose_env.gap.output.export_mjcf.correction_code` have defined by then.
         """
         return ""
 
     def at_limit(self, values: Array) -> Array:
-        """Values with the parameters of `limit` at their bounds (P,)."""
+        """Set the parameters of `limit` to their bounds (P,)."""
         found, ends = np.array(values, dtype=float), dict(self.limit)
         for k, parameter in enumerate(self.parameters):
             if parameter.name in ends:
@@ -264,10 +265,11 @@ class Effect:
         return found
 
     def vanishes(self, low: Array, high: Array) -> bool:
-        """Whether it may be nothing at all, by the intervals of its parameters (P,).
+        """Return whether the parameter intervals (P,) include zero effect.
 
-        It may if nothing lies within all of them, or if they reach the limit in which it does
-        nothing, such as that of a stiff spring. Play without a gap is none, however soft the stops.
+        They do if the null value lies within all of them, or if they reach the limit of no effect,
+        such as that of a stiff spring. Play without clearance is no effect, however compliant the
+        stops.
         """
         if self.nothing is None:
             ends = dict(self.limit)
@@ -282,13 +284,13 @@ class Effect:
         return bool(np.all((low <= np.array(self.nothing)) & (np.array(self.nothing) <= high)))
 
     def immaterial(self, values: Array) -> bool:
-        """Whether it is too small to matter to anybody, however surely it is seen (P,)."""
+        """Return whether it is too small to matter, however significant (P,)."""
         return False
 
     def resistance(self, speed: float, values: Array) -> float:
         """Torque or force [N·m or N] against a steady motion at a speed [rad/s or m/s].
 
-        Zero for what is no friction.
+        Zero for effects other than friction.
         """
         return 0.0
 
@@ -298,47 +300,48 @@ class Effect:
 
     @property
     def doubtful_mass(self) -> float:
-        """Mass of which its law takes for granted how it lies along a link [kg]; zero for most."""
+        """Mass with an assumed distribution along a link [kg]; zero for most."""
         return 0.0
 
     def unseen_torque(self, angle: Array, speed: Array, values: Array) -> Array:
-        """What the joint needs for a motion (T,) [N·m or N] that inverse dynamics leave out.
+        """Joint torque for a motion (T,) [N·m or N] that MuJoCo's inverse dynamics omit.
 
-        Zero but for effects whose edit adds a drive without input: MuJoCo's inverse dynamics of
-        the edited model know dampers, springs and dry friction, but no actuators.
+        Zero except for effects whose edit adds an actuator without input: MuJoCo's inverse dynamics
+        of the edited model include dampers, springs and dry friction, but no actuators.
         """
         return np.zeros_like(angle)
 
     def sensed_torque(self, joint: str, torque: Array, values: Array) -> Array:
-        """What is shown as a drive's torque in an inverse comparison, where a joint needs it (T,).
+        """Convert a joint's torque to the measured drive torque in inverse runs (T,).
 
-        Drives tell their torque by their current: a drive that gives more for it shows less.
+        Drives measure their torque by their current: a drive with more torque per current shows
+        less.
         """
         return torque
 
     def read(self, time: Array, readings: Readings, values: Array) -> Readings:
-        """What the sensors show, in place of what an ideal one would; never changes its input."""
+        """Convert ideal sensor values to those with the effect; never changes its input."""
         return readings
 
     def code(self, values: Array) -> str:
-        """Python lines that apply to a simulation what MJCF cannot express; "" if nothing."""
+        """Python lines that apply effects which MJCF cannot express; "" if none."""
         return ""
 
     def propose_along(self, residual: ResidualAccelerations) -> tuple[tuple[float, ...], ...]:
-        """Starts by what accelerometers show beyond the model; none where nothing can be said."""
+        """Propose starts from accelerometer residuals; none where they are uninformative."""
         return ()
 
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
     ) -> tuple[tuple[float, ...], ...]:
-        """Starts from data, in place of `starts`; empty where the data propose nothing.
+        """Propose starts from data, in place of `starts`; empty where there are none.
 
         Parameters
         ----------
         angle, speed, acceleration : ndarray (T,)
             Motion of the effect's joint [rad, rad/s, rad/s² or m, m/s, m/s²].
         torque : ndarray (T,)
-            What the joint needed beyond the nominal model for that motion [N·m or N].
+            Residual torque: that beyond the nominal model for that motion [N·m or N].
         """
         return ()
 
@@ -350,8 +353,8 @@ class ResidualAccelerations:
     joints: tuple[str, ...]
     """Names of the joints."""
     poses: Array
-    """Their measured positions (K, joints) [rad, m]."""
+    """Measured joint positions (K, joints) [rad, m]."""
     sites: tuple[str, ...]
     """Site of the accelerometer (K,)."""
     accelerations: Array
-    """In the frame of the site (K, 3) [m/s²]."""
+    """Residual in the frame of the site (K, 3) [m/s²]."""

@@ -1,4 +1,4 @@
-"""Names for what a model leaves without one: edits and results find parts by their names."""
+"""Default names for unnamed elements, since edits and results refer to names."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _LISTED = 6
 
 
 def with_names(given: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Copy of a spec in which every body, site and actuator has a name.
+    """Copy a spec so that every body, site and actuator has a name.
 
-    A link, the body that a joint moves, is called after its first joint; others by their number.
+    A link, the body that a joint moves, is named after its first joint; others by their index.
 
     Examples
     --------
@@ -34,7 +34,7 @@ def with_names(given: mujoco.MjSpec) -> mujoco.MjSpec:
 
 
 def naming_words(given: mujoco.MjSpec) -> list[str]:
-    """A sentence on the links of a model that have no name of their own; none if all have one."""
+    """Describe links of a model without a name of their own; none if all have one."""
     before, after = given.bodies[1:], with_names(given).bodies[1:]
     links = [new.name for old, new in zip(before, after, strict=True) if not old.name if new.joints]
     if not links:

@@ -1,4 +1,4 @@
-"""What is simulated: a nominal model with effects in it."""
+"""Hypothesis: the nominal model with added effects."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ _OFF = 30
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """Effects and their values, in the order in which they act; start offsets of free runs."""
+    """Effects and their values, in the order in which they act; initial-state offsets."""
 
     effects: tuple[Effect, ...]
-    """What the nominal model lacks."""
+    """Effects added to the nominal model."""
     values: tuple[Array, ...]
-    """Of the parameters of each."""
+    """Parameter values of each effect."""
     position: Array | None = None
-    """Added to the measured start [rad, m] (trials, joints)."""
+    """Offsets of the measured initial positions [rad, m] (trials, joints)."""
     speed: Array | None = None
-    """Added to the measured start speeds [rad/s, m/s] (trials, joints)."""
+    """Offsets of the measured initial speeds [rad/s, m/s] (trials, joints)."""
 
     def model(self, machine: Machine, step: float, *, released: bool = False) -> mujoco.MjModel:
-        """Compile the model that it stands for, its drives off if the arm was let go.
+        """Compile the model of the hypothesis, with its drives off for a free response.
 
         The last sensors are the forces of the machine's own actuators.
         """
@@ -42,7 +42,7 @@ class Hypothesis:
         for effect, values in zip(self.effects, self.values, strict=True):
             effect.edit(spec, values)
         for name in machine.actuators:
-            # what a Runge-Kutta step leaves in actuator_force is the force at its end
+            # after a Runge-Kutta step actuator_force is the force at its end
             spec.add_sensor(
                 name=_FORCE + name,
                 type=mujoco.mjtSensor.mjSENS_ACTUATORFRC,
@@ -50,10 +50,10 @@ class Hypothesis:
                 objname=name,
             )
         model = compiled(spec)
-        if released:  # effects that are written as actuators are none of its drives
+        if released:  # effects exported as actuators are none of its drives
             model.actuator_group[: len(machine.actuators)] = _OFF
             model.opt.disableactuator |= 1 << _OFF
-        # an arm is one island: looking for more costs a tenth of its time and changes nothing
+        # an arm is one island: searching for more costs a tenth of its time and changes nothing
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
         if _unconstrained(model):
             model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
@@ -61,10 +61,10 @@ class Hypothesis:
 
 
 def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Compile a model that a fit tries, without a word on the inertias that it tries.
+    """Compile a model during a fit, without MuJoCo's warnings on inertias.
 
-    A fit may try masses so unlike that MuJoCo warns of them. Such a model is simulated badly, fits
-    badly, and is not kept; a user who is not told of it has missed nothing.
+    A fit may evaluate masses so different that MuJoCo warns of them. Such a model is simulated
+    inaccurately, fits badly, and is not kept, so that a user needs no warning.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 def _unconstrained(model: mujoco.MjModel) -> bool:
-    """Whether nothing in a model can ever become a constraint; it is simulated faster then."""
+    """Return whether a model can never have a constraint; it is simulated faster then."""
     contact = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     limit = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     return not (

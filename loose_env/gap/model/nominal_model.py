@@ -1,4 +1,4 @@
-"""The nominal model of a machine, and the figures that say how large an effect has to be."""
+"""The nominal model of a machine, with typical loads and speeds."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ class Machine:
     speeds : ndarray (joints,), optional
         Typical speed of each joint [rad/s, m/s] in the recording; 1 by default.
     joined : int
-        How many steps are taken as one, at most, where nothing sharp asks for each: the step is
-        that much finer than the recording asks for.
+        Maximum number of steps merged into one, where no stiff effect needs each: the step is
+        that much finer than the recording needs.
     cut : int
-        Into how many parts a step is cut for what is sharp, where none are taken as one.
+        Number of substeps per step for stiff effects, where no steps are merged.
     even : bool
         Whether every hypothesis takes the same steps, so that a difference between two is not that
         of their steps.
@@ -64,7 +64,7 @@ class Machine:
     even: bool = False
 
     def __post_init__(self) -> None:
-        """Check, and write every inertia out, so that an edit finds it in the spec."""
+        """Check, and write every inertia explicitly, so that an edit finds it in the spec."""
         object.__setattr__(self, "spec", _explicit(self.spec))
         kinds = self.model.jnt_type
         if not len(kinds) or not np.isin(kinds, [int(k) for k in _MOVING]).all():
@@ -112,7 +112,7 @@ class Machine:
 
     @cached_property
     def actuated_joint(self) -> dict[str, str]:
-        """Actuator -> joint that it drives, of those that drive a joint."""
+        """Joint driven by each actuator, of those that drive a joint."""
         found = {}
         for k, name in enumerate(self.actuators):
             if int(self.model.actuator_trntype[k]) in _AT_JOINT:
@@ -125,7 +125,7 @@ class Machine:
 
     @cached_property
     def with_changing_gears(self) -> tuple[str, ...]:
-        """Joints on which an actuator gives another torque in another pose."""
+        """Joints with an actuator whose transmission depends on the pose."""
         model: mujoco.MjModel = self.model
         changing = [k for k in range(len(self.actuators)) if not _has_one_gear(model, k)]
         if not changing:
@@ -134,7 +134,7 @@ class Machine:
         poses = [model.qpos0 + rng.uniform(-1.0, 1.0, model.nq) for _ in range(_POSES)]
         acting = np.any([self._moments(pose)[:, changing] != 0 for pose in poses], axis=(0, 2))
         for k in changing:
-            if model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_BODY:  # acts where it touches
+            if model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_BODY:  # acts only on contact
                 acting |= np.isin(
                     model.jnt_bodyid, _up_from(model, int(model.actuator_trnid[k, 0]))
                 )
@@ -158,7 +158,7 @@ class Machine:
 
     @cached_property
     def tool(self) -> str:
-        """Site of the tool: "tool", else the last one of the last link, else the last that moves.
+        """Site of the tool: "tool", else the last of the last link, else the last moving.
 
         "" if no site moves.
         """
@@ -189,21 +189,21 @@ class Machine:
         return str(model.body(int(deepest[-1])).name)
 
     def joint_number(self, joint: str) -> int:
-        """Number of a joint, from 0."""
+        """Index of a joint, from 0."""
         return self.joints.index(joint)
 
     def body_of(self, joint: str) -> str:
-        """Name of the body that a joint moves."""
+        """Return the name of the body that a joint moves."""
         return str(self.model.body(int(self.model.jnt_bodyid[self.joint_number(joint)])).name)
 
     def first_joint(self, link: str) -> str:
-        """First joint of a link."""
+        """Return the first joint of a link."""
         bodies = [int(b) for b in self.model.jnt_bodyid]
         return self.joints[bodies.index(self.model.body(link).id)]
 
     @cached_property
     def inertias(self) -> Array:
-        """What each joint moves, armature included, the others held [kg·m², kg] (joints,)."""
+        """Inertia on each joint with armature, the others locked [kg·m², kg] (joints,)."""
         data = mujoco.MjData(self.model)
         mujoco.mj_forward(self.model, data)
         mass = np.zeros((self.model.nv, self.model.nv))
@@ -227,24 +227,24 @@ class Machine:
         return np.ones(len(self.joints))
 
     def load(self, joint: str) -> float:
-        """Typical torque or force of one joint."""
+        """Typical torque [N·m] or force [N] of one joint."""
         return float(self.load_scales[self.joint_number(joint)])
 
     def speed(self, joint: str) -> float:
-        """Typical speed of one joint."""
+        """Typical speed of one joint [rad/s, m/s]."""
         return float(self.speed_scales[self.joint_number(joint)])
 
     def inertia(self, joint: str) -> float:
-        """What one joint moves."""
+        """Inertia on one joint [kg·m², kg]."""
         return float(self.inertias[self.joint_number(joint)])
 
     def turns(self, joint: str) -> bool:
-        """Whether a joint is a hinge."""
+        """Return whether a joint is a hinge."""
         return bool(self.model.jnt_type[self.joint_number(joint)] == _MOVING[0])
 
 
 def set_step(spec: mujoco.MjSpec, step: float) -> None:
-    """Set a spec's step [s], its delays kept: their histories count samples, not seconds."""
+    """Set a spec's step [s] and keep its delays, whose histories count samples."""
     spec.option.timestep = step
     for late in (*spec.actuators, *spec.sensors):
         if late.delay > 0:
@@ -252,7 +252,7 @@ def set_step(spec: mujoco.MjSpec, step: float) -> None:
 
 
 def history_for(delay: float, step: float) -> int:
-    """Samples that MuJoCo has to keep for a delay [s] at a step [s], or at one half as long.
+    """Number of samples in MuJoCo's history for a delay [s] at a step [s], or half.
 
     Examples
     --------
@@ -263,9 +263,9 @@ def history_for(delay: float, step: float) -> int:
 
 
 def _has_one_gear(model: mujoco.MjModel, actuator: int) -> bool:
-    """Whether the torque per force of an actuator is the same in all poses.
+    """Return whether an actuator has the same torque per force in all poses.
 
-    It is at a joint and at a fixed tendon, a weighted sum of joints; not at a tendon in space, a
+    It does at a joint and at a fixed tendon, a weighted sum of joints; not at a spatial tendon, a
     site, a crank or a body.
     """
     if int(model.actuator_trntype[actuator]) in _AT_JOINT:
@@ -277,7 +277,7 @@ def _has_one_gear(model: mujoco.MjModel, actuator: int) -> bool:
 
 
 def _up_from(model: mujoco.MjModel, body: int) -> list[int]:
-    """A body and those that it hangs on."""
+    """Return a body and its ancestors."""
     found = [body]
     while found[-1] > 0:
         found.append(int(model.body_parentid[found[-1]]))
@@ -285,7 +285,7 @@ def _up_from(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def _explicit(given: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Copy of a spec with all names, in which no inertia is left to be worked out from shapes."""
+    """Copy a spec with all names and explicit inertias, none inferred from shapes."""
     spec = with_names(given)
     model = spec.copy().compile()
     for body in spec.bodies[1:]:
@@ -296,7 +296,7 @@ def _explicit(given: mujoco.MjSpec) -> mujoco.MjSpec:
         body.inertia = model.body_inertia[k].copy()
         body.fullinertia = np.full(6, np.nan)
         body.explicitinertial = body.mass > 0
-    # else an edited mass is worked out from shapes again, or scaled with all others to the total
+    # else an edited mass is inferred from shapes again, or scaled with all others to the total
     if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
         spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
     spec.compiler.settotalmass = -1.0

@@ -1,4 +1,4 @@
-"""One number of an effect: its unit, what it may be, where a fit starts, and where it vanishes."""
+"""Bounded parameters of an effect: unit, bounds, scale and prior."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ __all__ = ["Parameter", "free_of", "values_of"]
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """A bounded number.
+    """A bounded scalar parameter.
 
-    A fit works on a free number without unit: the value over its scale, or where ``log`` is set,
+    A fit works on a dimensionless free number: the value over its scale, or where ``log`` is set,
     the logarithm of the value over the scale.
 
     Examples
@@ -29,9 +29,9 @@ class Parameter:
     """
 
     name: str
-    """As in the result file."""
+    """Name, as in the result file."""
     unit: str
-    """Of the value, "" for a ratio."""
+    """Unit of the value, "" for a ratio."""
     low: float
     """Smallest value allowed."""
     high: float
@@ -39,14 +39,14 @@ class Parameter:
     scale: float = 1.0
     """A change of the value that matters; positive."""
     log: bool = False
-    """Whether ratios count, not differences; needs a positive ``low``."""
+    """Whether the scale is logarithmic; needs a positive ``low``."""
     centre: float | None = None
-    """Most probable value beforehand; None where every allowed value is as likely."""
+    """Prior mean; None for a uniform prior."""
     spread: float | None = None
-    """Standard deviation beforehand about ``centre``, in free units."""
+    """Prior standard deviation about ``centre``, in free units."""
 
     def __post_init__(self) -> None:
-        """Check."""
+        """Check the values."""
         if not self.low < self.high or self.scale <= 0 or (self.log and self.low <= 0):
             raise InvalidSetting(
                 f"parameter {self.name!r} needs low < high, scale > 0, and low > 0 if it is "
@@ -56,16 +56,16 @@ class Parameter:
             raise InvalidSetting(f"parameter {self.name!r} has a centre and a spread, or neither")
 
     def free(self, value: float) -> float:
-        """Free number of a value."""
+        """Convert a value to a free number."""
         return float(np.log(value / self.scale)) if self.log else value / self.scale
 
     def value(self, free: float) -> float:
-        """Value of a free number, within the bounds."""
+        """Convert a free number to a value, within the bounds."""
         raw = self.scale * np.exp(np.clip(free, -50, 50)) if self.log else self.scale * free
         return float(np.clip(raw, self.low, self.high))
 
     def clipped(self, value: float) -> float:
-        """Return the allowed value nearest to one."""
+        """Clip a value to the bounds."""
         return float(np.clip(value, self.low, self.high))
 
     @property
@@ -75,10 +75,10 @@ class Parameter:
 
 
 def free_of(parameters: tuple[Parameter, ...], values: Array) -> Array:
-    """Free numbers of values (P,)."""
+    """Convert values (P,) to free numbers."""
     return np.array([p.free(float(v)) for p, v in zip(parameters, values, strict=True)])
 
 
 def values_of(parameters: tuple[Parameter, ...], free: Array) -> Array:
-    """Values of free numbers (P,)."""
+    """Convert free numbers (P,) to values."""
     return np.array([p.value(float(f)) for p, f in zip(parameters, free, strict=True)])

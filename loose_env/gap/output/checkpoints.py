@@ -1,4 +1,4 @@
-"""Finished stages of a long comparison, kept in files: an interrupted run goes on from there."""
+"""Checkpoints of finished stages, from which an interrupted comparison resumes."""
 
 from __future__ import annotations
 
@@ -35,19 +35,19 @@ _BROKEN = (OSError, ValueError, KeyError, EOFError, BadZipFile)
 
 
 def fresh(name: str, make: Callable[[], Any]) -> Any:
-    """Make a stage, and keep nothing."""
+    """Compute a stage without checkpointing."""
     return make()
 
 
 def key_of(recording: Recording, settings: Mapping[str, Any]) -> str:
-    """Hash of all that a result depends on: the recording, the model, settings and versions.
+    """Hash all inputs of a result: the recording, the model, settings and versions.
 
-    What an older version of this package or of MuJoCo left is made again.
+    Checkpoints of an older version of this package or of MuJoCo are recomputed.
 
     Parameters
     ----------
     recording : Recording
-        As it was read.
+        The recording as read.
     settings : mapping
         Plain values.
     """
@@ -64,7 +64,7 @@ def key_of(recording: Recording, settings: Mapping[str, Any]) -> str:
 
 
 def _versions() -> dict[str, str]:
-    """Versions of what makes the stages."""
+    """Versions of the packages that compute the stages."""
     try:
         own = version("loose-env")
     except PackageNotFoundError:  # run from its sources
@@ -73,14 +73,14 @@ def _versions() -> dict[str, str]:
 
 
 class Stages:
-    """Keeps what stages return; a stage that is there is not made again.
+    """Checkpoints the results of stages; an existing stage is not recomputed.
 
     Parameters
     ----------
     folder : Path
-        Where the files go.
+        Folder of the checkpoint files.
     key : str
-        What the stages depend on, as of `key_of`; files of another key are made anew.
+        Hash of the inputs, as of `key_of`; files of another key are recomputed.
 
     Examples
     --------
@@ -103,7 +103,7 @@ class Stages:
         """Stages that were there already."""
 
     def __call__(self, name: str, make: Callable[[], Any]) -> Any:
-        """Return a stage, made now or in an earlier run.
+        """Return a stage, computed now or in an earlier run.
 
         Raises
         ------
@@ -113,7 +113,7 @@ class Stages:
         file = self._file(name)
         try:
             found = _read(file, self.key)
-        except _BROKEN:  # cut short, of another version, or of other data
+        except _BROKEN:  # truncated, of another version, or of other data
             pass
         else:
             self.taken_up.append(name)
@@ -150,7 +150,7 @@ def _read(file: Path, key: str) -> Any:
 
 
 def _taken_apart(value: Any, arrays: list[NDArray[Any]], place: str) -> Any:
-    """Values that JSON has, with arrays named by their number."""
+    """Convert a tree to JSON values, with arrays replaced by their index."""
     if isinstance(value, np.ndarray):
         if value.dtype.kind not in "biufc":
             raise InvalidSetting(f"stage {place!r} returns an array of {value.dtype}, not numbers")

@@ -1,4 +1,4 @@
-"""Evidence in a result: residuals by channel, band and joint, residual tests, identifiability."""
+"""Evidence in a result: residuals, residual tests, and identifiability."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class Dependence:
-    """How much of a residual one regressor explains."""
+    """Share of a residual explained by one regressor."""
 
     on: str
-    """One of `REGRESSORS`."""
+    """Regressor, one of `REGRESSORS`."""
     of: str
-    """Joint whose position, velocity, ... it is."""
+    """Joint of the regressor."""
     share: float
     """Share of the residual's power, its mean left out, that blocks of time not looked at confirm
     (0 to 1)."""
     explained: float
-    """Root mean square of that part, in the unit of the residual."""
+    """Root mean square of the explained part, in the unit of the residual."""
     sureness: float
-    """Over the scatter from block to block, in standard deviations."""
+    """z-score of the share, from its scatter between blocks."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,9 +39,9 @@ class Band:
     """A residual within a frequency band."""
 
     low: float
-    """[Hz]."""
+    """Lower edge [Hz]."""
     high: float
-    """[Hz]."""
+    """Upper edge [Hz]."""
     over_floor: float
     """Root mean square over that of the channel's noise in the same band; 1: noise alone."""
     share: float
@@ -50,124 +50,124 @@ class Band:
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelGap:
-    """The disagreement of one channel in one run."""
+    """Residual of one channel in one run."""
 
     run: str
     """File of the run."""
     channel: str
-    """As in the recording."""
+    """Name of the channel, as in the recording."""
     over_floor: float
     """Root mean square residual over the noise floor."""
     offset: float
     """Mean residual, in noise standard deviations."""
     bands: tuple[Band, ...]
-    """From low frequencies to high ones."""
+    """Bands, from low frequencies to high ones."""
     depends: tuple[Dependence, ...]
-    """For each regressor the joint that explains most; explained parts in noise deviations."""
+    """For each regressor the joint that explains most, in noise standard deviations."""
     together: float = 0.0
-    """The part that hangs together in time, which noise does not, in noise standard deviations."""
+    """The autocorrelated part of the residual, in noise standard deviations."""
     sureness: float = 0.0
-    """Of that part, over what white noise shows by chance, in standard deviations."""
+    """Significance (z) of that part, against white noise."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointGap:
-    """Torque or force at one joint that the nominal model does not explain, in one run."""
+    """Residual torque or force at one joint in one run."""
 
     run: str
     """File of the run."""
     joint: str
-    """Its name."""
+    """Name of the joint."""
     unit: str
-    """ "N·m", or "N" where it slides."""
+    """Unit: "N·m", or "N" for a slide."""
     missing: float
-    """Root mean square, in that unit."""
+    """Root mean square residual torque."""
     floor: float
-    """What the noise of the readings makes of it."""
+    """Part due to the noise of the readings."""
     load: float
-    """Root mean square of what the nominal model needs for the motion."""
+    """Root mean square of the nominal model's inverse dynamics torque."""
     depends: tuple[Dependence, ...]
-    """On the joint's own motion and load; explained parts in that unit."""
+    """Dependence on the joint's own motion and load, in that unit."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Location:
-    """Where the nominal model, fitted within its tolerance, disagrees with the measurement."""
+    """Location of the model error: residuals of the fitted nominal model."""
 
     channels: tuple[ChannelGap, ...] = ()
-    """By run and channel."""
+    """Residuals by run and channel."""
     joints: tuple[JointGap, ...] = ()
-    """By run and joint; empty where the machine's motion was not measured."""
+    """Residual torques by run and joint; empty where the motion was not measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LeftOver:
-    """What is left of one channel on the held-out runs."""
+    """Residual tests of one channel on the held-out runs."""
 
     channel: str
-    """As in the recording."""
+    """Name of the channel, as in the recording."""
     over_floor: float
     """Root mean square over the noise floor; 1: noise alone."""
     autocorrelation: float
-    """Of neighbouring samples; 0 for white noise."""
+    """Autocorrelation of neighbouring samples; 0 for white noise."""
     whiteness_95: float
-    """What the largest autocorrelation of white noise stays below, 95 times in 100."""
+    """95 % bound of the largest autocorrelation of white noise."""
     largest: float
-    """Largest autocorrelation over all lags looked at."""
+    """Largest autocorrelation over all lags tested."""
     correlation_time: float
-    """Time over which what is left hangs together [s]; the sample interval for white noise."""
+    """Correlation time of the residual [s]; the sample interval for white noise."""
     trend: float
-    """Growth from the beginning of a run to its end, in noise standard deviations."""
+    """Trend from the beginning of a run to its end, in noise standard deviations."""
     trend_sureness: float
-    """Over its scatter from block to block, in standard deviations."""
+    """z-score of the trend, from its scatter between blocks."""
     depends: tuple[Dependence, ...]
-    """On motion and load, those that are sure and matter; explained parts in noise deviations."""
+    """Significant dependences on motion and load, in noise standard deviations."""
 
     @property
     def white(self) -> bool:
-        """Whether it cannot be told from white noise by its autocorrelation."""
+        """Return whether the autocorrelation is that of white noise."""
         return self.largest <= self.whiteness_95
 
 
 @dataclass(frozen=True, kw_only=True)
 class Unseen:
-    """An effect that would not be seen at a size that matters."""
+    """An effect not identifiable at a size that matters."""
 
     kind: str
     """Identifier of the catalogue."""
     where: str
-    """Its place."""
+    """Location of the effect."""
     parameters: dict[str, float]
-    """The size."""
+    """Size of the effect, by parameter."""
     sureness: float
-    """What it changes beyond all that can be mistaken for it, in standard deviations; 5 needed."""
+    """Signature beyond all confusable effects, in standard deviations; 5 needed."""
     more_s: float | None
-    """How much more of the same runs would show it [s]; None where no length would."""
+    """Additional length of the same runs needed [s]; None where no length suffices."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Alike:
-    """Two effects that these motions do not tell apart."""
+    """Two confusable effects, not distinguishable from these motions."""
 
     kind: str
-    """Of the first; a named one, if either is."""
+    """Kind of the first effect; an identified one, if either is."""
     where: str
-    """Its place."""
+    """Location of the first effect."""
     other_kind: str
-    """Of the second."""
+    """Kind of the second effect."""
     other_where: str
-    """Its place."""
+    """Location of the second effect."""
     sureness: float
-    """What of the first the second cannot take up, in standard deviations; 5 are needed."""
+    """Part of the first that the second cannot absorb, in standard deviations; 5 needed."""
     more_s: float | None
-    """How much more of the same runs would tell them apart [s]; None where no length would."""
+    """Additional length of the same runs needed [s]; None where no length suffices."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Identifiability:
-    """What these motions can show."""
+    """Identifiability of effects from the recorded motions."""
 
     unseen: tuple[Unseen, ...] = ()
-    """Effects that they do not show."""
+    """Effects that are not identifiable."""
     alike: tuple[Alike, ...] = ()
-    """Pairs that they do not tell apart, those with a named effect first."""
+    """Pairs of confusable effects, those with an identified effect first."""

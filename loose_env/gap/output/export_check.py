@@ -1,9 +1,9 @@
-"""Whether the corrected model's file does in plain MuJoCo what was fitted, and the step for that.
+"""Check of the exported model in plain MuJoCo against the fit, and its time step.
 
-Fits move late commands by their means over steps, and work readings out at their moments. A file
-has the delays and filters of MJCF, which act from step to step: one that is shorter than a step
-comes out wrong, and a filter that is much shorter makes a Runge-Kutta method diverge. Finer steps
-mend that.
+Fits apply delayed commands by their means over steps, and compute readings at their exact times.
+The file uses the delays and filters of MJCF, which act from step to step: a delay shorter than a
+step is inaccurate, and a filter that is much shorter makes a Runge-Kutta method diverge. Finer
+steps resolve that.
 """
 
 from __future__ import annotations
@@ -57,28 +57,28 @@ _WILD = 1e4
 
 @dataclass(frozen=True, kw_only=True)
 class Exported:
-    """How a corrected model is written, and what its file does."""
+    """Export form of a corrected model, with the accuracy of its file."""
 
     parts: int = 1
-    """Into how many the step is cut."""
+    """Number of substeps per step."""
     step: float | None = None
-    """Step of the file [s]; None: as the comparison chose it."""
+    """Time step of the file [s]; None: as chosen in the comparison."""
     left: float = nan
-    """What the file leaves of the held-out runs in plain MuJoCo [RMS, noise standard deviations];
-    NaN where it cannot be tried: no run begins at rest and is simulated with its commands, or an
-    effect is one that MJCF has not."""
+    """Residual of the file on the held-out runs in plain MuJoCo [RMS, noise standard
+    deviations]; NaN where it cannot be simulated: no run begins at rest and is simulated with
+    its commands, or an effect is not available in MJCF."""
     fitted: float = nan
-    """What the fit leaves of the same numbers."""
+    """Residual of the fit on the same samples."""
     apart: float = 0.0
-    """How far the file is from the fit, in the channel where that matters most [noise standard
+    """Deviation of the file from the fit, in the most affected channel [noise standard
     deviations]."""
     channel: str = ""
-    """That channel."""
+    """The most affected channel."""
     matters: bool = False
-    """Whether that is too far."""
+    """Whether the deviation is too large."""
 
     def words(self) -> list[str]:
-        """What a reader should know."""
+        """Notes for the reader."""
         found = []
         if self.parts > 1:
             found.append(
@@ -95,21 +95,21 @@ class Exported:
 
 
 def exported(held: Comparison, hypothesis: Hypothesis, residual: Array) -> Exported:
-    """Choose the step of a corrected model's file, by simulating it as a user would.
+    """Choose the step of the exported model, by simulating it in plain MuJoCo.
 
     Parameters
     ----------
     held : Comparison
         The held-out runs.
     hypothesis : Hypothesis
-        Nominal figures and effects of the fit.
+        Nominal parameters and effects of the fit.
     residual : ndarray (N,)
-        What it leaves of these runs, in noise standard deviations.
+        Its residual on these runs, in noise standard deviations.
 
     Returns
     -------
     Exported
-        With the fewest parts that will do, or those that come nearest.
+        Export with the fewest substeps that suffice, or the most accurate ones.
     """
     trials = _shown(held)
     if not trials or not all(effect.in_model for effect in hypothesis.effects):
@@ -131,13 +131,13 @@ def exported(held: Comparison, hypothesis: Hypothesis, residual: Array) -> Expor
     nearest = min(found, key=lambda each: each[0])
     chosen = nearest if nearest[0] < max(1.0, _BETTER * found[0][0]) else found[0]
     if strikes(hypothesis.effects):
-        # after a blow no two simulations agree, however fine their steps
+        # after an impact no two simulations agree, however fine their steps
         return replace(chosen[1], matters=False)
     return chosen[1]
 
 
 def resting_runs(held: Comparison) -> dict[int, Trial]:
-    """Number and run of all that a file can be held against.
+    """Select runs that an exported file can be checked with, by index.
 
     They begin at rest, and are simulated with their commands and compared sample by sample.
     """
@@ -145,7 +145,7 @@ def resting_runs(held: Comparison) -> dict[int, Trial]:
 
 
 def _shown(held: Comparison) -> dict[int, Trial]:
-    """The beginnings of these runs; of some if there are many."""
+    """Beginnings of these runs; of some if there are many."""
     runs = resting_runs(held)
     count = min(len(runs), int(_PLAYED / _SHORTEST))
     taken = np.unique(np.linspace(0, len(runs) - 1, count).round().astype(int))
@@ -156,14 +156,14 @@ def _shown(held: Comparison) -> dict[int, Trial]:
 def compared(
     held: Comparison, residual: Array, model: mujoco.MjModel, trials: dict[int, Trial]
 ) -> tuple[float, Exported] | None:
-    """Hold a model, simulated by MuJoCo alone, against a fit.
+    """Compare a model, simulated by MuJoCo alone, with a fit.
 
     Parameters
     ----------
     held : Comparison
         The held-out runs.
     residual : ndarray (N,)
-        What the fit leaves of them, in noise standard deviations.
+        Residual of the fit on them, in noise standard deviations.
     model : MjModel
         The corrected model.
     trials : dict
@@ -172,7 +172,7 @@ def compared(
     Returns
     -------
     (float, Exported) or None
-        How far the model is from the fit over how far it may be, and what both leave; None where
+        Deviation from the fit over its tolerance, and the residuals of both; None where
         nothing was read.
     """
     rows, read = held.rows, np.array([c.column.startswith("sensor.") for c in held.channels])
@@ -182,7 +182,7 @@ def compared(
         chosen = (rows.trial == t) & (rows.sample < len(trial.time)) & read[rows.channel]
         own = np.flatnonzero(chosen)
         sample, channel = rows.sample[own], rows.channel[own]
-        with quiet():  # a step that is too long may go wild
+        with quiet():  # a step that is too long may diverge
             shown = played(held, model, trial)[sample, channel]
         off = (trial.measured[sample, channel] - shown) / held.scales[t, channel]
         left.append(np.clip(np.nan_to_num(off, nan=_WILD), -_WILD, _WILD))
@@ -207,12 +207,12 @@ def compared(
 
 
 def played(comparison: Comparison, model: mujoco.MjModel, trial: Trial) -> Array:
-    """What the channels of a comparison show when MuJoCo alone plays a run's commands (T, C).
+    """Simulate a run's commands in plain MuJoCo, as channel values (T, C).
 
     Parameters
     ----------
     comparison : Comparison
-        Its machine says which joints and actuators there are.
+        Comparison with the machine's joints and actuators.
     model : MjModel
         A model that has them, and perhaps more joints; its step is shortened for a while, so that
         samples fall on steps.
@@ -222,7 +222,7 @@ def played(comparison: Comparison, model: mujoco.MjModel, trial: Trial) -> Array
     Returns
     -------
     ndarray (T, C)
-        NaN of channels that are no sensors, and from where a run goes wild.
+        NaN of channels that are no sensors, and from where a run diverges.
     """
     machine, own = comparison.machine, float(model.opt.timestep)
     inside = max(1, ceil(trial.step / own - 1e-6))
@@ -237,7 +237,8 @@ def played(comparison: Comparison, model: mujoco.MjModel, trial: Trial) -> Array
     readings = np.full((trial.steps, model.nsensordata), np.nan)
     for row, command in zip(readings, trial.controls, strict=True):
         data.ctrl[driven] = command
-        # sensors show the beginning of a step; late ones keep a history that only steps may add to
+        # sensors show the beginning of a step; delayed ones keep a history that only steps may
+        # extend
         mujoco.mj_step(model, data)
         if any(data.warning[kind].number for kind in _GONE_WILD):
             break
@@ -254,9 +255,9 @@ def played(comparison: Comparison, model: mujoco.MjModel, trial: Trial) -> Array
 
 
 def _begin_with(model: mujoco.MjModel, data: mujoco.MjData, machine: Machine) -> None:
-    """Let what was added to the actuators begin with the first command, as fits do.
+    """Initialise added actuator states with the first command, as fits do.
 
-    MuJoCo begins with zeros: an arm would swing there before it is told anything.
+    MuJoCo initialises them with zeros: the arm would swing there before the first command.
     """
     nominal = machine.model
     for k in range(len(machine.actuators)):

@@ -1,9 +1,9 @@
-"""The corrected model as a plain MJCF file that any MuJoCo reads, without this package.
+"""Export of the corrected model as plain MJCF, with notes on its effects.
 
-What a corrected model says of itself: the effects that were named, and those it has besides.
-
-Where too much is left for what was accepted to be the explanation, nothing is named; the corrected
-model has it nevertheless, and its errors are stated with it.
+The file loads in any MuJoCo without this package. It lists the identified effects, and those it has
+besides. Where the residual is too large for the accepted effects to be the explanation, none is
+reported as identified; the corrected model has them nevertheless, and its errors are stated with
+it.
 """
 
 from __future__ import annotations
@@ -35,18 +35,19 @@ def corrected_spec(
     *,
     step: float | None = None,
 ) -> mujoco.MjSpec:
-    """Nominal model with all effects that MJCF can express, with the step that they ask for.
+    """Build the nominal model with all effects that MJCF can express.
 
-    Keyframes keep the positions of the model's own joints; what an effect adds is at its zero.
+    The time step is the one these effects need. Keyframes keep the positions of the model's own
+    joints; coordinates added by an effect are zero.
 
     Parameters
     ----------
     machine : Machine
         The nominal model.
     effects : sequence of Effect
-        What it lacks, fitted nominal figures included, in the order in which they act.
+        Its missing effects, fitted nominal parameters included, in the order in which they act.
     values : sequence of ndarray (P,)
-        Of the parameters of each.
+        Parameter values of each.
     step : float, optional
         Another step [s] (`loose_env.gap.output.export_check.exported` tells).
     """
@@ -64,11 +65,11 @@ def corrected_spec(
 
 
 def _keep_keyframes(spec: mujoco.MjSpec, machine: Machine) -> None:
-    """Lay the keyframes out anew: MuJoCo fills up at the end, whichever joint was added."""
+    """Rebuild keyframes: MuJoCo appends values at the end, whichever joint was added."""
     nominal = machine.model
     if not nominal.nkey:
         return
-    for key in spec.keys:  # as long as the nominal ones, they would not fit
+    for key in spec.keys:  # of nominal length, they would not fit
         key.qpos, key.qvel, key.act = [], [], []
     model = spec.copy().compile()
     places = [int(model.joint(name).qposadr[0]) for name in machine.joints]
@@ -82,7 +83,7 @@ def _keep_keyframes(spec: mujoco.MjSpec, machine: Machine) -> None:
 
 
 def _states_of_actuators(model: mujoco.MjModel, nominal: mujoco.MjModel, key: int) -> Array:
-    """Activations (na,) of a keyframe; of a filter that was added, the keyframe's command."""
+    """Activations (na,) of a keyframe; its command for a filter that was added."""
     state = np.zeros(model.na)
     for number in range(nominal.nu):  # actuators keep their order
         at, before = model.actuator_actadr[number], nominal.actuator_actadr[number]
@@ -95,18 +96,18 @@ def _states_of_actuators(model: mujoco.MjModel, nominal: mujoco.MjModel, key: in
 
 
 def correction_code(effects: Sequence[Effect], values: Sequence[Array]) -> str:
-    """Python lines that apply to a simulation what MJCF cannot express; "" if nothing.
+    """Python lines that apply effects which MJCF cannot express; "" if none.
 
-    Terms on the torque go before each step, and what acts on readings after it. The lines work on
-    ``model`` and ``data`` of MuJoCo. A torque is held over a step, and so taken in its middle:
-    half a step early for an accelerometer.
+    Terms on the torque are added before each step, and changes of readings after it. The lines work
+    on ``model`` and ``data`` of MuJoCo. A torque is held over a step, and therefore evaluated at
+    its middle: half a step early for an accelerometer.
 
     Parameters
     ----------
     effects : sequence of Effect
         In the order in which they act.
     values : sequence of ndarray (P,)
-        Of the parameters of each.
+        Parameter values of each.
     """
     pairs = list(zip(effects, values, strict=True))
     terms = [line for effect, own in pairs if (line := effect.torque_code(own))]
@@ -142,11 +143,11 @@ def write_model(
     Parameters
     ----------
     path : Path
-        Where the model goes.
+        Path of the model file.
     machine, effects, values, step
         As in `corrected_spec`.
     source : Path, optional
-        File of the nominal model; what it refers to is copied.
+        File of the nominal model; files it refers to are copied.
     notes : sequence of str
         Lines that stand at the head of the file.
 
@@ -184,12 +185,12 @@ def write_model(
 
 
 def _comment(note: str) -> str:
-    """Return a line that may stand in a comment of an XML file."""
+    """Escape a line for a comment of an XML file."""
     return " ".join(note.split()).replace("--", "−−")
 
 
 def _copy_assets(source: Path, folder: Path, xml: str) -> list[Path]:
-    """Copy what a model refers to; files it includes only if the new one names them still."""
+    """Copy files a model refers to; includes only if the new model still has them."""
     copied = []
     for file in sorted(files_of(source) - {source}):
         if file.suffix.lower() in (".xml", ".mjcf") and file.name not in xml:
@@ -204,7 +205,7 @@ def _copy_assets(source: Path, folder: Path, xml: str) -> list[Path]:
 
 
 def _check_columns(nominal: mujoco.MjModel, model: mujoco.MjModel) -> None:
-    """Refuse a model in which a column would name nothing, or something else."""
+    """Raise if a column would refer to nothing, or to another element."""
     before, after = ModelColumns.of(nominal).known, ModelColumns.of(model).known
     lost = [column for column, meaning in before.items() if after.get(column) != meaning]
     if lost:
@@ -218,7 +219,7 @@ Added = tuple[Effect, Array]
 
 
 def nameless_words(added: Sequence[Added]) -> list[str]:
-    """A sentence on effects that the corrected model has and that are not named; none without.
+    """Describe effects in the corrected model that are not identified; "" without any.
 
     Parameters
     ----------
@@ -238,16 +239,16 @@ def nameless_words(added: Sequence[Added]) -> list[str]:
 def model_notes(
     named: Sequence[NamedEffect], nameless: Sequence[Added], figures: Mapping[str, float]
 ) -> list[str]:
-    """Lines at the head of ``model.xml``: all that it has beyond the nominal model.
+    """Format notes for the head of ``model.xml``: all changes to the nominal model.
 
     Parameters
     ----------
     named : sequence of NamedEffect
-        Effects that were named.
+        Identified effects.
     nameless : sequence of (Effect, ndarray)
-        Effects that were not, with their values.
+        Effects that are not identified, with their values.
     figures : mapping
-        Factors on nominal figures.
+        Factors on nominal parameters.
     """
     notes = ["Corrected by loose gap."]
     if named:
@@ -273,7 +274,7 @@ def model_notes(
 
 
 def _added_words(effect: Effect, values: Array) -> str:
-    """An effect that was added, with its values."""
+    """Format an added effect with its values."""
     parameters = {p.name: float(v) for p, v in zip(effect.parameters, values, strict=True)}
     units = {p.name: p.unit for p in effect.parameters}
     return _words(effect.kind, effect.where, parameters, units, effect.in_model)

@@ -1,6 +1,6 @@
-"""What was found, as dataclasses and as the file ``result.json`` of the format ``loose-gap/1``.
+"""Result of a comparison as dataclasses, HTML table and ``result.json``.
 
-What was found as a short table, as notebooks show it.
+The format of the file is ``loose-gap/1``.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Verdict = Literal["named", "no_gap", "unexplained"]
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """A kind of effect at a place."""
+    """A kind of effect at a location."""
 
     kind: str
     """Identifier of the catalogue."""
@@ -55,20 +55,20 @@ class NamedEffect:
     where: str
     """The model's own name of the joint, body, actuator or sensor; "tool", "base" or "all"."""
     parameters: Mapping[str, float]
-    """Best values."""
+    """Fitted values."""
     interval_95: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Ends of their 95 % intervals."""
     ambiguous_with: tuple[Place, ...] = ()
-    """What the held-out data cannot tell from it."""
+    """Effects that the held-out data cannot distinguish from it."""
     units: Mapping[str, str] = field(default_factory=dict)
     """Unit of each parameter, "" for a ratio."""
     variant: str = ""
-    """Form of the effect, "" for the usual one."""
+    """Variant of the effect, "" for the default."""
     in_model: bool = True
     """Whether ``model.xml`` carries it; if not, ``code`` of the result applies it."""
     powers_explained: float | None = None
-    """Of a part that was found by how hard and how often it strikes its stops: share of that which
-    it explains on held-out runs."""
+    """For a part identified by its impact power: the share of that power explained on held-out
+    runs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,21 +76,20 @@ class Ranked:
     """A hypothesis that was fitted."""
 
     kind: str
-    """Of the effect that was added in this step; of the first, where there were several."""
+    """Kind of the effect added in this step; of the first, where there were several."""
     where: str
-    """Its place."""
+    """Location of the effect."""
     held_out: float
     """Root mean square on held-out runs, in noise standard deviations."""
     bic: float
-    """Bayesian information criterion over that of the hypothesis without it, rows that hang
-    together in time counted as the independent ones they are worth; negative where the effect pays
-    for its parameters."""
+    """Bayesian information criterion relative to the hypothesis without it, with the effective
+    number of independent rows; negative where the effect is worth its parameters."""
     step: int = 1
     """1 for the first effect, 2 for one beside the first, ..."""
     lead: float = 0.0
-    """Lead on held-out runs over the step before, in standard deviations."""
+    """Improvement (z) over the step before, on held-out runs."""
     together_with: tuple[Place, ...] = ()
-    """Further effects of the same hypothesis: one kind at several places at once."""
+    """Further effects of the same hypothesis: one kind at several locations at once."""
 
     @property
     def places(self) -> tuple[Place, ...]:
@@ -100,22 +99,22 @@ class Ranked:
 
 @dataclass(frozen=True, kw_only=True)
 class Gap:
-    """The gap on the held-out runs, before and after."""
+    """Residual on the held-out runs, before and after the correction."""
 
     before: float
-    """Of the nominal model, fitted within its tolerance."""
+    """Residual of the nominal model, fitted within its tolerance."""
     after: float
-    """Of the corrected model."""
+    """Residual of the corrected model."""
     by_channel: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Channel -> before and after."""
     by_horizon_s: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Seconds, such as "0.5" -> error of predictions that run on their own so long."""
+    """Horizon in seconds, such as "0.5" -> open-loop prediction error."""
     by_quantity: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Quantity and unit, such as "joint position [rad]" -> error in that unit, before and after."""
     noise_floor: float = 1.0
-    """What the noise of the sensors alone leaves."""
+    """Residual level of sensor noise alone."""
     unit: str = UNIT
-    """Of all of these but `by_quantity`."""
+    """Unit of all of these but `by_quantity`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,40 +124,40 @@ class GapResult:
     verdict: Verdict
     """ "named", "no_gap" or "unexplained"."""
     gap: Gap
-    """How large it is."""
+    """Residual before and after."""
     effects: tuple[NamedEffect, ...] = ()
-    """What the model lacks, in the order in which it was found."""
+    """Effects that the model lacks, in the order of identification."""
     held_out_runs: tuple[str, ...] = ()
-    """Files of the runs that judged."""
+    """Files of the held-out runs."""
     ranking: tuple[Ranked, ...] = ()
-    """What was tried, the best first in every step."""
+    """All fitted hypotheses, the best first in every step."""
     model: str | None = "model.xml"
     """The corrected model, beside the file."""
     code: str = ""
-    """Python lines that apply to a simulation what MJCF cannot express; "" if nothing."""
+    """Python lines that apply effects which MJCF cannot express; "" if none."""
     nominal_figures: Mapping[str, float] = field(default_factory=dict)
-    """Factors on nominal figures, within the tolerance, that ``model`` carries too."""
+    """Factors on nominal parameters, within the tolerance, that ``model`` carries too."""
     location: Location = field(default_factory=Location)
-    """Where the disagreement was, before anything was added."""
+    """Location of the model error, before any correction."""
     where_it_lives: tuple[str, ...] = ()
-    """The same in sentences; of what is left where the verdict is "unexplained"."""
+    """The same in sentences; of the remaining residual where the verdict is "unexplained"."""
     left: tuple[str, ...] = ()
-    """How much is left after the named effects, and where, in sentences; empty where nothing is."""
+    """Remaining residual and its location, in sentences; empty where it is noise."""
     left_location: Location = field(default_factory=Location)
-    """Where that is, with the corrected model, on all runs."""
+    """Location of the residual of the corrected model, on all runs."""
     left_over: tuple[LeftOver, ...] = ()
-    """Tests of what is left."""
+    """Residual tests on the held-out runs."""
     identifiability: Identifiability = field(default_factory=Identifiability)
-    """What the motions that were recorded could not show, or tell apart."""
+    """Effects that the recorded motions could not show, or distinguish."""
     warnings: tuple[str, ...] = ()
-    """What a reader should know before trusting it."""
+    """Cautions for the reader."""
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """Everything that the result depends on besides the recording."""
+    """Provenance: all inputs of the result besides the recording."""
     format: str = FORMAT
-    """Of the file."""
+    """Format of the file."""
 
     def __post_init__(self) -> None:
-        """Check."""
+        """Check the values."""
         if self.format != FORMAT:
             raise InvalidData(f"a result of the format {FORMAT!r} is needed, not {self.format!r}")
         if self.verdict not in get_args(Verdict):
@@ -171,13 +170,13 @@ class GapResult:
         return result_table(self)
 
     def to_json(self) -> str:
-        """Text of ``result.json``; numbers that are not finite become null."""
+        """Format as ``result.json``; numbers that are not finite become null."""
         whole = {"format": self.format, **asdict(self)}
         return json_text(whole)
 
     @classmethod
     def from_json(cls, text: str) -> GapResult:
-        """Read the text of ``result.json``.
+        """Parse the text of ``result.json``.
 
         Raises
         ------
@@ -195,7 +194,7 @@ class GapResult:
         return restored(cls, whole, "result")
 
     def write(self, path: str | Path) -> Path:
-        """Write ``result.json`` beside its place and rename it."""
+        """Write ``result.json`` atomically, by renaming a temporary file."""
         return write_text(Path(path), self.to_json())
 
 
@@ -226,7 +225,7 @@ _HEADS = ("effect", "where", "parameter", "value", "95 %", "unit", "may as well 
 
 
 def html_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Table of plain texts in HTML; "" if it has no rows.
+    """Format plain texts as an HTML table; "" if it has no rows.
 
     Examples
     --------
@@ -241,7 +240,7 @@ def html_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def result_table(result: GapResult) -> str:
-    """Verdict, effects and gap of a result in HTML."""
+    """Format verdict, effects and residual of a result in HTML."""
     rows = [row for effect in result.effects for row in _rows(effect)]
     gap = result.gap
     errors = [["all", f"{gap.before:.2f}", f"{gap.after:.2f}"]]
@@ -264,7 +263,7 @@ def result_table(result: GapResult) -> str:
 
 
 def _rows(effect: NamedEffect) -> list[list[str]]:
-    """One row for each parameter of an effect; the first says which effect it is."""
+    """Rows of an effect's parameters; the first names the effect."""
     others = ", ".join(f"{o.kind} at {o.where}" for o in effect.ambiguous_with)
     found: list[list[str]] = []
     for name, value in effect.parameters.items():

@@ -1,9 +1,9 @@
-"""Which runs of random excitation cannot be compared sample by sample.
+"""Detection of chaotic random-excitation runs, which are compared by features.
 
-After an impact two simulations part ways within milliseconds. Where a machine that strikes its
-stops would draw a run anew if they were a little stiffer, or if it were begun a hair's breadth
-elsewhere, its trajectory means nothing, for nobody knows stops that well; the run is compared by
-features instead. Where it would repeat itself, samples tell more.
+After an impact two simulations diverge within milliseconds. Where slightly stiffer stops or a
+slightly different initial state would change the simulated trajectory entirely, the trajectory
+carries no information, since stops are never known that accurately; the run is compared by features
+instead. Where the trajectory is reproducible, samples are more informative.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ def parting_runs(
     *,
     threads: int = 0,
 ) -> frozenset[str]:
-    """Names of the random runs that only features compare.
+    """Return names of the random runs that are compared by features.
 
-    Those in which more is incoherent than the nominal model says, if a machine with free play draws
-    any of them anew when its stops are a little different, or when it begins a hair's breadth
-    elsewhere. A run that has no features, since it is too short or its command does not vary, is
-    not among them: it can only be compared sample by sample.
+    Those whose incoherent part exceeds that of the nominal model, if a machine with clearance is
+    chaotic in any of them: sensitive to slightly different stops or initial states. A run that has
+    no features, since it is too short or its command does not vary, is not among them: it can only
+    be compared sample by sample.
 
     Parameters
     ----------
@@ -62,11 +62,11 @@ def parting_runs(
     trials : sequence of Trial
         The runs.
     channels : tuple of Channel
-        What they show.
+        Their channels.
     floors : ndarray (C,)
         Noise standard deviations.
     candidates : sequence of Effect
-        What may be missing; those that strike stops are looked at.
+        Candidate effects; those with stops are simulated.
     threads : int
         Threads of the simulation; 0: all processors.
     """
@@ -82,7 +82,8 @@ def parting_runs(
             continue
         if features.incoherence(seen) > LOUD:
             window = _least_like(run, seen, floors)
-            # A window may lie where the command rests or a sensor was lost; the whole run does not.
+            # A window may lie where the command rests or a sensor dropped out; the whole run does
+            # not.
             own = _features(window, machine, channels, floors)
             loud.append((run, features) if own is None else (window, own))
     if not loud:
@@ -101,7 +102,7 @@ def parting_runs(
 def _features(
     trial: Trial, machine: Machine, channels: tuple[Channel, ...], floors: Array
 ) -> RandomFeatures | None:
-    """Features of a run; None where it is too short for them, or its command does not vary."""
+    """Features of a run; None where it is too short, or its command does not vary."""
     try:
         return RandomFeatures.of_trial(trial, machine, channels, floors)
     except InvalidData:
@@ -109,7 +110,7 @@ def _features(
 
 
 def _least_like(run: Trial, seen: Array, floors: Array) -> Trial:
-    """The window of a run that is least like a simulation of it (T, C)."""
+    """Window of the run with the largest deviation from its simulation (T, C)."""
     size = max(round(LOOKED_AT * run.rate), FEWEST)
     apart = np.nansum(((run.measured - seen) / floors) ** 2, axis=1)
     summed = np.concatenate([[0.0], np.cumsum(apart)])
@@ -120,7 +121,7 @@ def _least_like(run: Trial, seen: Array, floors: Array) -> Trial:
 
 
 def _pairs(effect: Effect, runs: int, joints: int) -> list[Hypothesis]:
-    """An effect at each of its starts with the hardest stops, and nearly the same."""
+    """Pairs of an effect at each start with the stiffest stops, and slightly changed."""
     nudge = np.full((runs, joints), NUDGE)
     names = [parameter.name for parameter in effect.parameters]
     changed = {names.index(n): by for n, by in _OF_STOPS.items() if n in names}
@@ -140,7 +141,7 @@ def _pairs(effect: Effect, runs: int, joints: int) -> list[Hypothesis]:
 def _with_hardest_stops(
     starts: Sequence[tuple[float, ...]], names: Sequence[str]
 ) -> list[tuple[float, ...]]:
-    """Those starts of which the stops are as stiff as any; all where nothing says how stiff."""
+    """Starts with the stiffest stops; all where the effect has no stop stiffness."""
     if "stiffness" not in names:
         return list(starts)
     number = names.index("stiffness")
@@ -149,6 +150,6 @@ def _with_hardest_stops(
 
 
 def _driven(trial: Trial, machine: Machine) -> bool:
-    """Whether a run is one of random excitation through an actuator."""
+    """Return whether a run is one of random excitation through an actuator."""
     joints = {machine.actuated_joint.get(name) for name in machine.actuators}
     return trial.form == "forward" and bool(joints & set(trial.excited))

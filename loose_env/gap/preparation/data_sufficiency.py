@@ -1,4 +1,4 @@
-"""What a recording is too short or too still to show, and what to record instead."""
+"""Data sufficiency checks: recordings too short or with too little motion."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ _SPARE = 1.5
 
 
 def shortfalls(fitted: Comparison, held: Comparison, settings: NamingSettings) -> list[str]:
-    """Sentences on what is missing in the data; none if they will do.
+    """Describe shortfalls of the data in sentences; none if the data suffice.
 
-    A lead of k standard deviations over blocks of time needs k² blocks that all agree.
+    An improvement of k standard deviations over blocks of time needs k² blocks that all agree.
 
     Parameters
     ----------
     fitted, held : Comparison
-        The runs to fit to, and those to judge by.
+        The training runs and the held-out runs.
     settings : NamingSettings
-        The leads that an effect needs.
+        The improvements (z) required of an effect.
     """
     found = []
     for which, comparison, lead in (
@@ -59,7 +59,7 @@ def shortfalls(fitted: Comparison, held: Comparison, settings: NamingSettings) -
 
 
 def _range(values: np.ndarray) -> float:
-    """How far a joint moves, over the noise of its sensor."""
+    """Range of motion of a joint, over the noise of its sensor."""
     floor = noise_floor(values)
     if not np.isfinite(floor) or floor <= 0:
         return float("inf")

@@ -1,9 +1,9 @@
-"""How finely a model has to be stepped so that the step is no gap of its own.
+"""Choice of integrator and time step, so that step error is below sensor noise.
 
-A model that is stepped semi-implicitly is late by half a step, which encoders see. A Runge-Kutta
-method of fourth order is exact enough at the sample interval for most arms. Which step will do is
+A semi-implicit integrator is late by half a step, which encoders resolve. A fourth-order
+Runge-Kutta method is accurate enough at the sample interval for most arms. The step error is
 measured: the nominal model is simulated at a step and at a quarter of it, and the difference is
-held against the noise, at the beginning of a run and where runs are fastest.
+compared with the noise, at the beginning of a run and in the fastest windows.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 
 @dataclass(frozen=True, kw_only=True)
 class Integration:
-    """A step and an integrator, with what they cost in exactness."""
+    """A time step and an integrator, with their step errors."""
 
     step: float
     """Longest step [s]."""
@@ -63,30 +63,30 @@ class Integration:
     error: float
     """Step error of the worst channel, in noise standard deviations."""
     nominal_error: float
-    """That of the model's own step and integrator."""
+    """Step error of the model's own step and integrator."""
     matter: float
     """As `error`; where the nominal model is off by more than 50 noise standard deviations, as a
     share of half of that: what is a hundred times off need not be simulated to the noise."""
     nominal_matter: float
-    """That of the model's own step and integrator."""
+    """Relative step error of the model's own step and integrator."""
 
     @property
     def joined(self) -> int:
-        """How many steps can be one: a Runge-Kutta step of twice the length errs 16 times."""
+        """Number of steps that can be joined; a doubled Runge-Kutta step errs 16 times."""
         if self.integrator != _RK4:
             return 1
         return max(k for k in (1, 2, 4) if k == 1 or k**4 * self.matter < _UNSEEN)
 
     @property
     def cut(self) -> int:
-        """Parts of a step for what is sharp.
+        """Number of substeps for stiff effects.
 
-        None where the step's own error is seen: a finer step would explain that, too.
+        None where the step error itself is visible: a finer step would explain that, too.
         """
         return 2 if self.integrator == _RK4 and self.matter < _UNSEEN else 1
 
     def words(self, *, own: float) -> list[str]:
-        """What a reader should know: that the step was changed, and that it is still too coarse.
+        """Notes on a changed step, and on one that is still too coarse.
 
         Parameters
         ----------
@@ -113,7 +113,7 @@ class Integration:
 def choose_integration(
     machine: Machine, runs: Sequence[Run], channels: tuple[Channel, ...], *, threads: int = 1
 ) -> Integration:
-    """Measure the step error on parts of the runs, and choose a step.
+    """Choose a step by the measured step error on parts of the runs.
 
     The parts are the beginning of the first run that has commands, and the fastest windows of the
     fastest runs.
@@ -172,20 +172,20 @@ def choose_integration(
 
 
 def corrected_step_words(held_out: Comparison, hypothesis: Hypothesis) -> list[str]:
-    """A sentence where the corrected model, too, needs a finer step; none where it does not.
+    """Report whether the corrected model needs a finer step; none where it does not.
 
-    What was added may be stiffer than the nominal model by which the step was chosen. Runs that
-    are compared by features or backwards are left out.
+    An added effect may be stiffer than the nominal model by which the step was chosen. Runs that
+    are compared by features or inverse dynamics are left out.
 
     Parameters
     ----------
     held_out : Comparison
-        The runs that judge.
+        The held-out runs.
     hypothesis : Hypothesis
-        What was added.
+        The added effects.
     """
     if strikes(hypothesis.effects):
-        return []  # after a blow no two simulations agree, however fine their steps
+        return []  # after an impact no two simulations agree, however fine their steps
     machine, chosen = held_out.machine, windowed(held_out, _CHECKED)
     step = step_with(machine, hypothesis.effects)
     trials = [t for t in chosen.trials if t.form != "inverse" and t.name not in chosen.parting]
@@ -214,7 +214,7 @@ def corrected_step_words(held_out: Comparison, hypothesis: Hypothesis) -> list[s
 
 
 def _floors(runs: Sequence[Run], channels: tuple[Channel, ...]) -> np.ndarray:
-    """Noise of each channel (C,), the median over runs; infinite where it is not known."""
+    """Noise of each channel (C,), the median over runs; infinite if not known."""
     floors = np.full(len(channels), np.inf)
     for k, channel in enumerate(channels):
         found = [channel_floor(_column(run, channel)) for run in runs]
@@ -225,7 +225,7 @@ def _floors(runs: Sequence[Run], channels: tuple[Channel, ...]) -> np.ndarray:
 
 
 def _parts(runs: Sequence[Run]) -> list[Run]:
-    """The parts of the runs that are simulated."""
+    """Select the parts of the runs that are simulated."""
     first = next((run for run in runs if run.comparison == "forward"), runs[0])
     fastest = sorted(
         ((*_fastest(run), run) for run in runs), key=lambda found: -found[0]
@@ -239,9 +239,9 @@ def _parts(runs: Sequence[Run]) -> list[Run]:
 
 
 def _fastest(run: Run) -> tuple[float, int, int]:
-    """How fast the fastest window of a run is, and its samples from the first to before the last.
+    """Find the fastest window of a run: its speed, first sample and end.
 
-    Readings count by how much they change over a moment, relative to their noise.
+    The speed is the change of the readings over a short time, relative to their noise.
     """
     interval = float(np.median(np.diff(run.time)))
     apart = max(1, round(_SPEED / interval))
@@ -269,7 +269,7 @@ def _column(run: Run, channel: Channel) -> np.ndarray:
 
 
 def _between(run: Run, begin: int, end: int) -> Run:
-    """Some samples of a run, as a run."""
+    """Cut a range of samples from a run, as a run."""
     return replace(
         run,
         time=run.time[begin:end],

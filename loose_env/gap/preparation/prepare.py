@@ -1,4 +1,4 @@
-"""From a recording to what is compared: runs laid out, split, windowed, with step and noise."""
+"""Preparation of a recording: alignment, hold-out split, windows, step and noise."""
 
 from __future__ import annotations
 
@@ -37,25 +37,25 @@ without noise is exacter, and no model of a machine is."""
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prepared:
-    """A recording, ready to be compared."""
+    """A recording prepared for comparison with its model."""
 
     machine: Machine
-    """The nominal model, with the step and the figures that the recording asks for."""
+    """The nominal model, with the step, typical loads and speeds of the recording."""
     integration: Integration | None
     """The step that was chosen; None where nothing is simulated."""
     search: Comparison
-    """The runs to fit to, as far as effects are sought in them."""
+    """The training runs used in the effect search."""
     fit: Comparison
-    """More of the same, which the effects that were found are fitted to in the end."""
+    """Longer training runs, used in the final fit."""
     held: Comparison
-    """The runs to judge by, as far as they do while effects are sought."""
+    """The held-out runs used in the effect search."""
     whole_held: Comparison
-    """The same at their full length."""
+    """The held-out runs at full length."""
     warnings: tuple[str, ...] = ()
-    """What a reader should know."""
+    """Notes for the reader."""
 
     def louder(self, factors: Array) -> Prepared:
-        """The same with the noise of every channel that many times as large (C,)."""
+        """Copy with the noise of every channel scaled by a factor (C,)."""
         known: dict[int, Comparison] = {}
 
         def again(comparison: Comparison) -> Comparison:
@@ -74,12 +74,12 @@ class Prepared:
 
 
 def prepare(recording: Recording, settings: GapSettings) -> Prepared:
-    """Lay a recording out, choose the step, and estimate the noise.
+    """Align a recording with the model, choose the step, and estimate the noise.
 
     Raises
     ------
     InvalidData
-        If the recording has too few runs, a run lacks what its comparison needs, or nothing is left
+        If the recording has too few runs, a run lacks what its comparison needs, or nothing remains
         to compare in the runs to fit to or in those held out.
     """
     recording.check_comparison()
@@ -166,15 +166,15 @@ def prepare(recording: Recording, settings: GapSettings) -> Prepared:
 
 
 def _windowed(comparison: Comparison, seconds: float) -> Comparison:
-    """Windows of the runs in which something was read; all of the runs where nothing was."""
+    """Windows of the runs that contain readings; the whole runs where none do."""
     found = windowed(comparison, seconds)
     return found if len(found) else comparison
 
 
 def _suspect(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
-    """Runs that are compared: the suspect ones, or all where none is, and what is to be said.
+    """Select the suspect runs, or all where none is, with notes on the choice.
 
-    A healthy run was taken before the fault: what the machine lacks now, it did not lack then.
+    A healthy run was taken before the fault, so that it lacks the fault's effects.
     """
     suspect = [run for run in runs if run.condition == "suspect"]
     healthy = [run.name for run in runs if run.condition == "healthy"]
@@ -196,7 +196,7 @@ def _suspect(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
 def _floors(machine: Machine, trials: list[Trial], channels: tuple[Channel, ...]) -> Array:
     """Noise standard deviation of every channel: the median over runs; NaN if unknown.
 
-    At least `_FINEST` of what the liveliest channel of its kind shows.
+    At least `_FINEST` of the range of the channel of its kind with the most motion.
     """
     found = np.full((len(trials), len(channels)), np.nan)
     scatter = np.zeros_like(found)
@@ -216,7 +216,7 @@ def _floors(machine: Machine, trials: list[Trial], channels: tuple[Channel, ...]
 
 
 def _kind(machine: Machine, channel: Channel) -> str:
-    """What a scalar channel measures."""
+    """Quantity that a scalar channel measures."""
     prefix, _, name = channel.column.partition(".")
     return prefix if prefix != "sensor" else str(int(machine.model.sensor(name).type[0]))
 
@@ -224,10 +224,10 @@ def _kind(machine: Machine, channel: Channel) -> str:
 def _of_changing_gears(
     machine: Machine, channels: tuple[Channel, ...], trials: list[Trial]
 ) -> tuple[NDArray[np.bool_], list[str]]:
-    """Which channels (C,) are torques that a simulation cannot tell, and a sentence on them.
+    """Mask of torque channels (C,) that a simulation cannot predict, with a note.
 
-    A simulation knows forces of actuators, and what they are as torques on a joint where that is
-    the same in all poses. Inverse dynamics tell the torque itself.
+    A simulation gives actuator forces, and the joint torques where the transmission is the same in
+    all poses. Inverse dynamics give the torque itself.
     """
     columns = {f"torque.{joint}" for joint in machine.with_changing_gears}
     found = np.array([c.column in columns for c in channels], dtype=bool)
@@ -244,7 +244,7 @@ def _of_changing_gears(
 
 
 def _without(trial: Trial, channels: NDArray[np.bool_]) -> Trial:
-    """The run with some channels as if they had not been read."""
+    """Remove some channels from a run, as if they had not been read."""
     return replace(trial, measured=np.where(channels, np.nan, trial.measured))
 
 
@@ -256,7 +256,7 @@ def _scaled(
     floors: Array,
     threads: int,
 ) -> Machine:
-    """The machine with typical speeds and torques of the recording."""
+    """Set the machine's typical speeds and torques to those of the recording."""
     speeds, loads = np.zeros((2, len(machine.joints)))
     for k, joint in enumerate(machine.joints):
         moved = [

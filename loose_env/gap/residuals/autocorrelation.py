@@ -1,19 +1,17 @@
-"""How much of a residual hangs together in time, which noise does not.
+"""Autocorrelation of residuals, and the effective number of independent rows.
 
-The mean product of a residual with itself a few samples later is zero for white noise, whatever its
-size, and near the mean square for whatever a model misses. It says what there is to explain without
-a word on how large the noise is. A residual that rings has turned over after half a period, and
-shows nothing after a quarter: three lags are looked at, and the largest product counts, of either
-sign. The lags leave out the next sample, which a sensor's filter may tie to the one before, but in
-runs of random excitation, where what is missed rings at up to a fifth of the sample rate.
+The lagged product of a residual is zero on average for white noise, whatever its size, and near the
+mean square for any model error. It measures the explainable part without an estimate of the noise
+level. An oscillating residual has the opposite sign after half a period, and no correlation after a
+quarter: three lags are computed, and the largest product counts, of either sign. The lags leave out
+the next sample, which a sensor's filter may correlate with the one before, except in runs of random
+excitation, where model errors oscillate at up to a fifth of the sample rate.
 
-In inverse runs the noise of the measured acceleration is loudest at the top of the band, where it
+In inverse runs the noise of the measured acceleration is largest at the top of the band, where it
 changes sign from one sample to the next: means over two neighbouring lags cancel it.
 
-A feature of a run that is compared by features stands for itself: its square less one is about
-zero where nothing is missing.
-
-How many independent numbers rows that hang together in time are worth.
+A feature of a run that is compared by features is independent: its square less one is about zero
+for a correct model.
 """
 
 from __future__ import annotations
@@ -34,12 +32,12 @@ INVERSE_LAGS = ((3, 4), (5, 6), (7, 8))
 
 
 class Structure:
-    """Pairs of rows of one channel that are a little apart in time, for each of three lags.
+    """Lagged products of a residual, by channel and for each of three lags.
 
     Parameters
     ----------
     rows : Rows
-        Where the numbers come from.
+        Run, channel and sample of each number.
     """
 
     def __init__(self, rows: Rows) -> None:
@@ -65,7 +63,7 @@ class Structure:
         self.blocks, self.channels = int(rows.block.max()) + 1, int(rows.channel.max()) + 1
 
     def products(self, residual: Array) -> Array:
-        """Sums of the products by lag and block of time (3, B)."""
+        """Sums of the lagged products by lag and block of time (3, B)."""
         own = np.bincount(self._white_block, residual[self._white] ** 2 - 1, minlength=self.blocks)
         return np.stack(
             [
@@ -78,7 +76,7 @@ class Structure:
         )
 
     def by_channel(self, residual: Array) -> Array:
-        """Sums of the products by lag and channel, and how many rows there are of each (4, C)."""
+        """Sums of the lagged products by lag and channel, and the number of rows (4, C)."""
         own = np.bincount(
             self._white_channel, residual[self._white] ** 2 - 1, minlength=self.channels
         )
@@ -95,12 +93,12 @@ class Structure:
         return np.stack([*sums, counts])
 
     def by_group(self, residual: Array, group: NDArray[np.intp]) -> Array:
-        """Sums of the products by lag and group of rows (3, G); features are left out.
+        """Sums of the lagged products by lag and group of rows (3, G), without features.
 
         Parameters
         ----------
         residual : ndarray (N,)
-            Of all rows.
+            Residual of all rows.
         group : ndarray (N,)
             Number of a group for each row; rows of one run and channel are all in one.
         """
@@ -116,14 +114,14 @@ class Structure:
 
 
 def largest(sums: Array) -> Array:
-    """Largest of sums by lag (3, ...), of either sign (...)."""
+    """Largest absolute value of sums by lag (3, ...), with its sign (...)."""
     return np.asarray(np.max(np.abs(sums), axis=0))
 
 
 def _pairs(
     rows: Rows, order: NDArray[np.intp], lag: int, among: NDArray[np.bool_]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Numbers of rows that are so many samples apart, among some of all (K,) each."""
+    """Indices of row pairs at a given distance in samples, among some rows (K,) each."""
     first, second = order[:-lag], order[lag:]
     same = (
         (rows.trial[first] == rows.trial[second])
@@ -135,18 +133,18 @@ def _pairs(
 
 
 def independent_rows(residual: Array, block: IndexArray, channel: IndexArray) -> float:
-    """How many independent numbers the rows of a residual (N,) are worth.
+    """Effective number of independent rows of a residual (N,).
 
-    Rows of one channel in one block of time may hang together; channels and blocks do not. Of
-    independent rows the square of a block's sum is about its sum of squares. By as much as it is
-    larger on average, the variance of whatever is estimated from blocks is larger than rows alone
-    make believe (the design effect of a cluster sample, Kish, Survey Sampling, 1965), and the
-    rows, and with them the log-likelihood, count as much less.
+    Rows of one channel in one block of time may be correlated; channels and blocks are not. For
+    independent rows the squared sum of a block is on average its sum of squares. The factor by
+    which it is larger inflates the variance of any estimate from blocks (the design effect of a
+    cluster sample, Kish, Survey Sampling, 1965), and reduces the effective number of rows, and with
+    it the log-likelihood.
 
     Parameters
     ----------
     residual : ndarray (N,)
-        What is left.
+        The residual.
     block, channel : ndarray (N,)
         Block of time and channel of each row.
 

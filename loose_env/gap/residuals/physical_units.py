@@ -1,4 +1,4 @@
-"""The gap in units: errors of positions, speeds, accelerations, torques, kind by kind."""
+"""Residuals in physical units, by quantity: position, speed, acceleration, torque."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _OF_A_SITE = {
 
 
 def quantity_of(machine: Machine, channel: Channel) -> str | None:
-    """What a channel shows, with its unit; None for a sensor whose unit is not known.
+    """Quantity and unit of a channel; None for a sensor of unknown unit.
 
     Examples
     --------
@@ -70,7 +70,7 @@ def errors_by_quantity(
     before: NDArray[np.float64],
     after: NDArray[np.float64],
 ) -> dict[str, tuple[float, float]]:
-    """Root mean square errors in units, of all channels that show the same quantity together.
+    """Root mean square errors in physical units, pooled by quantity.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def errors_by_quantity(
 
 
 def quantity_words(errors: Mapping[str, tuple[float, float]]) -> list[str]:
-    """Errors before and after in words.
+    """Format errors before and after the correction as text.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What is compared: measured less predicted, in noise standard deviations, number by number."""
+"""Residuals: measured less predicted, in noise standard deviations."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ SHORTEST, LONGEST = 0.1, 0.5
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Where each number of a residual vector comes from (N,)."""
+    """Run, channel and sample of each number of a residual vector (N,)."""
 
     trial: NDArray[np.intp]
-    """Number of the run."""
+    """Index of the run."""
     channel: NDArray[np.intp]
-    """Number of the channel."""
+    """Index of the channel."""
     sample: NDArray[np.intp]
     """Sample in the run."""
     place: NDArray[np.intp]
-    """Number of the sample among those compared: neighbours differ by one."""
+    """Index of the sample among those compared: neighbours differ by one."""
     block: NDArray[np.intp]
     """Block of time, or of features, numbered through all runs."""
     white: NDArray[np.bool_]
@@ -56,14 +56,14 @@ class Rows:
     shaken: NDArray[np.bool_]
     """Whether the run is one of random excitation."""
     inverse: NDArray[np.bool_]
-    """Whether the run is compared backwards."""
+    """Whether the run is compared by inverse dynamics."""
 
 
 class Comparison:
     """Compares runs with hypotheses, each run by its form.
 
-    Forward and free runs are simulated; their sensors are compared. Of inverse runs the torques
-    are compared, in the band of the motion; of random runs whose trajectories part ways, features.
+    Forward and free runs are simulated, and their sensors compared. Inverse runs are compared by
+    their torques, in the band of the motion; chaotic random runs by features.
 
     Parameters
     ----------
@@ -72,18 +72,18 @@ class Comparison:
     trials : sequence of Trial
         The runs.
     channels : tuple of Channel
-        What is compared.
+        The compared channels.
     floors : ndarray (C,)
-        What counts as noise of each channel: its standard deviation.
+        Standard deviation of each channel's noise, as used in the residual.
     threads : int
         Threads of the simulation; 0: all processors.
     inverse : InverseDynamics, optional
-        Of the inverse runs, if there already is one.
+        Inverse dynamics of the inverse runs, if already computed.
     parting : frozenset of str
         Names of the random runs that are compared by features
         (`loose_env.gap.preparation.chaotic_runs.parting_runs`).
     read : ndarray (C,), optional
-        Noise standard deviation of each channel as it was read, where more counts as noise in
+        Sensor noise standard deviation of each channel, where more counts as noise in
         ``floors``.
     """
 
@@ -127,17 +127,17 @@ class Comparison:
 
     @property
     def features(self) -> dict[int, RandomFeatures]:
-        """Number of a run that is compared by features -> these."""
+        """Features of the runs that are compared by features, by index of the run."""
         return {t: run.features for t, run in self._random.items()}
 
     def _spacing(self, number: int) -> int:
-        """Samples of a run from one that is compared to the next."""
+        """Spacing of the compared samples of a run."""
         if self.inverse is not None and number in self._backwards:
             return self.inverse.spacing(int(np.searchsorted(self._backwards, number)))
         return 1
 
     def _compared(self, number: int) -> Array:
-        """What was measured in a run, NaN where it is not compared (T, C)."""
+        """Measured values of a run, NaN where they are not compared (T, C)."""
         trial = self.trials[number]
         if self.inverse is not None and number in self._backwards:
             return self.inverse.measured(int(np.searchsorted(self._backwards, number)))
@@ -145,7 +145,7 @@ class Comparison:
         return np.where(early[:, None], np.nan, trial.measured)
 
     def _rows(self) -> tuple[Rows, Array]:
-        """Every number that was measured and is not disturbed by the start."""
+        """Rows of all measured numbers outside the initial transient."""
         parts: list[list[Array]] = [[], [], [], [], [], [], []]
         blocks = 0
         whole = sum(float(trial.time[-1]) for trial in self.trials)
@@ -179,13 +179,13 @@ class Comparison:
         return rows, measured
 
     def follows(self, trial: Trial) -> bool:
-        """Whether a run is simulated with its commands and compared sample by sample."""
+        """Return whether a run is simulated with its commands, sample by sample."""
         return trial.form == "forward" and trial.name not in self.parting
 
     def shows(self, effect: Effect) -> bool:
-        """Whether any run is of a form in which an effect makes a difference.
+        """Return whether an effect is observable in the form of any run.
 
-        A free response has no commands; what an inverse one leaves out says `InverseDynamics`.
+        A free response has no commands; `InverseDynamics` defines the omissions of an inverse run.
         """
         forms = {self.trials[t].form for t in self._ahead}
         if "forward" in forms:
@@ -201,9 +201,9 @@ class Comparison:
         trials: Sequence[Trial] | None = None,
         floors: Array | None = None,
     ) -> Comparison:
-        """The same with another machine, other runs, or other noise of the channels (C,).
+        """Copy with another machine, other runs, or other noise of the channels (C,).
 
-        Features of random runs are weighed by the noise there is, whatever counts as noise else.
+        Features of random runs keep the sensor noise as their weight.
         """
         return Comparison(
             machine or self.machine,
@@ -219,7 +219,7 @@ class Comparison:
     def left_in_channels(self, residual: Array) -> Array:
         """Root mean square of a residual (N,) by channel (C,), noise standard deviations.
 
-        Of what is simulated and compared sample by sample; 0 where a channel has no such readings.
+        Of the runs compared sample by sample; 0 where a channel has no such readings.
         """
         own = ~(self.rows.white | self.rows.inverse)
         channel, most = self.rows.channel[own], len(self.channels)
@@ -228,15 +228,15 @@ class Comparison:
         return np.asarray(np.sqrt(squares / np.maximum(count, 1)))
 
     def lighter(self, *, stiff: bool = False) -> Comparison:
-        """The same runs, simulated with one evaluation a step in place of four, if it is four.
+        """Copy with a cheaper integrator: one evaluation a step instead of four.
 
-        What an effect changes comes out nearly the same, for the error of the step is in both;
-        not so where it adds a stiff spring.
+        The difference that an effect makes is nearly the same, since the step error is in both; not
+        where it adds a stiff spring.
 
         Parameters
         ----------
         stiff : bool
-            Whether there is a stiff spring in either: then both take every step, else several as
+            Whether either has a stiff spring: then both take every step, else several as
             one where the machine allows it (`Machine.joined`).
         """
         if self.machine.integrator != _RUNGE_KUTTA:
@@ -251,16 +251,16 @@ class Comparison:
     def lightly(
         self, hypothesis: Hypothesis, residual: Array, *, stiff: bool = False
     ) -> tuple[Comparison, Array]:
-        """A lighter comparison with what a hypothesis leaves in it (N,).
+        """Cheaper comparison, with the residual of a hypothesis in it (N,).
 
-        Where the cheaper integrator cannot follow, that is this one with the residual given.
+        Where the cheaper integrator is not stable, that is this comparison with the given residual.
 
         Parameters
         ----------
         hypothesis : Hypothesis
-            What differences are taken from.
+            Reference of the differences.
         residual : ndarray (N,)
-            What it leaves here.
+            Its residual in this comparison.
         stiff : bool
             As of `lighter`.
         """
@@ -273,21 +273,21 @@ class Comparison:
         return (self, residual) if astray else (lighter, found)
 
     def __len__(self) -> int:
-        """How many numbers are compared."""
+        """Number of residuals."""
         return len(self.measured)
 
     @property
     def simulated(self) -> int:
-        """Steps simulated and samples evaluated so far."""
+        """Number of simulated steps and evaluated samples so far."""
         return self.simulator.simulated + (0 if self.inverse is None else self.inverse.simulated)
 
     def predict(self, hypotheses: Sequence[Hypothesis]) -> list[list[Array]]:
-        """What every run would show under every hypothesis.
+        """Predict the readings of every run under every hypothesis.
 
         Returns
         -------
         list of list of ndarray (T, C)
-            By hypothesis, by trial; NaN where a simulation went wild, and in an inverse run where
+            By hypothesis, by trial; NaN where a simulation diverged, and in an inverse run where
             nothing is compared.
         """
         found: list[list[Array]] = [[np.empty(0)] * len(self.trials) for _ in hypotheses]
@@ -311,9 +311,9 @@ class Comparison:
         return np.clip(found, -_WILD, _WILD)
 
     def levels(self, hypothesis: Hypothesis) -> Array:
-        """Noise under a hypothesis, over what counts as noise of the rigid arm (N,).
+        """Noise under a hypothesis, relative to that of the rigid arm (N,).
 
-        1 but in inverse runs, where a spring shuts out noise of the motion
+        1 except in inverse runs, where a spring attenuates noise of the motion
         (`loose_env.gap.simulation.inverse_dynamics.InverseDynamics.levels`).
         """
         found = np.ones(len(self.measured))
@@ -325,11 +325,11 @@ class Comparison:
         return found
 
     def flatten(self, predicted: Sequence[Array]) -> Array:
-        """Predictions by trial -> one number per row, in noise standard deviations (N,)."""
+        """Convert predictions by trial to one number per row, in noise deviations (N,)."""
         rows, found = self.rows, np.empty(len(self.measured))
         for t, values in enumerate(predicted):
             own = rows.trial == t
-            if t in self._random:  # what was measured counts as zero
+            if t in self._random:  # measured features are the origin, so they count as zero
                 found[own] = -self._random[t].residual(values)
                 continue
             channel = rows.channel[own]
@@ -337,7 +337,7 @@ class Comparison:
         return found
 
     def by_block(self, values: Array) -> Array:
-        """Sums of values (..., N) over blocks (..., B)."""
+        """Sum values (..., N) over blocks (..., B)."""
         count = int(self.rows.block.max()) + 1
         flat = values.reshape(-1, values.shape[-1])
         summed = np.array([np.bincount(self.rows.block, v, minlength=count) for v in flat])
@@ -345,7 +345,7 @@ class Comparison:
 
 
 def _for_runs(hypothesis: Hypothesis, runs: NDArray[np.intp]) -> Hypothesis:
-    """A hypothesis with the starts of some runs only."""
+    """Restrict the initial states of a hypothesis to some runs."""
     position, speed = hypothesis.position, hypothesis.speed
     if position is None and speed is None:
         return hypothesis

@@ -1,4 +1,4 @@
-"""The most telling windows of long runs, for work that cannot simulate all of them."""
+"""Windows of long runs with the most motion, for cheaper simulations."""
 
 from __future__ import annotations
 
@@ -25,20 +25,21 @@ INVERSE = 4.0
 
 
 def windowed(comparison: Comparison, seconds: float) -> Comparison:
-    """The same on one window of every run, so many seconds in all; itself if it is no longer.
+    """Cut one window from every run, to a total length; a shorter input is unchanged.
 
-    A window lies where the joints move most for their typical motion, all of them counted. Of
-    inverse runs `INVERSE` times as much is taken. A recording of free responses stays whole, since
-    their starts count. If windows would get shorter than `SHORTEST`, runs are left out evenly; the
-    last one keeps a window as long as that. Of a run that is compared by features a window has as
-    many samples as these need, and the run stays whole where the window has no features.
+    A window lies where the joints move most relative to their typical motion, all joints included.
+    Of inverse runs `INVERSE` times as much is taken. A recording of free responses stays whole,
+    since their initial states count. If windows would be shorter than `SHORTEST`, runs are left out
+    evenly; the last one keeps a window of that length. Of a run that is compared by features a
+    window has as many samples as these need, and the run stays whole where the window has no
+    features.
 
     Parameters
     ----------
     comparison : Comparison
-        What is compared.
+        The comparison to cut.
     seconds : float
-        How much of the runs in all [s].
+        Total length of the windows [s].
     """
     inverse = [t for t in comparison.trials if t.form == "inverse"]
     others = [t for t in comparison.trials if t.form != "inverse"]
@@ -54,7 +55,7 @@ def windowed(comparison: Comparison, seconds: float) -> Comparison:
 
 
 def _lengths(trials: Sequence[Trial], seconds: float, shortest: float) -> dict[int, float]:
-    """Identity of a run that is kept -> how much of it [s], infinite where they are no longer."""
+    """Window lengths [s] by identity of the run; infinite where runs are short."""
     if sum(float(t.time[-1]) for t in trials) <= seconds:
         return {id(t): np.inf for t in trials}
     count = max(1, min(len(trials), int(seconds / shortest)))
@@ -63,9 +64,9 @@ def _lengths(trials: Sequence[Trial], seconds: float, shortest: float) -> dict[i
 
 
 def _shortened(comparison: Comparison, trial: Trial, length: float) -> Trial:
-    """The window of a run, or all of it where it is compared by features and the window has none.
+    """Window of a run; all of it if compared by features that the window lacks.
 
-    Its command may not vary there, or its channels may not have been read.
+    The command may not vary in a window, or its channels may not have been read.
     """
     if trial.form == "inverse":
         return _window(trial, length, lead=0.0)
@@ -80,14 +81,15 @@ def _shortened(comparison: Comparison, trial: Trial, length: float) -> Trial:
 
 
 def _window(trial: Trial, length: float, *, fewest: int = 1, lead: float = LEAD) -> Trial:
-    """The window in which the joints move most, so long [s] and of at least so many samples."""
+    """Window of maximum motion, of a length [s] and minimum number of samples."""
     size = max(round(min(length * trial.rate, len(trial.time))), fewest)
     if size >= len(trial.time):
         return trial
     activity = np.zeros(len(trial.time))
     for values in trial.motion.values():
         change = np.abs(np.diff(np.nan_to_num(values), prepend=np.nan_to_num(values[:1])))
-        # Square roots: a window in which several joints move tells more than one fast swing.
+        # Square roots: a window in which several joints move is more informative than one fast
+        # swing.
         activity += np.sqrt(change / max(float(np.mean(change)), 1e-12))
     summed = np.concatenate([[0.0], np.cumsum(activity)])
     starts = np.arange(0, len(trial.time) - size, max(size // 8, 1))

@@ -1,4 +1,4 @@
-"""Whether a hypothesis is believed, explains enough, and which of its effects stay."""
+"""Acceptance criteria for effects, and pruning of effects that are insignificant."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _MOST = 0.5
 
 
 def share_above_noise(before: Array, after: Array) -> float:
-    """Share of a fall in mean square that lies above the noise.
+    """Return the share of a reduction in mean square that lies above the noise.
 
     Parameters
     ----------
@@ -44,18 +44,18 @@ def share_above_noise(before: Array, after: Array) -> float:
 
 
 class Acceptance:
-    """Decides on hypotheses that add to what is there.
+    """Accepts or rejects hypotheses that add effects to the current model.
 
     Parameters
     ----------
     comparison : Comparison
-        The runs fitted to.
+        The training runs.
     judge : Judge
-        Judges by those held out.
+        Scores fits on the held-out runs.
     base, before : Judged
-        The nominal model, and what is there.
+        The nominal model, and the current model.
     settings : NamingSettings
-        What is asked for.
+        Acceptance thresholds.
     """
 
     def __init__(
@@ -70,12 +70,12 @@ class Acceptance:
         self.base, self.before, self.settings = base, before, settings
 
     def ranked(self, tried: Sequence[Judged]) -> list[Judged]:
-        """The best first; but one with fewer parameters if the best is not ahead of it.
+        """Sort hypotheses, preferring fewer parameters where the fit is not better.
 
-        More parameters fit a little better everywhere, surely and to no purpose: the best has to
-        explain some of what the simpler one leaves, and there has to be something left. Of those
-        that leave the same, such as a rotor and a link on a vertical axis, the one comes first that
-        changes the machine least.
+        Additional parameters always reduce the residual a little: the best hypothesis has to
+        explain some of the residual of the simpler one, and that residual has to exceed the noise.
+        Among hypotheses with equal residuals, such as a rotor inertia and a link inertia on a
+        vertical axis, the one that changes the model least comes first.
         """
         found, settings = sorted(tried, key=lambda j: j.total), self.settings
         same = [j for j in found if j.total - found[0].total < settings.same]
@@ -95,14 +95,14 @@ class Acceptance:
         return found
 
     def worth_naming(self, judged: Judged) -> bool:
-        """Whether a hypothesis is ahead, and by enough."""
+        """Return whether a hypothesis improves significantly, and by enough."""
         lead = lead_of(judged, self.before)
         material = self._visible(judged) and self._material(judged, lead)
         material = material and not slight(judged.fitted.hypothesis, self._new(judged))
         return self.believed(lead) and material
 
     def doubt(self, judged: Judged) -> str:
-        """What speaks against a hypothesis that is ahead by enough; "" where nothing does."""
+        """Return the objection to a hypothesis that improves by enough; "" if none."""
         if not self.ahead_of_its_limit(judged):
             return "no better than if it were rigid"
         if not self.above_the_noise(judged):
@@ -112,11 +112,12 @@ class Acceptance:
         return ""
 
     def ahead_of_its_limit(self, judged: Judged) -> bool:
-        """Whether an effect explains more than the way in which it is simulated.
+        """Return whether an effect beats its own limit case, simulated the same way.
 
-        One that adds motion is simulated by another route than the rigid arm, above all
-        backwards. It has to be ahead of itself at the limit in which nothing moves, too: as surely
-        as ahead of what was there, or by less where most of its gain is its own.
+        An effect with additional degrees of freedom is simulated by another method than the rigid
+        arm, above all in inverse dynamics. It also has to improve on its own limit in which the
+        additional coordinate does not move: as significantly as on the previous model, or by less
+        where most of its gain is its own.
         """
         effect, fitted = judged.fitted.effects[-1], judged.fitted
         if not effect.limit or self._new(judged) > 1:
@@ -134,21 +135,22 @@ class Acceptance:
         return self.believed(lead) or (mostly and min(lead.held, lead.fitted) >= self.settings.held)
 
     def needed_beside_stops(self, judged: Judged) -> bool:
-        """Whether an effect beside a part with stops does more than lead that to another fit.
+        """Return whether an effect beside stops is needed, not due to a local optimum.
 
-        Stops have many fits nearby, some a little better than others. What comes later starts from
-        one of them and may end at another; then that one does as well without it.
+        The fit of a part with stops has many local optima, some slightly better than others. A
+        later fit starts from one of them and may end at another; that optimum then fits equally
+        well without the later effect.
         """
         if not strikes(self.before.fitted.effects) or self._new(judged) > 1:
             return True
         return self.believed(lead_of(judged, self._without(judged, judged.fitted.effects[-1])))
 
     def above_the_noise(self, judged: Judged) -> bool:
-        """Whether what an added motion gains backwards is more than noise that it shuts out.
+        """Return whether the gain of an added motion in inverse runs is above noise.
 
-        The torque that a motion needs carries the noise of the measured acceleration. Behind a
-        spring there is less of it, whether or not there is a spring in the machine: so most of the
-        gain has to come from what exceeds the noise.
+        The inverse dynamics torque carries the noise of the measured acceleration. Behind a spring
+        this noise is attenuated, whether or not the machine has a spring: most of the gain
+        therefore has to come from the residual above the noise.
         """
         inverse = [c.rows.inverse for c in (self.comparison, self.judge.held_out)]
         new = judged.fitted.effects[-self._new(judged) :]
@@ -163,14 +165,14 @@ class Acceptance:
         return share_above_noise(before, after) > _MOST
 
     def accept(self, judged: Judged) -> tuple[Judged, list[Effect]]:
-        """Fit on, and leave out what has become idle.
+        """Refit the accepted hypothesis and drop an effect that became insignificant.
 
         Returns
         -------
         Judged
             With fresh sensitivities.
         list of Effect
-            Earlier effects that are left out, one at most.
+            Earlier effects that are dropped, one at most.
         """
         best = self.judge.judge(polished(self.comparison, judged.fitted))
         best = self._pruned(best, self._new(judged))
@@ -185,10 +187,10 @@ class Acceptance:
         return best, []
 
     def rather(self, judged: Judged, effect: Effect) -> Judged | None:
-        """What an idle effect was before, and without the one at its joint that made it idle.
+        """Return the earlier form of an insignificant effect, without its replacement.
 
-        A fit of many at once may give one joint the wrong one of two: a servo that is soft, or a
-        friction that holds it back as much. From there a step by step fit does not come back.
+        A joint fit of many effects may assign one joint the wrong one of two: a compliant servo, or
+        a friction of the same resistance. A stepwise fit does not recover from that.
         """
         count, fitted = len(self.before.fitted.effects), judged.fitted
         joint = joint_of(effect)
@@ -206,7 +208,7 @@ class Acceptance:
         return self.judge.judge(fit(self.comparison, effects, start))
 
     def _pruned(self, judged: Judged, new: int) -> Judged:
-        """Take out those of several new effects that are not believed by themselves."""
+        """Drop those of several new effects that are insignificant by themselves."""
         while new > 1:
             without = [self._without(judged, effect) for effect in judged.fitted.effects[-new:]]
             leads = [lead_of(judged, each) for each in without]
@@ -217,7 +219,7 @@ class Acceptance:
         return judged
 
     def _change(self, judged: Judged) -> float:
-        """How far the new effects of a hypothesis are from nothing, in the parameters' scales."""
+        """Return the size of the new effects of a hypothesis, in the parameters' scales."""
         effects, far = judged.fitted.effects, 0.0
         first = len(effects) - max(self._new(judged), 0)
         for effect, own in zip(effects[first:], slices_of(effects)[first:], strict=True):
@@ -228,22 +230,22 @@ class Acceptance:
         return far
 
     def _new(self, judged: Judged) -> int:
-        """How many effects a hypothesis adds."""
+        """Return the number of effects that a hypothesis adds."""
         return len(judged.fitted.effects) - len(self.before.fitted.effects)
 
     def _without(self, judged: Judged, effect: Effect) -> Judged:
         return self.judge.judge(fit_without(self.comparison, judged.fitted, effect))
 
     def believed(self, lead: Lead) -> bool:
-        """Whether a lead is no chance: seen in both halves of the data, and surely in one."""
+        """Return whether an improvement is significant in both data sets, and high in one."""
         one, other = lead.fitted, lead.held
         return min(one, other) >= self.settings.held and max(one, other) >= self.settings.sureness
 
     def _visible(self, judged: Judged) -> bool:
-        """Whether it lowers the sum of squares by more than that scatters by chance.
+        """Return whether the sum of squares falls by more than its sampling error.
 
-        A sum of N squares of unit noise scatters by the root of 2 N. What gains less, however
-        surely, is the last trace of an effect that is there already.
+        A sum of N squares of unit noise has a standard deviation of about sqrt(2 N). A smaller
+        gain, however significant, is the remainder of an effect that is already in the model.
         """
         held = float(self.before.held_blocks.sum() - judged.held_blocks.sum())
         fitted = float(self.before.fitted_blocks.sum() - judged.fitted_blocks.sum())
@@ -253,14 +255,15 @@ class Acceptance:
         return bool(alone or held + fitted > least * np.sqrt(2 * (count + others)))
 
     def _material(self, judged: Judged, lead: Lead) -> bool:
-        """Whether it explains enough: a law that is a little wrong leaves room for many effects."""
+        """Return whether enough is explained: a slightly wrong law admits many effects."""
         settings, base = self.settings, self.base
         gained = self.before.structure - judged.structure
         if lead.share >= settings.share or gained >= settings.base_share * base.structure:
             return True
         if min(lead.held, lead.fitted) >= settings.everywhere:
             return True
-        # A machine may lack something at every joint: what is little of all is much of a channel.
+        # An effect may act at every joint: a small share of the total can be a large share of a
+        # channel.
         gains = self.before.channel_structure[0] - judged.channel_structure[0]
         for there, share in (
             (base.channel_structure, settings.channel_share),

@@ -1,4 +1,4 @@
-"""Fits candidates: the most promising to windows of the data, the best of those to all of it."""
+"""Candidate fits: the most promising on windows of data, the best on all data."""
 
 from __future__ import annotations
 
@@ -47,18 +47,18 @@ _NEAR = 1.5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Slow:
-    """Runs of which only positions and speeds count."""
+    """Comparison in which only positions and speeds have weight."""
 
     comparison: Comparison
-    """The same rows; noise of all others is so large that they say nothing."""
+    """The same rows; the noise of all others is so large that they carry no weight."""
     weights: Array
-    """What that makes of each row (N,)."""
+    """Weight of each row under that noise (N,)."""
 
     @classmethod
     def of(cls, comparison: Comparison) -> Slow | None:
-        """Take the weight off accelerations and forces; None where all or none are such.
+        """Remove the weight of accelerations and forces; None if all or none are such.
 
-        None for runs that are compared by features, too: those stand for no single channel.
+        None for runs that are compared by features, too: features belong to no single channel.
         """
         machine, channels = comparison.machine, comparison.channels
         kept = np.array([of_place_or_speed(machine, channel.column) for channel in channels])
@@ -74,18 +74,18 @@ class Slow:
 
 
 class Trying:
-    """Fits candidates on top of what is there.
+    """Fits candidate effects on top of the current model.
 
     Parameters
     ----------
     comparison, short : Comparison
-        The runs to fit to, and the windows of them that sort candidates.
+        The training runs, and the windows of them that rank candidates.
     judge : Judge
-        Judges what was fitted to all data.
+        Scores fits to all data.
     before : Judged
-        What is there.
+        The current model.
     settings : NamingSettings
-        How many are fitted.
+        Number of candidates to fit.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class Trying:
 
     @cached_property
     def short_before(self) -> Fit:
-        """What is there as it looks on the windows, with sensitivities of its own."""
+        """The current model on the windows, with sensitivities of its own."""
         residual = self.short.residuals([self.before.hypothesis])[0]
         cost = cost_of(residual, self.before.free, parameters_of(self.before.effects))
         return refined(replace(self.before, residual=residual, cost=cost), self.short)
@@ -116,19 +116,20 @@ class Trying:
         return Slow.of(self.short)
 
     def singles(self, screened: Sequence[Screened], *, further: bool = False) -> list[Judged]:
-        """Fit single candidates, and those that the best one may be mistaken for.
+        """Fit single candidates, and those confusable with the best one.
 
         Parameters
         ----------
         screened : sequence of Screened
             Candidates, the most promising first.
         further : bool
-            Whether to take those that promise less than the ones that are fitted at first.
+            Whether to fit those with a lower predicted explained variance than the first ones.
         """
         settings = self.settings
         least = settings.promise * screened[0].promise if screened else 0.0
         first = [each for each in screened[: settings.candidates] if each.promise >= least]
-        # what is small and everywhere promises little beside a law that is a little wrong
+        # a small effect at every joint has a low predicted explained variance beside a slightly
+        # wrong law
         most = max((each.sureness for each in first), default=0.0)
         surer = [each for each in screened[len(first) :] if each.sureness > most]
         first += sorted(surer, key=lambda each: -each.sureness)[: settings.surer]
@@ -143,14 +144,14 @@ class Trying:
             return []
         surest = max(fits[settings.finalists :], key=self._sureness, default=None)
         finalists = fits[: settings.finalists]
-        # a few blocks that nothing explains yet may hide what is small and everywhere
+        # a few blocks with a large unexplained residual may hide a small effect at every joint
         if surest is not None and self._sureness(surest) > max(map(self._sureness, finalists)):
             finalists.append(surest)
         found = [self._to_all(each) for each in finalists]
         winner = min(found, key=lambda j: j.total).fitted.effects[-1]
         others = [f for f in fits if not any(f is g for g in finalists)]
         kin = [f for f in others if akin(winner, f.effects[-1])][: settings.kin]
-        # what promised too little to be fitted, because its start was far off, may be the true one
+        # a candidate screened out for a poor start may still be the true one
         relatives = [
             each
             for each in screened
@@ -160,9 +161,9 @@ class Trying:
         return found + [self._to_all(each) for each in kin]
 
     def _with_hope(self, fits: Sequence[Fit]) -> list[Fit]:
-        """Those of some fits to the windows that may be the best on all data, the best first.
+        """Select fits to the windows that may be the best on all data, best first.
 
-        Earlier ones are remembered: several effects at once have to be ahead of single ones.
+        Earlier fits are kept: joint hypotheses have to improve on single effects.
         """
         found = sorted(fits, key=lambda f: f.cost)
         if not found:
@@ -180,28 +181,28 @@ class Trying:
         ]
 
     def _sureness(self, each: Fit) -> float:
-        """How surely a fit to the windows is ahead of what is there."""
+        """Return the improvement (z) of a fit to the windows over the current model."""
         before, after = (
             self.short.by_block(fitted.residual**2) for fitted in (self.short_before, each)
         )
         return sureness_of(before, after)
 
     def families(self, screened: Sequence[Screened]) -> list[Judged]:
-        """Fit one kind of effect at several places at once."""
+        """Fit one kind of effect at several locations at once."""
         return self.together(families(screened, self.settings.families))
 
     def together(self, groups: Sequence[Sequence[Screened]]) -> list[Judged]:
-        """Fit the members of each group at once; those that are no better than single ones go."""
+        """Fit each group's members jointly; drop groups no better than one effect."""
         single = np.inf if self._best is None else self._best.cost
         fits = [self._to_windows(each) for each in groups]
         better = self._with_hope([each for each in fits if each.cost < single])
         return [self._to_all(each) for each in better[:_WHOLE_FAMILIES]]
 
     def alone(self, judged: Judged, base: Fit) -> Judged | None:
-        """The new effects of a hypothesis without the earlier ones; None if they are needed.
+        """Return a hypothesis without its earlier effects; None if they are needed.
 
-        What is named first may only have stood in for what came later, and several springs that
-        stand in for one delay are all missed if they are left out one by one.
+        The effect identified first may only have been a proxy for a later one, and several springs
+        that are proxies for one delay are not removed by dropping them one at a time.
 
         Parameters
         ----------
@@ -221,14 +222,14 @@ class Trying:
         return self.judge.judge(fit(self.comparison, effects, start, known=base.jacobian))
 
     def in_place(self, screened: Sequence[Screened], rival: Fit) -> list[Judged]:
-        """Fit candidates that may do as well as what was there in their place, the best first.
+        """Fit candidates that may replace an effect of the model equally well, best first.
 
         Parameters
         ----------
         screened : sequence of Screened
             Candidates.
         rival : Fit
-            What was there, with the effect in whose place they come.
+            The current model, with the effect that they would replace.
         """
         together = self.short.residuals([rival.hypothesis])[0]
         fits = [self._to_windows([each], both=True) for each in screened]
@@ -238,7 +239,7 @@ class Trying:
         return sorted(found, key=lambda judged: judged.total)
 
     def _to_windows(self, members: Sequence[Screened], *, both: bool = False) -> Fit:
-        """Fit candidates together to the windows; one candidate from both its starts."""
+        """Fit candidates jointly to the windows; a single candidate from both its starts."""
         effects = (*self.before.effects, *(each.effect for each in members))
         start, residual = self._start(effects, members)
         known = self.short_before.jacobian
@@ -249,8 +250,8 @@ class Trying:
             again = fit(self.short, effects, other, known=self.short_before.jacobian)
             found = min((found, again), key=lambda f: f.cost)
         if len(members) == 1 and members[0].effect.shifts and self.slow is not None:
-            # what held commands do to accelerations repeats itself from sample to sample, so that
-            # a delay may end samples off; positions and speeds have one best delay
+            # zero-order-hold commands make the accelerations' cost periodic in the delay, with one
+            # local optimum per sample; positions and speeds have a single optimum
             known = self.short_before.jacobian * self.slow.weights[:, None]
             first = fit(self.slow.comparison, effects, start, known=known)
             again = fit(self.short, effects, first.free, known=self.short_before.jacobian)
@@ -258,7 +259,7 @@ class Trying:
         return found
 
     def _start(self, effects: Sequence[Effect], members: Sequence[Screened]) -> tuple[Array, Array]:
-        """Where screening says, or nearer to nothing if that is better: it looks along tangents."""
+        """Start from the screened values, or smaller ones if better: these are linearised."""
         at = [free_of(each.effect.parameters, np.array(each.values)) for each in members]
         none = [
             values if each.effect.nothing is None
@@ -282,10 +283,10 @@ class Trying:
         return tried[best], residuals[best]
 
     def _shifted(self, fitted: Fit) -> Fit:
-        """Move the last effect, a delay, by samples and parts, and fit on where that is better.
+        """Shift the last effect, a delay, by samples and fractions; refit where better.
 
-        A delay of whole samples is a bend in the sum of squares at which a fit gets stuck, and of
-        accelerations under held commands every sample has a valley of its own.
+        A delay of whole samples is a kink in the sum of squares at which a fit stalls, and for
+        accelerations under zero-order-hold commands every sample is a local minimum.
         """
         (parameter,) = fitted.effects[-1].parameters
         value, tried = values_of((parameter,), fitted.free[-1:])[0], []
@@ -300,7 +301,7 @@ class Trying:
         return min((fitted, again), key=lambda f: f.cost)
 
     def _to_all(self, each: Fit) -> Judged:
-        """Fit to all data what was fitted to the windows."""
+        """Fit the hypotheses that were fitted to the windows to all data."""
         start = np.concatenate([self.before.free, each.free[len(self.before.free) :]])
         known = self.before.jacobian
         return self.judge.judge(fit(self.comparison, each.effects, start, known=known))

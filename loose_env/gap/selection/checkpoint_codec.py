@@ -1,4 +1,4 @@
-"""Judged fits as plain values and back: what a stage of a comparison keeps."""
+"""Serialisation of scored fits as plain values, for checkpoints of a search."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["KeepInFiles", "judged_of", "plain_judged"]
 
 
 def plain_judged(judged: Judged) -> dict[str, Any]:
-    """Plain values and arrays of a judged fit, for `loose_env.gap.output.checkpoints.Stages`."""
+    """Convert a scored fit to plain values, for `output.checkpoints.Stages`."""
     fitted = judged.fitted
     own = {each.name: getattr(fitted, each.name) for each in fields(fitted)}
     own["effects"] = [[e.kind, e.where, e.variant] for e in fitted.effects]
@@ -29,7 +29,7 @@ def plain_judged(judged: Judged) -> dict[str, Any]:
 
 
 def judged_of(kept: dict[str, Any], machine: Machine, given: Sequence[Effect]) -> Judged:
-    """Restore a judged fit.
+    """Restore a scored fit.
 
     Parameters
     ----------
@@ -38,12 +38,12 @@ def judged_of(kept: dict[str, Any], machine: Machine, given: Sequence[Effect]) -
     machine : Machine
         The nominal model.
     given : sequence of Effect
-        Those that are not in the catalogue: the nominal figures, the starts of free runs.
+        Those not in the catalogue: the nominal parameters, the initial states of free runs.
 
     Raises
     ------
     UnknownName
-        If the catalogue has an effect no more.
+        If the catalogue no longer has an effect.
     """
     effects = tuple(_effect(machine, given, *each) for each in kept["fitted"]["effects"])
     fitted = Fit(**(kept["fitted"] | {"effects": effects}))
@@ -51,7 +51,7 @@ def judged_of(kept: dict[str, Any], machine: Machine, given: Sequence[Effect]) -
 
 
 class KeepInFiles(Keep):
-    """Keeps the steps of a search in files.
+    """Stores the steps of a search in checkpoint files.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class KeepInFiles(Keep):
     given : sequence of Effect
         As of `judged_of`.
     prefix : str
-        Put before the names of stages, so that two searches do not take each other's.
+        Prefix of the stage names, so that two searches do not share checkpoints.
     """
 
     def __init__(
@@ -72,12 +72,12 @@ class KeepInFiles(Keep):
         self.prefix = prefix
 
     def judged(self, name: str, make: Callable[[], Judged]) -> Judged:
-        """Return a judged fit, of this run or an earlier one."""
+        """Return a scored fit, of this run or an earlier one."""
         kept = self.stages(self.prefix + name, lambda: plain_judged(make()))
         return judged_of(kept, self.machine, self.given)
 
     def step(self, name: str, make: Callable[[], Step]) -> Step:
-        """Return a step, of this run or an earlier one."""
+        """Return a step of the search, of this run or an earlier one."""
         kept = self.stages(self.prefix + name, lambda: _plain_step(make()))
         accepted = kept["accepted"]
         return Step(
@@ -88,7 +88,7 @@ class KeepInFiles(Keep):
 
 
 def _plain_step(step: Step) -> dict[str, Any]:
-    """Plain values of a step; the sensitivities of rivals are not needed again."""
+    """Convert a step to plain values, without the sensitivities of rivals."""
     rivals = []
     for judged in step.rivals:
         fitted = replace(judged.fitted, jacobian=np.zeros((0, len(judged.fitted.free))))

@@ -1,4 +1,4 @@
-"""Names what a model lacks: screening, fits from several starts, held-out runs as the judge."""
+"""Forward selection of effects: screening, multi-start fits, held-out validation."""
 
 from __future__ import annotations
 
@@ -29,44 +29,44 @@ Say = Callable[[str], None]
 
 @dataclass(kw_only=True, eq=False)
 class Named:
-    """What was found, step by step."""
+    """Result of a forward selection, step by step."""
 
     base: Judged
     """The nominal model, fitted within the tolerance."""
     steps: list[Judged] = field(default_factory=list)
-    """With one effect, with two, ...: the accepted ones."""
+    """The accepted hypotheses, with one effect, with two, ..."""
     rivals: list[list[tuple[Judged, Lead]]] = field(default_factory=list)
-    """At each step, every hypothesis that was fitted, with its lead over the step before; best
-    first."""
+    """At each step, every hypothesis that was fitted, with its improvement over the step before;
+    best first."""
 
     dropped: list[Effect] = field(default_factory=list)
-    """Effects that a later one made idle."""
+    """Effects that a later one made insignificant."""
     unfinished: bool = False
-    """Whether it stopped after a step because it was asked to."""
+    """Whether the search stopped after a step on request."""
 
     @property
     def best(self) -> Judged:
-        """The last that was accepted."""
+        """The last accepted hypothesis."""
         return self.steps[-1] if self.steps else self.base
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Step:
-    """What the search for one more effect came to."""
+    """Result of the search for one more effect."""
 
     rivals: list[Judged]
     """Every hypothesis that was fitted to whole runs, best first."""
     accepted: Judged | None
-    """The one that was believed, with fresh sensitivities."""
+    """The accepted hypothesis, with fresh sensitivities."""
     dropped: list[Effect] = field(default_factory=list)
-    """Earlier effects that it made idle."""
+    """Earlier effects that it made insignificant."""
 
 
 class Keep:
-    """Makes what the search asks for; a subclass may keep it for an interrupted run."""
+    """Computes the fits and steps of a search; subclasses may checkpoint them."""
 
     def judged(self, name: str, make: Callable[[], Judged]) -> Judged:
-        """Return a judged fit."""
+        """Return a scored fit."""
         return make()
 
     def step(self, name: str, make: Callable[[], Step]) -> Step:
@@ -86,28 +86,28 @@ def name_effects(
     begun: Named | None = None,
     pause: Callable[[Judged], bool] = lambda _: False,
 ) -> Named:
-    """Add effects to a nominal model as long as held-out runs ask for it.
+    """Add effects to a nominal model by forward selection with held-out validation.
 
     Parameters
     ----------
     comparison, held_out : Comparison
-        The runs to fit to, and those to judge by.
+        The training runs and the held-out runs.
     given : sequence of Effect
-        What is fitted with every hypothesis: the nominal figures, known within a tolerance, and the
-        starts of free runs.
+        Effects fitted with every hypothesis: the nominal parameters, known within a tolerance, and
+        the initial states of free runs.
     candidates : sequence of Effect
-        The catalogue at every place.
+        The catalogue at every location.
     settings : NamingSettings, optional
-        When an effect counts as found.
+        Acceptance criteria for an effect.
     say : callable
-        Told what goes on, line by line.
+        Receives progress messages, line by line.
     keep : Keep, optional
-        Keeps what was found for a run that is interrupted.
+        Checkpoints of the search, for resuming an interrupted run.
     begun : Named, optional
-        An earlier search, judged by these runs; what it found is fitted to them, and the search
+        An earlier search, scored on these runs; its effects are refitted to them, and the search
         goes on from there.
     pause : callable
-        Told what is there after a step; the search stops, unfinished, where it says so.
+        Receives the result after each step; the search stops, unfinished, if it returns true.
     """
     settings, keep = settings or NamingSettings(), keep or Keep()
     judge = Judge(comparison, held_out)
@@ -170,7 +170,7 @@ def _step(
     settings: NamingSettings,
     say: Say,
 ) -> Step:
-    """Look for one more effect."""
+    """Search for one more effect."""
     comparison, short = comparisons
     best = found.best
     taken = {(e.kind, e.where) for e in (*best.fitted.effects, *found.dropped)}
@@ -181,10 +181,10 @@ def _step(
     for s in screened[:8]:
         say(f"  {s.effect!r}: promises {s.promise:.3f}, sureness {s.sureness:.1f}")
     much = best.structure > settings.much * found.base.structure or best.held_rms > settings.loud
-    much = much and not strikes(best.fitted.effects)  # each more takes minutes there
+    much = much and not strikes(best.fitted.effects)  # each additional fit takes minutes there
 
     def waves() -> Iterator[list[Judged]]:
-        """What is tried, one after the other until something will do."""
+        """Generate candidate fits in stages, until one is accepted."""
         tried = trying.singles(screened)
         if much and all(lead_of(j, best).share < settings.alone for j in tried):
             say("  no single effect explains much: the same one at several places")
@@ -209,7 +209,7 @@ def _step(
             yield trying.together(groups)
 
     acceptance = Acceptance(comparison, judge, found.base, best, settings)
-    everywhere: list[Judged] = []  # the same as the best single one, at other places too
+    everywhere: list[Judged] = []  # the same kind as the best single effect, at other locations too
     ranked: list[Judged] = []
     for tried in waves():
         ranked = acceptance.ranked([*ranked, *tried])
@@ -223,7 +223,7 @@ def _step(
             earlier = list(best.fitted.named)
             new = len(accepted.fitted.named) + len(dropped) - len(earlier)
             if any(judged is each for each in everywhere) and new < settings.several:
-                continue  # at one place or two: rather one after the other
+                continue  # at one or two locations, adding them one at a time is better
             alone = trying.alone(judged, found.base.fitted) if earlier else None
             if alone is not None and not acceptance.believed(lead_of(accepted, alone)):
                 acceptance = Acceptance(comparison, judge, found.base, found.base, settings)

@@ -1,4 +1,4 @@
-"""Whether an effect is too small to matter, by itself or beside another of its sort."""
+"""Test for effects too small to matter, alone or beside another of their kind."""
 
 from __future__ import annotations
 
@@ -17,22 +17,23 @@ _BAR = 0.1
 
 
 def slight(hypothesis: Hypothesis, new: int) -> bool:
-    """Whether all effects that were added last are too small to matter, however surely seen.
+    """Return whether all effects added last are negligible, however significant.
 
-    A friction is slight beside another at its joint if it resists far less at the joint's usual
-    speed. Where the larger one is seen clearly, what its law is off by is seen clearly, too, and a
-    little of another friction would make up for that. In the same way a little mass at the tool or
-    on a link makes up for what is not known of how the mass of a link that bends lies along it.
+    A friction is negligible beside another at its joint if it resists far less at the joint's
+    typical speed. Where the larger one is identified precisely, the error of its law is visible,
+    too, and a small second friction would compensate for it. Likewise a small mass at the tool or
+    on a link compensates for the unknown mass distribution along a flexible link.
 
     Parameters
     ----------
     hypothesis : Hypothesis
         Effects with their values.
     new : int
-        How many of them were added last.
+        Number of effects added last.
 
     Examples
     --------
+    >>> import numpy as np
     >>> from loose_env.arms import planar
     >>> from loose_env.gap.model.effects.catalogue import CATALOGUE
     >>> from loose_env.gap.model.nominal_model import Machine
@@ -55,7 +56,7 @@ def slight(hypothesis: Hypothesis, new: int) -> bool:
 
 
 def _within_the_law(effect: Effect, values: Array, earlier: list[tuple[Effect, Array]]) -> bool:
-    """Whether a friction is no more than the law of others at its joint may be off by."""
+    """Return whether a friction is within the law error of others at its joint."""
     own = _resistance(effect, values)
     if own == 0.0:
         return False
@@ -64,7 +65,7 @@ def _within_the_law(effect: Effect, values: Array, earlier: list[tuple[Effect, A
 
 
 def _within_the_bar(effect: Effect, values: Array, earlier: list[tuple[Effect, Array]]) -> bool:
-    """Whether a mass is no more than what may lie elsewhere along a link nearby that bends."""
+    """Return whether a mass is within the mass distribution error of a flexible link."""
     own, joint = effect.displaced_mass(values), joint_of(effect)
     if own == 0.0:
         return False
@@ -74,7 +75,7 @@ def _within_the_bar(effect: Effect, values: Array, earlier: list[tuple[Effect, A
 
 
 def _resistance(effect: Effect, values: Array) -> float:
-    """Torque or force of a friction at its joint's usual speed; 0 for what is none."""
+    """Resistance of a friction at its joint's typical speed; 0 for other effects."""
     joint = joint_of(effect)
     if joint is None:
         return 0.0

@@ -1,7 +1,4 @@
-"""What was tried at every step of a search, with the criterion that weighs fit and parameters.
-
-What held-out data cannot tell from what was named.
-"""
+"""Ranking of all fitted hypotheses by BIC, and effects confusable with the result."""
 
 from __future__ import annotations
 
@@ -24,7 +21,7 @@ __all__ = ["added_to", "bic", "indistinct", "ranking_of"]
 
 
 def added_to(before: Judged, judged: Judged) -> tuple[Effect, ...]:
-    """Effects that a hypothesis has and the one before it has not."""
+    """Return effects that a hypothesis has and the one before it has not."""
     there = {effect.key for effect in before.fitted.effects}
     return tuple(effect for effect in judged.fitted.effects if effect.key not in there)
 
@@ -37,16 +34,16 @@ def ranking_of(
     louder: Array | float = 1.0,
     first: int = 1,
 ) -> tuple[Ranked, ...]:
-    """Every hypothesis that was fitted to whole runs, step by step, the best first.
+    """Rank every hypothesis fitted to whole runs, step by step, best first.
 
     Parameters
     ----------
     named : Named
         The search.
     comparison, held_out : Comparison
-        The runs it was fitted to, and those that judged.
+        The training runs and the held-out runs.
     louder : ndarray (M,) or float
-        How many times as large as it is noise was taken to be there, by what is held out.
+        Factor by which the noise of the held-out residuals was increased in the search.
     first : int
         Number of its first step.
     """
@@ -66,8 +63,8 @@ def _of_step(
 ) -> list[Ranked]:
     if not rivals:
         return []
-    # One measure for all rivals of a step: the noise, and how it hangs together, that the best
-    # of them leaves.
+    # One noise model for all rivals of a step: size and autocorrelation of the residual of the best
+    # of them.
     best = min((judged for judged, _ in rivals), key=lambda judged: judged.total)
     parts = [
         independent_rows(residual, own.block, own.channel)
@@ -98,15 +95,15 @@ def _of_step(
 
 
 def bic(gained: float, *, parameters: int, count: float) -> float:
-    """Bayesian information criterion of a hypothesis less that of the one it adds to.
+    """Return the BIC of a hypothesis less that of the hypothesis it extends.
 
     Parameters
     ----------
     gained : float
-        Fall of the sum of squares over independent readings, in units of their variance: twice
+        Reduction of the sum of squares over independent readings, in units of their variance: twice
         the gain in log-likelihood.
     parameters : int
-        How many it has more.
+        Number of additional parameters.
     count : float
         Independent readings.
 
@@ -125,17 +122,17 @@ _AS_MUCH = 0.05
 
 
 def indistinct(named: Named, effect: Effect) -> tuple[Effect, ...]:
-    """Effects of rivals that explain the held-out runs as well as a step that named this one.
+    """Return rivals that explain held-out runs as well as a step with this effect.
 
-    Of a rival with several effects, those at the joint of the named one stand against it; all of
-    them where none is there.
+    Of a rival with several effects, those at the joint of the identified one are compared with it;
+    all of them where none is there.
 
     Parameters
     ----------
     named : Named
-        What was found.
+        The search.
     effect : Effect
-        One of the named.
+        One of the identified effects.
     """
     found: list[Effect] = []
     before = named.base
@@ -154,7 +151,7 @@ def indistinct(named: Named, effect: Effect) -> tuple[Effect, ...]:
 
 
 def _against(effect: Effect, others: tuple[Effect, ...]) -> list[Effect]:
-    """Effects of a rival that stand against one; none where the rival has it, too."""
+    """Effects of a rival that compete with one; none where the rival has it, too."""
     if any((other.kind, other.where) == (effect.kind, effect.where) for other in others):
         return []
     joint = joint_of(effect)

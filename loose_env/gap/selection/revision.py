@@ -1,10 +1,8 @@
-"""Tries what looks like a named effect in its place, once the others are there.
+"""Swap step: replaces identified effects by confusable ones with a better fit.
 
-A search that adds one effect after the other names the first one by a gap that is that of several.
-What stood in best for the mixture may have a better rival, or need fewer effects beside it, when
-the others are in the model.
-
-Which effects stay: those whose 95 % intervals do not include nothing.
+Forward selection identifies the first effect from a residual that is due to several. Its best proxy
+for the mixture may have a better alternative, or need fewer effects beside it, once the others are
+in the model. Effects whose 95 % confidence intervals include zero are dropped.
 """
 
 from __future__ import annotations
@@ -31,20 +29,20 @@ __all__ = ["Exchange", "judged_without", "sure_ones"]
 
 
 class Exchange:
-    """Exchanges named effects for such as they may be mistaken for, where that is better.
+    """Swaps identified effects for confusable ones where the fit improves.
 
     Parameters
     ----------
     comparison, short : Comparison
-        The runs to fit to, and the windows of them that sort candidates.
+        The training runs, and the windows of them that rank candidates.
     judge : Judge
-        Judges what was fitted to all data.
+        Scores fits to all data.
     candidates : sequence of Effect
-        The catalogue at every place.
+        The catalogue at every location.
     base : Judged
         The nominal model.
     settings : NamingSettings
-        How many are tried: `NamingSettings.exchanged` at most are looked at for each effect.
+        Number of swaps: `NamingSettings.exchanged` candidates at most are fitted for each effect.
     """
 
     def __init__(
@@ -60,21 +58,21 @@ class Exchange:
         self.candidates, self.base, self.settings = candidates, base, settings
 
     def better_than(self, best: Judged, say: Callable[[str], None] = lambda _: None) -> Judged:
-        """The best hypothesis that exchanges lead to; ``best`` itself where nothing is better.
+        """Return the best hypothesis after swaps; ``best`` itself if none is better.
 
-        A hypothesis takes the place of another if it would have been ranked above it: it leaves
-        less, or it does as well with fewer parameters.
+        A hypothesis replaces another if it would have been ranked above it: its residual is
+        smaller, or it fits equally well with fewer parameters.
 
         Parameters
         ----------
         best : Judged
-            What was found.
+            The hypothesis to improve.
         say : callable
-            Told what goes on, line by line.
+            Receives progress messages, line by line.
         """
         for effect in best.fitted.named:
             if not any(effect is each for each in best.fitted.effects):
-                continue  # one that an exchange made idle
+                continue  # an effect that a swap made insignificant
             if effect.has_stops and not self.settings.exchanges_stops:
                 continue
             better = self._in_place_of(effect, best)
@@ -87,7 +85,7 @@ class Exchange:
         return best
 
     def _in_place_of(self, effect: Effect, best: Judged) -> Judged | None:
-        """The best hypothesis with another effect in the place of one; None if none is better."""
+        """Return the best hypothesis with one effect replaced; None if none is better."""
         named = {(e.kind, e.where) for e in best.fitted.effects}
         kin = [c for c in self.candidates if akin(effect, c) and (c.kind, c.where) not in named]
         if not kin:
@@ -97,7 +95,7 @@ class Exchange:
         acceptance = Acceptance(self.comparison, self.judge, self.base, before, self.settings)
         screened = screen(self.short, trying.short_before, kin)
         taken = screened[: self.settings.exchanged]
-        # where a fit begins says little of a delay; at the same joint it is worth a fit
+        # the start says little of a delay; at the same joint a fit is worth its cost
         there = [s for s in screened if joint_of(s.effect) == joint_of(effect) is not None]
         taken += [s for s in there if s not in taken][: self.settings.exchanged_there]
         for judged in trying.in_place(taken, best.fitted):
@@ -111,7 +109,7 @@ class Exchange:
     def _without_idle(
         self, judged: Judged, before: Judged, best: Judged, acceptance: Acceptance
     ) -> Judged:
-        """A hypothesis without the effects that its new one makes idle."""
+        """Drop the effects of a hypothesis that its new one makes insignificant."""
         for other in before.fitted.named:
             without = self._without(judged, other)
             needed = acceptance.believed(lead_of(judged, without))
@@ -131,25 +129,25 @@ def sure_ones(
     *,
     say: Callable[[str], None] = lambda _: None,
 ) -> tuple[Judged, list[Effect], Intervals]:
-    """Leave out effects whose intervals include nothing, and fit the others again.
+    """Drop effects whose 95 % intervals include zero, and refit the others.
 
     Parameters
     ----------
     best : Judged
-        What was found.
+        The hypothesis to improve.
     prepared : Prepared
         The runs.
     judge : Judge
-        Judges fits to ``prepared.fit``.
+        Scores fits to ``prepared.fit``.
     seed : int
         Of the bootstrap.
     say : callable
-        Told what is left out.
+        Receives the names of dropped effects.
 
     Returns
     -------
     (Judged, list of Effect, Intervals)
-        What stays, what is left out, and the intervals of what stays.
+        The reduced fit, the dropped effects, and the intervals of the reduced fit.
     """
     dropped: list[Effect] = []
     while True:
@@ -171,5 +169,5 @@ def sure_ones(
 
 
 def judged_without(effect: Effect, judged: Judged, prepared: Prepared, judge: Judge) -> Judged:
-    """A fit to ``prepared.fit`` without one of its effects, with fresh sensitivities."""
+    """Refit to ``prepared.fit`` without one effect, with fresh sensitivities."""
     return judge.judge(refined(fit_without(prepared.fit, judged.fitted, effect), prepared.fit))

@@ -1,9 +1,9 @@
-"""The search for what is missing; beside stops it goes on with what these leave as noise.
+"""Effect search with noise reweighted by the residual of impact-dominated parts.
 
-No law of contact is that of the machine, so that a part which strikes its stops leaves
-accelerations many times louder than their noise. What else is missing is slight beside that: it
-would be passed over, or something loud and wrong be named in its place. So the search goes on with
-each channel's noise as large as what is left in it, worked out anew with each effect that is named.
+No contact law matches the machine exactly, so that a part hitting its stops has acceleration
+residuals many times larger than the noise. Other missing effects are small beside them: they would
+be missed, or a large but wrong effect be identified instead. The search therefore continues with
+each channel's noise set to its residual, updated with each identified effect.
 """
 
 from __future__ import annotations
@@ -35,36 +35,36 @@ what is slight and there shows in nearly every block of time, which what stands 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Searched:
-    """What a search found."""
+    """Result of a search."""
 
     prepared: Prepared
     """The runs."""
     parts: tuple[tuple[Prepared, Named], ...]
-    """The search, and how it went on beside stops; each with the noise it went by."""
+    """The search and its continuations beside stops, each with the noise used."""
 
     @property
     def named(self) -> Named:
-        """The last part."""
+        """The last part of the search."""
         return self.parts[-1][1]
 
     @property
     def heard(self) -> Prepared:
-        """The runs with the noise by which the last part went."""
+        """The runs with the noise used in the last part."""
         return self.parts[-1][0]
 
     @property
     def base(self) -> Judged:
-        """The nominal model, by the noise there is."""
+        """The nominal model, scored with the current noise."""
         return self.parts[0][1].base
 
     @property
     def best(self) -> Judged:
-        """What was found, by the noise of `heard`."""
+        """The best hypothesis, scored with the noise of `heard`."""
         return self.named.best
 
     @property
     def ranking(self) -> tuple[Ranked, ...]:
-        """What was tried, step by step; what is left of held-out runs is in the noise there is."""
+        """Ranking of all fits, step by step; held-out residuals use the current noise."""
         found: list[Ranked] = []
         first = 1
         for runs, named in self.parts:
@@ -74,14 +74,14 @@ class Searched:
         return tuple(found)
 
     def indistinct(self, effect: Effect, named: Sequence[Effect]) -> tuple[Effect, ...]:
-        """What held-out runs cannot tell from one of the named effects, the others left out."""
+        """Effects that held-out runs cannot distinguish from an identified one."""
         found = chain(*(indistinct(part, effect) for _, part in self.parts))
         there = {(e.kind, e.where) for e in named}
         others = {(e.kind, e.where): e for e in found}
         return tuple(e for place, e in others.items() if place not in there)
 
     def in_noise(self, best: Judged) -> Judged:
-        """A fit to ``heard.fit`` as the noise there is judges it; nothing is fitted again."""
+        """Score a fit to ``heard.fit`` with the current noise, without refitting."""
         return _judged_by(self.prepared.fit, self.prepared.whole_held, self.heard.fit, best)
 
 
@@ -94,7 +94,7 @@ def search(
     say: Callable[[str], None] = lambda _: None,
     keep: Callable[[str], Keep] = lambda _: Keep(),
 ) -> Searched:
-    """Search for what a model lacks.
+    """Search for effects that a model lacks.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def search(
         As of `loose_env.gap.selection.forward_selection.name_effects`, ``sought`` being its
         candidates.
     keep : callable
-        Told a prefix, returns what keeps the stages of a part of the search.
+        Maps a prefix to the checkpoints of a part of the search.
     """
 
     def left(judged: Judged) -> Array:
@@ -115,7 +115,7 @@ def search(
 
     heard, own, pause, begun = prepared, settings, stops_leave, None
     parts: list[tuple[Prepared, Named]] = []
-    # ends, for each part that is left unfinished names one more, or drops one for good
+    # terminates: each unfinished part either identifies one more effect or drops one for good
     for number in count(1):
         named = name_effects(
             heard.search,
@@ -131,14 +131,15 @@ def search(
         parts.append((heard, named))
         if not named.unfinished:
             break
-        # in the noise there is, for what was found last may have left less than stops did before
+        # with the current noise, as the last identified effect may have reduced the residual of the
+        # stops
         best = _judged_by(prepared.search, prepared.held, heard.search, named.best)
         if stops_leave(best):
             say("goes on with what its stops leave as noise")
             heard, own = prepared.louder(np.maximum(left(best), 1.0)), beside_stops(settings)
         else:
             heard, own = prepared, settings
-        # whatever comes next, what is left is another then
+        # any further effect changes the residual
         pause = stops_leave if heard is prepared else _always
         base = parts[0][1].base
         base, best = (
@@ -149,7 +150,7 @@ def search(
 
 
 def beside_stops(settings: NamingSettings) -> NamingSettings:
-    """When an effect counts as found where what stops leave counts as noise."""
+    """Acceptance criteria where the residual of stops counts as noise."""
     return replace(settings, everywhere=_EVERYWHERE, exchanges_stops=False)
 
 
@@ -158,7 +159,7 @@ def _always(judged: Judged) -> bool:
 
 
 def _judged_by(runs: Comparison, held: Comparison, own: Comparison, judged: Judged) -> Judged:
-    """A fit to its own runs as the noise of the same runs, and of those held out, judges it."""
+    """Score a fit on its own runs and on held-out runs with the noise of those runs."""
     if runs is own:
         return judged
     fitted = judged.fitted
@@ -174,9 +175,9 @@ def _judged_by(runs: Comparison, held: Comparison, own: Comparison, judged: Judg
 
 
 def _times(own: Comparison, runs: Comparison) -> Array:
-    """How many times as large noise is in the first for each number of the same runs (N,).
+    """Ratio of the noise of two comparisons, for each number of the same runs (N,).
 
-    Features go by their own scatter, however loud the channels that they are made of.
+    Features use their own standard deviation, however noisy the channels they are computed from.
     """
     found: Array = (own.scales / runs.scales)[runs.rows.trial, runs.rows.channel]
     found[runs.rows.white] = 1.0

@@ -1,12 +1,11 @@
-"""The torque that a model needs for a measured motion, against the torque that was measured.
+"""Inverse dynamics torque of a measured motion, compared with measured torque.
 
 The motion is smoothed (`loose_env.gap.data.smoothing`), and the model of each hypothesis evaluated
-on it: M(q) a + bias - passive forces, for all samples at once on MuJoCo's thread pool. Dry
-friction is a law of the smoothed speed, not MuJoCo's constraint, whose force at rest says what
-holds the joint and not what the drive gives. The measured torque passes the same filter as the
-motion.
+on it: M(q) a + bias - passive forces, for all samples at once on MuJoCo's thread pool. Dry friction
+is a law of the smoothed speed, not MuJoCo's constraint, whose force at rest is a reaction force and
+not the drive torque. The measured torque passes the same filter as the motion.
 
-What an inverse comparison cannot show: commands, accelerometers, contacts and joint stops. Samples
+An inverse comparison is insensitive to commands, accelerometers, contacts and joint stops. Samples
 around the reversals of a joint are left out for that joint, since the direction of its friction is
 not known there.
 """
@@ -50,19 +49,19 @@ _OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Run:
-    """What is measured of a run, as it is compared."""
+    """Measured torques of a run, as compared."""
 
     motion: Motion
     measured: Array
     """Torques after the filter, NaN where they are not compared (T, C)."""
     floors: Array
-    """Standard deviation of the difference (C,)."""
+    """Standard deviation of the residual (C,)."""
     torque: Array
-    """Its part that is the noise of the measured torque (C,)."""
+    """Part of it due to the noise of the measured torque (C,)."""
 
 
 class InverseDynamics:
-    """Predicts the torques of inverse runs; takes the place of a `Simulator`.
+    """Predicts the torques of inverse runs; replaces a `Simulator`.
 
     Parameters
     ----------
@@ -99,30 +98,30 @@ class InverseDynamics:
 
     @cached_property
     def _torques(self) -> dict[int, int]:
-        """Channel -> joint, of the torques."""
+        """Joints of the torque channels, by channel index."""
         pairs = ((k, c.column.partition(".")) for k, c in enumerate(self.channels))
         return {k: self.machine.joint_number(n) for k, (kind, _, n) in pairs if kind == "torque"}
 
     @cached_property
     def _runs(self) -> list[_Run]:
-        """What is compared, with its noise."""
+        """Compared torques with their noise."""
         spread = self._propagated()
         return [self._run(t, spread[t]) for t in range(len(self.trials))]
 
     def measured(self, trial: int) -> Array:
-        """Torques of a run as compared, NaN elsewhere (T, C)."""
+        """Return torques of a run as compared, NaN elsewhere (T, C)."""
         return self._runs[trial].measured
 
     def floors(self, trial: int) -> Array:
-        """Noise of what is compared, of the torque and of the motion (C,); NaN if not compared."""
+        """Noise of the compared torques, from torque and motion (C,); NaN if not compared."""
         return self._runs[trial].floors
 
     def levels(self, hypothesis: Hypothesis) -> list[Array]:
         """Noise of each run's torques under a hypothesis, over that of the rigid arm (C,).
 
-        The torque that a motion needs carries the noise of the measured acceleration. Behind a
-        spring there is less of it, or more near a resonance. How much is seen by adding noise once
-        more, the same for every hypothesis.
+        The inverse dynamics torque carries the noise of the measured acceleration. Behind a spring
+        it is attenuated, or amplified near a resonance. The factor is measured by adding noise a
+        second time, the same for every hypothesis.
         """
         model = hypothesis.model(self.machine, self.machine.step or self.machine.model.opt.timestep)
         if model.nv <= self.machine.model.nv:
@@ -136,24 +135,24 @@ class InverseDynamics:
                 if compared.any():
                     noise = run.torque[channel] ** 2
                     now, then = (float(np.mean(c[compared, joint] ** 2)) for c in (own, rigid))
-                    if np.isfinite(now):  # a simulation that went wild says nothing
+                    if np.isfinite(now):  # a diverged simulation gives no estimate
                         level[channel] = np.sqrt((noise + now) / (noise + then))
             found.append(level)
         return found
 
     def _change(self, hypothesis: Hypothesis) -> list[Array]:
-        """What more noise of the motion changes in the torques (E, joints) of each run."""
+        """Change of the torques (E, joints) of each run with added motion noise."""
         pair = (self._needed(hypothesis, motions) for motions in (self._noisier, self._motions))
         return [one - other for one, other in zip(*pair, strict=True)]
 
     @cached_property
     def _rigid_change(self) -> list[Array]:
-        """The same of the nominal model."""
+        """Change of the nominal model's torques with added motion noise."""
         return self._change(Hypothesis(effects=(), values=()))
 
     @cached_property
     def _noisier(self) -> list[Motion]:
-        """The motions with as much noise again as their sensors have."""
+        """Motions with sensor noise added a second time."""
         found = []
         for number, (run, motion) in enumerate(zip(self.trials, self._motions, strict=True)):
             rng = np.random.default_rng([_SEED, number])
@@ -168,14 +167,14 @@ class InverseDynamics:
         return found
 
     def spacing(self, trial: int) -> int:
-        """Samples from one that is compared to the next."""
+        """Spacing of the compared samples."""
         return int(self._motions[trial].chosen[1])
 
     def shows(self, effect: Effect) -> bool:
-        """Whether an effect makes a difference to the torque that a motion needs.
+        """Return whether an effect changes the inverse dynamics torque.
 
-        Of a sensor only those of joint positions and speeds do. A bias of a position is the same
-        as an offset of the encoder, which stands for both.
+        Of a sensor only those of joint positions and speeds do. A bias of a position is the same as
+        an offset of the encoder, which represents both.
         """
         if effect.drives:
             start, lone = np.array(effect.starts[0]), np.ones(1)
@@ -197,7 +196,7 @@ class InverseDynamics:
         )
 
     def predict(self, hypotheses: Sequence[Hypothesis]) -> list[list[Array]]:
-        """Torques of every run under every hypothesis.
+        """Predict torques of every run under every hypothesis.
 
         Returns
         -------
@@ -218,7 +217,7 @@ class InverseDynamics:
         return found
 
     def _needed(self, hypothesis: Hypothesis, motions: list[Motion]) -> list[Array]:
-        """What the drives give (E, joints) in each run."""
+        """Drive torques (E, joints) in each run."""
         model = hypothesis.model(self.machine, self.machine.step or self.machine.model.opt.timestep)
         self.simulated += sum(len(m.chosen) for m in motions)
         if model.nv > self.machine.model.nv:
@@ -236,7 +235,7 @@ class InverseDynamics:
         return found
 
     def _rigid(self, model: mujoco.MjModel, motions: list[Motion]) -> list[Array]:
-        """M a + bias - passive of all runs at once (E, joints) each."""
+        """Rigid-body term M a + bias - passive of all runs at once (E, joints) each."""
         states = [m.states for m in motions]
         position, speed, acceleration = (np.concatenate(part) for part in zip(*states, strict=True))
         model.opt.disableflags |= _OFF
@@ -260,7 +259,7 @@ class InverseDynamics:
         return self._batches[key]
 
     def _dry(self, hypothesis: Hypothesis, model: mujoco.MjModel, motion: Motion) -> Array:
-        """What friction by direction, unseen drives and torque terms take (E, joints)."""
+        """Torques of dry friction, unmodelled drives and torque terms (E, joints)."""
         direction = np.tanh(motion.speed / np.maximum(motion.noise[1], 1e-12))
         found: Array = np.asarray(model.dof_frictionloss * direction)
         for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
@@ -276,7 +275,7 @@ class InverseDynamics:
         return motion.band.smooth(found)[motion.chosen]
 
     def _motions_for(self, hypothesis: Hypothesis) -> list[Motion]:
-        """The motions, corrected for what a hypothesis says of the sensors that show them."""
+        """Motions, corrected for a hypothesis' sensor effects."""
         reading = [
             (effect, values)
             for effect, values in zip(hypothesis.effects, hypothesis.values, strict=True)
@@ -294,7 +293,7 @@ class InverseDynamics:
         return self._corrected[key]
 
     def _corrected_motion(self, trial: int, reading: list[tuple[Effect, Array]]) -> Motion:
-        """Follow the readings back to what was there, by repeated correction."""
+        """Invert the sensor effects on readings by fixed-point iteration."""
         run, motion = self.trials[trial], self._motions[trial]
         shown = {
             c.column: motion.band.smooth(filled(run.time, run.measured[:, k], motion.time))
@@ -317,10 +316,10 @@ class InverseDynamics:
         return smooth_motion(run, self.machine, self.channels, raw, motion.band)
 
     def _propagated(self) -> list[Array]:
-        """Variance of the torque that comes from the motion's noise (joints,), run by run.
+        """Variance of the torque due to the motion's noise (joints,), run by run.
 
-        Differences of the nominal model's torque, over all samples: what a standard deviation of
-        each joint's position, speed and acceleration changes, root mean square.
+        Finite differences of the nominal model's torque, over all samples: the root mean square
+        change by a standard deviation of each joint's position, speed and acceleration.
         """
         nominal = Hypothesis(effects=(), values=())
         model = nominal.model(self.machine, self.machine.step or self.machine.model.opt.timestep)
@@ -354,7 +353,7 @@ class InverseDynamics:
 
 
 def _times(model: mujoco.MjModel, mass: Array, acceleration: Array) -> Array:
-    """Mass matrices as MuJoCo stores them, lower triangles by row (E, nC), times (E, nv)."""
+    """Multiply packed lower-triangular mass matrices (E, nC) by vectors (E, nv)."""
     found = np.zeros_like(acceleration)
     rows = np.repeat(np.arange(model.nv), model.M_rownnz)
     for k, (row, column) in enumerate(zip(rows, model.M_colind, strict=True)):
@@ -365,7 +364,7 @@ def _times(model: mujoco.MjModel, mass: Array, acceleration: Array) -> Array:
 
 
 def _moved(motion: Motion, kind: int, joint: int) -> Motion:
-    """The motion with one joint's position, speed or acceleration off by its noise."""
+    """Perturb the motion of one joint by its noise in position, speed or acceleration."""
     parts = [motion.position, motion.speed, motion.acceleration]
     parts[kind] = parts[kind].copy()
     parts[kind][:, joint] += motion.noise[kind, joint]
@@ -376,14 +375,14 @@ def _moved(motion: Motion, kind: int, joint: int) -> Motion:
 
 
 def _share_passed(motion: Motion) -> float:
-    """Share of white noise's power that the filter passes."""
+    """Share of white noise power that the filter passes."""
     impulse = np.zeros(min(len(motion.time), 4096))
     impulse[len(impulse) // 2] = 1.0
     return float(np.sum(motion.band.smooth(impulse) ** 2))
 
 
 def _directed(motion: Motion, joint: int) -> NDArray[np.bool_]:
-    """Where the direction of a joint's motion is known (G,); everywhere if it never moves."""
+    """Mask of known directions of a joint's motion (G,); all if it never moves."""
     speed, noise = np.abs(motion.speed[:, joint]), motion.noise[1, joint]
     if float(speed.max()) < _MOVES * noise:
         return np.ones(len(speed), dtype=bool)

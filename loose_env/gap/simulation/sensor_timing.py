@@ -1,8 +1,8 @@
-"""What sensors read at a moment, where commands change within a step, or a sensor is late.
+"""Sensor values at exact times, for commands within a step and sensor delays.
 
-A step is simulated with the mean of a command over it. An accelerometer reads what is there at its
-moment: a servo's acceleration jumps with every command that it is given. One that is late reads
-what was there at its moment, between two steps.
+A step is simulated with the mean of a command over it. An accelerometer reads the instantaneous
+value: a servo's acceleration jumps with every command. A delayed one reads the value at an earlier
+time, between two steps.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _AT_A_TIME = 1024
 
 
 def changes_within(machine: Machine, hypothesis: Hypothesis, channels: Sequence[Channel]) -> bool:
-    """Whether commands may change within a step, and a channel shows it.
+    """Return whether commands may change within a step, visible in a channel.
 
     Positions and speeds follow the mean of a command.
     """
@@ -52,7 +52,7 @@ def changes_within(machine: Machine, hypothesis: Hypothesis, channels: Sequence[
 
 
 def late_sensors(hypothesis: Hypothesis, channels: Sequence[Channel]) -> dict[str, float]:
-    """Sensors among the channels that show what was, each with its delay [s]."""
+    """Delayed sensors among the channels, each with its delay [s]."""
     shown = {channel.column for channel in channels}
     found: dict[str, float] = {}
     for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
@@ -63,17 +63,17 @@ def late_sensors(hypothesis: Hypothesis, channels: Sequence[Channel]) -> dict[st
 
 
 def states_before(states: Mapping[str, Array], at: Array, step: float) -> dict[str, Array]:
-    """States between those of a simulation, of joints that turn or slide.
+    """Interpolate the states of a simulation, for hinge and slide joints.
 
-    Places follow cubics through the places and speeds at both ends of a step, within which
-    commands are constant, and speeds their slopes; activations follow straight lines.
+    Positions follow cubics through the positions and speeds at both ends of a step, within which
+    commands are constant, and speeds their slopes; activations are linear.
 
     Parameters
     ----------
     states : mapping
         Of `STATES`, at every step (S, ...).
     at : ndarray (T,)
-        When [s]; before the first state it holds.
+        Times [s]; before the first state it holds.
     step : float
         Step [s].
 
@@ -99,7 +99,7 @@ def states_before(states: Mapping[str, Array], at: Array, step: float) -> dict[s
 
 
 def commands_at(hypothesis: Hypothesis, clock: Array, controls: Array) -> Array:
-    """What is at the actuators at each step itself.
+    """Commands at the actuators at each step itself.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def commands_at(hypothesis: Hypothesis, clock: Array, controls: Array) -> Array:
     clock : ndarray (T,)
         Steps [s].
     controls : ndarray (T, actuators)
-        Commands that were given, held from their step to the next.
+        Input commands, held from their step to the next.
     """
     for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
         controls = effect.command_at(clock, controls, own)
@@ -123,20 +123,20 @@ def readings_at(
     controls: Array,
     threads: int,
 ) -> Array:
-    """Sensors, with commands as they are at the moment (T, sensors).
+    """Sensor values with instantaneous commands (T, sensors).
 
     Parameters
     ----------
     machine : Machine
         The nominal model.
     hypothesis : Hypothesis
-        What is simulated.
+        The simulated hypothesis.
     model : mujoco.MjModel
-        The same, compiled.
+        The compiled model of the hypothesis.
     states : mapping
         Of `STATES`, (T, ...) each.
     controls : ndarray (T, actuators)
-        Commands there.
+        Commands at these states.
     threads : int
         Threads of the simulation; 0: all processors.
     """

@@ -1,7 +1,7 @@
 """Simulates measured runs under many hypotheses at once, on MuJoCo's thread pool.
 
-A hypothesis is a list of effects with their values. What it predicts stands at the samples of the
-run, channel by channel, as the sensors would show it.
+A hypothesis is a list of effects with their values. Its predictions are sensor values at the
+samples of the run, channel by channel.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ class _Slot:
     hypothesis: Hypothesis
     model: mujoco.MjModel
     number: int
-    """Number of the run."""
+    """Index of the run."""
     trial: Trial
-    """The run on the steps that are taken."""
+    """The run, aligned with the simulated steps."""
     parts: int
-    """In how many parts each step of the run is simulated."""
+    """Number of substeps of each step of the run."""
 
 
 class Simulator:
@@ -66,7 +66,7 @@ class Simulator:
     trials : sequence of Trial
         The runs, forward or free.
     channels : tuple of Channel
-        What is predicted.
+        The predicted channels.
     threads : int
         Threads of the pool; 0: all processors.
     """
@@ -90,7 +90,7 @@ class Simulator:
         Returns
         -------
         list of list of ndarray (T, C)
-            By hypothesis, by trial; NaN where the simulation went wild.
+            By hypothesis, by trial; NaN where the simulation diverged.
         """
         motions = {self._motion(hypothesis): hypothesis for hypothesis in hypotheses}
         alike: dict[tuple[object, ...], list[_Slot]] = {}
@@ -124,7 +124,7 @@ class Simulator:
 
     @staticmethod
     def _motion(hypothesis: Hypothesis) -> object:
-        """What the motion depends on: hypotheses that differ in readings alone share it."""
+        """Key of the motion: hypotheses that differ in readings alone share it."""
         effects = zip(hypothesis.effects, hypothesis.values, strict=True)
         starts = (hypothesis.position, hypothesis.speed)
         return (
@@ -137,7 +137,7 @@ class Simulator:
         )
 
     def _simulate(self, slots: list[_Slot]) -> list[Array]:
-        """Sensors at the samples (T, sensors), by slot."""
+        """Simulate the sensors at the samples (T, sensors), by slot."""
         batch = self._batch(slots)
         moved = with_terms(batch, self.machine, [slot.hypothesis for slot in slots])
         parts = slots[0].parts
@@ -153,12 +153,12 @@ class Simulator:
             controls[k, :, : values.shape[1]] = values
         wild = np.zeros(len(slots), dtype=bool)
         resting = np.array([slot.trial.resting for slot in slots])
-        if resting.any() and settle:  # the clock runs on, for delayed commands are kept by time
+        if resting.any() and settle:  # the clock runs on, since delayed commands are stored by time
             held = np.repeat(controls[resting, :1], settle, axis=1)
             wild |= _advance(moved, settle, held, np.flatnonzero(resting), None)
         self.simulated += len(slots) * steps
         width = slots[0].model.nsensordata
-        # where a command changes within a step, or a sensor is late, sensors are worked out again
+        # where a command changes within a step, or a sensor is delayed, sensors are recomputed
         late = [late_sensors(slot.hypothesis, self.channels) for slot in slots]
         names = STATES if parts > 1 or any(late) else ()
         states: dict[str, list[Array]] = {name: [] for name in names}
@@ -196,7 +196,7 @@ class Simulator:
         )
 
     def _late(self, slot: _Slot, states: Mapping[str, Array], delay: float) -> Array:
-        """Sensors as they were so long before every step of a trial (T, sensors)."""
+        """Sensors delayed by a time, at every step of a trial (T, sensors)."""
         trial = slot.trial
         clock: Array = np.arange(trial.steps, dtype=float) * trial.step
         then = states_before(states, clock - delay, trial.step / slot.parts)
@@ -205,7 +205,7 @@ class Simulator:
         return self._readings(slot, then, commands[np.maximum(held, 0)])
 
     def _batch(self, slots: list[_Slot]) -> Batch:
-        """Batch of as many slots, with these models."""
+        """Create a batch of as many slots, with these models."""
         key = (*_layout(slots[0].model), has_terms(slots[0].hypothesis), len(slots))
         if key not in self._batches:
             if len(self._batches) > 6:
@@ -216,7 +216,7 @@ class Simulator:
         return batch
 
     def _set_start(self, batch: Batch, slots: list[_Slot]) -> None:
-        """Put every slot where its run began."""
+        """Set every slot to the initial state of its run."""
         batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
         qpos, qvel = batch.qpos, batch.qvel
         for k, slot in enumerate(slots):
@@ -237,7 +237,7 @@ class Simulator:
     def _columns(
         self, hypothesis: Hypothesis, model: mujoco.MjModel, whole: Array, trial: Trial
     ) -> Array:
-        """What the channels show (T, C)."""
+        """Channel values (T, C)."""
         readings: Readings = {}
         for column in dict.fromkeys(channel.column for channel in self.channels):
             prefix, _, name = column.partition(".")
@@ -261,7 +261,7 @@ class Simulator:
 
 
 def _layout(model: mujoco.MjModel) -> tuple[object, ...]:
-    """What two models must share to lie in one batch."""
+    """Key of the layout that two models must share in one batch."""
     sizes = (
         "nq", "nv", "nu", "na", "nbody", "njnt", "nsite", "nsensor", "nsensordata", "neq",
         "nhistory", "nM", "ngeom", "ntendon", "nJmom", "nC",
@@ -283,7 +283,7 @@ def _advance(
     records: dict[str, Array] | None,
     more: Sequence[str] = (),
 ) -> NDArray[np.bool_]:
-    """Advance some slots; return which of all slots went wild."""
+    """Advance some slots; return the mask of diverged slots."""
     names = ("sensordata", *more) if records is not None else ("qpos",)
     wild = np.zeros(batch.nsim, dtype=bool)
     try:

@@ -1,7 +1,7 @@
-"""How many steps a hypothesis takes: as few as the nominal model asks for, more for what is sharp.
+"""Number of steps of a hypothesis: as nominal, more for stiff effects.
 
-The step is chosen by the nominal model, which has no stiff spring and often no friction. A joint
-that comes to rest or a spring that rings within a few steps asks for finer ones.
+The step is chosen for the nominal model, which has no stiff spring and often no friction. A joint
+that comes to rest or a spring that oscillates within a few steps needs finer ones.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ __all__ = ["step_with", "stepped"]
 
 
 def stepped(trial: Trial, machine: Machine, effects: Iterable[Effect]) -> Trial:
-    """A run on the steps that a hypothesis of these effects takes.
+    """Align a run with the steps needed by a hypothesis of these effects.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def stepped(trial: Trial, machine: Machine, effects: Iterable[Effect]) -> Trial:
         How many of them are taken as one (`Machine.joined`), and into how many parts they are cut
         for what is sharp (`Machine.cut`).
     effects : iterable of Effect
-        What the hypothesis adds.
+        Effects of the hypothesis.
     """
     if machine.even or not any(effect.sharp for effect in effects):
         return trial.coarser(machine.joined)
@@ -34,7 +34,7 @@ def stepped(trial: Trial, machine: Machine, effects: Iterable[Effect]) -> Trial:
 
 
 def step_with(machine: Machine, effects: Iterable[Effect]) -> float:
-    """Step that a model with these effects should have, at most that of the machine [s]."""
+    """Time step for a model with these effects, at most that of the machine [s]."""
     step = machine.step or float(machine.model.opt.timestep)
     sharp = any(effect.sharp for effect in effects)
     return step / machine.cut if sharp and machine.joined == 1 else step

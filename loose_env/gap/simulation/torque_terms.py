@@ -1,11 +1,11 @@
-"""Terms on the joints' torque that an effect states as a function of position and speed.
+"""Joint torque terms defined by an effect as a function of position and speed.
 
-MJCF has no means for them, so that Python adds them to a simulation step by step. A torque that is
-held over a step and taken from its beginning is late by half a step, so that a spring drives what
-it should hold. Under a Runge-Kutta method the mean of the term along the step is held instead, over
-positions and speeds that the acceleration at its beginning predicts; by how much that mean was off,
-the step shows, and the next one makes up for it. What sensors read at the beginning of a step is
-worked out with the term as it is there.
+MJCF cannot express them, so that Python adds them to a simulation step by step. A torque held over
+a step and evaluated at its beginning is late by half a step, so that a spring adds energy. Under a
+Runge-Kutta method the mean of the term along the step is held instead, over positions and speeds
+predicted from the acceleration at its beginning; the error of that mean is known after the step,
+and the next one corrects it. Sensors at the beginning of a step are computed with the instantaneous
+term.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ _STATE = ("qpos", "qvel", "act")
 
 
 def has_terms(hypothesis: Hypothesis) -> bool:
-    """Whether any of its effects is a term on the torque."""
+    """Return whether any effect of a hypothesis is a torque term."""
     return any(type(effect).torque is not Effect.torque for effect in hypothesis.effects)
 
 
 def torque_terms(hypothesis: Hypothesis, position: Array, speed: Array) -> Array:
-    """What the terms of a hypothesis give together (..., joints) [N·m, N].
+    """Sum of the torque terms of a hypothesis (..., joints) [N·m, N].
 
     Parameters
     ----------
     hypothesis : Hypothesis
         Effects with their values.
     position, speed : ndarray (..., joints)
-        Of the machine's joints [rad, m], [rad/s, m/s].
+        State of the machine's joints [rad, m], [rad/s, m/s].
 
     Raises
     ------
@@ -55,7 +55,7 @@ def torque_terms(hypothesis: Hypothesis, position: Array, speed: Array) -> Array
         If a term is not one number per joint.
     """
     found = np.zeros(position.shape)
-    with np.errstate(all="ignore"):  # a simulation that goes wild is told from its state
+    with np.errstate(all="ignore"):  # a diverging simulation is detected from its state
         for effect, values in zip(hypothesis.effects, hypothesis.values, strict=True):
             if type(effect).torque is Effect.torque:
                 continue
@@ -79,7 +79,7 @@ def with_terms(
     batch : mujoco.batch.Batch
         The simulations.
     machine : Machine
-        Whose joints the terms know.
+        Machine with the joints of the terms.
     hypotheses : sequence of Hypothesis
         That of each simulation.
     """
@@ -105,7 +105,7 @@ class BatchWithTerms:
 
     @property
     def nsim(self) -> int:
-        """How many simulations there are."""
+        """Number of simulations."""
         return int(self.batch.nsim)
 
     def bind(self, name: str) -> Array:
@@ -122,8 +122,9 @@ class BatchWithTerms:
     ) -> dict[str, Array]:
         """Advance some simulations, as `mujoco.batch.Batch.rollout` does.
 
-        Readings and forces are those at the beginning of each step, under its own command. What
-        MuJoCo warns of is NaN from the beginning, for a term may drive a simulation wild.
+        Readings and forces are those at the beginning of each step, under its own command. A
+        simulation with a MuJoCo warning is NaN from the beginning, since a term may make it
+        diverge.
 
         Parameters
         ----------
@@ -132,11 +133,11 @@ class BatchWithTerms:
         control : ndarray (ids, count, actuators)
             Commands of each step.
         control_spec : int
-            What they are: `mujoco.mjtState.mjSTATE_CTRL`.
+            Type of the commands: `mujoco.mjtState.mjSTATE_CTRL`.
         record : sequence of str
             Fields to be recorded, each after its step.
         ids : ndarray (ids,)
-            Numbers of the simulations, rising.
+            Indices of the simulations, increasing.
 
         Returns
         -------
@@ -144,7 +145,7 @@ class BatchWithTerms:
             By field.
         """
         batch = self.batch
-        # asked for first: a field is worked out from the call after that on
+        # requested first: a field is computed from the next call on
         fields = {name: batch.bind(name) for name in (*record, "qpos", "qvel", "qacc")}
         commands, applied = batch.bind("ctrl"), batch.bind("qfrc_applied")
         found = {name: np.empty((len(ids), count, *fields[name].shape[1:])) for name in record}
@@ -186,7 +187,7 @@ class BatchWithTerms:
         return found
 
     def _rows(self, ids: NDArray[np.intp]) -> list[tuple[Hypothesis, slice | NDArray[np.intp]]]:
-        """Hypotheses with terms, and which of the simulations are theirs."""
+        """Hypotheses with terms, and the indices of their simulations."""
         known = {id(self.hypotheses[i]): self.hypotheses[i] for i in ids}
         if len(known) == 1:
             return [(hypothesis, slice(None)) for hypothesis in known.values()]
@@ -200,7 +201,7 @@ class BatchWithTerms:
     def _terms(
         rows: Sequence[tuple[Hypothesis, slice | NDArray[np.intp]]], states: Sequence[State]
     ) -> Array:
-        """What the terms give in some states, one after the other (states, sims, joints)."""
+        """Terms in some states, one after the other (states, sims, joints)."""
         position, speed = states[0]
         if len(states) > 1:
             position = np.concatenate([one for one, _ in states])
@@ -212,14 +213,14 @@ class BatchWithTerms:
 
 
 def _nodes_ahead(now: State, rate: Array, step: float) -> State:
-    """Positions and speeds at the nodes of a step that begins, at an even acceleration."""
+    """Positions and speeds at the nodes of the next step, at constant acceleration."""
     position, speed = now
     time = step * _NODES
     return position + time * (speed + 0.5 * time * rate), speed + time * rate
 
 
 def _nodes_between(before: State, now: State, step: float) -> State:
-    """Positions and speeds at the nodes of a step that has passed, by Hermite's cubic."""
+    """Positions and speeds at the nodes of a finished step, by cubic Hermite splines."""
     (first, start), (last, end) = before, now
     slope = (last - first) / step
     bend, twist = 3 * slope - 2 * start - end, start + end - 2 * slope

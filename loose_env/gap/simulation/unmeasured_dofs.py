@@ -1,9 +1,9 @@
-"""The torque that a model needs for a measured motion when it also moves where nothing is measured.
+"""Inverse dynamics of models with unmeasured degrees of freedom.
 
 A compliant drive or one with backlash has more coordinates than the measured ones. The measured
-joints are led along their motion, the others move freely: to each measured joint a rotor is added
-that is far heavier than all the joint carries, and a force that moves this rotor as measured. What
-the model needs is what the force gives beyond moving the rotor.
+joints follow their motion, the others move freely: each measured joint gets a rotor far heavier
+than all it carries, and a force that moves this rotor as measured. The torque of the model is the
+force beyond that which moves the rotor.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _SLOW = 2 * np.pi * 2.0
 
 
 class Drive:
-    """Leads a model along motions.
+    """Drives the measured joints of a model along prescribed motions.
 
     Parameters
     ----------
@@ -50,14 +50,14 @@ class Drive:
         self.machine, self.threads = machine, threads
 
     def torque(self, hypothesis: Hypothesis, motion: Motion) -> Array:
-        """What the measured joints' drives give, on the motion's grid (G, joints) [N·m or N].
+        """Drive torques of the measured joints, on the motion's grid (G, joints) [N·m, N].
 
         Parameters
         ----------
         hypothesis : Hypothesis
-            Whose model is led.
+            Hypothesis whose model is driven.
         motion : Motion
-            Of the measured joints.
+            Motion of the measured joints.
         """
         machine, joints = self.machine, self.machine.joints
         longest = machine.step or float(machine.model.opt.timestep)
@@ -67,12 +67,12 @@ class Drive:
         model, rotors = self._model(hypothesis, step)
         dofs = [int(model.joint(name).dofadr[0]) for name in joints]
         places = [int(model.joint(name).qposadr[0]) for name in joints]
-        # What came before is taken as the beginning turned about the first sample.
+        # Before the run, its beginning is extrapolated by point reflection at the first sample.
         before = min(len(motion.time) - 1, round(_SETTLE / interval))
         turned = 2 * motion.position[0] - motion.position[before:0:-1]
         positions = np.concatenate([turned, motion.position])
         speeds = np.concatenate([motion.speed[before:0:-1], motion.speed])
-        # Leapfrog: MuJoCo's semi-implicit step takes a speed half a step before its position.
+        # Leapfrog: MuJoCo's semi-implicit step has speeds half a step before positions.
         grid = interval * np.arange(len(positions), dtype=np.float64)
         times = step * np.arange((len(grid) - 1) * inside + 1, dtype=np.float64)
         middles = step * (np.arange(len(times) + 1, dtype=np.float64) - 0.5)
@@ -136,10 +136,10 @@ class Drive:
 
 
 def _sluggish(model: mujoco.MjModel, joints: Sequence[str]) -> mujoco.MjModel:
-    """The same with the joints that are not measured so damped that none rings.
+    """Copy with unmeasured joints damped until they do not oscillate.
 
-    So they come to where gravity and the first motion hold them before the run begins; lightly
-    damped springs would ring for seconds.
+    They then settle under gravity and the first motion before the run begins; lightly damped
+    springs would oscillate for seconds.
     """
     found = copy.deepcopy(model)
     led = {int(model.joint(name).dofadr[0]) for name in joints}
@@ -152,6 +152,6 @@ def _sluggish(model: mujoco.MjModel, joints: Sequence[str]) -> mujoco.MjModel:
 
 
 def _between(grid: Array, values: Array, times: Array) -> Array:
-    """Values (G, joints) at other times, from the cubic spline through them."""
+    """Interpolate values (G, joints) to other times, by cubic spline."""
     spline = make_interp_spline(grid, values, k=3)
     return np.asarray(spline(np.clip(times, grid[0], grid[-1])))

@@ -23,27 +23,29 @@ def explain_gap(
     say: Callable[[str], None] = lambda _: None,
     stages: Stage = fresh,
 ) -> GapResult:
-    """Name what the model of a recording lacks, and how far that closes the gap.
+    """Identify effects that a model lacks, and the reduction of the residual.
+
+    The effects are fitted to a recording and scored on held-out runs.
 
     Parameters
     ----------
     recording : Recording
         Measured runs and the nominal model.
     settings : GapSettings, optional
-        How they are compared.
+        Settings of the comparison.
     folder : str or Path, optional
         Gets ``model.xml``, the corrected model with the files it needs, and ``result.json``; made
         where there is none. By default nothing is written.
     say : callable
-        Told what goes on, line by line.
+        Receives progress messages, line by line.
     stages : callable
-        Keeps finished stages, such as `loose_env.gap.output.checkpoints.Stages`; an interrupted
+        Checkpoints of stages, such as `loose_env.gap.output.checkpoints.Stages`; an interrupted
         run goes on from there.
 
     Returns
     -------
     GapResult
-        What ``result.json`` holds. A notebook shows it as a table.
+        Content of ``result.json``. A notebook shows it as a table.
 
     Raises
     ------

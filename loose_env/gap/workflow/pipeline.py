@@ -1,4 +1,4 @@
-"""The whole of it: from a recording to what its model lacks."""
+"""Pipeline from a recording to the effects that its model lacks."""
 
 from __future__ import annotations
 
@@ -38,25 +38,25 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GapFound:
-    """What was found."""
+    """Result of the identification pipeline."""
 
     prepared: Prepared
-    """What was compared."""
+    """The prepared recording."""
     named: Named
-    """Step by step; the last part of the search, by its noise
+    """Search, step by step; its last part, with the noise of that part
     (`loose_env.gap.selection.reweighted_search`)."""
     base: Judged
-    """The nominal model, fitted within the tolerance, on whole held-out runs."""
+    """The nominal model, fitted within the tolerance, scored on whole held-out runs."""
     best: Judged
-    """With the effects that were named, on whole held-out runs."""
+    """The model with the identified effects, scored on whole held-out runs."""
     verdict: Verdict
     """ "named", "no_gap" or "unexplained"."""
     effects: tuple[NamedEffect, ...]
-    """What the model lacks."""
+    """Effects that the model lacks."""
     ranking: tuple[Ranked, ...]
-    """What was tried."""
+    """Ranking of all fitted hypotheses."""
     struck: Struck | None = None
-    """A part that was found by how hard it strikes its stops."""
+    """A part with stops, identified by its impact power."""
 
 
 def find_gap(
@@ -66,18 +66,18 @@ def find_gap(
     say: Say = lambda _: None,
     stages: Stage = fresh,
 ) -> GapFound:
-    """Find what the model of a recording lacks.
+    """Identify the effects that the model of a recording lacks.
 
     Parameters
     ----------
     recording : Recording
         Measured runs and the nominal model.
     settings : GapSettings, optional
-        How they are compared.
+        Settings of the comparison.
     say : callable
-        Told what goes on, line by line.
+        Receives progress messages, line by line.
     stages : callable
-        Keeps finished stages, such as `loose_env.gap.output.checkpoints.Stages`; an interrupted
+        Checkpoints of stages, such as `loose_env.gap.output.checkpoints.Stages`; an interrupted
         run goes on from there.
 
     Raises
@@ -86,12 +86,12 @@ def find_gap(
         If the recording has too few runs, or a run lacks what its comparison needs.
     """
     settings = settings or GapSettings()
-    with quiet():  # simulations that go wild are part of the search
+    with quiet():  # diverging simulations are part of the search
         return _find_gap(recording, settings, say, stages)
 
 
 def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Stage) -> GapFound:
-    """Find it, with the engine's warnings on the console or not."""
+    """Run the pipeline, with or without the engine's warnings."""
     prepared = prepare(recording, settings)
     machine = prepared.machine
     nominal = NominalFigures(machine, tolerance=settings.tolerance)
@@ -107,7 +107,7 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Sta
     whole, judge = (Judge(runs.fit, runs.whole_held) for runs in (prepared, heard))
     if prepared.fit is not prepared.search or prepared.held is not prepared.whole_held:
         say("fits what was found to more of the runs")
-        begun = _starts(prepared.fit)  # other windows begin elsewhere
+        begun = _starts(prepared.fit)  # other windows have other initial states
         kept = keep("", [*begun, nominal])
         base = kept.judged("nominal-whole", lambda: whole.judge(_again(prepared, base, begun)))
         if best.fitted.named:
@@ -139,13 +139,13 @@ def _find_gap(recording: Recording, settings: GapSettings, say: Say, stages: Sta
 
 
 def _starts(comparison: Comparison) -> list[Effect]:
-    """Where runs that begin in motion began, to be fitted with every hypothesis."""
+    """Initial states of runs that begin in motion, fitted with every hypothesis."""
     start = StartState(comparison.machine, comparison.trials, comparison.channels)
     return [start] if start.moving else []
 
 
 def _again(prepared: Prepared, judged: Judged, begun: list[Effect]) -> Fit:
-    """Fit to more of the runs, from where the search ended."""
+    """Refit to more of the runs, starting from the result of the search."""
     effects, free = judged.fitted.effects, judged.fitted.free
     if prepared.fit is prepared.search:
         return judged.fitted
@@ -175,7 +175,7 @@ _SURE = 4.0
 
 
 def _verdict(base: Judged, best: Judged) -> Verdict:
-    """Whether something is missing, and whether the catalogue has it."""
+    """Decide whether effects are missing, and whether the catalogue explains them."""
     if not best.fitted.named:
         return "unexplained" if best.structure_sureness > _SURE or best.loud else "no_gap"
     kinds = Counter(effect.kind for effect in best.fitted.named)
@@ -193,7 +193,7 @@ def _verdict(base: Judged, best: Judged) -> Verdict:
 def _named(
     searched: Searched, fitted: Fit, intervals: Intervals, struck: Struck | None
 ) -> tuple[NamedEffect, ...]:
-    """Effects of the best hypothesis, the nominal figures left out."""
+    """Effects of the best hypothesis, without the nominal parameters."""
     found = []
     for effect, own in zip(fitted.effects, slices_of(fitted.effects), strict=True):
         if effect.kind in UNNAMED:

@@ -1,7 +1,7 @@
-"""The search taken step by step: one tries effects, those of one's own too, and adds what helps.
+"""Interactive search: fit built-in or custom effects one at a time and add them.
 
-Each step does what the search as a whole does: the nominal figures are fitted along within their
-tolerance, an effect is fitted from its most promising start, and runs that were held out judge.
+Each step is that of the automatic search: the nominal parameters are fitted jointly within their
+tolerance, an effect is fitted from its best screened start, and scored on held-out runs.
 """
 
 from __future__ import annotations
@@ -45,27 +45,27 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tried:
-    """One effect, fitted beside what was there, and judged by the held-out runs."""
+    """One effect, fitted beside the current model and scored on held-out runs."""
 
     effect: Effect
-    """What was tried."""
+    """The fitted effect."""
     parameters: dict[str, float]
-    """Best values."""
+    """Fitted parameter values."""
     held_out: float
-    """What is left of the held-out runs, root mean square in noise standard deviations."""
+    """Residual on the held-out runs, root mean square in noise standard deviations."""
     before: float
     """The same without the effect."""
     lead: Lead
-    """By how much it is ahead of the model without it, in standard deviations; and its share."""
+    """Improvement (z) over the model without it, and the explained share."""
     believed: bool
     """Whether the search would name it: surely ahead, by enough, and not by a limit or by noise.
     Beside a part that strikes its stops the search takes what these leave as noise, and may name
     what is hidden by that here."""
     judged: Judged = field(repr=False)
-    """The fit itself."""
+    """The scored fit."""
 
     def __str__(self) -> str:
-        """All of it in one line."""
+        """Format as one line."""
         units = {p.name: p.unit for p in self.effect.parameters}
         values = ", ".join(f"{k} {v:.4g} {units[k]}".rstrip() for k, v in self.parameters.items())
         return (
@@ -90,16 +90,16 @@ class Tried:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MissingTorque:
-    """What one joint needed beyond the model, at samples of all runs with commands."""
+    """Residual torque of one joint, at samples of all runs with commands."""
 
     position: Array
-    """[rad, m] (N,)."""
+    """Position [rad, m] (N,)."""
     speed: Array
-    """[rad/s, m/s] (N,)."""
+    """Velocity [rad/s, m/s] (N,)."""
     acceleration: Array
-    """[rad/s², m/s²] (N,)."""
+    """Acceleration [rad/s², m/s²] (N,)."""
     torque: Array
-    """What the drive gave beyond what the model needs for the motion [N·m, N] (N,)."""
+    """Actuator torque beyond the inverse dynamics of the model [N·m, N] (N,)."""
 
 
 class GapSession:
@@ -110,18 +110,18 @@ class GapSession:
     recording : Recording
         Measured runs and the nominal model.
     settings : GapSettings, optional
-        How they are compared.
+        Settings of the comparison.
     say : callable
-        Told what goes on, line by line.
+        Receives progress messages, line by line.
 
     Attributes
     ----------
     prepared : Prepared
-        Runs laid out and split, the step that was chosen, the noise.
+        Aligned and split runs, the chosen step, the noise.
     nominal : Judged
         The nominal model, fitted within the tolerance.
     best : Judged
-        With what was added since.
+        The current model, with the added effects.
 
     Raises
     ------
@@ -171,7 +171,7 @@ class GapSession:
     ) -> None:
         self.settings, self.say = settings or GapSettings(), say
         self._recording, self._naming = recording, NamingSettings()
-        with quiet():  # simulations that go wild are part of a fit
+        with quiet():  # diverging simulations are part of a fit
             self.prepared: Prepared = prepare(recording, self.settings)
             search = self.prepared.search
             start = StartState(self.machine, search.trials, search.channels)
@@ -185,12 +185,12 @@ class GapSession:
 
     @property
     def machine(self) -> Machine:
-        """The nominal model, with the step and the figures that the recording asks for."""
+        """The nominal model, with the step, typical loads and speeds of the recording."""
         return self.prepared.machine
 
     @property
     def added(self) -> tuple[Effect, ...]:
-        """What was added so far."""
+        """Effects added so far."""
         return self.best.fitted.named
 
     def try_effect(
@@ -200,7 +200,7 @@ class GapSession:
         *,
         start: Sequence[float] | None = None,
     ) -> Tried:
-        """Fit an effect beside what was added, and judge it by the held-out runs.
+        """Fit an effect beside those added, and score it on the held-out runs.
 
         Parameters
         ----------
@@ -208,15 +208,15 @@ class GapSession:
             One of `machine`, or a class, or the identifier of one in the catalogue; it need not be
             registered.
         where : str, optional
-            Place of a class or an identifier: one of its `places`.
+            Location of a class or an identifier: one of its `places`.
         start : sequence of float, optional
-            Values from which the fit begins; by default the most promising of its own.
+            Starting values of the fit; by default the best of its own by screening.
 
         Raises
         ------
         InvalidSetting
-            If the place is missing, or stands beside an effect that has one; or if a spring or a
-            gap was added there already.
+            If the location is missing, or given for an effect that has one; or if a spring or a
+            clearance was added there already.
         InvalidData
             If the effect changes nothing that was measured.
         UnknownName
@@ -241,7 +241,7 @@ class GapSession:
         return tried
 
     def add(self, tried: Tried) -> None:
-        """Keep an effect: all that is tried from now on stands beside it.
+        """Add an effect to the current model; later fits include it.
 
         Raises
         ------
@@ -257,16 +257,16 @@ class GapSession:
         self.say(f"{tried.effect!r} added: {self.best.held_rms:.2f} held out")
 
     def residuals(self) -> tuple[Series, ...]:
-        """What is left of each channel in each held-out run, in noise standard deviations."""
+        """Residual of each channel in each held-out run, in noise standard deviations."""
         held = self.prepared.whole_held
         found = series_of(self.best.held_residual, held.rows, held.trials, held.channels)
         return tuple(found)
 
     def missing_torque(self, joint: str) -> MissingTorque:
-        """What a joint needed beyond the model in the runs with commands, to be plotted.
+        """Return the residual torque of a joint in the runs with commands, for plotting.
 
-        Against position it shows springs and cogging, against speed friction. It is smoothed as
-        the measured motion has to be, and rough where drives are stiff.
+        Against position it shows springs and cogging, against speed friction. It is smoothed like
+        the measured motion, and noisy where drives are stiff.
 
         Raises
         ------
@@ -287,7 +287,7 @@ class GapSession:
         )
 
     def named(self) -> tuple[NamedEffect, ...]:
-        """What was added, with 95 % intervals, as a result has it."""
+        """Added effects with 95 % intervals, in the form of a result."""
         search = self.prepared.search
         with quiet():
             fitted = refined(self.best.fitted, search)
@@ -314,12 +314,12 @@ class GapSession:
 
     @property
     def code(self) -> str:
-        """Python lines that apply to a simulation what MJCF cannot express; "" if nothing."""
+        """Python lines that apply effects which MJCF cannot express; "" if none."""
         machine = machine_part(self.best)
         return correction_code(machine.effects, machine.values)
 
     def write_model(self, path: str | Path) -> list[Path]:
-        """Write the model with what was added, and the files it needs beside it.
+        """Write the model with the added effects, and the files it needs beside it.
 
         Raises
         ------
@@ -340,7 +340,7 @@ class GapSession:
         )
 
     def _effects(self, effect: Effect | type[Effect] | str, where: str | None) -> list[Effect]:
-        """The effect at its place, in every form."""
+        """Instances of an effect at a location, in every variant."""
         if isinstance(effect, Effect):
             if where is not None:
                 raise InvalidSetting(f"{effect!r} has its place; leave {where!r} out")
@@ -352,12 +352,12 @@ class GapSession:
         if where is None:
             places = list(effect.places(self.machine))
             raise InvalidSetting(f"{effect.kind} needs a place, one of {places}")
-        effect(self.machine, where)  # refuses other places
+        effect(self.machine, where)  # raises for other locations
         forms = effect.forms(self.machine, where)
         return [effect(self.machine, where, variant) for variant in forms]
 
     def _not_added(self, effects: list[Effect]) -> list[Effect]:
-        """Those for which there is room: nothing lies between two springs or gaps on one axis."""
+        """Filter effects that can still be added: one spring or clearance per axis."""
         added = {effect.key for effect in self.added if effect.adds_motion}
         left = [effect for effect in effects if effect.key not in added]
         if not left:
@@ -383,5 +383,5 @@ class GapSession:
 
 
 def _by_name(effect: Effect, values: Array) -> dict[str, float]:
-    """Values (P,) by the names of the parameters."""
+    """Map the names of the parameters to values (P,)."""
     return {p.name: float(v) for p, v in zip(effect.parameters, values, strict=True)}

@@ -1,4 +1,4 @@
-"""From a finished comparison to its result: evidence gathered, model and result file written."""
+"""Result of a finished comparison: evidence, corrected model and result file."""
 
 from __future__ import annotations
 
@@ -52,49 +52,49 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GapOutputs:
-    """A finished comparison."""
+    """Outputs of a finished comparison."""
 
     machine: Machine
-    """The nominal model, with the step that was chosen."""
+    """The nominal model, with the chosen step."""
     fit: Comparison
-    """The runs that were fitted to."""
+    """The training runs."""
     held: Comparison
-    """The runs that judged."""
+    """The held-out runs."""
     base: Judged
     """The nominal model, fitted within the tolerance."""
     best: Judged
-    """With the effects that were named, or nearly named."""
+    """The model with the identified effects, or those nearly accepted."""
     verdict: Verdict
     """ "named", "no_gap" or "unexplained"."""
     effects: tuple[NamedEffect, ...] = ()
-    """Those named, with intervals and what they cannot be told from."""
+    """Identified effects, with intervals and confusable effects."""
     ranking: tuple[Ranked, ...] = ()
-    """What was tried."""
+    """Ranking of all fitted hypotheses."""
     warnings: tuple[str, ...] = ()
-    """What a reader should know."""
+    """Notes for the reader."""
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """Everything that the result depends on besides the recording."""
+    """Provenance: all inputs of the result besides the recording."""
     model_path: Path | None = None
     """File of the nominal model; its meshes are copied."""
     recording: str = ""
-    """Name of the recording, for the page."""
+    """Name of the recording, for the report."""
     threads: int = 0
     """Threads of the simulation; 0: all processors."""
 
     @cached_property
     def exported(self) -> Exported:
-        """How the corrected model is written."""
+        """Export form of the corrected model."""
         return exported(self.held, machine_part(self.best), self.best.held_residual)
 
     @property
     def added(self) -> tuple[tuple[Effect, Array], ...]:
-        """Effects of the best hypothesis with their values, nominal figures first."""
+        """Effects of the best hypothesis with their values, nominal parameters first."""
         hypothesis = machine_part(self.best)
         return tuple(zip(hypothesis.effects, hypothesis.values, strict=True))
 
     @property
     def nameless(self) -> tuple[tuple[Effect, Array], ...]:
-        """Those of them that the corrected model has though they are not named."""
+        """Effects in the corrected model that are not reported as identified."""
         named = {(effect.kind, effect.where) for effect in self.effects}
         return tuple(
             (effect, values)
@@ -105,32 +105,32 @@ class GapOutputs:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Evidence:
-    """What is shown of a comparison beside its verdict."""
+    """Evidence shown beside the verdict of a comparison."""
 
     motions_held: tuple[JointMotion, ...]
-    """Of the held-out runs."""
+    """Residual size on the held-out runs."""
     location: Location
-    """Where the nominal model disagrees, on all runs."""
+    """Localised residual of the nominal model, on all runs."""
     before: tuple[HorizonError, ...]
     """Open-loop errors of the nominal model on the held-out runs."""
     after: tuple[HorizonError, ...]
-    """Of the corrected one."""
+    """Open-loop errors of the corrected model."""
     left_over: tuple[LeftOver, ...]
-    """What is left on the held-out runs."""
+    """Residual tests on the held-out runs."""
     left_location: Location
-    """Where that is."""
+    """Localised residual of the corrected model."""
     struck_before: tuple[StruckChannel, ...] = ()
     """Of the nominal model: channels of held-out runs that are compared by features."""
     struck_after: tuple[StruckChannel, ...] = ()
-    """Of the corrected one."""
+    """The same for the corrected model."""
     identifiability: Identifiability = field(default_factory=Identifiability)
-    """What the motions could not show, or tell apart."""
+    """Effects that the motions could not show, or distinguish."""
     warnings: tuple[str, ...] = ()
-    """What came to light."""
+    """Notes found along the way."""
 
 
 def outputs_of(found: GapFound, recording: Recording, settings: GapSettings) -> GapOutputs:
-    """Outputs of a finished search, as the report and the files need them."""
+    """Collect outputs of a finished search for the report and the files."""
     prepared = found.prepared
     return GapOutputs(
         machine=prepared.machine,
@@ -150,7 +150,7 @@ def outputs_of(found: GapFound, recording: Recording, settings: GapSettings) -> 
 
 
 def gather(outputs: GapOutputs, *, say: Say = lambda _: None) -> Evidence:
-    """Locate the gap, run open loop from many starts, and test what is left."""
+    """Localise the residual, compute open-loop errors, and test for whiteness."""
     say("where the gap is")
     machine, motions, struck = _with_figures(outputs), {}, {}
     before, corrected = machine_part(outputs.base), machine_part(outputs.best)
@@ -226,7 +226,7 @@ def gather(outputs: GapOutputs, *, say: Say = lambda _: None) -> Evidence:
 
 
 def _with_figures(outputs: GapOutputs) -> Machine:
-    """Return the nominal machine with its figures as fitted within the tolerance."""
+    """Return the nominal machine with its parameters fitted within the tolerance."""
     spec = outputs.machine.spec.copy()
     hypothesis = machine_part(outputs.base)
     for effect, values in zip(hypothesis.effects, hypothesis.values, strict=True):
@@ -241,14 +241,14 @@ def _located(comparison: Comparison, residual: Array, motions: Sequence[JointMot
 def _left(
     outputs: GapOutputs, comparison: Comparison, residual: Array, motions: Sequence[JointMotion]
 ) -> Location:
-    """Where the corrected model disagrees; as torque only where that is known of it."""
+    """Localised residual of the corrected model; torques only where these are known."""
     own = left_motions(outputs.machine, comparison, machine_part(outputs.best))
     found = _located(comparison, residual, own or motions)
     return found if own else Location(channels=found.channels)
 
 
 def result_of(outputs: GapOutputs, evidence: Evidence) -> GapResult:
-    """Sum a comparison up."""
+    """Summarise a comparison as a result."""
     held = outputs.held
     before, after = outputs.base.held_residual, outputs.best.held_residual
     pairs = zip(evidence.before, evidence.after, strict=True)
@@ -293,7 +293,7 @@ def result_of(outputs: GapOutputs, evidence: Evidence) -> GapResult:
 
 
 def _by_channel(outputs: GapOutputs, evidence: Evidence) -> dict[str, tuple[float, float]]:
-    """Gap of each channel before and after; of runs compared by features, that of its features."""
+    """Residual by channel before and after; in features for runs compared by them."""
     held, found = outputs.held, {}
     for c, channel in enumerate(held.channels):
         own = (held.rows.channel == c) & ~held.rows.white
@@ -312,7 +312,7 @@ def _by_channel(outputs: GapOutputs, evidence: Evidence) -> dict[str, tuple[floa
 
 
 def _with_alike(effect: NamedEffect, found: Identifiability) -> NamedEffect:
-    """A named effect with what these motions do not tell from it, beside what was fitted."""
+    """Add the confusable effects of an identified effect, beside those of the fit."""
     others = [
         Place(kind=pair.other_kind, where=pair.other_where)
         for pair in found.alike
@@ -322,7 +322,7 @@ def _with_alike(effect: NamedEffect, found: Identifiability) -> NamedEffect:
 
 
 def _figures(outputs: GapOutputs) -> dict[str, float]:
-    """Factors on nominal figures."""
+    """Factors on nominal parameters."""
     return {
         parameter.name: float(value)
         for effect, values in outputs.added

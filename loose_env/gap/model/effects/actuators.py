@@ -1,9 +1,4 @@
-"""Gain of an actuator: the force of the whole drive, or the command alone.
-
-First-order lag of an actuator.
-
-Delay between a command and the actuator.
-"""
+"""Effects of actuators: gain, first-order lag, and command delay."""
 
 from __future__ import annotations
 
@@ -27,12 +22,11 @@ _BIASES = (mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE)
 
 
 class ActuatorGain(Effect):
-    """A factor on what an actuator does.
+    """Factor on the gain of an actuator.
 
-    Variant "" scales its force, limits included, as another motor constant does. Variant
-    "command" scales what is commanded only; without a feedback term both are the same. Variant
-    "servo" scales the force and leaves its limits, as another setting of a servo does: by far more
-    than motors differ.
+    Variant "" scales its force, limits included, as another motor constant does. Variant "command"
+    scales the command only; without a feedback term both are the same. Variant "servo" scales the
+    force and leaves its limits, as other servo gains do: by far more than motors differ.
     """
 
     kind = "actuator_gain"
@@ -42,7 +36,7 @@ class ActuatorGain(Effect):
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
-        """Every actuator whose force is linear in command, position and speed."""
+        """Return actuators whose force is linear in command, position and speed."""
         model = machine.model
         linear = np.isin(model.actuator_gaintype, [int(g) for g in _GAINS])
         linear &= np.isin(model.actuator_biastype, [int(b) for b in _BIASES])
@@ -50,7 +44,7 @@ class ActuatorGain(Effect):
 
     @classmethod
     def forms(cls, machine: Machine, where: str) -> tuple[str, ...]:
-        """All where there is feedback and a limit."""
+        """Return all variants where there is feedback and a limit."""
         number = machine.model.actuator(where).id
         if not np.any(machine.model.actuator_biasprm[number] != 0):
             return cls.variants[:1]
@@ -58,14 +52,14 @@ class ActuatorGain(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The factor."""
+        """Scale factor."""
         if self.variant == "servo":
             return (Parameter(name="gain", unit="", low=1e-3, high=20.0, scale=1.0, log=True),)
         return (Parameter(name="gain", unit="", low=0.02, high=20.0, scale=0.1),)
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """A tenth of a command is visible; a force has to change more behind feedback."""
+        """Starts: a tenth of a command is visible; with feedback forces have to vary more."""
         if self.variant == "servo":
             return ((0.01,), (0.03,), (0.1,), (0.3,))
         return ((0.9,), (1.1,)) if self.variant else ((0.8,), (1.25,))
@@ -80,9 +74,10 @@ class ActuatorGain(Effect):
             actuator.forcerange = gain * np.array(actuator.forcerange)
 
     def sensed_torque(self, joint: str, torque: Array, values: Array) -> Array:
-        """A stronger drive shows less torque for the same.
+        """Convert torque to measured torque: a stronger drive shows less for the same.
 
-        Not where it is one of several at the joint: a torque alone does not say what each gave.
+        Not where it is one of several at the joint: a joint torque alone does not give each one's
+        share.
         """
         machine = self.machine
         if self.variant == "command" or machine.actuated_joint.get(self.where) != joint:
@@ -92,19 +87,19 @@ class ActuatorGain(Effect):
         return torque / float(values[0])
 
 
-_SHORTEST = 1e-9  # a lag below this is none [s]
+_SHORTEST = 1e-9  # a lag below this is zero [s]
 _STABLE = 0.5
 """Lag over the step from which on a Runge-Kutta method of fourth order is surely stable: its limit
 is 1 / 2.785."""
 
 
 class ActuatorLag(Effect):
-    """What reaches the actuator follows the command with a time constant.
+    """First-order lag: commands pass a low-pass with a time constant.
 
-    Commands are held from step to step, and the filter's answer is exact: its mean moves the arm,
-    its value at a step is what sensors show there. MuJoCo's filters, as which it is written out,
-    start at zero, not at the first command. A Runge-Kutta method takes ``filter`` along within its
-    step; other methods take the value of ``filterexact`` at the beginning of a step for all of it.
+    Commands are held from step to step, and the filter's response is exact: its mean moves the arm,
+    its value at a step is visible in sensors there. MuJoCo's filters, used in the exported file,
+    start at zero, not at the first command. A Runge-Kutta method integrates ``filter`` within its
+    step; other methods use the value of ``filterexact`` at the beginning of a step for all of it.
     """
 
     kind = "actuator_lag"
@@ -114,18 +109,18 @@ class ActuatorLag(Effect):
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
-        """Every actuator without dynamics of its own."""
+        """Return actuators without dynamics of their own."""
         plain = machine.model.actuator_dyntype == mujoco.mjtDyn.mjDYN_NONE
         return tuple(n for k, n in enumerate(machine.actuators) if n and plain[k])
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The time constant."""
+        """Time constant."""
         return (Parameter(name="time_constant", unit="s", low=0.0, high=1.0, scale=0.01),)
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """From a fast drive to a very slow one: a servo answers none of them in proportion."""
+        """Starts from a fast drive to a very slow one: a servo's response is not linear."""
         return ((0.001,), (0.003,), (0.008,), (0.02,), (0.06,), (0.15,))
 
     def command(self, time: Array, controls: Array, values: Array) -> Array:
@@ -138,12 +133,12 @@ class ActuatorLag(Effect):
         return self._with(controls, mean)
 
     def command_at(self, time: Array, controls: Array, values: Array) -> Array:
-        """Filter the actuator's commands: what is there at each step."""
+        """Filter the actuator's commands: instantaneous values at each step."""
         state, _ = self._filtered(time, controls, values)
         return controls if state is None else self._with(controls, state)
 
     def _filtered(self, time: Array, controls: Array, values: Array) -> tuple[Array | None, Array]:
-        """State of the filter at each step (T,), None without a lag, and the commands held."""
+        """State of the filter at each step (T,), None without a lag; held commands."""
         held = clamped(self.machine, self._number, controls[:, self._number])
         if values[0] < _SHORTEST or len(time) < 2:
             return None, held
@@ -161,7 +156,7 @@ class ActuatorLag(Effect):
         return self.machine.actuators.index(self.where)
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Give the actuator MuJoCo's filter that suits the integrator."""
+        """Export as MuJoCo's filter that suits the integrator."""
         lag, step = float(values[0]), float(spec.option.timestep)
         if lag < _SHORTEST:
             return
@@ -177,7 +172,7 @@ class ActuatorLag(Effect):
 
 
 def clamped(machine: Machine, number: int, controls: Array) -> Array:
-    """Commands (T,) within the actuator's range, as MuJoCo clamps them before it filters them."""
+    """Clamp commands (T,) to the actuator's range, as MuJoCo does before filtering."""
     if not machine.model.actuator_ctrllimited[number]:
         return controls
     low, high = machine.model.actuator_ctrlrange[number]
@@ -190,11 +185,11 @@ _LINEAR = 1  # MuJoCo's interpolation order
 
 
 class CommandDelay(Effect):
-    """Commands arrive late, at one actuator or ("all") at all of them.
+    """Delay of the commands, at one actuator or ("all") at all of them.
 
-    A command is held from its step to the next. Held commands that come late by a part of a step
-    change within it; what counts is their mean over the step, which is a straight line between
-    the two. MuJoCo's own delay, as which it is written out, does the same from one step upward.
+    A command is held from its step to the next. Held commands delayed by a fraction of a step
+    change within it; their mean over the step is a linear interpolation between the two. MuJoCo's
+    own delay, used in the exported file, does the same from one step upward.
     """
 
     kind = "command_delay"
@@ -204,18 +199,18 @@ class CommandDelay(Effect):
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
-        """Every actuator, and all of them if there are several."""
+        """Return every actuator, and "all" if there are several."""
         named = tuple(name for name in machine.actuators if name)
         return (*named, "all") if len(machine.actuators) > 1 else named
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The delay."""
+        """Delay."""
         return (Parameter(name="delay", unit="s", low=0.0, high=_LONGEST, scale=0.01),)
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """From a fast bus to that of hobby servos: a servo answers none of them in proportion."""
+        """Starts from a fast bus to hobby servos: a servo's response is not linear."""
         return ((0.001,), (0.003,), (0.008,), (0.02,), (0.05,), (0.12,))
 
     def command(self, time: Array, controls: Array, values: Array) -> Array:
@@ -239,7 +234,7 @@ class CommandDelay(Effect):
         return late
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Give the actuators a history and a delay, on top of the delay that they have."""
+        """Export as a history and a delay of the actuators, on top of existing ones."""
         if values[0] <= 0:
             return
         for number in self._numbers:
@@ -258,20 +253,20 @@ class CommandDelay(Effect):
 
 
 def _as_line(actuator: mujoco.MjsActuator, option: mujoco.MjOption) -> float:
-    """Delay [s] with straight lines between commands that does what an actuator's own does."""
+    """Delay [s] with linear interpolation, equivalent to an actuator's own delay."""
     own, step = float(actuator.delay), float(option.timestep)
     if own > 0 and actuator.interp:
         return own
     if option.integrator != mujoco.mjtIntegrator.mjINT_RK4:
         return held_delay(own, step)
-    # It reads the history within the step too: lines on average half a step later, held commands
-    # as they are at its beginning, middle and end, which weigh 1, 4 and 1 sixths.
+    # The history is also read within the step: interpolated on average half a step later, held
+    # commands at its beginning, middle and end with weights 1, 4 and 1 sixths.
     stages = ((0.0, 1 / 6), (0.5, 4 / 6), (1.0, 1 / 6))
     return sum(share * held_delay(own - at * step, step) for at, share in stages) + 0.5 * step
 
 
 def held_delay(delay: float, step: float) -> float:
-    """How late a history shows what it holds from sample to sample [s]: whole steps, rounded up.
+    """Delay of a history that holds its samples [s]: whole steps, rounded up.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Backlash: the link side of a joint is free within a gap."""
+"""Backlash: clearance between the drive and the link side of a joint."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _DAMPING = 0.3
 
 
 class Backlash(SplitJoint):
-    """An extra joint between stops, which are springs with dampers."""
+    """Backlash: an extra joint between stops, which are spring-dampers."""
 
     kind = "backlash"
     has_stops = True
@@ -45,7 +45,7 @@ class Backlash(SplitJoint):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Gap, stiffness of the stops, damping ratio on them."""
+        """Clearance, stiffness of the stops, damping ratio on them."""
         length = 1.0 if self.machine.turns(self.where) else reach_of(self.machine)
         return (
             Parameter(
@@ -61,7 +61,7 @@ class Backlash(SplitJoint):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Gaps from a hundredth of a degree to two: a wrong one fits no better than none."""
+        """Starts: clearances of 0.01° to 2°; a wrong one fits no better than none."""
         return self._starts(_STARTS)
 
     @property
@@ -78,7 +78,7 @@ class Backlash(SplitJoint):
         )
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Put the gap behind the joint."""
+        """Add the clearance behind the joint."""
         joint = self._split(spec, damping=_DRAG_RATE * self.carried)
         gap, stiffness, ratio = (float(v) for v in values)
         set_stops(
@@ -92,7 +92,7 @@ class Backlash(SplitJoint):
 
     @property
     def _load(self) -> float:
-        """Usual load of the joint; one that carries little is taken to be shaken a little."""
+        """Typical load of the joint; a small one is raised to that of slight shaking."""
         largest = float(np.max(self.machine.load_scales))
         return max(self.machine.load(self.where), _LEAST_LOAD * largest)
 
@@ -100,7 +100,7 @@ class Backlash(SplitJoint):
 def stops(weight: float, step: float, unit: str) -> tuple[Parameter, Parameter]:
     """Stiffness of stops and damping ratio of the mode on them, both nuisances.
 
-    The stiffness lies about a quarter of the most that the step [s] can follow.
+    The stiffness is about a quarter of the largest that is stable at the step [s].
     """
     high = (_FASTEST / step) ** 2 / weight
     return (

@@ -1,9 +1,7 @@
-"""The catalogue of effects that a model can lack, and what of it a machine can have.
+"""Catalogue of the effects that a model can lack, with their locations.
 
 A new effect is a subclass of `loose_env.gap.model.effect.Effect` in a file of its own; `register`
-adds it to the catalogue.
-
-Effects of one's own, read from a Python file.
+adds it to the catalogue. Custom effects are read from a Python file.
 """
 
 from __future__ import annotations
@@ -101,7 +99,7 @@ def register(effect: Kind) -> Kind:
             "torque_code that applies it, or an export where MJCF has means for it"
         )
     known = CATALOGUE.get(effect.kind, effect)
-    # a notebook runs a cell again: the same class in a new version takes the place of the old one
+    # a notebook reruns a cell: the new version of a class replaces the old one
     again = (known.__module__, known.__qualname__) == (effect.__module__, effect.__qualname__)
     if not again:
         raise InvalidSetting(
@@ -113,7 +111,7 @@ def register(effect: Kind) -> Kind:
 
 
 def candidates(machine: Machine, kinds: Iterable[str] | None = None) -> list[Effect]:
-    """All effects at all places where they can be, in every variant.
+    """List all effects at all possible locations, in every variant.
 
     Parameters
     ----------
@@ -158,7 +156,7 @@ def read_effects(path: str | Path) -> tuple[str, ...]:
     if spec is None or spec.loader is None or not file.is_file():
         raise InvalidSetting(f"{file} is no Python file with effects")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # as an import does: dataclasses look there for their module
+    sys.modules[name] = module  # as in an import: dataclasses look there for their module
     try:
         spec.loader.exec_module(module)
     except Exception as error:  # whatever the file does

@@ -1,6 +1,6 @@
-"""Rotor inertia: what a joint's drive carries, the same in every pose.
+"""Rotor inertia, the same in every pose, and torque ripple.
 
-Torque ripple: a torque that is periodic in the joint's angle, of cogging or of gear teeth.
+Torque ripple is periodic in the joint's angle, from cogging or gear teeth.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ __all__ = ["RotorInertia", "TorqueRipple"]
 
 
 class RotorInertia(JointEffect):
-    """Armature beyond that of the model; less than that down to none at all."""
+    """Rotor inertia added to that of the model; negative down to a total of zero."""
 
     kind = "rotor_inertia"
     nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The inertia added."""
+        """Added inertia."""
         moved = self.machine.inertia(self.where)
         return (
             Parameter(
@@ -42,7 +42,7 @@ class RotorInertia(JointEffect):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """A fifth of what the joint moves, and as much again."""
+        """Starts: a fifth of the inertia that the joint moves, and the same again."""
         moved = self.machine.inertia(self.where)
         return ((0.2 * moved,), (1.0 * moved,))
 
@@ -54,7 +54,7 @@ class RotorInertia(JointEffect):
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
     ) -> tuple[tuple[float, ...], ...]:
-        """Regress the torque on the acceleration."""
+        """Propose a start by regression of torque on acceleration."""
         return ((self.parameters[0].clipped(fitted_rate(acceleration, torque)),),)
 
 
@@ -69,7 +69,7 @@ _SAMPLES = 4000
 
 
 class TorqueRipple(JointEffect):
-    """Torque that is a sine of the joint's position, with some periods per turn or per metre.
+    """Torque ripple: a sine of the joint's position, per turn or per metre.
 
     A sin(N q + phase) on a hinge of N periods per turn, A sin(2π N q + phase) on a slide of N
     periods per metre.
@@ -104,7 +104,7 @@ class TorqueRipple(JointEffect):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """A few numbers of periods; only `propose` can cover all of them."""
+        """Starts with a few numbers of periods; only `propose` can cover all of them."""
         lone = 1.0 if self.machine.turns(self.where) else 1 / 0.1
         return tuple(
             (0.1 * self.load, n * lone, phase) for n in (2.0, 6.0) for phase in (0.0, pi / 2)
@@ -120,27 +120,28 @@ class TorqueRipple(JointEffect):
         return 1.0 if self.machine.turns(self.where) else 2 * pi
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Add a drive without input whose cogging it is."""
+        """Add an actuator without input, with the ripple as its cogging."""
         name = added_name(spec, self.where, self.kind)
         amplitude, periods, phase = (float(v) for v in values)
         add_cogging(spec, self.where, name, [amplitude, self._rate * periods, phase])
 
     def vanishes(self, low: Array, high: Array) -> bool:
-        """By its amplitude alone."""
+        """Return whether the amplitude's interval includes zero."""
         return bool(low[0] <= 0 <= high[0])
 
     def unseen_torque(self, angle: Array, speed: Array, values: Array) -> Array:
-        """The opposite of what the ripple gives."""
+        """Joint torque against the ripple."""
         amplitude, periods, phase = values
         return np.asarray(-amplitude * np.sin(self._rate * periods * angle + phase))
 
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
     ) -> tuple[tuple[float, ...], ...]:
-        """Least squares of sine and cosine over a fine grid of periods (Lomb and Scargle).
+        """Propose starts by a least-squares periodogram over a fine grid of periods.
 
-        The grid, of phase per unit of position, is as fine as the range of the motion tells apart.
-        The strongest peaks that are not neighbours become starts.
+        The periodogram is that of Lomb and Scargle. The grid, of phase per unit of position, has
+        the resolution of the range of motion. The strongest peaks that are not neighbours become
+        starts.
         """
         good = np.isfinite(angle) & np.isfinite(torque)
         every = max(1, int(good.sum()) // _SAMPLES)

@@ -1,10 +1,8 @@
-"""Viscous friction: a torque against the motion, in proportion to its speed.
+"""Friction laws: viscous, Coulomb, Stribeck, and quadratic drag.
 
-Coulomb friction: a constant torque against the motion, which holds a joint at rest.
-
-Stribeck friction: larger near rest than in motion, so that a slow joint sticks and slips.
-
-Quadratic drag: a torque against the motion, in proportion to its speed squared.
+Viscous friction is proportional to speed. Coulomb friction is a constant torque against the motion,
+which holds a joint at rest. Stribeck friction is larger near rest than in motion, so that a slow
+joint sticks and slips. Quadratic drag is proportional to the speed squared.
 """
 
 from __future__ import annotations
@@ -28,14 +26,14 @@ __all__ = [
 
 
 class ViscousFriction(JointEffect):
-    """Damping beyond that of the model; less than that down to none at all."""
+    """Viscous damping added to that of the model; negative down to a total of zero."""
 
     kind = "viscous_friction"
     nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The damping added."""
+        """Added damping."""
         per_speed = self.load / self.speed
         return (
             Parameter(
@@ -49,10 +47,10 @@ class ViscousFriction(JointEffect):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """A twentieth and a third of the typical torque at the typical speed, and much less.
+        """Starts: 5 % and 30 % of typical torque at typical speed, and half the nominal.
 
-        The damping of a model is often that of a stable simulation, ten times the machine's: half
-        of it taken away shows that, where it matters.
+        The damping of a model is often set for a stable simulation, ten times the machine's:
+        removing half of it shows that, where it matters.
         """
         per_speed = self.load / self.speed
         starts: tuple[tuple[float, ...], ...] = ((0.05 * per_speed,), (0.3 * per_speed,))
@@ -65,9 +63,9 @@ class ViscousFriction(JointEffect):
         return float(self.machine.model.dof_damping[self._dof])
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Add to the joint's damping, or take that share of the model's away.
+        """Add to the joint's damping, or remove a share of the model's.
 
-        As a share, so that a joint without any answers to it, whatever the model's is off by.
+        A share keeps the sensitivity of a joint that has no damping at all.
         """
         joint, added = spec.joint(self.where), float(values[0])
         damping = np.array(joint.damping)
@@ -78,22 +76,22 @@ class ViscousFriction(JointEffect):
         joint.damping = damping
 
     def resistance(self, speed: float, values: Array) -> float:
-        """In proportion to the speed."""
+        """Resistance proportional to the speed."""
         return float(values[0]) * speed
 
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
     ) -> tuple[tuple[float, ...], ...]:
-        """Regress the torque on the speed."""
+        """Propose a start by regression of torque on speed."""
         return ((self.parameters[0].clipped(fitted_rate(speed, torque)),),)
 
 
 class CoulombFriction(JointEffect):
-    """Friction beyond that of the model; less than that down to none at all.
+    """Coulomb friction added to that of the model; negative down to a total of zero.
 
-    MuJoCo's own friction creeps: with its default impedance, 0.9, a joint that is held against
-    10 rad/s² drifts at about 0.01 rad/s. The stiffest impedance makes that 1e-6 rad/s at a step
-    of 1 ms.
+    MuJoCo's own friction creeps: with its default impedance, 0.9, a joint that is held against 10
+    rad/s² drifts at about 0.01 rad/s. The stiffest impedance makes that 1e-6 rad/s at a step of 1
+    ms.
     """
 
     kind = "coulomb_friction"
@@ -102,7 +100,7 @@ class CoulombFriction(JointEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The torque added."""
+        """Added torque."""
         nominal = float(self.machine.model.dof_frictionloss[self._dof])
         return (
             Parameter(
@@ -116,7 +114,7 @@ class CoulombFriction(JointEffect):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """A thirtieth and a fifth of the typical torque."""
+        """Starts: a thirtieth and a fifth of the typical torque."""
         return ((0.03 * self.load,), (0.2 * self.load,))
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
@@ -128,13 +126,13 @@ class CoulombFriction(JointEffect):
         make_it_stick(joint, spec.option.timestep)
 
     def resistance(self, speed: float, values: Array) -> float:
-        """The torque, at any speed."""
+        """Constant resistance, at any speed."""
         return float(values[0])
 
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
     ) -> tuple[tuple[float, ...], ...]:
-        """Regress the torque on the direction of motion, rest left out."""
+        """Propose a start by regression of torque on direction of motion, without rest."""
         moving = np.abs(speed) > 0.05 * np.nanmax(np.abs(speed), initial=0.0)
         rate = fitted_rate(np.sign(speed[moving]), torque[moving])
         return ((self.parameters[0].clipped(rate),),)
@@ -149,12 +147,12 @@ _FALLEN = (0.028, 1.0)
 
 
 class StribeckFriction(JointEffect):
-    """Coulomb friction, and near rest more of it.
+    """Stribeck friction: Coulomb friction, larger near rest.
 
     Torque in steady motion: Fc + (Fs - Fc) exp(-(v/vs)²), with the Coulomb torque Fc, the static
     torque Fs = ratio · Fc and the Stribeck speed vs. At rest it is MuJoCo's friction loss, which
-    truly sticks; two limited dampers give back in motion what the friction falls by, so that the
-    fall is made of three straight lines. Bristles (LuGre) would be stiff equations.
+    truly sticks; two limited dampers compensate in motion for the decrease, which is piecewise
+    linear with three segments. A bristle model (LuGre) would be a stiff equation.
     """
 
     kind = "stribeck_friction"
@@ -165,7 +163,7 @@ class StribeckFriction(JointEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Coulomb torque, static torque over it, Stribeck speed."""
+        """Coulomb torque, ratio of static torque to it, Stribeck speed."""
         return (
             Parameter(
                 name="torque",
@@ -190,14 +188,14 @@ class StribeckFriction(JointEffect):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """A weak and a strong one, each half as strong again at rest."""
+        """Starts: a weak and a strong one, each half as strong again at rest."""
         return (
             (0.04 * self.load, 1.6, _START_SPEED * self.speed),
             (0.2 * self.load, 1.6, _START_SPEED * self.speed),
         )
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Add friction loss, and drives without input for what is less in motion."""
+        """Add friction loss, and actuators without input for the decrease in motion."""
         torque, ratio, speed = (float(v) for v in values)
         joint = spec.joint(self.where)
         joint.frictionloss += ratio * torque
@@ -212,12 +210,12 @@ class StribeckFriction(JointEffect):
             )
 
     def resistance(self, speed: float, values: Array) -> float:
-        """The static torque, which is what it has of its own beside a Coulomb friction."""
+        """Static torque: the part that it has beside a Coulomb friction."""
         torque, ratio, _ = values
         return float(torque * ratio)
 
     def unseen_torque(self, angle: Array, speed: Array, values: Array) -> Array:
-        """What the dampers take; they help, so that it is against the friction."""
+        """Torque of the dampers against the friction."""
         torque, ratio, slow = values
         fallen = sum(slope * np.minimum(np.abs(speed) / slow, limit) for slope, limit in _pieces())
         return np.asarray(-(ratio - 1) * torque * fallen * np.sign(speed))
@@ -225,7 +223,7 @@ class StribeckFriction(JointEffect):
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
     ) -> tuple[tuple[float, ...], ...]:
-        """Regress the torque on the direction of motion."""
+        """Propose a start by regression of torque on direction of motion."""
         moving = np.abs(speed) > 0.05 * np.nanmax(np.abs(speed), initial=0.0)
         rate = fitted_rate(np.sign(speed[moving]), torque[moving])
         if rate <= 0:
@@ -234,21 +232,21 @@ class StribeckFriction(JointEffect):
 
 
 def _pieces() -> tuple[tuple[float, float], tuple[float, float]]:
-    """Slope and end of two ramps from zero whose sum is the fall."""
+    """Slope and end of two ramps from zero whose sum is the decrease."""
     first = _FALLEN[0] / _KNOTS[0]
     second = (_FALLEN[1] - _FALLEN[0]) / (_KNOTS[1] - _KNOTS[0])
     return (second, _KNOTS[1]), (first - second, _KNOTS[0])
 
 
 class QuadraticDrag(JointEffect):
-    """Torque -c v |v|: the second coefficient of MuJoCo's damping polynomial."""
+    """Quadratic drag -c v |v|: second coefficient of MuJoCo's damping polynomial."""
 
     kind = "quadratic_drag"
     nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The coefficient."""
+        """Drag coefficient."""
         per_square = self.load / self.speed**2
         return (
             Parameter(
@@ -262,7 +260,7 @@ class QuadraticDrag(JointEffect):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """A twentieth and a third of the typical torque at the typical speed."""
+        """Starts: 5 % and 30 % of the typical torque at the typical speed."""
         per_square = self.load / self.speed**2
         return ((0.05 * per_square,), (0.3 * per_square,))
 
@@ -274,11 +272,11 @@ class QuadraticDrag(JointEffect):
         joint.damping = damping
 
     def resistance(self, speed: float, values: Array) -> float:
-        """In proportion to the speed squared."""
+        """Resistance proportional to the speed squared."""
         return float(values[0]) * speed**2
 
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
     ) -> tuple[tuple[float, ...], ...]:
-        """Regress the torque on v |v|."""
+        """Propose a start by regression of torque on v |v|."""
         return ((self.parameters[0].clipped(fitted_rate(speed * np.abs(speed), torque)),),)

@@ -1,6 +1,7 @@
-"""An elastic drive: a spring and a damper between motor side and link side of a joint.
+"""Joint elasticity: compliant drives, and springs across joints.
 
-A spring across a joint: cables, hoses, balancers.
+A compliant drive is a spring and a damper between motor side and link side of a joint. Springs
+across a joint are cables, hoses, balancers.
 """
 
 from __future__ import annotations
@@ -50,11 +51,11 @@ a measurement only within some per cent of the true frequency; a damped one is l
 
 
 class SplitJoint(JointEffect):
-    """A joint whose drive is not rigid: an extra joint on the same axis behind it.
+    """A joint with a compliant drive: an extra joint on the same axis behind it.
 
-    The joint itself is the motor side: its sensors, servo, friction and rotor stay with it. A
-    joint without rotor gets a fiftieth of what it carries as one, or what its servo needs to be
-    simulated.
+    The joint itself is the motor side: its sensors, servo, friction and rotor stay with it. A joint
+    without rotor gets one of a fiftieth of the inertia it carries, or the inertia its servo needs
+    for a stable simulation.
     """
 
     adds_motion = True
@@ -62,7 +63,7 @@ class SplitJoint(JointEffect):
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
-        """Every joint that is the last of its body."""
+        """Return joints that are the last of their body."""
         return last_joints(machine)
 
     def _split(
@@ -96,30 +97,30 @@ class SplitJoint(JointEffect):
 
 
 class JointCompliance(SplitJoint):
-    """A spring and a damper; the rigid drive is the limit of a stiff spring."""
+    """Joint compliance: spring and damper; the limit of a stiff spring is rigid."""
 
     kind = "joint_compliance"
     limit: ClassVar[tuple[tuple[str, str], ...]] = (("stiffness", "high"),)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Stiffness, and the damping ratio of the link on the spring with the motor held."""
+        """Stiffness, and the damping ratio of the link on the spring, motor locked."""
         unit = f"{self.torque_unit}/{self.angle_unit}"
         return (stiffness_between(self.carried, self.weight, self.step, unit), damping_ratio())
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Modes of a soft, a middling and a stiff drive."""
+        """Starts: modes of a compliant, a medium and a stiff drive."""
         return stiffness_starts(self.carried, self.parameters[0])
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Put the spring behind the joint."""
+        """Add the spring behind the joint."""
         stiffness, ratio = float(values[0]), float(values[1])
         self._split(spec, stiffness=stiffness, damping=2 * ratio * sqrt(stiffness * self.carried))
 
 
 def stiffness_between(carried: float, weight: float, step: float, unit: str) -> Parameter:
-    """Stiffness of an added spring, from very soft to what the step [s] can follow."""
+    """Stiffness of an added spring, up to the largest stable at the step [s]."""
     low = carried * (2 * pi * _SLOWEST_HZ) ** 2
     high = max((FASTEST / step) ** 2 / weight, 10 * low)
     return Parameter(
@@ -128,7 +129,7 @@ def stiffness_between(carried: float, weight: float, step: float, unit: str) -> 
 
 
 def damping_ratio() -> Parameter:
-    """Damping ratio of an added spring: a nuisance, of 0.05 give or take a factor of four."""
+    """Damping ratio of an added spring: a nuisance, with a prior of 0.05 within 4x."""
     return Parameter(
         name="damping_ratio", unit="", low=1e-3, high=2.0, scale=_LIKELY_DAMPING, log=True,
         centre=_LIKELY_DAMPING, spread=1.4,
@@ -136,14 +137,14 @@ def damping_ratio() -> Parameter:
 
 
 def stiffness_starts(carried: float, stiffness: Parameter) -> tuple[tuple[float, float], ...]:
-    """Springs with modes from slow to fast, none stiffer than half the stiffest."""
+    """Springs with modes from slow to fast, at most half the largest stiffness."""
     wanted = (carried * (2 * pi * hz) ** 2 for hz in _START_HZ)
     kept = dict.fromkeys(stiffness.clipped(min(k, 0.5 * stiffness.high)) for k in wanted)
     return tuple((k, _START_DAMPING) for k in kept)
 
 
 class JointSpring(JointEffect):
-    """Torque -k (q - q0), combined exactly with a spring that the joint already has."""
+    """Joint spring -k (q - q0), combined exactly with the joint's existing spring."""
 
     kind = "joint_spring"
     proportional: ClassVar[int | None] = 0
@@ -151,13 +152,13 @@ class JointSpring(JointEffect):
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
-        """Every joint but those with a spring that is not straight."""
+        """Return joints without a nonlinear spring."""
         bent = np.any(machine.model.jnt_stiffnesspoly != 0, axis=1)
         return tuple(name for name, b in zip(machine.joints, bent, strict=True) if not b)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Stiffness and the coordinate at which the spring rests."""
+        """Stiffness and equilibrium coordinate of the spring."""
         low, high = self._range
         width = high - low
         return (
@@ -179,7 +180,7 @@ class JointSpring(JointEffect):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """A third of the typical torque over the range, at rest in its middle."""
+        """Starts: a third of the typical torque over the range, equilibrium in its middle."""
         low, high = self._range
         width = high - low
         stiffness = 0.5 * self.load / min(width, pi)
@@ -201,11 +202,11 @@ class JointSpring(JointEffect):
         return -half, half
 
     def vanishes(self, low: Array, high: Array) -> bool:
-        """By its stiffness alone."""
+        """Return whether the stiffness interval includes zero."""
         return bool(low[0] <= 0 <= high[0])
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Set the joint's stiffness and spring reference to those of both springs together."""
+        """Set the joint's stiffness and spring reference to those of both springs."""
         added, rest = float(values[0]), float(values[1])
         if added == 0:
             return
@@ -220,7 +221,7 @@ class JointSpring(JointEffect):
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
     ) -> tuple[tuple[float, ...], ...]:
-        """Regress the torque on the angle; where it is zero, the spring rests."""
+        """Propose a start by regression of torque on angle; its zero is the equilibrium."""
         stiffness, reference = self.parameters
         rate = fitted_rate(angle, torque)
         if rate <= 0:

@@ -1,4 +1,4 @@
-"""A link that bends: a hinge with a spring somewhere along it."""
+"""Link flexibility: a hinge with a spring somewhere along the link."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ its length."""
 
 
 class LinkFlexibility(Effect):
-    """A link in two parts, with a hinge, a spring and a damper between them.
+    """A flexible link: two parts with a hinge, a spring and a damper between them.
 
     The near part keeps the body's name and its joint; the far part, a body of its own, carries
-    what lies beyond the hinge: bodies, sites, geoms. Mass, centre and inertia of the straight link
-    stay. Where along the link it gives way is fitted too, for the stiffness hangs on it. Variant
-    "": it bends about its joint's axis, in a machine that moves in a plane within that plane;
-    variant "across": about the axis perpendicular to that and the link.
+    everything beyond the hinge: bodies, sites, geoms. Mass, centre and inertia of the straight link
+    stay. The location of the hinge along the link is fitted too, since the stiffness depends on it.
+    Variant "": it bends about its joint's axis, in a machine that moves in a plane within that
+    plane; variant "across": about the axis perpendicular to that and the link.
     """
 
     kind = "link_flexibility"
@@ -61,7 +61,7 @@ class LinkFlexibility(Effect):
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
-        """Every link with mass that is not too short."""
+        """Return links with mass that are not too short."""
         shortest = _SHORTEST * reach_of(machine)
         lengths = {
             link: float(np.linalg.norm(np.subtract(*link_ends(machine, link))))
@@ -71,7 +71,7 @@ class LinkFlexibility(Effect):
 
     @classmethod
     def forms(cls, machine: Machine, where: str) -> tuple[str, ...]:
-        """Both in space, one in a plane."""
+        """Return both variants in space, one in a plane."""
         return cls.variants if normal_of(machine) is None else cls.variants[:1]
 
     def __init__(self, machine: Machine, where: str, variant: str | None = None) -> None:
@@ -94,7 +94,7 @@ class LinkFlexibility(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Stiffness, damping ratio of the far part with the near one held, and where it bends."""
+        """Stiffness, damping ratio with the near part locked, and location of the hinge."""
         carried, weight = self._figures
         step = self.machine.step or float(self.machine.model.opt.timestep)
         place = Parameter(
@@ -105,17 +105,17 @@ class LinkFlexibility(Effect):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Modes from slow to fast."""
+        """Starts: modes from slow to fast."""
         springs = stiffness_starts(self._figures[0], self.parameters[0])
         return tuple((*spring, _MIDDLE) for spring in springs)
 
     @property
     def doubtful_mass(self) -> float:
-        """That of the link: no arm's link is an even bar that bends at one place."""
+        """Mass of the link: no real link is a uniform bar that bends at one location."""
         return float(self.machine.model.body(self.where).mass[0])
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Cut the link and put the spring in between."""
+        """Cut the link and insert the spring."""
         stiffness, ratio, place = (float(v) for v in values)
         damping = 2 * ratio * sqrt(stiffness * self._figures[0])
         self._cut(spec, stiffness, damping, place)
@@ -149,7 +149,7 @@ class LinkFlexibility(Effect):
 
     @cached_property
     def _figures(self) -> tuple[float, float]:
-        """What the hinge carries [kg·m²], and its inverse weight with all joints free."""
+        """Inertia on the hinge [kg·m²], and its inverse weight with all joints free."""
         spec = self.machine.fresh()
         name = self._cut(spec, 0.0, 0.0, _MIDDLE)
         model = spec.compile()
@@ -164,10 +164,10 @@ class LinkFlexibility(Effect):
 def parts(
     whole: Inertial, start: Array, end: Array, share: float = _MIDDLE
 ) -> tuple[Inertial, Inertial]:
-    """Two bodies that together are one: same mass, centre and inertia.
+    """Split a body into two that together have the same mass, centre and inertia.
 
-    They are the pieces of a bar whose mass per length rises or falls evenly, so that its centre
-    lies where the link's does. Their centres lie as far apart as those pieces' do, or less where
+    They are the pieces of a bar whose mass per length rises or falls linearly, so that its centre
+    lies where the link's does. Their centres are as far apart as those pieces' are, or less where
     the link's inertia does not allow that.
 
     Parameters
@@ -175,9 +175,9 @@ def parts(
     whole : Inertial
         The link.
     start, end : ndarray (3,)
-        Where it begins and ends [m].
+        Its two ends [m].
     share : float
-        How much of the length is the near one's.
+        Share of the length in the near part.
 
     Examples
     --------
@@ -211,7 +211,7 @@ def parts(
 
 
 def _cut_bar(centre: float, share: float) -> tuple[float, float, float]:
-    """A bar of length and mass 1 that is cut.
+    """Cut a bar of unit length and mass.
 
     Its mass per length is 1 + fall (1 - 2 x), nowhere below zero.
 
@@ -238,9 +238,9 @@ def _cut_bar(centre: float, share: float) -> tuple[float, float, float]:
 
 
 def _piece(tensor: Array, along: Array, mass: float, spread: float) -> Array:
-    """Inertia (3, 3) of one of two pieces of a bar that have this together.
+    """Inertia (3, 3) of one of two pieces of a bar, from their joint inertia.
 
-    It has its share of the mass that is spread lengthwise, and of that across as of the mass.
+    It has its share of the mass spread lengthwise, and of that across in proportion to its mass.
     """
     moments = 0.5 * np.trace(tensor) * np.eye(3) - tensor
     lengthwise = np.outer(along, along)
@@ -250,6 +250,6 @@ def _piece(tensor: Array, along: Array, mass: float, spread: float) -> Array:
 
 
 def _solid(tensor: Array) -> bool:
-    """Whether a body can have an inertia (3, 3)."""
+    """Return whether an inertia (3, 3) is physically possible."""
     low, middle, high = np.linalg.eigvalsh(tensor)
     return bool(low > 1e-3 * high and high < (low + middle) * (1 - 1e-9))

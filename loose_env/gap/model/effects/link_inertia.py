@@ -1,10 +1,6 @@
-"""Mass of a link.
+"""Link inertia: mass and centre of a link, payload at the tool, and base tilt.
 
-Centre of mass of a link.
-
-A payload at the tool.
-
-A base that does not stand upright: gravity comes from another direction.
+A tilted base changes the direction of gravity.
 """
 
 from __future__ import annotations
@@ -34,7 +30,7 @@ def links_with_mass(machine: Machine) -> tuple[str, ...]:
 
 
 class LinkMass(Effect):
-    """Mass added to a link where its own lies; its inertia grows in proportion."""
+    """Mass added to a link at its own centre; its inertia grows in proportion."""
 
     kind = "link_mass"
     acts_on: ClassVar[str] = "link"
@@ -42,18 +38,18 @@ class LinkMass(Effect):
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
-        """Every link that has mass."""
+        """Return links that have mass."""
         return links_with_mass(machine)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The mass added."""
+        """Added mass."""
         own = self._own
         return (Parameter(name="mass", unit="kg", low=-0.9 * own, high=20 * own, scale=0.1 * own),)
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """A quarter less and more."""
+        """Starts: a quarter less and more."""
         return ((-0.25 * self._own,), (0.25 * self._own,))
 
     @property
@@ -61,7 +57,7 @@ class LinkMass(Effect):
         return float(self.machine.model.body(self.where).mass[0])
 
     def displaced_mass(self, values: Array) -> float:
-        """The mass added, or taken away."""
+        """Mass added or removed."""
         return abs(float(values[0]))
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
@@ -73,7 +69,7 @@ class LinkMass(Effect):
 
 
 class LinkCom(Effect):
-    """The centre of mass lies elsewhere, along the body's axes; mass and inertia about it stay.
+    """Shift of the centre of mass along the body's axes; mass and inertia stay.
 
     Of a machine that moves in a plane only the shift in the plane counts; an axis of the body that
     is perpendicular to the plane has no parameter.
@@ -85,7 +81,7 @@ class LinkCom(Effect):
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
-        """Every link that has mass."""
+        """Return links that have mass."""
         return links_with_mass(machine)
 
     def __init__(self, machine: Machine, where: str, variant: str | None = None) -> None:
@@ -117,11 +113,11 @@ class LinkCom(Effect):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """A tenth of the link's length along one axis after the other."""
+        """Starts: a tenth of the link's length along one axis after the other."""
         return tuple(tuple(row) for row in 0.1 * self._length * np.eye(len(self._axes)))
 
     def displaced_mass(self, values: Array) -> float:
-        """The link's mass, by as much of its length as the centre shifts."""
+        """Mass of the link, by the share of its length that the centre shifts."""
         own = float(self.machine.model.body(self.where).mass[0])
         return own * float(np.linalg.norm(values)) / self._length
 
@@ -138,7 +134,7 @@ _RADIUS = 0.01
 
 
 class Payload(Effect):
-    """A small body at the tool's site; without a site, at the end of the last link."""
+    """Payload: a small body at the tool's site, or at the end of the last link."""
 
     kind = "payload"
     acts_on: ClassVar[str] = "arm"
@@ -146,29 +142,29 @@ class Payload(Effect):
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
-        """The tool."""
+        """Return the tool."""
         return ("tool",)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Its mass."""
+        """Mass of the payload."""
         moved = self._moved
         return (Parameter(name="mass", unit="kg", low=0.0, high=20 * moved, scale=0.05 * moved),)
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """A tenth and a half of the mass that the machine moves before its last third."""
+        """Starts: a tenth and a half of the mass the machine moves before its last third."""
         return ((0.05 * self._moved,), (0.3 * self._moved,))
 
     @property
     def _moved(self) -> float:
-        """Mass of all that the first joint moves, over the number of joints [kg]."""
+        """Mass moved by the first joint, over the number of joints [kg]."""
         model = self.machine.model
         first = int(model.jnt_bodyid[0])
         return float(model.body_subtreemass[first]) / len(self.machine.joints)
 
     def displaced_mass(self, values: Array) -> float:
-        """Its mass."""
+        """Mass of the payload."""
         return float(values[0])
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
@@ -191,7 +187,7 @@ class Payload(Effect):
 
 
 def payload_words(machine: Machine) -> list[str]:
-    """A sentence on where a payload is tried in a model without a site at its tool; else none."""
+    """Describe the payload's location in a model without a tool site; else none."""
     model = machine.model
     if machine.tool:
         carrier = model.site(machine.tool).bodyid[0]
@@ -211,7 +207,7 @@ def payload_words(machine: Machine) -> list[str]:
 
 
 def _outermost(machine: Machine) -> tuple[str, Array]:
-    """Body that stands for the tool, with a place in its frame (3,) [m]."""
+    """Body that represents the tool, with a position in its frame (3,) [m]."""
     model, last = machine.model, machine.model.body(machine.last_link).id
     fixed = [b for b in range(last + 1, model.nbody) if model.body_weldid[b] == last]
     if fixed:
@@ -220,10 +216,10 @@ def _outermost(machine: Machine) -> tuple[str, Array]:
 
 
 class BaseTilt(Effect):
-    """Gravity turned about axes across it, seen from the base.
+    """Base tilt: gravity rotated about horizontal axes, in the base frame.
 
-    Two axes; one where the arm moves in a plane that holds gravity, for a small tilt out of that
-    plane changes nothing. A tilt is named after the world axis nearest to its own.
+    Two axes; one where the arm moves in a plane that contains gravity, since a small tilt out of
+    that plane changes nothing. A tilt is named after the nearest world axis.
     """
 
     kind = "base_tilt"
@@ -232,7 +228,7 @@ class BaseTilt(Effect):
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
-        """The base, if there is gravity."""
+        """Return the base, if there is gravity."""
         off = machine.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
         weightless = off or not np.any(machine.model.opt.gravity)
         return () if weightless else ("base",)
@@ -265,11 +261,11 @@ class BaseTilt(Effect):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Two degrees about every axis."""
+        """Starts: two degrees about every axis."""
         return ((0.04,) * len(self._axes),)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Turn gravity."""
+        """Rotate gravity."""
         turn = Rotation.from_rotvec(np.asarray(values, dtype=float) @ self._axes)
-        # The base turns one way, gravity as seen from it the other way.
+        # Gravity in the base frame rotates opposite to the base.
         spec.option.gravity = turn.inv().apply(np.array(spec.option.gravity))

@@ -1,12 +1,6 @@
-"""Bias of a sensor.
+"""Effects of sensors: bias, gain, delay, misalignment, and encoder offset.
 
-Gain of a sensor.
-
-Delay of a sensor.
-
-A vector sensor that is mounted askew.
-
-Offset of a joint's encoder: the zero of its reading, and of its servo, lies elsewhere.
+An encoder offset shifts the zero of a joint's reading and of its servo.
 """
 
 from __future__ import annotations
@@ -44,7 +38,7 @@ _AXES = {1: ("bias",), 3: ("bias_x", "bias_y", "bias_z")}
 
 
 class SensorBias(Effect):
-    """A constant on what a sensor shows, one for each axis; servos see the joint itself."""
+    """Constant bias of a sensor, one for each axis; servos see the joint itself."""
 
     kind = "sensor_bias"
     acts_on: ClassVar[str] = "sensor"
@@ -53,7 +47,7 @@ class SensorBias(Effect):
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
-        """Every sensor of one axis or three."""
+        """Return sensors of one axis or three."""
         dims = machine.model.sensor_dim
         return tuple(n for k, n in enumerate(machine.sensors) if n and int(dims[k]) in _AXES)
 
@@ -64,7 +58,7 @@ class SensorBias(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The constant of each axis."""
+        """Bias of each axis."""
         scale, unit = reading_scale(self.machine, self.where)
         return tuple(
             Parameter(name=name, unit=unit, low=-500 * scale, high=500 * scale, scale=scale)
@@ -73,7 +67,7 @@ class SensorBias(Effect):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Visible on every axis."""
+        """Starts: visible on every axis."""
         scale, _ = reading_scale(self.machine, self.where)
         return ((scale,) * self._size,)
 
@@ -86,7 +80,7 @@ class SensorBias(Effect):
         return {**readings, column: readings[column] + bias}
 
     def code(self, values: Array) -> str:
-        """One line: the reading plus the bias."""
+        """Python line: the reading plus the bias."""
         return f"data.sensor({self.where!r}).data += {[float(v) for v in values]}"
 
 
@@ -95,7 +89,7 @@ _NEGLIGIBLE = 1e-3
 
 
 class SensorGain(Effect):
-    """A factor on what a sensor shows; servos see the joint itself."""
+    """Gain of a sensor: a factor on its reading; servos see the joint itself."""
 
     kind = "sensor_gain"
     acts_on: ClassVar[str] = "sensor"
@@ -104,21 +98,21 @@ class SensorGain(Effect):
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
-        """Every sensor."""
+        """Return every sensor."""
         return tuple(name for name in machine.sensors if name)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The factor."""
+        """Gain factor."""
         return (Parameter(name="gain", unit="", low=0.1, high=10.0, scale=0.05),)
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """A tenth less and more."""
+        """Starts: a tenth less and more."""
         return ((0.9,), (1.1,))
 
     def immaterial(self, values: Array) -> bool:
-        """Sensors are not calibrated that well."""
+        """Return whether the gain is within the accuracy of sensor calibration."""
         return abs(float(values[0]) - 1.0) < _NEGLIGIBLE
 
     def read(self, time: Array, readings: Readings, values: Array) -> Readings:
@@ -129,7 +123,7 @@ class SensorGain(Effect):
         return {**readings, column: float(values[0]) * readings[column]}
 
     def code(self, values: Array) -> str:
-        """One line: the reading times the gain."""
+        """Python line: the reading times the gain."""
         return f"data.sensor({self.where!r}).data *= {float(values[0])!r}"
 
 
@@ -138,9 +132,9 @@ _LONGEST = 0.25
 
 
 class SensorDelay(Effect):
-    """A sensor shows what was; servos see the joint itself, as it is.
+    """Delay of a sensor; servos see the joint itself, undelayed.
 
-    Written out as MuJoCo's own sensor delay.
+    Exported as MuJoCo's own sensor delay.
     """
 
     kind = "sensor_delay"
@@ -150,32 +144,32 @@ class SensorDelay(Effect):
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
-        """Every sensor."""
+        """Return every sensor."""
         return tuple(name for name in machine.sensors if name)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The delay."""
+        """Sensor delay."""
         return (Parameter(name="delay", unit="s", low=0.0, high=_LONGEST, scale=0.01),)
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """From a fast bus to that of hobby servos."""
+        """Starts from a fast bus to that of hobby servos."""
         return ((0.001,), (0.003,), (0.008,), (0.02,), (0.05,), (0.12,))
 
     @property
     def _jumps(self) -> bool:
-        """Whether the reading is no place or speed, nor one that the model delays already."""
+        """True if the reading is no position or speed and has no delay in the model."""
         spec_sensor = self.machine.spec.sensor(self.where)
         smooth = of_place_or_speed(self.machine, column_of(self.where))
         return not smooth and float(spec_sensor.delay) == 0.0
 
     def lateness(self, values: Array) -> tuple[str, float] | None:
-        """The delay of an acceleration or a force."""
+        """Return the delay of an acceleration or a force."""
         return (self.where, float(values[0])) if self._jumps else None
 
     def read(self, time: Array, readings: Readings, values: Array) -> Readings:
-        """Shift the column of a place or a speed."""
+        """Shift the column of a position or a speed."""
         column = column_of(self.where)
         if column not in readings or values[0] <= 0 or self._jumps:
             return readings
@@ -184,7 +178,7 @@ class SensorDelay(Effect):
         return {**readings, column: late}
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Give the sensor a history and a delay, on top of the delay that it has."""
+        """Export as a history and a delay of the sensor, on top of its existing delay."""
         if values[0] <= 0:
             return
         sensor, step = spec.sensor(self.where), float(spec.option.timestep)
@@ -194,7 +188,7 @@ class SensorDelay(Effect):
 
 
 def delayed(time: Array, values: Array, delay: float, *, axis: int = -1) -> Array:
-    """Values as they were, straight lines between samples; before the first one it holds.
+    """Delay values, linear between samples; the first one is held before the start.
 
     Examples
     --------
@@ -210,7 +204,7 @@ def delayed(time: Array, values: Array, delay: float, *, axis: int = -1) -> Arra
 
 
 class SensorMisalignment(Effect):
-    """The sensor's site is turned by a rotation vector, given in the site's own frame."""
+    """Misalignment of a vector sensor: a rotation vector in the site's own frame."""
 
     kind = "sensor_misalignment"
     acts_on: ClassVar[str] = "sensor"
@@ -219,12 +213,12 @@ class SensorMisalignment(Effect):
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
-        """Every sensor of three axes that is fixed to a site."""
+        """Return sensors of three axes that are fixed to a site."""
         return vectors(machine)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The rotation vector."""
+        """Rotation vector."""
         return tuple(
             Parameter(name=f"turn_{axis}", unit="rad", low=-1.6, high=1.6, scale=0.05)
             for axis in "xyz"
@@ -232,11 +226,11 @@ class SensorMisalignment(Effect):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Three degrees about every axis at once: small turns add up."""
+        """Starts: three degrees about every axis at once, as small rotations add up."""
         return ((0.05, 0.05, 0.05),)
 
     def read(self, time: Array, readings: Readings, values: Array) -> Readings:
-        """Show the vector in the turned frame."""
+        """Rotate the vector to the misaligned frame."""
         column = column_of(self.where)
         if column not in readings:
             return readings
@@ -244,12 +238,12 @@ class SensorMisalignment(Effect):
         return {**readings, column: readings[column] @ turn}
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Move the sensor to a site of its own, turned."""
+        """Move the sensor to a rotated site of its own."""
         sensor, model = spec.sensor(self.where), self.machine.model
         site = spec.site(sensor.objname)
         place, turned = np.array(site.pos), np.array(site.quat)
         if any(model.site(k).name == site.name for k in range(model.nsite)):
-            # with angles worked out; one that was turned before is written as a quaternion
+            # with angles resolved; one that was rotated before is written as a quaternion
             number = model.site(site.name).id
             turned = model.site_quat[number]
             if site.frame is not None or not np.isfinite(place).all():
@@ -264,10 +258,10 @@ class SensorMisalignment(Effect):
 
 
 class EncoderOffset(JointEffect):
-    """The joint's coordinate is the true one plus an offset.
+    """Encoder offset: the joint's coordinate is the true one plus a constant.
 
-    The reading and the servo go by the coordinate; the links, the joint's stops and its spring
-    stay where they are.
+    The reading and the servo use the coordinate; the links, the joint's stops and its spring stay
+    at their positions.
     """
 
     kind = "encoder_offset"
@@ -275,14 +269,14 @@ class EncoderOffset(JointEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The offset: reading minus truth."""
+        """Offset: reading minus truth."""
         if self.machine.turns(self.where):
             return (Parameter(name="offset", unit="rad", low=-1.0, high=1.0, scale=0.02),)
         return (Parameter(name="offset", unit="m", low=-0.3, high=0.3, scale=0.005),)
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Visible, to either side."""
+        """Starts: visible, of either sign."""
         scale = self.parameters[0].scale
         return ((-scale,), (scale,))
 

@@ -1,11 +1,10 @@
-"""Structural looseness: a link slides on its seat within a gap.
+"""Structural looseness: a link slides on its seat within a clearance.
 
-The direction in which a link would have to slide to shake the tool as it was shaken.
-
-What a slide does to the tool is known from the model: the tool goes with the link, and the joints,
-which no drive holds at the frequencies of an impact, give way by their inertia. Seen through that,
-in the link that slides the shaking has one axis in all poses, and in other links it spreads. So was
-the loose link found in the thesis (4.2.2), there with joints that stand still.
+The direction of the slide is estimated from accelerometer residuals at the tool. The response of
+the tool to a slide is known from the model: the tool moves with the link, and the joints, which no
+drive holds at the frequencies of an impact, move by their inertia. Seen through that response, the
+residual of the loose link has one axis in all poses, and that of other links has none. The loose
+link was found in this way in the thesis (4.2.2), there with joints at rest.
 """
 
 from __future__ import annotations
@@ -44,11 +43,11 @@ _FRICTIONS = (0.1, 0.5)
 
 
 class StructuralLooseness(Effect):
-    """An extra slide behind the link's joint, between stops, with dry friction.
+    """Structural looseness: a slide behind the link's joint, with stops and friction.
 
-    Its direction is fixed in the link. In a machine that moves in a plane it lies in that plane,
-    at ``angle`` from the body's axis nearest to it; in space ``azimuth`` counts about the body's
-    z axis from its x axis, and ``elevation`` from the plane of both.
+    Its direction is fixed in the link. In a machine that moves in a plane it lies in that plane, at
+    ``angle`` from the body's axis nearest to it; in space ``azimuth`` counts about the body's z
+    axis from its x axis, and ``elevation`` from the plane of both.
     """
 
     kind = "structural_looseness"
@@ -60,7 +59,7 @@ class StructuralLooseness(Effect):
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
-        """Every link with room for another joint."""
+        """Return links with room for another joint."""
         count = machine.model.body_jntnum
         return tuple(n for n in machine.links if count[machine.model.body(n).id] <= _MOST_JOINTS)
 
@@ -75,7 +74,7 @@ class StructuralLooseness(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Direction, gap, friction, stiffness of the stops, damping ratio on them."""
+        """Direction, clearance, friction, stiffness of the stops, damping ratio on them."""
         turn = dict(unit="rad", low=-2 * pi, high=2 * pi, scale=0.5)
         names = ("angle",) if self._plane is not None else ("azimuth", "elevation")
         length, force = reach_of(self.machine), 1.0 / self._mean_weight
@@ -93,7 +92,7 @@ class StructuralLooseness(Effect):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Directions all round, a small and a larger gap, little friction."""
+        """Starts: directions all round, a small and a larger clearance, little friction."""
         length = reach_of(self.machine)
         _, friction, stiffness, ratio = self.parameters[-4:]
         rests = [
@@ -107,9 +106,10 @@ class StructuralLooseness(Effect):
         return tuple((*axis, *rest) for rest in rests for axis in axes)
 
     def propose_along(self, residual: ResidualAccelerations) -> tuple[tuple[float, ...], ...]:
-        """A slide that shakes the tool as it was shaken beyond the model, gaps of all sizes.
+        """Propose the direction that explains the residual, with a range of clearances.
 
-        A fit finds the direction of a slide only from nearby, and the gap within a factor of two.
+        A fit converges to the direction of a slide only from nearby, and to the clearance within a
+        factor of two.
         """
         axis = slide_axis(self._slides, residual)
         if axis is None:
@@ -138,7 +138,7 @@ class StructuralLooseness(Effect):
         return np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(up)])
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Put the slide behind the link's joints."""
+        """Add the slide behind the link's joints."""
         self._keep_rotors(spec)
         direction = self.direction(values)
         gap, friction, stiffness, ratio = (float(v) for v in values[-4:])
@@ -163,7 +163,7 @@ class StructuralLooseness(Effect):
         )
 
     def _keep_rotors(self, spec: mujoco.MjSpec) -> None:
-        """Leave inertia on the drive's side of a slide: the added one may lie along it."""
+        """Keep inertia on the drive's side of a slide, whose added one may lie along it."""
         machine = self.machine
         body = machine.model.body(self.where).id
         for joint, owner in zip(machine.joints, machine.model.jnt_bodyid, strict=True):
@@ -176,7 +176,7 @@ class StructuralLooseness(Effect):
 
     @cached_property
     def _slides(self) -> Slides:
-        """The arm with slides along the body's three axes."""
+        """Build the arm with slides along the body's three axes."""
         spec = self.machine.fresh()
         self._keep_rotors(spec)
         names = tuple(added_name(spec, self.where, axis) for axis in "xyz")
@@ -187,7 +187,7 @@ class StructuralLooseness(Effect):
 
     @cached_property
     def _mass(self) -> tuple[Array, list[int], list[int]]:
-        """Mass matrix with slides along the body's three axes; own and added places in it."""
+        """Mass matrix with slides along the body's three axes, with DOF indices."""
         slides = self._slides
         data = mujoco.MjData(slides.model)
         mujoco.mj_forward(slides.model, data)
@@ -213,7 +213,7 @@ _SLIGHT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Slides:
-    """An arm of which one link can slide along three axes."""
+    """An arm with one link that can slide along three axes."""
 
     model: mujoco.MjModel
     """The arm, slides included."""
@@ -222,16 +222,16 @@ class Slides:
 
     @cached_property
     def added(self) -> list[int]:
-        """Their places among the degrees of freedom."""
+        """Indices of the slides among the degrees of freedom."""
         return [int(self.model.joint(name).dofadr[0]) for name in self.names]
 
     @cached_property
     def own(self) -> list[int]:
-        """Those of all other joints."""
+        """Indices of all other degrees of freedom."""
         return [k for k in range(self.model.nv) if k not in self.added]
 
     def mass(self, data: mujoco.MjData) -> Array:
-        """Mass matrix (nv, nv) in a pose that was evaluated."""
+        """Mass matrix (nv, nv) in an evaluated pose."""
         found = np.zeros((self.model.nv, self.model.nv))
         mujoco.mj_fullM(self.model, data, found)
         return found
@@ -250,22 +250,22 @@ class Slides:
 
 
 def slide_axis(slides: Slides, residual: ResidualAccelerations) -> Array | None:
-    """Direction of the slide that explains most of a shaking.
+    """Direction of the slide that explains most of the accelerometer residuals.
 
-    Largest ratio of what goes along the slide's response to all that it could be, sample by
-    sample: a generalised problem of eigenvalues.
+    Maximum ratio of the power along the slide's response to the largest possible, sample by sample:
+    a generalised eigenvalue problem.
 
     Parameters
     ----------
     slides : Slides
         The arm.
     residual : ResidualAccelerations
-        What was measured beyond the model.
+        Accelerometer residuals.
 
     Returns
     -------
     ndarray (3,) or None
-        Unit vector in the frame of the link; None where no slide would be seen.
+        Unit vector in the frame of the link; None where no slide is visible.
     """
     model = slides.model
     data = mujoco.MjData(model)

@@ -1,11 +1,9 @@
-"""Runs of random excitation in a few numbers, stable where trajectories are not.
+"""Features of chaotic random-excitation runs: statistics, not trajectories.
 
-After an impact two simulations part ways within milliseconds, so a run that strikes stops is
-compared by what is stable: means, the linear response to the command (gain and phase in bands),
-and strength, covariance and shape of what the command does not explain. Measurement and
-simulation are driven by the same command, so the linear response differs by noise alone.
-
-A run of random excitation whose trajectory parts ways with any simulation, as features.
+After an impact two simulations diverge within milliseconds, so an impact-dominated run is compared
+by reproducible statistics: means, the linear response to the command (gain and phase in bands), and
+power, covariance and higher cumulants of the incoherent part. Measurement and simulation are driven
+by the same command, so the linear response differs by noise alone.
 """
 
 from __future__ import annotations
@@ -34,7 +32,7 @@ _BLOCK = 0.2
 
 @dataclass(frozen=True, kw_only=True)
 class FeatureSettings:
-    """What is looked at."""
+    """Settings of the features."""
 
     bands: int = 2
     """Bands of gain and phase, of channels that clearly respond."""
@@ -47,7 +45,7 @@ class FeatureSettings:
     stops are struck wildly, 0 where it repeats all of it. `RandomFeatures.redrawn` measures it."""
 
     def __post_init__(self) -> None:
-        """Check."""
+        """Check the values."""
         if self.bands < 1 or self.clear <= 0 or self.floor_error < 0 or not 0 <= self.chaos <= 1:
             raise InvalidSetting(
                 "bands must be at least 1, clear above 0, floor_error at least 0 and chaos "
@@ -58,14 +56,14 @@ class FeatureSettings:
 class RandomFeatures:
     """Features of a run with random excitation.
 
-    They are the same for every hypothesis: templates, bands and units come from the measured run.
-    A template of the linear response in one half of the run is made from the other half, so that
-    a channel's noise does not raise its own gain.
+    They are the same for every hypothesis: templates, bands and units come from the measured run. A
+    template of the linear response in one half of the run is made from the other half, so that a
+    channel's noise does not bias its own gain.
 
     Parameters
     ----------
     values : ndarray (T, C)
-        What the channels showed; NaN where nothing was read. Channels of which less than half was
+        Readings of the channels; NaN where nothing was read. Channels of which less than half was
         read are left out.
     rate : float
         Samples per second, even [1/s].
@@ -74,9 +72,9 @@ class RandomFeatures:
     floors : ndarray (C,)
         Noise standard deviation of each channel.
     channels : sequence of Channel, optional
-        Names, and which channels are axes of one sensor; by default each stands alone.
+        Names, and the axes of each vector sensor; by default each is scalar.
     settings : FeatureSettings, optional
-        What is looked at.
+        Settings of the features.
 
     Raises
     ------
@@ -182,21 +180,21 @@ class RandomFeatures:
 
     @cached_property
     def about(self) -> NDArray[np.bool_]:
-        """Whether each feature is about each of the `used` channels (K, U)."""
+        """Mask of the `used` channels that each feature depends on (K, U)."""
         found = np.zeros((len(self.names), len(self.used)), dtype=bool)
         for k, own in enumerate([*self._linear.about, *self._rest.about]):
             found[k, list(own)] = True
         return found
 
     def of(self, values: Array, *, noisy: bool = False) -> Array:
-        """Features of readings (T, C) -> (K,).
+        """Compute the features of readings (T, C) -> (K,).
 
         Parameters
         ----------
         values : ndarray (T, C)
             Readings at the samples.
         noisy : bool
-            Whether they hold the sensors' noise; the noise floor is added to those that do not.
+            Whether the readings contain sensor noise; the noise floor is added where not.
 
         Returns
         -------
@@ -212,26 +210,26 @@ class RandomFeatures:
         return np.concatenate([self._linear.of(own), rest])
 
     def differences(self, values: Array) -> Array:
-        """Measured less simulated features, in standard deviations of a right model (K,)."""
+        """Measured less simulated features, over the deviation of a correct model (K,)."""
         return np.asarray((self.measured - self.of(values)) / self.scales)
 
     def incoherence(self, values: Array) -> float:
-        """Power of what is incoherent in the measured run, over that of simulated readings (T, C).
+        """Incoherent power of the measured run, over that of simulated readings (T, C).
 
-        The noise is in both. Of the channel where it is largest.
+        The noise is in both. Of the channel where the ratio is largest.
         """
         simulated = self.response.incoherent(self._own(values)).density.mean(axis=0)
         measured = self._rest_density.mean(axis=0)
         return float(np.max(measured / (simulated + self._floors**2)))
 
     def redrawn(self, first: Array, second: Array) -> float:
-        """How much of what is incoherent a model draws anew, from two simulations of it.
+        """Share of the incoherent part that is chaotic, from two simulations of a model.
 
         Parameters
         ----------
         first, second : ndarray (T, C)
-            Simulated readings without noise, of the same model but for a change of its figures, or
-            of its start, that is too small to matter.
+            Simulated readings without noise, of the same model but for a change of parameters, or
+            of its initial state, that is too small to matter.
 
         Returns
         -------
@@ -248,11 +246,11 @@ class RandomFeatures:
         return float(np.clip(share.max(initial=0.0), 0.0, 1.0))
 
     def whitened(self, differences: Array) -> Array:
-        """Differences in standard deviations (..., K), made independent of each other."""
+        """Whitened differences, in standard deviations (..., K)."""
         return np.asarray(differences @ self._whitener)
 
     def _own(self, values: Array) -> Array:
-        """Used channels (T, C), gaps of the measured run closed by straight lines."""
+        """Used channels (T, C), with gaps of the measured run interpolated linearly."""
         own = np.array(np.asarray(values, dtype=float)[:, self.used])
         at = np.arange(len(own))
         for c in np.flatnonzero(self._missing.any(axis=0)):
@@ -262,10 +260,10 @@ class RandomFeatures:
 
     @cached_property
     def correlation(self) -> Array:
-        """Correlation of the features' differences (K, K), shrunk towards none.
+        """Correlation of the features' differences (K, K), shrunk towards the identity.
 
-        From sums over blocks; the shrinkage is Ledoit and Wolf's, Journal of Multivariate
-        Analysis 88 (2004).
+        From sums over blocks; the shrinkage is Ledoit and Wolf's, Journal of Multivariate Analysis
+        88 (2004).
         """
         parts = np.concatenate([self._linear.influences(), self._rest.influences()], axis=1)
         size = max(1, round(_BLOCK * self.response.rate))
@@ -291,15 +289,15 @@ GROUP = 4
 
 @dataclass(frozen=True, eq=False)
 class RandomRun:
-    """One run of random excitation, as numbers of unit variance that are independent.
+    """One run of random excitation, as independent numbers of unit variance.
 
-    The whitened differences of all features are turned by a fixed random rotation, so that what a
-    hypothesis gets wrong, in however few features, shows in every block of them.
+    The whitened differences of all features are multiplied by a fixed random rotation, so that an
+    error in any hypothesis, in however few features, shows in every block of them.
 
     Parameters
     ----------
     features : RandomFeatures
-        Of the measured run.
+        Features of the measured run.
     """
 
     features: RandomFeatures
@@ -312,12 +310,12 @@ class RandomRun:
         return cls(RandomFeatures.of_trial(trial, machine, channels, floors))
 
     def __len__(self) -> int:
-        """How many numbers there are."""
+        """Number of features."""
         return len(self.features.names)
 
     @property
     def channel(self) -> NDArray[np.intp]:
-        """Number of a channel for each of the numbers: the channels in turn (K,)."""
+        """Channel index for each of the numbers: the channels in turn (K,)."""
         return self.features.used[np.arange(len(self)) % len(self.features.used)]
 
     @cached_property
@@ -327,7 +325,7 @@ class RandomRun:
         return np.asarray(np.linalg.qr(normal)[0])
 
     def residual(self, predicted: Array) -> Array:
-        """Measured less predicted (T, C) -> (K,), in standard deviations of a right model."""
+        """Measured less predicted (T, C) -> (K,), over the deviation of a correct model."""
         return np.asarray(
             self.features.whitened(self.features.differences(predicted)) @ self.rotation
         )

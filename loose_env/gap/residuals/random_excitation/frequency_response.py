@@ -1,4 +1,4 @@
-"""What of a run's readings the random command explains, linearly, and what it does not."""
+"""Coherent and incoherent parts of readings under a random command."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ _FAINT = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class CommandResponse:
-    """Splits readings into a linear response to the command and a rest.
+    """Splits readings into a linear response to the command and an incoherent part.
 
-    The run is faded in and out by a window w, and its spectrum is cut into pieces of a few
-    frequencies each. In a piece the spectrum of w y is regressed on that of w u, on the same times
+    The run is tapered by a window w, and its spectrum is cut into segments of a few frequencies
+    each. In a segment the spectrum of w y is regressed on that of w u, on the same multiplied by
     the frequency and its square, and on that of w' u: the response is a parabola there, and the
-    last one carries what the window does to it. What the regression leaves is incoherent: noise,
-    impacts and all that is not linear.
+    last regressor carries the effect of the window. The residual of the regression is incoherent:
+    noise, impacts and all nonlinear response.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class CommandResponse:
     rate: float
 
     def __post_init__(self) -> None:
-        """Check."""
+        """Check the values."""
         values = self.commands
         if values.ndim != 2 or len(values) < FEWEST or not np.isfinite(values).all():
             raise InvalidData(
@@ -81,12 +81,12 @@ class CommandResponse:
 
     @cached_property
     def centred(self) -> Array:
-        """Commands without their means (T, m)."""
+        """Commands less their means (T, m)."""
         return np.asarray(self.commands - self.commands.mean(axis=0))
 
     @cached_property
     def window(self) -> Array:
-        """Fades the run in and out (T,)."""
+        """Taper of the run (T,)."""
         count = len(self.commands)
         size = max(2, round(_TAPER * count))
         slope = 0.5 - 0.5 * np.cos(np.pi * (np.arange(size) + 0.5) / size)
@@ -96,20 +96,20 @@ class CommandResponse:
 
     @cached_property
     def frequencies(self) -> Array:
-        """Of the pieces, in the middle [Hz] (P,)."""
+        """Centre frequencies of the segments [Hz] (P,)."""
         middle = self._pieces.mean(axis=1)
         return np.asarray(middle * self.rate / len(self.commands))
 
     @cached_property
     def _pieces(self) -> NDArray[np.intp]:
-        """Frequencies of each piece (P, bins), by number; zero stays out."""
+        """Frequency indices of each segment (P, bins), without zero."""
         bins = _BINS + 4 * self.commands.shape[1]
         count = (len(self.commands) // 2 - 1) // bins
         return 1 + np.arange(count * bins).reshape(count, bins)
 
     @cached_property
     def _explained(self) -> ComplexArray:
-        """Orthonormal basis of what the command explains in each piece (P, bins, 4m)."""
+        """Orthonormal basis of the coherent part in each segment (P, bins, 4m)."""
         window = self.window
         plain = fft.rfft(self.centred * window[:, None], axis=0)[self._pieces]
         edges = fft.rfft(self.centred * np.gradient(window)[:, None], axis=0)[self._pieces]
@@ -123,7 +123,7 @@ class CommandResponse:
         return np.ascontiguousarray(self._explained.conj().swapaxes(1, 2))
 
     def incoherent(self, values: Array) -> Incoherent:
-        """What the command does not explain of readings (T, C)."""
+        """Return the incoherent part of readings (T, C)."""
         window, explained = self.window, self._explained
         rows = np.ascontiguousarray(values.T)
         rows = (rows - (rows @ window / window.sum())[:, None]) * window
@@ -136,9 +136,9 @@ class CommandResponse:
         return Incoherent(spectra=spectra * scale, pieces=self._pieces, samples=len(values))
 
     def smooth(self, values: Array) -> Array:
-        """Coarse linear response to each command, free of the noise of its own half of the run.
+        """Smoothed response to each command, estimated from the other half of the run.
 
-        The response in each half of the run is estimated from the other half.
+        This keeps it free of the noise of its own half.
 
         Parameters
         ----------
@@ -171,7 +171,7 @@ class CommandResponse:
         return found
 
     def _welch(self, values: Array, commands: Array) -> tuple[Array, ComplexArray]:
-        """Frequencies (cycles a sample) and responses (K, C, m), by averages over segments."""
+        """Welch estimate: frequencies (cycles a sample) and responses (K, C, m)."""
         length = int(np.clip(_SEGMENT * self.rate, 16, len(values) // 4)) // 2 * 2
         starts = np.arange(0, len(values) - length + 1, length // 2)
         at = starts[:, None] + np.arange(length)
@@ -187,7 +187,7 @@ class CommandResponse:
         power = np.einsum("ski,skj->kij", u.conj(), u)
         cross = np.einsum("ski,skc->kic", u.conj(), y)
         level = np.einsum("kii->k", power).real
-        # Above zero where the command rests in this half of the run and explains nothing.
+        # Positive where the command rests in this half of the run and has no power.
         ridge = max(_FAINT * float(level.max()), 1e-300) * np.eye(commands.shape[1])
         response = np.linalg.solve(power + ridge, cross).swapaxes(1, 2)
         response[level < 100 * _FAINT * level.max()] = 0.0
@@ -196,14 +196,14 @@ class CommandResponse:
 
 @dataclass(frozen=True, eq=False)
 class Incoherent:
-    """Spectra of what the command does not explain, piece by piece."""
+    """Spectra of the incoherent part, by segment."""
 
     spectra: ComplexArray
-    """Scaled so that the mean square is the density (P, bins, C)."""
+    """Spectrum, scaled so that the mean square is the density (P, bins, C)."""
     pieces: NDArray[np.intp]
-    """Numbers of the frequencies (P, bins)."""
+    """Frequency indices (P, bins)."""
     samples: int
-    """Of the run."""
+    """Number of samples of the run."""
 
     @cached_property
     def density(self) -> Array:
@@ -215,7 +215,7 @@ class Incoherent:
         return np.asarray(total / self.spectra.shape[1])
 
     def series(self, kept: NDArray[np.bool_]) -> Array:
-        """The pieces that are kept (P,), as a series in time of even strength (T, C)."""
+        """Return the selected segments (P,), as a stationary time series (T, C)."""
         whole = np.zeros((self.spectra.shape[2], self.samples // 2 + 1), dtype=complex)
         whole[:, self.pieces[kept].ravel()] = self.spectra[kept].reshape(-1, len(whole)).T
         return np.asarray(fft.irfft(whole * np.sqrt(self.samples), self.samples)).T

@@ -1,4 +1,4 @@
-"""Means, and gain and phase of the linear response to a random command, channel by channel."""
+"""Means, and gain and phase of the response to a random command, by channel."""
 
 from __future__ import annotations
 
@@ -24,43 +24,43 @@ _SMOOTHED = 5
 
 @dataclass(frozen=True, eq=False)
 class _Weighted:
-    """One feature: a weighted sum over one channel."""
+    """Linear feature: a weighted sum over one channel."""
 
     name: str
     channel: int
     weights: Array
-    """(T,)."""
+    """Weights (T,)."""
     rounding: float
-    """Standard deviation of what the steps of the channel do to it."""
+    """Standard deviation due to the quantisation of the channel."""
 
 
 class ResponseFeatures:
-    """Features that are linear in the readings.
+    """Features that are linear in the readings: means, gains and phases.
 
-    Gain and phase of a channel are its products with a template, and with the template turned by a
-    quarter, in bands that each hold the same share of the template's square over the noise. The
-    template is the measured response, smoothed; each half of it comes from the other half of the
-    run, so that a channel's noise does not raise its own gain. Channels that do not clearly respond
-    have the template of the channel that responds most clearly, in one band.
+    Gain and phase of a channel are its products with a template, and with the template shifted by a
+    quarter period, in bands that each hold the same share of the template's power over the noise.
+    The template is the measured response, smoothed; each half of it is estimated from the other
+    half of the run, so that a channel's noise does not bias its own gain. Channels without a clear
+    response have the template of the channel with the clearest response, in one band.
 
     Parameters
     ----------
     values : ndarray (T, C)
         Measured readings without gaps.
     names : sequence of str
-        Of the channels.
+        Names of the channels.
     floors : ndarray (C,)
         Their noise standard deviations.
     response : CommandResponse
-        Of the run.
+        Command response of the run.
     rest : Incoherent
-        What the command does not explain of the values.
+        Incoherent part of the values.
     bands : int
         Bands of channels that clearly respond.
     clear : float
         Response that is clear [standard deviations].
     chaos : float
-        Share of the rest, less the noise, that a right simulation draws anew.
+        Share of the incoherent part, less the noise, that a correct simulation does not reproduce.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class ResponseFeatures:
         ]
 
     def of(self, values: Array) -> Array:
-        """Features of readings (T, C) -> (L,)."""
+        """Compute the features of readings (T, C) -> (L,)."""
         found, rows = np.empty(len(self._features)), np.ascontiguousarray(values.T)
         for channel, members, weights in self._grouped:
             found[members] = weights @ rows[channel]
@@ -100,11 +100,11 @@ class ResponseFeatures:
 
     @property
     def about(self) -> list[tuple[int, ...]]:
-        """Numbers of the channels that each feature is about."""
+        """Indices of the channels of each feature."""
         return [(feature.channel,) for feature in self._features]
 
     def influences(self) -> Array:
-        """What each sample of the measured rest adds to each feature (T, L)."""
+        """Contribution of each sample of the incoherent part to each feature (T, L)."""
         loose = self._rest.series(np.ones(len(self._rest.density), dtype=bool))
         return np.stack([f.weights * loose[:, f.channel] for f in self._features], axis=1)
 
@@ -119,7 +119,7 @@ class ResponseFeatures:
 
     def _means(self) -> list[_Weighted]:
         weights = self._window / self._window.sum()
-        # An undithered reading is off by up to (step / pi) times the share, wherever it stands.
+        # An undithered reading has an error of up to (step / pi) times the share, at any value.
         off = self._share * self._steps / np.pi / np.sqrt(2)
         return [
             _Weighted(f"mean of {name}", c, weights, float(off[c]))
@@ -147,7 +147,7 @@ class ResponseFeatures:
         return found
 
     def _clearness(self, values: Array, smooth: Array) -> Array:
-        """By how many standard deviations each channel follows its template (C,)."""
+        """Significance (z) of each channel's correlation with its template (C,)."""
         found = np.zeros(values.shape[1])
         for c in range(len(found)):
             wave = smooth[:, c] - smooth[:, c].mean()
@@ -157,7 +157,7 @@ class ResponseFeatures:
         return found
 
     def _split(self, template: Array, channel: int, bands: int) -> list[tuple[Array, Array]]:
-        """Bands of a template, each with its twin that is turned by a quarter."""
+        """Bands of a template, each with its quadrature component."""
         count = len(template)
         spectrum = fft.rfft(template - template.mean())
         share = np.cumsum(np.abs(spectrum) ** 2 / self._density(channel))
@@ -166,16 +166,16 @@ class ResponseFeatures:
         return [(fft.irfft(own, count), fft.irfft(-1j * own, count)) for own in banded]
 
     def _variance(self, weights: Array, channel: int) -> float:
-        """Variance of a weighted sum over what is random in a channel's difference."""
+        """Variance of a weighted sum over the random part of a channel's difference."""
         power = np.abs(fft.rfft(weights)) ** 2 * self._density(channel)
         twice = 2 * power.sum() - power[0] - (power[-1] if len(weights) % 2 == 0 else 0.0)
         return float(twice / len(weights))
 
     def _density(self, channel: int) -> Array:
-        """Density of what is random in a channel's difference, at all frequencies (T // 2 + 1,).
+        """Density of the random part of a channel's difference (T // 2 + 1,).
 
-        The noise comes in by the measurement alone, what is drawn anew by both sides, and what
-        the simulation repeats by neither.
+        At all frequencies. Noise is in the measurement alone, the chaotic part is independent in
+        both, and the part that the simulation reproduces is in neither.
         """
         noise = float(self._floors[channel]) ** 2
         near = np.pad(self._rest.density[:, channel], _SMOOTHED // 2, mode="edge")
@@ -189,7 +189,7 @@ class ResponseFeatures:
 
 
 def _unsmeared(values: Array, steps: Array) -> Array:
-    """Share of a step's error that motion and noise of a channel do not smear out (C,).
+    """Share of a quantisation error not dithered by motion and noise (C,).
 
     Widrow and Kollar, Quantization Noise (2008), chapter 6.
     """

@@ -1,4 +1,4 @@
-"""Strength, covariance and shape of what a random command does not explain."""
+"""Power, covariance and cumulants of the incoherent part of readings."""
 
 from __future__ import annotations
 
@@ -30,24 +30,24 @@ class RestFeatures:
     """Features of the incoherent part of the readings.
 
     Logarithms of its variance in the command's band and above it, with the noise floor in both
-    sides; covariances of the axes of one sensor; third and fourth cumulants, to which Gaussian
-    noise adds nothing. Units come from the measured run. Distributions and what lies above the
-    band are looked at for vector sensors, and for all channels if there are none.
+    measurement and simulation; covariances of the axes of one sensor; third and fourth cumulants,
+    which are zero for Gaussian noise. Units come from the measured run. Cumulants and the power
+    above the band are computed for vector sensors, and for all channels if there are none.
 
     Parameters
     ----------
     rest : Incoherent
-        Of the measured run.
+        Incoherent part of the measured run.
     channels : sequence of Channel
-        Names, and which are axes of one sensor.
+        Names, and the axes of each vector sensor.
     floors : ndarray (C,)
         Noise standard deviations.
     response : CommandResponse
-        Of the run.
+        Command response of the run.
     floor_error : float
         Standard deviation of a noise floor, as a share of it.
     chaos : float
-        Share of the rest, less the noise, that a right simulation draws anew.
+        Share of the incoherent part, less the noise, that a correct simulation does not reproduce.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class RestFeatures:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What each feature is (R,)."""
+        """Names of the features (R,)."""
         own = [channel.name for channel in self._channels]
         return (
             *(f"rest in band of {name}" for name in own),
@@ -81,7 +81,7 @@ class RestFeatures:
 
     @property
     def about(self) -> list[tuple[int, ...]]:
-        """Numbers of the channels that each feature is about, in the order of `names`."""
+        """Indices of the channels of each feature, in the order of `names`."""
         shaped = [(c,) for c in self._shaped]
         return [
             *((c,) for c in range(len(self._channels))),
@@ -92,7 +92,7 @@ class RestFeatures:
         ]
 
     def of(self, rest: Incoherent, *, noisy: bool) -> Array:
-        """Features of a rest -> (R,); the noise floor is added to one that is not noisy."""
+        """Compute the features (R,); the noise floor is added to noise-free input."""
         noise = np.zeros_like(self._noise) if noisy else self._noise
         inside = np.maximum(_level(rest, self._inside) + noise, 1e-300)
         above = np.maximum(_level(rest, self._above) + noise, 1e-300)[self._shaped]
@@ -111,7 +111,7 @@ class RestFeatures:
         return np.concatenate([np.log(inside), np.log(above), np.arcsinh(cumulants / _LINEAR)])
 
     def influences(self) -> Array:
-        """What each sample of the measured rest adds to each feature (T, R)."""
+        """Contribution of each measured incoherent sample to each feature (T, R)."""
         return np.stack(self._series_of, axis=1)
 
     @cached_property
@@ -138,33 +138,33 @@ class RestFeatures:
 
     @cached_property
     def _shaped(self) -> list[int]:
-        """Channels whose distribution is looked at."""
+        """Indices of the channels with cumulant features."""
         vectors = [c for c, channel in enumerate(self._channels) if channel.axis is not None]
         return vectors or list(range(len(self._channels)))
 
     @cached_property
     def _pairs(self) -> list[tuple[int, int]]:
-        """Channels that are axes of one sensor."""
+        """Pairs of channels that are axes of one sensor."""
         column = [channel.column for channel in self._channels]
         own = self._shaped
         return [(a, b) for a in own for b in own if a < b and column[a] == column[b]]
 
     @cached_property
     def _even(self) -> slice:
-        """Samples in which the run is not faded."""
+        """Mask of samples outside the taper."""
         full = np.flatnonzero(self._response.window == 1)
         return slice(int(full[0]), int(full[-1]) + 1)
 
     def _in_units(self, rest: Incoherent, kept: NDArray[np.bool_]) -> Array:
-        """Shaped channels in a band, in measured standard deviations, where not faded (t, S)."""
+        """Band-filtered channels, standardised, outside the taper (t, S)."""
         own = Incoherent(rest.spectra[:, :, self._shaped], rest.pieces, rest.samples)
         share = 2 * float(np.mean(kept)) * rest.pieces.size / rest.samples
-        faded = float(np.mean(self._response.window**2))  # the spectra are scaled by it
+        faded = float(np.mean(self._response.window**2))  # the spectra are scaled by the taper
         scale = np.sqrt(faded / (self._variance[self._shaped] * share))
         return np.asarray(own.series(kept)[self._even] * scale)
 
     def _spread(self) -> tuple[Array, list[Array]]:
-        """Variances of measured less simulated features (R,), and influences of the samples."""
+        """Variances of the feature differences (R,), and influences of the samples."""
         rest, variances, series = self._rest, [], []
         count = rest.samples
         fade = self._response.window**2 / np.mean(self._response.window**2)
@@ -172,7 +172,7 @@ class RestFeatures:
         for kept, members in ((self._inside, every), (self._above, self._shaped)):
             level, squares = _level(rest, kept), rest.series(kept) ** 2
             for c in members:
-                # The window is no memory of the series.
+                # The taper does not correlate the series.
                 influence = squares[:, c] / squares[:, c].mean() - fade
                 floor = 2 * self._floor_error * self._noise[c] / level[c]
                 again = self._random(self._excess(level[c], c) ** 2)
@@ -196,13 +196,14 @@ class RestFeatures:
         return np.array(variances), series
 
     def _excess(self, level: float, channel: int) -> float:
-        """Share of a variance that is not noise."""
+        """Share of a variance above the noise."""
         return max(0.0, 1.0 - float(self._noise[channel]) / max(float(level), 1e-300))
 
     def _random(self, share: float) -> float:
         """Variance of a difference, as a multiple of that of the measured feature.
 
-        Of the latter a share comes without noise; it is drawn anew by both sides, or by neither.
+        Part of the measured feature is free of noise; measurement and simulation draw that part
+        independently, or share it.
         """
         return 1.0 + (2.0 * self._chaos - 1.0) * share
 
@@ -213,5 +214,5 @@ def _level(rest: Incoherent, kept: NDArray[np.bool_]) -> Array:
 
 
 def _of_mean(series: Array) -> float:
-    """Variance of the mean of a dependent series."""
+    """Variance of the mean of an autocorrelated series."""
     return memory_of(series - series.mean()).variance / len(series)

@@ -1,8 +1,9 @@
-"""What was unexplained is looked at once more, blow by blow.
+"""Impact pass: search for a part with stops in the unexplained residual.
 
-Sample by sample a part that strikes its stops hard cannot be found. What was found beside it is
-fitted again by channels as well as these know it, the part is sought by its powers
-(`loose_env.gap.selection.impacts.impact_search`), and what only stood in for it is left out.
+The impacts of a part against its stops cannot be identified sample by sample. The effects found so
+far are refitted with each channel weighted by its residual, the part is identified by its impact
+power (`loose_env.gap.selection.impacts.impact_search`), and effects that were only proxies for it
+are dropped.
 """
 
 from __future__ import annotations
@@ -29,16 +30,16 @@ __all__ = ["SecondLook", "second_look"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SecondLook:
-    """What it brought."""
+    """Result of the impact pass."""
 
     best: Judged
-    """What was found before as far as it stays, with the part."""
+    """The remaining earlier effects, with the part."""
     intervals: Intervals
-    """Of all parameters."""
+    """Confidence intervals of all parameters."""
     struck: Struck
-    """The part."""
+    """The part with stops."""
     dropped: list[Effect]
-    """What does not stay."""
+    """The effects that are dropped."""
 
 
 def second_look(
@@ -51,24 +52,24 @@ def second_look(
     *,
     say: Callable[[str], None] = lambda _: None,
 ) -> SecondLook | None:
-    """Look for a part that strikes its stops where something is left unexplained.
+    """Search for a part that hits its stops where a residual is unexplained.
 
     Parameters
     ----------
     prepared : Prepared
         The runs.
     judge : Judge
-        Judges fits to ``prepared.fit``.
+        Scores fits to ``prepared.fit``.
     best : Judged
-        What was found, and does not explain enough.
+        The best hypothesis, which does not explain enough.
     sought : sequence of Effect
-        The catalogue at every place.
+        The catalogue at every location.
     settings : GapSettings
-        How many effects may be named, and the seed.
+        Maximum number of effects, and the seed.
     naming : NamingSettings
-        When an effect is believed.
+        Acceptance criteria for an effect.
     say : callable
-        Told what goes on, line by line.
+        Receives progress messages, line by line.
 
     Returns
     -------
@@ -77,8 +78,8 @@ def second_look(
     """
     if not all(map(Blows.worth_while, (prepared.search, prepared.held))):
         return None
-    # Blows fill accelerations, in which right figures leave no less than wrong ones; places and
-    # speeds hardly know of them.
+    # Impacts dominate the accelerations, whose residual is no smaller for correct parameters than
+    # for wrong ones; positions and speeds are hardly affected.
     left = prepared.fit.left_in_channels(best.fitted.residual)
     weighed = prepared.louder(np.maximum(left, 1.0))
     own = Judge(weighed.fit, weighed.whole_held)
@@ -102,7 +103,7 @@ def second_look(
 
 
 def _without_slides(best: Judged, prepared: Prepared, judge: Judge) -> Judged:
-    """What was found, fitted again, but for slides, which are sought once more blow by blow."""
+    """Refit the hypothesis without slides, which the impact pass searches again."""
     kept = [k for k, e in enumerate(best.fitted.effects) if e.kind != "structural_looseness"]
     own = slices_of(best.fitted.effects)
     effects = [best.fitted.effects[k] for k in kept]
@@ -111,7 +112,7 @@ def _without_slides(best: Judged, prepared: Prepared, judge: Judge) -> Judged:
 
 
 def _with_struck(comparison: Comparison, rigid: Fit, struck: Struck) -> Fit:
-    """A fit with a part that was fitted by its powers; nothing is fitted again."""
+    """Add a part fitted by its impact power to a fit, without refitting."""
     whole = Fit(
         effects=(*rigid.effects, struck.effect),
         free=np.concatenate([rigid.free, struck.fitted.free]),

@@ -1,10 +1,10 @@
-"""Runs in which stops are struck, compared by how hard and when they are struck.
+"""Comparison of impact-dominated runs by the power and timing of their impacts.
 
-When a part slides between stops, two simulations that differ in the last digit of its friction
-soon strike at other moments, and sample by sample the right model leaves more than none at all.
-What repeats itself is how much there is of it in each short stretch of time: the power, in two
-bands, of what sensors show beyond a model without play. Over 0.05 s it is all but independent of
-the moment of a blow, and it follows the motion that shakes the part.
+When a part slides between stops, two simulations that differ in the last digit of its friction soon
+have impacts at different times, and sample by sample the residual of the correct model exceeds that
+of no model. The reproducible quantity is the power, in two bands and in short stretches of time, of
+the readings beyond a model without play. Over 0.05 s it is nearly independent of the time of an
+impact, and it follows the motion that excites the part.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ _BLOCK = 0.1
 
 
 class Blows(Comparison):
-    """Compares forward runs by the power of what is beyond a model without play.
+    """Compares forward runs by the power of their residual to a model without play.
 
-    A hypothesis here is what is added to that model. Its numbers are logarithms of powers, measured
-    less simulated, in standard deviations of chance: about one where the model is right. With
-    nothing added `measured` is left.
+    A hypothesis here is the set of effects added to that model. The residuals are logarithms of
+    powers, measured less simulated, in standard deviations of the sampling error: about one where
+    the model is correct. With nothing added the residual is `measured`.
 
     Parameters
     ----------
@@ -50,12 +50,12 @@ class Blows(Comparison):
         The runs; those that are not simulated with their commands, or are compared by features, are
         left out.
     known : Hypothesis
-        The model without play: nominal figures and the effects that were found.
+        The model without play: nominal parameters and the identified effects.
 
     Raises
     ------
     ValueError
-        If no run is left (`Blows.worth_while` tells).
+        If no run can be compared (see `Blows.worth_while`).
     """
 
     def __init__(self, comparison: Comparison, known: Hypothesis) -> None:
@@ -71,7 +71,7 @@ class Blows(Comparison):
 
     @staticmethod
     def worth_while(comparison: Comparison) -> bool:
-        """Whether any run is one that can be compared so."""
+        """Return whether any run can be compared by impact power."""
         read = _sensors(comparison)
         return any(
             _long_enough(comparison, trial) and np.isfinite(trial.measured[:, read]).any()
@@ -84,7 +84,7 @@ class Blows(Comparison):
         return max(self._stretch(t) / trial.rate for t, trial in enumerate(self.trials))
 
     def predict(self, hypotheses: Sequence[Hypothesis]) -> list[list[Array]]:
-        """What every run would show with what is added to the model without play."""
+        """Predict all runs with effects added to the model without play."""
         return super().predict([self._whole(hypothesis) for hypothesis in hypotheses])
 
     def _whole(self, hypothesis: Hypothesis) -> Hypothesis:
@@ -95,7 +95,7 @@ class Blows(Comparison):
         )
 
     def _rows(self) -> tuple[Rows, Array]:
-        """One number a stretch, band, channel and run."""
+        """Build the rows: one per stretch, band, channel and run."""
         self._without = super().predict([self.known])[0]
         self._compared_with = [self._compared(t) for t in range(len(self.trials))]
         measured = [self._powers(t, values) for t, values in enumerate(self._compared_with)]
@@ -125,11 +125,11 @@ class Blows(Comparison):
             shaken=np.zeros(int(read.sum()), dtype=bool),
             inverse=np.zeros(int(read.sum()), dtype=bool),
         )
-        # an encoder at rest shows one value, far less than its noise
+        # an encoder at rest shows a constant value, with variation far below its noise
         return rows, np.log(np.maximum(flat[read], 1.0)) / self._scale
 
     def flatten(self, predicted: Sequence[Array]) -> Array:
-        """Readings by run -> logarithms of their powers, noise added, in units of chance (N,)."""
+        """Convert readings to log powers with noise added, in standard deviations (N,)."""
         found = [
             self._powers(t, np.where(np.isfinite(measured), values, np.nan))
             for t, (measured, values) in enumerate(zip(self._compared_with, predicted, strict=True))
@@ -138,7 +138,7 @@ class Blows(Comparison):
         return np.asarray(np.log(power + 1.0) / self._scale)
 
     def _stretch(self, number: int) -> int:
-        """Samples of a stretch of a run."""
+        """Number of samples in a stretch of a run."""
         return max(_FEWEST, round(_WINDOW * self.trials[number].rate))
 
     def _freedom(self, run: NDArray[np.intp], band: NDArray[np.intp]) -> Array:
@@ -147,9 +147,9 @@ class Blows(Comparison):
         return np.asarray(samples * np.where(band == 0, 1 / _SMOOTHED, 1 - 1 / _SMOOTHED))
 
     def _powers(self, number: int, values: Array) -> Array:
-        """Power of what is beyond the model without play, over that of the noise (K, 2, W).
+        """Power of the residual to the model without play, over the noise power (K, 2, W).
 
-        By channel, band and stretch; NaN where something was not read.
+        By channel, band and stretch; NaN where nothing was read.
         """
         size = self._stretch(number)
         beyond = (values - self._without[number])[:, self._own].T
@@ -168,11 +168,11 @@ class Blows(Comparison):
 
 
 def _sensors(comparison: Comparison) -> list[int]:
-    """Numbers of the channels that are sensors."""
+    """Indices of the channels that are sensors."""
     return [c for c, one in enumerate(comparison.channels) if one.column.startswith("sensor.")]
 
 
 def _long_enough(comparison: Comparison, trial: Trial) -> bool:
-    """Whether a run is followed with its commands, for two stretches at least."""
+    """Return whether a run is simulated with its commands, for two stretches or more."""
     fewest = 2 * max(_FEWEST, _WINDOW * trial.rate)
     return comparison.follows(trial) and len(trial.time) >= fewest

@@ -1,8 +1,8 @@
-"""A part that strikes its stops, found by how hard it strikes, not by when.
+"""Identification of a part with stops by its impact power.
 
-The search compares sample by sample, in which a loose link that strikes hard leaves more than none
-at all. So where it ends with something unexplained, parts with stops are tried once more, by
-`loose_env.gap.selection.impacts.impact_power.Blows`, on top of what was found.
+The search compares sample by sample, where a loose link with hard impacts has a larger residual
+than no effect at all. Where it ends with an unexplained residual, parts with stops are fitted again
+with `loose_env.gap.selection.impacts.impact_power.Blows`, on top of the identified effects.
 """
 
 from __future__ import annotations
@@ -45,29 +45,29 @@ _ROUGH, _FINE = (FitSettings(difference=step, iterations=n) for step, n in ((0.2
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Struck:
-    """A part that strikes its stops."""
+    """A part that hits its stops, identified by impact power."""
 
     fitted: Fit
-    """It alone, on what was known."""
+    """The part alone, added to the known effects."""
     intervals: Intervals
-    """Of its parameters."""
+    """Confidence intervals of its parameters."""
     share: float
-    """Share of the powers of held-out runs that it explains."""
+    """Share of the impact power of held-out runs that it explains."""
     stretch: float
-    """Length of the stretches of time that these powers are of [s]."""
+    """Length of the stretches over which power is computed [s]."""
     rivals: tuple[Effect, ...] = ()
-    """What those runs do not tell from it."""
+    """Effects that those runs cannot distinguish from it."""
     idle: tuple[Effect, ...] = ()
-    """What had been found before and only stood in for it."""
+    """Earlier effects that were only proxies for it."""
 
     @property
     def effect(self) -> Effect:
-        """The part."""
+        """The part with stops."""
         return self.fitted.effects[0]
 
     @property
     def words(self) -> str:
-        """What a reader should know."""
+        """Notes for the reader."""
         return (
             f"{self.effect.where} strikes its stops at moments that no simulation repeats: it is "
             f"named by how hard and how often it does in stretches of {self.stretch:.2g} s, of "
@@ -85,22 +85,22 @@ def find_striking(
     settings: NamingSettings,
     say: Callable[[str], None] = lambda _: None,
 ) -> Struck | None:
-    """Find a part that strikes its stops in runs with commands.
+    """Search for a part that hits its stops in runs with commands.
 
     Parameters
     ----------
     prepared : Prepared
         The runs.
     known : Hypothesis
-        What was found sample by sample, nominal figures included.
+        The hypothesis found sample by sample, nominal parameters included.
     candidates : sequence of Effect
-        The catalogue at every place; those with stops are tried.
+        The catalogue at every location; those with stops are fitted.
     rng : numpy.random.Generator
-        Of the intervals.
+        Random generator of the intervals.
     settings : NamingSettings
-        How sure a lead has to be.
+        Required improvement (z).
     say : callable
-        Told what goes on, line by line.
+        Receives progress messages, line by line.
 
     Returns
     -------
@@ -157,7 +157,7 @@ def find_striking(
 
 @dataclass(frozen=True)
 class _Left:
-    """What a hypothesis leaves of the powers of the runs fitted to and of those held out."""
+    """Residuals of a hypothesis in the impact powers of training and held-out runs."""
 
     fitted: tuple[Blows, Array]
     held: tuple[Blows, Array]
@@ -171,7 +171,7 @@ class _Left:
         return sum(float(left @ left) for _, left in (self.fitted, self.held))
 
     def lead_of(self, behind: _Left) -> tuple[float, float]:
-        """By how much this is ahead, on the runs fitted to and on those held out."""
+        """Return the improvement (z) on the training runs and on the held-out runs."""
         first, second = (
             sureness_of(blows.by_block(more**2), blows.by_block(less**2))
             for (blows, less), (_, more) in (
@@ -182,7 +182,7 @@ class _Left:
         return first, second
 
     def ahead_of(self, behind: _Left, settings: NamingSettings) -> bool:
-        """Whether that is to be believed."""
+        """Return whether the improvement is significant."""
         leads = self.lead_of(behind)
         return max(leads) >= settings.sureness and min(leads) >= settings.held
 
@@ -190,7 +190,7 @@ class _Left:
 def _sorted(
     blows: Blows, effect: Effect, starts: Sequence[tuple[float, ...]]
 ) -> list[tuple[float, tuple[float, ...]]]:
-    """Share of the powers that each start explains by itself, with the start; the best first."""
+    """Share of power that each start explains by itself, with the start; best first."""
     left = blows.residuals(
         [Hypothesis(effects=(effect,), values=(np.array(start),)) for start in starts]
     )
@@ -199,7 +199,7 @@ def _sorted(
 
 
 def _fitted(blows: Blows, effect: Effect, starts: Sequence[tuple[float, ...]]) -> Fit:
-    """The best of fits from the best starts."""
+    """Return the best of fits from the best starts."""
     found = []
     for _, start in _sorted(blows, effect, starts)[:_FROM]:
         rough = fit(blows, [effect], free_of(effect.parameters, np.array(start)), settings=_ROUGH)
@@ -208,12 +208,12 @@ def _fitted(blows: Blows, effect: Effect, starts: Sequence[tuple[float, ...]]) -
 
 
 def _plays(effect: Effect) -> bool:
-    """Whether an effect has stops and a gap between them that can be shut."""
+    """Return whether an effect has stops and a clearance that can be closed."""
     return effect.has_stops and any(p.name == "gap" for p in effect.parameters)
 
 
 def _shut(fitted: Fit) -> Hypothesis:
-    """The part with as small a gap as there is."""
+    """Return the part with its smallest clearance."""
     (effect,), (values,) = fitted.effects, fitted.hypothesis.values
     shut = values.copy()
     for number, parameter in enumerate(effect.parameters):
@@ -225,7 +225,7 @@ def _shut(fitted: Fit) -> Hypothesis:
 def _idle(
     prepared: Prepared, known: Hypothesis, part: Hypothesis, settings: NamingSettings
 ) -> tuple[Effect, ...]:
-    """Effects without which the powers come out as well, once the part is there; the last first."""
+    """Effects that are insignificant once the part is in the model; last first."""
     pairs = list(zip(known.effects, known.values, strict=True))
     nominal = [pair for pair in pairs if pair[0].kind in UNNAMED]
     kept = [pair for pair in pairs if pair[0].kind not in UNNAMED]
@@ -248,6 +248,6 @@ def _of(pairs: Sequence[tuple[Effect, Array]]) -> Hypothesis:
 
 
 def _explained(before: Array, after: Array) -> float:
-    """Share of what is more than chance that is explained, 1 at most."""
+    """Share of the power beyond sampling error that is explained, 1 at most."""
     more, left = (float(np.sum(each**2 - _BY_CHANCE)) for each in (before, after))
     return 1.0 - max(left, 0.0) / more if more > 0 else 0.0

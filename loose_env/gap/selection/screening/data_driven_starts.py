@@ -1,11 +1,9 @@
-"""Starts that the data propose: torques beyond the model's, and accelerations beyond it.
+"""Starting values from data: residual torques and residual accelerations.
 
-The motion of runs with commands is smoothed and put into the inverse dynamics of the model, and
-that is taken off what the drives gave at the commands and the state that were measured. An effect
-that cannot be tried everywhere, such as a ripple of any period, looks for itself in what is left.
-A loose link looks for its direction in what accelerometers show beyond the model.
-
-Collects what accelerometers show beyond a hypothesis.
+The motion of runs with commands is smoothed and put into the inverse dynamics of the model, and the
+result is subtracted from the actuator torque at the measured commands and state. An effect with too
+many possible starts, such as a ripple of any period, fits its start to this residual torque. A
+loose link takes its direction from the accelerometer residuals.
 """
 
 from __future__ import annotations
@@ -38,16 +36,16 @@ _OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 def proposals(
     comparison: Comparison, hypothesis: Hypothesis, candidates: Sequence[Effect]
 ) -> dict[tuple[str, str, str], tuple[tuple[float, ...], ...]]:
-    """Starts of the candidates that look for them in data, by key; {} where no run has commands.
+    """Return data-driven starts by candidate key; {} where no run has commands.
 
     Parameters
     ----------
     comparison : Comparison
         The runs.
     hypothesis : Hypothesis
-        What is known so far.
+        The current hypothesis.
     candidates : sequence of Effect
-        What may be added.
+        Candidate effects.
     """
     starts: dict[tuple[str, str, str], tuple[tuple[float, ...], ...]] = {}
     along = [e for e in candidates if type(e).propose_along is not Effect.propose_along]
@@ -72,13 +70,13 @@ def proposals(
 def missing_torque(
     comparison: Comparison, hypothesis: Hypothesis
 ) -> tuple[Array, Array, Array, Array] | None:
-    """Position, speed, acceleration, and torque beyond the model's, of all runs with commands.
+    """Motion and residual torque of all runs with commands.
 
     Returns
     -------
     tuple of ndarray (T, joints), or None
         [rad, m], [rad/s, m/s], [rad/s², m/s²], [N·m, N]; None if no run has commands and is long
-        enough, or what the actuators gave is not known (`loose_env.gap.data.actuator_states`).
+        enough, or the actuator torques are not known (`loose_env.gap.data.actuator_states`).
     """
     machine = comparison.machine
     rigid = [
@@ -112,7 +110,7 @@ def missing_torque(
 def _missing(
     model: mujoco.MjModel, known: Hypothesis, trial: Trial, motion: Motion, most: int
 ) -> tuple[Array, Array, Array, Array] | None:
-    """The same of one run; None where an actuator's activation is not known."""
+    """Motion and residual torque of one run; None where an activation is not known."""
     times = trial.step * np.arange(trial.steps, dtype=np.float64)
     controls = trial.controls
     for effect, values in zip(known.effects, known.values, strict=True):
@@ -122,7 +120,7 @@ def _missing(
         return None
     given = _about(controls, trial.step, motion.time)
     acting = _about(own, trial.step, motion.time)
-    # At the ends of a run the filter has only one side to go by.
+    # At the ends of a run the filter is one-sided.
     ends = min(int(motion.band.rate / motion.band.end), len(motion.time) // 4)
     chosen = np.arange(ends, len(motion.time) - ends, max(1, len(motion.time) // most))
     joints = len(trial.joints)
@@ -147,10 +145,11 @@ def _missing(
 
 
 def _about(controls: Array, step: float, times: Array) -> Array:
-    """Commands or activations (T, N) as the smoothed motion knows them, at times on an even grid.
+    """Average commands or activations (T, N) as the smoothing filter does the motion.
 
-    A command is held from one sample to the next. On the mean over an interval about a sample it
-    comes half an interval late, which behind a stiff servo is a torque like that of friction.
+    Values are sampled on an even grid. A command is held from one sample to the next. On the mean
+    over an interval about a sample it comes half an interval late, which behind a stiff servo is a
+    torque like that of friction.
     """
     summed = np.concatenate([np.zeros((1, controls.shape[1])), np.cumsum(controls, axis=0)])
     edges = step * np.arange(len(summed), dtype=np.float64)
@@ -170,14 +169,14 @@ _ACCELEROMETER_SAMPLES = 2000
 def residual_accelerations(
     comparison: Comparison, hypothesis: Hypothesis
 ) -> ResidualAccelerations | None:
-    """Collect what accelerometers of three axes show beyond a hypothesis in simulated runs.
+    """Return residuals of three-axis accelerometers in simulated runs.
 
     Parameters
     ----------
     comparison : Comparison
         The runs.
     hypothesis : Hypothesis
-        What is known so far.
+        The current hypothesis.
 
     Returns
     -------

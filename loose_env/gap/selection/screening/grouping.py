@@ -1,9 +1,7 @@
-"""Several effects at once, where one by one each explains little.
+"""Groups of effects fitted jointly, and pairs of confusable effects.
 
-One kind at several places, for servos, gears and bearings of an arm are alike; or all that slows
-one joint down, for oil, seals and air do so together.
-
-Which effects look alike: what a winner has to be compared with before it is named.
+A group is one kind at several locations, since servos, gears and bearings of an arm are alike; or
+all friction at one joint, since oil, seals and air act together.
 """
 
 from __future__ import annotations
@@ -26,23 +24,24 @@ three, leaves a little that neither of the others is any good for alone."""
 
 
 def families(screened: Sequence[Screened], most: int) -> list[list[Screened]]:
-    """Groups of candidates of one kind and variant at two places or more.
+    """Group candidates of one kind and variant at two or more locations.
 
-    A drive that is set otherwise than its model is seldom the only one. Taken one by one, each
-    explains little as long as the others are missing, and something else that explains a little
-    of all of them comes first. A candidate at "all" places is such a group already, and no member.
+    A drive with settings other than its model is seldom the only one. Fitted one at a time, each
+    explains little as long as the others are missing, and another effect that explains a little of
+    all of them would rank first. A candidate at "all" locations is such a group already, and no
+    member.
 
     Parameters
     ----------
     screened : sequence of Screened
         Candidates, the most promising first.
     most : int
-        Most groups.
+        Maximum number of groups.
 
     Returns
     -------
     list of list of Screened
-        Groups whose members promise most together, of every kind the best variant.
+        Groups with the highest total predicted explained variance, the best variant of every kind.
     """
     groups: dict[tuple[str, str], list[Screened]] = {}
     for each in screened:
@@ -61,14 +60,14 @@ def families(screened: Sequence[Screened], most: int) -> list[list[Screened]]:
 
 
 def frictions(screened: Sequence[Screened], named: Sequence[Effect]) -> list[list[Screened]]:
-    """Groups of the frictions that are missing at joints at which one was named.
+    """Group the missing frictions at joints where one friction was identified.
 
     Parameters
     ----------
     screened : sequence of Screened
         Candidates.
     named : sequence of Effect
-        What was named.
+        The identified effects.
 
     Returns
     -------
@@ -97,9 +96,10 @@ _ALIKE = (
 
 
 def joint_of(effect: Effect) -> int | None:
-    """Number of the joint that an effect's place belongs to; None: to the whole arm.
+    """Index of the joint of an effect's location; None for the whole arm.
 
-    Parts of one name, such as a joint and its motor, are told apart by what the effect acts on.
+    Parts of one name, such as a joint and its motor, are distinguished by the element the effect
+    acts on.
     """
     machine, where, part = effect.machine, effect.where, effect.part
     if part == "joint" and where in machine.joints:
@@ -116,7 +116,7 @@ def joint_of(effect: Effect) -> int | None:
 
 
 def akin(effect: Effect, other: Effect) -> bool:
-    """Whether two effects may look alike: kinds that do, at the same joint or the next.
+    """Return whether two effects are confusable: by kind, at the same or next joint.
 
     Examples
     --------

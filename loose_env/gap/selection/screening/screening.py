@@ -1,13 +1,13 @@
-"""Orders candidates by what each could explain; it never decides.
+"""Screening: ranks candidates by predicted explained variance; it never decides.
 
-Every candidate is simulated once from each of its starts, on top of the present fit; those that
-add no spring with a cheaper integrator. What that changes in the residual is its signature. The
-present parameters are free to take up their share of a signature; what is left of it is held
-against what is left of the residual.
+Every candidate is simulated once from each of its starts, on top of the current fit; those that add
+no spring with a cheaper integrator. The resulting change of the residual is its signature. The
+current parameters are free to absorb part of a signature; the remainder is projected onto the
+residual.
 
-What shifts signals in time is looked at twice. An acceleration of many hertz answers a shift in
-proportion over a fraction of a millisecond only, so that a start that is a little off promises
-nothing; positions and speeds answer over a longer one, and say where to try again.
+Effects that shift signals in time are screened twice. An acceleration of many hertz is linear in a
+shift over a fraction of a millisecond only, so that a slightly wrong start predicts no gain;
+positions and speeds are linear over a longer range, and give a better start.
 """
 
 from __future__ import annotations
@@ -46,18 +46,18 @@ _ROOM = 1e-9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Screened:
-    """What one start of one candidate promises."""
+    """Predicted gain of one candidate from one start."""
 
     effect: Effect
     """The candidate."""
     values: tuple[float, ...]
-    """Where a fit should start."""
+    """Starting values of a fit."""
     promise: float
-    """Share of the sum of squares that it would explain, at most 1."""
+    """Predicted share of the sum of squares explained, at most 1."""
     sureness: float
-    """Promise over its own scatter from block to block, in standard deviations."""
+    """Predicted gain over its standard deviation between blocks (z)."""
     second: tuple[float, ...] | None = None
-    """Another start, far from the first, that promises at least half as much."""
+    """Another start, far from the first, with at least half its predicted gain."""
 
 
 def screen(
@@ -67,18 +67,18 @@ def screen(
     *,
     proposed: Mapping[tuple[str, str, str], Sequence[tuple[float, ...]]] = MappingProxyType({}),
 ) -> list[Screened]:
-    """Screen candidates; the most promising first, each with its best start, or two.
+    """Screen candidates; highest predicted gain first, each with one or two starts.
 
     Parameters
     ----------
     comparison : Comparison
-        What is compared.
+        Comparison of the runs.
     fitted : Fit
-        The present hypothesis, with its sensitivities.
+        The current hypothesis, with its sensitivities.
     candidates : sequence of Effect
-        What may be added.
+        Candidate effects.
     proposed : mapping
-        Starts that the data propose, by the candidate's key, in place of its own.
+        Data-driven starts, by the candidate's key, in place of its own.
     """
     known = _Known.of(fitted)
     slow = _slow_rows(comparison)
@@ -130,10 +130,11 @@ def _best_starts(
     candidates: Sequence[Effect],
     proposed: Mapping[tuple[str, str, str], Sequence[tuple[float, ...]]],
 ) -> dict[tuple[str, str, str], list[tuple[float, ...]]]:
-    """The best starts of candidates with many, by candidate: those of a loose link go all ways.
+    """Select the best starts of candidates with many, such as loose-link directions.
 
-    A stiff spring comes out badly in a lighter simulation, but all of its starts alike. Of starts
-    that differ in nuisances alone, such as the stiffness of stops, the best one stands for all.
+    A stiff spring is inaccurate in a cheaper simulation, but equally so for all of its starts. Of
+    starts that differ in nuisance parameters alone, such as the stiffness of stops, the best one
+    represents all.
     """
     entries = [
         (effect, start)
@@ -161,12 +162,12 @@ def _best_starts(
 
 
 def _starts(comparison: Comparison, effect: Effect) -> tuple[tuple[float, ...], ...]:
-    """Starts of an effect for the runs there are."""
+    """Starts of an effect for the forms of run in the recording."""
     return effect.close_starts if comparison.rows.inverse.all() else effect.starts
 
 
 def _without_nuisances(effect: Effect, values: Sequence[float]) -> tuple[float, ...]:
-    """Values of the parameters of which nothing is known beforehand."""
+    """Values of the parameters that have no prior, nuisance parameters left out."""
     return tuple(v for p, v in zip(effect.parameters, values, strict=True) if p.centre is None)
 
 
@@ -176,18 +177,18 @@ def signatures(
     entries: Sequence[tuple[Effect, tuple[float, ...]]],
     base: Array,
 ) -> Iterator[tuple[Effect, tuple[float, ...], Array]]:
-    """What each start of each candidate changes in the residual (N,), one after the other.
+    """Change of the residual (N,) with each start of each candidate, one by one.
 
     Parameters
     ----------
     compared : Comparison
-        What they are simulated in.
+        Comparison used for the simulations.
     fitted : Fit
-        What they are added to.
+        Fit that they are added to.
     entries : sequence of (Effect, values)
         The starts.
     base : ndarray (N,)
-        What `fitted` leaves in that comparison.
+        Residual of `fitted` in that comparison.
     """
     for begin in range(0, len(entries), _GROUP):
         group = entries[begin : begin + _GROUP]
@@ -200,13 +201,13 @@ def signatures(
 
 
 def _keep(seen: dict[int, list[Screened]], found: Screened | None) -> None:
-    """Put what a start promises with the others of its candidate."""
+    """Store the predicted gain of a start with the others of its candidate."""
     if found is not None:
         seen.setdefault(id(found.effect), []).append(found)
 
 
 def _best(found: list[Screened]) -> Screened:
-    """The start of a candidate that promises most, with another that lies far from it."""
+    """Best start of a candidate, with another that lies far from it."""
     first, *others = sorted(found, key=lambda s: -s.promise)
     at = free_of(first.effect.parameters, np.array(first.values))
     matter = np.array([p.centre is None for p in first.effect.parameters])
@@ -220,25 +221,25 @@ def _best(found: list[Screened]) -> Screened:
 
 
 def _slow_rows(comparison: Comparison) -> NDArray[np.bool_]:
-    """Which numbers are readings that answer a shift in time smoothly (N,)."""
+    """Mask of the rows whose readings vary smoothly with a shift in time (N,)."""
     slow = np.array([of_place_or_speed(comparison.machine, c.column) for c in comparison.channels])
     return slow[comparison.rows.channel] & ~comparison.rows.white
 
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """The present fit, as the linear problem of every candidate needs it."""
+    """The current fit, in the form needed by the linear problem of every candidate."""
 
     jacobian: Array
     """Change of the residual with the free numbers (N, P)."""
     residual: Array
     """Measured less predicted (N,)."""
     curvature: Array
-    """Of half the cost (P, P)."""
+    """Hessian of half the cost (P, P)."""
     slope: Array
-    """Of half the cost (P,)."""
+    """Gradient of half the cost (P,)."""
     room: tuple[Array, Array]
-    """How far every free number may move down and up (P,)."""
+    """Allowed change of every free number, down and up (P,)."""
 
     @classmethod
     def of(cls, fitted: Fit, rows: NDArray[np.bool_] | slice = slice(None)) -> _Known:
@@ -255,10 +256,10 @@ class _Known:
         )
 
     def taken_up(self, signatures: Array, least: float, most: float) -> tuple[Array, Array] | None:
-        """Shares of signatures (N, K) that help most (K,), and what they change (N,).
+        """Best coefficients of signatures (N, K) and their change of the residual.
 
-        All else is adjusted. Present parameters move within their bounds: a figure that is known
-        within a tolerance takes up no more of a signature than that.
+        Returns (K,) and (N,). The current parameters are refitted within their bounds: a parameter
+        known within a tolerance absorbs no more of a signature than that.
         """
         jacobian, residual, count = self.jacobian, self.residual, signatures.shape[1]
         across, sizes = jacobian.T @ signatures, signatures.T @ signatures
@@ -287,7 +288,7 @@ def _weigh(
     start: tuple[float, ...],
     signature: Array,
 ) -> Screened | None:
-    """What a signature promises, once the present parameters have taken up their share."""
+    """Predicted gain of a signature after refitting the current parameters."""
     linear = effect.nothing is not None
     most = _LARGEST_SHARE if linear or effect.proportional is not None else 1.0
     taken = known.taken_up(signature[:, None], -_LARGEST_SHARE if linear else 0.0, most)
@@ -308,7 +309,7 @@ def _weigh_together(
     axes: Sequence[tuple[float, ...]],
     signatures: Array,
 ) -> Screened | None:
-    """What the signatures of an effect's axes (N, K) promise, as much of each as is best."""
+    """Predicted gain of the signatures of an effect's axes (N, K), jointly fitted."""
     taken = known.taken_up(signatures, -_LARGEST_SHARE, _LARGEST_SHARE)
     if taken is None or effect.nothing is None:
         return None
@@ -318,7 +319,7 @@ def _weigh_together(
 
 
 def _axes_of(effect: Effect) -> list[tuple[float, ...]]:
-    """Starts of an effect along one of its parameters each, as far out as its own starts lie."""
+    """Starts of an effect along each parameter axis, as far out as its own starts."""
     none = np.array(effect.nothing)
     sizes = np.max(np.array(effect.starts) - none, axis=0)
     return [tuple(float(v) for v in none + row) for row in np.diag(sizes)]
@@ -331,7 +332,7 @@ def _screened(
     values: tuple[float, ...],
     change: Array,
 ) -> Screened | None:
-    """What a change of the residual (N,) promises; None if it is no better for it."""
+    """Predicted gain of a change of the residual (N,); None if it is no better."""
     residual = known.residual
     gains = comparison.by_block(-change * (2 * residual + change))
     if gains.sum() <= 0:
@@ -351,7 +352,7 @@ def _proposed(
     start: tuple[float, ...],
     signature: Array,
 ) -> tuple[float, tuple[float, ...]] | None:
-    """Share that some of the rows would explain, and the values at which they would."""
+    """Predicted explained share from some of the rows, and the values that give it."""
     taken = lens.taken_up(signature[rows, None], 0.0, _LARGEST_SHARE)
     if taken is None or effect.nothing is None:
         return None
@@ -365,10 +366,10 @@ def _proposed(
 def along(
     effect: Effect, start: Sequence[float], nothing: Sequence[float], share: float
 ) -> tuple[float, ...]:
-    """Values at a share of the way from nothing to the start, within the bounds.
+    """Interpolate values between the null effect and the start, within the bounds.
 
-    All parameters go that way, or only the one that what the effect changes is proportional to.
-    Where ratios count they are what goes on: twice from a whole gain to a half of it is a quarter.
+    All parameters are interpolated, or only the one to which the change is proportional. Gains are
+    interpolated as ratios: twice the step from a whole gain to a half of it is a quarter.
     """
     return tuple(
         p.clipped(_between(p, none, value, share)) if effect.proportional in (None, k) else value
@@ -377,7 +378,7 @@ def along(
 
 
 def _between(parameter: Parameter, none: float, value: float, share: float) -> float:
-    """Value at a share of the way from nothing to a value."""
+    """Interpolate between the null value and a value."""
     if parameter.log and none > 0:
         return float(none * (value / none) ** share)
     return none + share * (value - none)

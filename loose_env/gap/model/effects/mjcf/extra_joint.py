@@ -1,4 +1,4 @@
-"""A joint that an effect adds to a link, behind the link's own."""
+"""Extra joints that an effect adds to a link, behind the link's own."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _USUAL = _TOUCH + (1 - _TOUCH) * 5 / 9
 
 
 def last_joints(machine: Machine) -> tuple[str, ...]:
-    """Joints that are the last of their body, behind which an extra one can stand."""
+    """List joints that are the last of their body, behind which one can be added."""
     bodies = [int(b) for b in machine.model.jnt_bodyid]
     return tuple(
         name
@@ -55,7 +55,7 @@ def add_extra_joint(
     friction: float = 0.0,
     step: float = 0.0,
 ) -> mujoco.MjsJoint:
-    """Add a hinge or slide to a body, after its own joints; the model's defaults do not apply."""
+    """Add a hinge or slide to a body, after its own joints, without model defaults."""
     kind = mujoco.mjtJoint.mjJNT_HINGE if turns else mujoco.mjtJoint.mjJNT_SLIDE
     joint = body.add_joint(
         name=name,
@@ -89,28 +89,27 @@ def set_stops(
     weight: float,
     load: float,
 ) -> None:
-    """Give an added joint stops at ±reach.
+    """Add stops at ±reach to an added joint.
 
-    Parts that touch press with a force that grows with the penetration to the power of 1.5
-    (Hertz), and are damped the more the harder they press. MuJoCo's smallest impedance d makes a
-    limit a spring and a damper, d² k r + d c v, where r is the penetration and v its rate; d grows
-    with r. The direct format of ``solref``, scaled with the inverse weight, gives figures in N/m
-    or N·m/rad.
+    Contact force grows with the penetration to the power of 1.5 (Hertz), and damping with the
+    force. MuJoCo's smallest impedance d makes a limit a spring and a damper, d² k r + d c v, where
+    r is the penetration and v its rate; d grows with r. The direct format of ``solref``, scaled
+    with the inverse weight, gives parameters in N/m or N·m/rad.
 
     Parameters
     ----------
     joint : MjsJoint
         The joint.
     reach : float
-        Half the gap [rad or m].
+        Half the clearance [rad or m].
     stiffness : float
-        Of either stop under its usual load [N·m/rad or N/m].
+        Stiffness of either stop under its typical load [N·m/rad or N/m].
     ratio : float
         Damping ratio of the mode on a stop of that stiffness.
     weight : float
         Inverse of the inertia on the stop [1/(kg·m²) or 1/kg].
     load : float
-        Usual load [N·m or N].
+        Typical load [N·m or N].
 
     References
     ----------
@@ -122,17 +121,17 @@ def set_stops(
     if joint.type == mujoco.mjtJoint.mjJNT_HINGE and joint.compiler.degree:
         unit = 180.0 / np.pi
     joint.range = [-reach * unit, reach * unit]
-    # Under the usual load a Hertzian stop gives way by 1.5 load / stiffness; its impedance is
+    # Under the typical load a Hertzian stop deflects by 1.5 load / stiffness; its impedance is
     # largest at three times that, where force over travel is 1.5^-1 3^0.5 times the stiffness.
     joint.solimp_limit = [_SOFT, _SOFT / _TOUCH, 4.5 * load / stiffness, _SOFT, 2]
     joint.solref_limit = [-np.sqrt(3) / 1.5 * stiffness * weight, -damping * weight]
 
 
 def keep_motor_side(machine: Machine, spec: mujoco.MjSpec, name: str, carried: float) -> None:
-    """Leave a little inertia [kg·m² or kg] on the motor side of a joint that has no rotor.
+    """Keep a small inertia [kg·m² or kg] on the motor side of a joint without rotor.
 
-    A Runge-Kutta or Euler step makes a servo that acts on too little go wild: there it is as much
-    as the servo's stiffness and damping ask for, whatever the step of the spec is.
+    A Runge-Kutta or Euler step is unstable for a servo that acts on too little inertia: there it is
+    set by the servo's stiffness and damping, whatever the step of the spec is.
     """
     joint = spec.joint(name)
     least = MOTOR_SHARE * carried
@@ -141,13 +140,13 @@ def keep_motor_side(machine: Machine, spec: mujoco.MjSpec, name: str, carried: f
 
 
 def _held_still(machine: Machine, joint: str) -> float:
-    """Least inertia [kg·m² or kg] on which the servo of a joint is stable by the machine's step."""
+    """Least inertia [kg·m² or kg] for a stable servo at the machine's step."""
     model: mujoco.MjModel = machine.model
     own = int(model.opt.integrator) if machine.integrator is None else machine.integrator
     if own not in _EXPLICIT:
         return 0.0
     step = machine.step or float(model.opt.timestep)
-    turn = step * max(machine.joined // 2, 1) / FASTEST  # the longest that a spring is taken in
+    turn = step * max(machine.joined // 2, 1) / FASTEST  # longest step allowed for a spring
     squares = machine.gears(joint) ** 2
     affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
     terms = np.where(affine[:, None], model.actuator_biasprm[:, 1:3], 0.0)

@@ -1,4 +1,4 @@
-"""Figures of a machine's shape: its plane, its reach, where a link begins and ends."""
+"""Geometry of a machine: plane of motion, reach, and the ends of its links."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _posed(machine: Machine) -> mujoco.MjData:
 
 
 def normal_of(machine: Machine) -> Array | None:
-    """Normal (3,), world frame, of the plane in which the machine moves; None if it leaves it."""
+    """Normal (3,) of the machine's plane of motion, world frame; None if not planar."""
     data = _posed(machine)
     turning = machine.model.jnt_type == _HINGE
     hinges, slides = data.xaxis[turning], data.xaxis[~turning]
@@ -33,7 +33,7 @@ def normal_of(machine: Machine) -> Array | None:
 
 
 def reach_of(machine: Machine) -> float:
-    """Length of the machine from its first joint on along its bodies [m]."""
+    """Length of the machine along its bodies, from its first joint on [m]."""
     model = machine.model
     along = np.zeros(model.nbody)
     first = int(model.jnt_bodyid[0])
@@ -47,15 +47,15 @@ def reach_of(machine: Machine) -> float:
 
 
 def link_ends(machine: Machine, link: str) -> tuple[Array, Array]:
-    """Where a link begins and ends, in its body's frame: at its joint, and at the next or the tool.
+    """Ends of a link in its body's frame: at its joint, and at the next or the tool.
 
-    The end is the farthest of the bodies and sites that it carries; without any, twice the way to
-    its centre of mass.
+    The end is the farthest of the bodies and sites that it carries; without any, twice the distance
+    to its centre of mass.
 
     Returns
     -------
     start, end : ndarray (3,)
-        In the body's frame [m].
+        Positions in the body's frame [m].
     """
     model = machine.model
     body = model.body(link).id
@@ -70,7 +70,7 @@ def link_ends(machine: Machine, link: str) -> tuple[Array, Array]:
 
 
 def _carries(model: mujoco.MjModel, body: int, other: int) -> bool:
-    """Whether another body hangs on a body directly and carries a joint somewhere."""
+    """Return whether a body is a child of another and carries a joint somewhere."""
     if int(model.body_parentid[other]) != body:
         return False
     tree = {other}

@@ -1,4 +1,4 @@
-"""Mass, centre and inertia of a body of a spec, read and written as explicit figures."""
+"""Explicit mass, centre and inertia of a body of a spec, read and written."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ __all__ = ["Inertial", "inertial_of", "make_explicit", "set_inertial", "steiner"
 
 @dataclass(frozen=True, eq=False)
 class Inertial:
-    """How a body's mass lies."""
+    """Mass distribution of a body."""
 
     mass: float
-    """[kg]."""
+    """Mass [kg]."""
     centre: Array
     """Centre of mass, in the body's frame [m] (3,)."""
     tensor: Array
-    """About the centre, along the body's axes [kg·m²] (3, 3)."""
+    """Inertia about the centre, along the body's axes [kg·m²] (3, 3)."""
 
 
 def inertial_of(machine: Machine, spec: mujoco.MjSpec, body: str) -> Inertial:
-    """Read a body of a spec; where it takes its mass from geoms, the compiled model tells."""
+    """Read a body of a spec; mass from geoms is taken from the compiled model."""
     own = spec.body(body)
     taken = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     if own.explicitinertial and not taken:
@@ -54,9 +54,9 @@ def inertial_of(machine: Machine, spec: mujoco.MjSpec, body: str) -> Inertial:
 
 
 def set_inertial(machine: Machine, spec: mujoco.MjSpec, body: str, inertial: Inertial) -> None:
-    """Write a body's figures, whatever geoms it has."""
+    """Write a body's mass, centre and inertia, overriding its geoms."""
     if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
-        # Geoms would overrule any figures: all bodies get those that their geoms gave them.
+        # Geoms would override explicit values: all bodies get those from their geoms.
         every = [b.name for b in spec.bodies if b.name and b.name != "world"]
         kept = {name: inertial_of(machine, spec, name) for name in every if name != body}
         spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
@@ -92,10 +92,10 @@ def steiner(mass: float, lever: Array) -> Array:
 
 
 def make_explicit(machine: Machine, spec: mujoco.MjSpec) -> None:
-    """Give every named body of a spec explicit figures: mass, centre, principal inertia.
+    """Write explicit mass, centre and principal inertia to every named body.
 
-    From then on a factor on a body's ``mass`` or ``inertia`` does what it says, however the model
-    was written: with geoms or with ``fullinertia``.
+    A factor on a body's ``mass`` or ``inertia`` is then effective, whether the model was written
+    with geoms or with ``fullinertia``.
     """
     for body in spec.bodies:
         if body.name and body.name != "world":

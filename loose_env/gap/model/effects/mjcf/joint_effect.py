@@ -1,4 +1,4 @@
-"""What effects at a joint share: where they can be, their units, the scale of the joint."""
+"""Base of effects at a joint: locations, units, and scales of the joint."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class JointEffect(Effect):
 
     @classmethod
     def places(cls, machine: Machine) -> tuple[str, ...]:
-        """Every joint."""
+        """Return every joint."""
         return machine.joints
 
     @property
@@ -37,7 +37,7 @@ class JointEffect(Effect):
 
     @property
     def carried(self) -> float:
-        """What the joint moves without its own rotor [kg·m² or kg]."""
+        """Inertia that the joint moves without its own rotor [kg·m² or kg]."""
         rotor = float(self.machine.model.dof_armature[self._dof])
         return max(self.machine.inertia(self.where) - rotor, 1e-9)
 
@@ -47,7 +47,7 @@ class JointEffect(Effect):
 
     @property
     def torque_unit(self) -> str:
-        """Unit of what the joint's drive gives."""
+        """Unit of the joint's driving force."""
         return "N·m" if self.machine.turns(self.where) else "N"
 
     @property
@@ -57,14 +57,14 @@ class JointEffect(Effect):
 
 
 def angle_unit(joint: mujoco.MjsJoint) -> float:
-    """What one unit of the spec's angles at a joint is [rad]; 1 for a slide."""
+    """Size of one unit of the spec's angles at a joint [rad]; 1 for a slide."""
     return pi / 180 if joint.type == mujoco.mjtJoint.mjJNT_HINGE and joint.compiler.degree else 1.0
 
 
 def added_name(spec: mujoco.MjSpec, where: str, kind: str) -> str:
-    """Name of what an effect adds to a model, one that nothing in it has.
+    """Return an unused name for an element that an effect adds to a model.
 
-    A corrected model that is compared again has what was added before, and an effect may be there
+    A corrected model that is compared again has elements added before, and an effect may occur
     twice.
 
     Examples
@@ -85,7 +85,7 @@ def added_name(spec: mujoco.MjSpec, where: str, kind: str) -> str:
 
 
 def fitted_rate(regressor: Array, torque: Array) -> float:
-    """Least-squares share of a regressor (T,) in a torque (T,), beside a constant.
+    """Least-squares coefficient of a regressor (T,) in a torque (T,), with intercept.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Drives without input: torques that MuJoCo knows as those of actuators only."""
+"""Passive actuators without input: torques that MuJoCo has as actuators only."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def add_cogging(spec: mujoco.MjSpec, joint: str, name: str, cogging: Sequence[fl
     spec : MjSpec
         The model.
     joint, name : str
-        The joint; the drive.
+        The joint; the added actuator.
     cogging : sequence of 3 floats
         Amplitude A [N·m], N and phase of the torque A sin(N q + phase).
     """
@@ -39,7 +39,7 @@ def add_limited_damper(
     spec : MjSpec
         The model.
     joint, name : str
-        The joint; the drive.
+        The joint; the added actuator.
     damping : float
         Torque against the motion over the speed; negative: with the motion [N·m·s/rad].
     limit : float
@@ -54,12 +54,12 @@ def add_limited_damper(
 def _drive(
     spec: mujoco.MjSpec, joint: str, name: str, *, cogging: Sequence[float] = (0.0, 0.0, 0.0)
 ) -> mujoco.MjsActuator:
-    """Add a drive to a joint, after the model's own actuators and without a command.
+    """Add an actuator to a joint, after the model's own ones and without a command.
 
     It is a motor with its terminals open: only motors can be without an input.
     """
     drive = spec.add_actuator(name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    # The model's defaults are not meant for this one.
+    # The model's defaults do not apply to this one.
     drive.forcelimited = drive.ctrllimited = drive.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
     drive.gear = [1, 0, 0, 0, 0, 0]
     drive.dynprm, drive.gainprm, drive.biasprm = np.zeros(10), np.zeros(10), np.zeros(10)
@@ -75,6 +75,6 @@ def _drive(
 
 
 def make_it_stick(joint: mujoco.MjsJoint, step: float) -> None:
-    """Make a joint's friction as stiff as a step [s] allows."""
+    """Set a joint's friction to the largest stiffness that is stable at a step [s]."""
     joint.solimp_friction = [_STIFF, _STIFF, 0.001, 0.5, 2]
     joint.solref_friction = [2 * step, 1.0]

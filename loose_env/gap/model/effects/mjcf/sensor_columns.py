@@ -1,4 +1,4 @@
-"""What a sensor reads: its column in the recording, its unit, how large a reading is."""
+"""Columns of sensors in the recording, with their units and typical sizes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _AT_SITE = (
 
 
 def reading_scale(machine: Machine, sensor: str) -> tuple[float, str]:
-    """A change of a reading that matters, and the unit of the reading."""
+    """Return the smallest change of a reading that matters, and its unit."""
     model = machine.model
     number = model.sensor(sensor).id
     kind = _S(int(model.sensor_type[number]))
@@ -70,7 +70,7 @@ def reading_scale(machine: Machine, sensor: str) -> tuple[float, str]:
 
 
 def of_place_or_speed(machine: Machine, column: str) -> bool:
-    """Whether a column without axis is a position or a speed, not an acceleration or a force."""
+    """Return whether a column is a position or a speed, not an acceleration or force."""
     kind, _, name = column.partition(".")
     return kind == "sensor" and int(machine.model.sensor(name).type[0]) in _SMOOTH
 

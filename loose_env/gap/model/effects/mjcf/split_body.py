@@ -1,4 +1,4 @@
-"""Moves what hangs on a body to another one, so that a joint can be put in between."""
+"""Splits a body by moving its children to another one, to insert a joint."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ _ROUNDING = 1e-9
 def move_children(
     machine: Machine, spec: mujoco.MjSpec, old: mujoco.MjsBody, new: mujoco.MjsBody, along: Array
 ) -> None:
-    """Move the bodies on the far side of ``new`` from ``old`` to it, with all that they carry.
+    """Move the bodies on the far side of ``new`` from ``old`` to it, with subtrees.
 
-    MuJoCo cannot move a body within a spec; a copy of it is attached instead. What refers to it
-    by name, actuators and sensors among them, keeps its order: the names are given up before the
-    originals are deleted and taken again by the copies.
+    MuJoCo cannot move a body within a spec; a copy of it is attached instead. References by name,
+    actuators and sensors among them, keep their order: the names are released before the originals
+    are deleted and reassigned to the copies.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def move_children(
             if element.name:
                 element.name = _MOVED + "old_" + element.name
         spec.delete(original)
-        prefix = f"{_MOVED}{name}_"  # of its own, for every copy brings the defaults along
+        prefix = f"{_MOVED}{name}_"  # a separate copy, since every copy brings the defaults along
         moved = frame.attach_body(copy.body(name), prefix, "")
         moved.pos = place
         if turn is not None:
@@ -86,7 +86,7 @@ def move_sites(
     known = {machine.model.site(s).name for s in range(machine.model.nsite)}
     for site in list(old.sites):
         place, turn = np.array(site.pos), np.array(site.quat)
-        if site.name in known:  # with frames and angles worked out
+        if site.name in known:  # with frames and angles resolved
             number = machine.model.site(site.name).id
             place, turn = machine.model.site_pos[number], machine.model.site_quat[number]
         if (place - here) @ along >= -_ROUNDING:
@@ -96,7 +96,7 @@ def move_sites(
 
 
 def move_geoms(spec: mujoco.MjSpec, old: mujoco.MjsBody, new: mujoco.MjsBody, along: Array) -> None:
-    """Move the geoms on the far side of ``new`` from ``old`` to it; those in frames stay."""
+    """Move the geoms beyond ``new`` from ``old`` to it; those in frames stay."""
     here = np.array(new.pos)
     for geom in list(old.geoms):
         ends = np.array(geom.fromto).reshape(2, 3)
@@ -111,18 +111,18 @@ def move_geoms(spec: mujoco.MjSpec, old: mujoco.MjsBody, new: mujoco.MjsBody, al
 
 
 def keep_from_touching(spec: mujoco.MjSpec, near: mujoco.MjsBody, far: mujoco.MjsBody) -> None:
-    """Exclude the contacts that the link had none of before it was cut.
+    """Exclude contacts that the link could not have before it was cut.
 
-    MuJoCo lets no body touch the one that it hangs on, nor what is fixed to either. Once ``far``
-    hangs on ``near``, the links beyond it hang on ``near`` no more, nor does it on what carries
-    that.
+    MuJoCo excludes contacts between a body and its parent, and bodies fixed to either. Once ``far``
+    is a child of ``near``, the links beyond it are no longer children of ``near``, and it is no
+    longer a child of the parent of ``near``.
 
     Parameters
     ----------
     spec : MjSpec
         The model that is edited.
     near, far : MjsBody
-        The parts of the link; ``far`` hangs on ``near`` by a joint.
+        The parts of the link; ``far`` is a child of ``near``, by a joint.
     """
     if spec.option.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT):
         return
@@ -143,13 +143,13 @@ def keep_from_touching(spec: mujoco.MjSpec, near: mujoco.MjsBody, far: mujoco.Mj
 
 
 def _fixed_together(body: mujoco.MjsBody) -> list[mujoco.MjsBody]:
-    """A body and those that are fixed to it."""
+    """Return a body and those that are fixed to it."""
     fixed = [child for child in body.bodies if not list(child.joints)]
     return [body, *(each for child in fixed for each in _fixed_together(child))]
 
 
 def _move(spec: mujoco.MjSpec, old: Any, new: Any, placed: dict[str, Array]) -> None:
-    """Give ``new`` all that ``old`` has, its name included, but another place; delete ``old``."""
+    """Transfer all of ``old`` but its pose to ``new``, name included; delete ``old``."""
     for name in dir(old):
         value = getattr(old, name)
         if name.startswith("_") or name in _NOT_COPIED or callable(value):
@@ -167,7 +167,7 @@ def _move(spec: mujoco.MjSpec, old: Any, new: Any, placed: dict[str, Array]) -> 
 
 
 def _elements(body: mujoco.MjsBody) -> Iterator[Any]:
-    """Everything with a name in a body and in those on it."""
+    """List all named elements in a body and in its subtree."""
     yield body
     for several in (body.joints, body.geoms, body.sites, body.cameras, body.lights):
         yield from several
@@ -176,7 +176,7 @@ def _elements(body: mujoco.MjsBody) -> Iterator[Any]:
 
 
 def _pose(machine: Machine, body: mujoco.MjsBody) -> tuple[Array, Array | None]:
-    """Where a body stands in its parent; its quaternion too if a frame lies in between."""
+    """Pose of a body in its parent; its quaternion too if a frame lies in between."""
     if body.frame is None:
         return np.array(body.pos), None
     model = machine.model
