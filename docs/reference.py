@@ -27,6 +27,7 @@ PARTS = (
     "diagnosis",
     "gap",
     "envs",
+    "registration",
     "evaluation",
     "instrument",
     "report",

@@ -3,7 +3,7 @@
 Importing the package registers its environments with Gymnasium.
 """
 
-from loose_env.envs import register
+from loose_env.registration import register
 
 __all__ = ["__version__", "register"]
 __version__ = "0.1.0"

@@ -1,7 +1,6 @@
 """The diagnosis environments.
 
-Data flow: faults -> settings -> episode -> rendering -> diagnosis_env -> vector_env ->
-registration -> sb3.
+Data flow: faults -> settings -> episode -> rendering -> diagnosis_env -> vector_env -> sb3.
 """
 
 from loose_env.envs.diagnosis_env import (
@@ -28,10 +27,6 @@ from loose_env.envs.faults.difficulty import (
 )
 from loose_env.envs.faults.sampler import (
     FaultSampler,
-)
-from loose_env.envs.registration import (
-    IDS,
-    register,
 )
 from loose_env.envs.rendering import (
     palette,
@@ -88,7 +83,6 @@ __all__ = [
     "DIFFICULTIES",
     "EDGE",
     "FAINT",
-    "IDS",
     "INK",
     "MEASURED",
     "MUTED",
@@ -123,5 +117,4 @@ __all__ = [
     "moves_in_a_plane",
     "palette",
     "predicted_loop",
-    "register",
 ]

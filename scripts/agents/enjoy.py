@@ -25,8 +25,9 @@ from loose_agents.rl.hyperparameters import ALGORITHMS, key_values
 from loose_agents.rl.learned_policy import CONFIGURATION, LearnedAgent
 from loose_agents.rl.training_options import OneLineParser
 
-from loose_env.envs import IDS, Action, DiagnosisEnv
+from loose_env.envs import Action, DiagnosisEnv
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.registration import IDS
 
 
 def parser() -> OneLineParser:

@@ -37,8 +37,9 @@ from loose_agents.rl.hyperparameters import (
 )
 from loose_agents.rl.training_options import check_training, training_parser
 
-from loose_env.envs import IDS, DiagnosisVectorEnv
+from loose_env.envs import DiagnosisVectorEnv
 from loose_env.errors import InvalidData, InvalidSetting, MissingExtra, UnknownName
+from loose_env.registration import IDS
 
 ROOT = Path(__file__).resolve().parents[2]
 STOP_BIAS = -1.5

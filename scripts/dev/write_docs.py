@@ -21,7 +21,8 @@ import gymnasium
 
 import loose_env  # noqa: F401  (registers the ids)
 from loose_env.arms import Arm
-from loose_env.envs import DIFFICULTIES, IDS, DiagnosisEnv
+from loose_env.envs import DIFFICULTIES, DiagnosisEnv
+from loose_env.registration import IDS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 COLUMNS = 100

@@ -10,8 +10,9 @@ from typing import Any
 import gymnasium
 
 import loose_env  # noqa: F401  (registers the ids)
-from loose_env.envs import IDS, DiagnosisEnv
+from loose_env.envs import DiagnosisEnv
 from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.registration import IDS
 
 __all__ = ["arguments_of", "diagnosis_env", "refused_in_words"]
 

@@ -17,8 +17,8 @@ from loose_agents.rl.hyperparameters import (
     read_hyperparameters,
 )
 
-from loose_env.envs import IDS
 from loose_env.errors import InvalidSetting, LooseEnvError, UnknownName
+from loose_env.registration import IDS
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", "ppo_lstm", "maskable_ppo"])

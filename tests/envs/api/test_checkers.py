@@ -16,8 +16,8 @@ from gymnasium.vector import SyncVectorEnv
 
 import loose_env
 from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.registration import IDS
 from loose_env.envs.vector_env import DiagnosisVectorEnv
+from loose_env.registration import IDS
 
 ROOT = Path(__file__).resolve().parents[3]
 FORMS = [

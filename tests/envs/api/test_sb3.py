@@ -8,10 +8,10 @@ import pytest
 
 from loose_env.arms import planar
 from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.registration import IDS
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import UnknownName
+from loose_env.registration import IDS
 
 pytest.importorskip("stable_baselines3")
 

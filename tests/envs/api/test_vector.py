@@ -12,8 +12,8 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.registration import IDS
 from loose_env.envs.vector_env import DiagnosisVectorEnv
+from loose_env.registration import IDS
 
 MakeEnv = Callable[..., DiagnosisEnv]
 MakeVector = Callable[..., DiagnosisVectorEnv]

@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from loose_env.envs.registration import IDS
+from loose_env.registration import IDS
 
 
 @pytest.mark.parametrize("hold", ["servo", "compliant"])

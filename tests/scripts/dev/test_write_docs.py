@@ -2,35 +2,25 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 from pathlib import Path
-from types import ModuleType
 
 from loose_env.arms import six_axis
 
 ROOT = Path(__file__).resolve().parents[3]
 
 
-def script(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / "dev" / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def test_the_environment_tables_are_up_to_date() -> None:
     written = (ROOT / "docs" / "environments.md").read_text(encoding="utf-8")
-    assert written == script("write_docs").environments()
+    assert written == importlib.import_module("scripts.dev.write_docs").environments()
 
 
 def test_every_element_of_every_environment_is_counted_in_the_document() -> None:
     import gymnasium
 
-    from loose_env.envs import IDS
+    from loose_env.registration import IDS
 
-    pattern = script("write_docs").pattern
+    pattern = importlib.import_module("scripts.dev.write_docs").pattern
     text = (ROOT / "docs" / "environments.md").read_text(encoding="utf-8")
     parts = dict(zip(IDS, text.split("\n## loose_env/")[1:], strict=True))
     for env_id in IDS:
@@ -52,9 +42,9 @@ def test_every_element_of_every_environment_is_counted_in_the_document() -> None
 def test_every_name_of_an_element_has_its_row_in_the_table_of_meanings() -> None:
     import gymnasium
 
-    from loose_env.envs import IDS
+    from loose_env.registration import IDS
 
-    write_docs = script("write_docs")
+    write_docs = importlib.import_module("scripts.dev.write_docs")
     text = (ROOT / "docs" / "environments.md").read_text(encoding="utf-8")
     for names, meaning in write_docs.MEANINGS.items():
         assert f"| {write_docs.names_cell(names)} | {meaning} |" in text
@@ -88,7 +78,7 @@ def test_the_page_has_what_the_docstring_says_of_actions_and_rewards() -> None:
 def test_elements_that_differ_in_joint_and_axis_share_a_pattern() -> None:
     from loose_env.arms import scara
 
-    pattern = script("write_docs").pattern
+    pattern = importlib.import_module("scripts.dev.write_docs").pattern
     assert pattern(six_axis(), "transmission.joint4_y") == r"transmission.\<joint\>_\<axis\>"
     assert pattern(scara(), "inertia.joint3") == r"inertia.\<slide\>"
     assert pattern(scara(), "sin_pose.joint3_position") == r"sin_pose.\<slide\>_position"

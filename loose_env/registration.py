@@ -1,5 +1,7 @@
 """Ids of the environments, and how their arguments become arms and settings.
 
+The simulator is imported when an environment is made: `import loose_env` stays light.
+
 Every id takes ``hold``: "brake", "servo" or "compliant"; see `loose_env.arms.holding.compliance`.
 """
 
@@ -47,7 +49,7 @@ _VECTOR = ("threads", "true_arm")
 
 def register() -> None:
     """Register all ids with Gymnasium; those already there are left alone."""
-    here = "loose_env.envs.registration"
+    here = "loose_env.registration"
     names = ("vera", "planar", "six_axis", "scara", "arm")
     for env_id, name in zip(IDS, names, strict=True):
         if env_id not in gymnasium.registry:
@@ -151,14 +153,14 @@ def _take(arguments: dict[str, Any], *names: str) -> dict[str, Any]:
 def _single(
     arm: Any, arguments: dict[str, Any], of_arm: tuple[str, ...]
 ) -> gymnasium.Env[Any, Any]:
-    from loose_env.envs.diagnosis_env import DiagnosisEnv
+    from loose_env.envs import DiagnosisEnv
 
     own = _take(arguments, *_SINGLE)
     return DiagnosisEnv(arm, _settings(arguments, (*of_arm, *_SINGLE)), **own)
 
 
 def _vector(arm: Any, num_envs: int, arguments: dict[str, Any], of_arm: tuple[str, ...]) -> Any:
-    from loose_env.envs.vector_env import DiagnosisVectorEnv
+    from loose_env.envs import DiagnosisVectorEnv
 
     own = _take(arguments, *_VECTOR)
     _take(arguments, "render_mode")
@@ -167,7 +169,7 @@ def _vector(arm: Any, num_envs: int, arguments: dict[str, Any], of_arm: tuple[st
 
 
 def _settings(arguments: dict[str, Any], others: tuple[str, ...]) -> Any:
-    from loose_env.envs.settings import DiagnosisSettings
+    from loose_env.envs import DiagnosisSettings
 
     known = [f.name for f in fields(DiagnosisSettings)]
     unknown = sorted(set(arguments) - set(known))
