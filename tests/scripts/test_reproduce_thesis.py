@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,18 +18,10 @@ from loose_env.thesis.shared import run
 from loose_env.thesis.shared.run import run_section
 from loose_env.thesis.shared.section import Section
 
-ROOT = Path(__file__).resolve().parents[2]
-
 
 @pytest.fixture(scope="module")
 def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location(
-        "reproduce_thesis", ROOT / "scripts" / "reproduce_thesis.py"
-    )
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module("scripts.reproduce_thesis")
 
 
 @pytest.fixture

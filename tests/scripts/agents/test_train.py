@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import json
 import re
 import signal
@@ -36,23 +36,14 @@ TINY = [
 NAME = "loose_env-Planar-v0_1"
 
 
-def load(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / "agents" / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="module")
 def train() -> ModuleType:
-    return load("train")
+    return importlib.import_module("scripts.agents.train")
 
 
 @pytest.fixture(scope="module")
 def enjoy() -> ModuleType:
-    return load("enjoy")
+    return importlib.import_module("scripts.agents.enjoy")
 
 
 def options(logs: Path, steps: int, *more: str) -> list[str]:

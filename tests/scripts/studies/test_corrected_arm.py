@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
-import sys
+import importlib
 from pathlib import Path
 from types import ModuleType
 
@@ -18,19 +17,12 @@ pytest.importorskip("numba")
 
 from loose_env.arms import describe_file
 
-ROOT = Path(__file__).resolve().parents[3]
 MODE = 60.0
 
 
 @pytest.fixture(scope="module")
 def study() -> ModuleType:
-    name = "corrected_arm"
-    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / "studies" / f"{name}.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module("scripts.studies.corrected_arm")
 
 
 def test_the_true_arm_is_the_nominal_one_with_a_spring_of_the_mode(

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
+import importlib
 import json
-import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -21,22 +20,10 @@ from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import StructuralLooseness
 from loose_env.report import stored_rows, study_head, write_study
 
-ROOT = Path(__file__).resolve().parents[3]
-
-
-def load(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / "studies" / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
-
 
 @pytest.fixture(scope="module")
 def holding() -> ModuleType:
-    return load("holding")
+    return importlib.import_module("scripts.studies.holding")
 
 
 def test_the_true_direction_is_that_of_the_column_the_seat_adds(holding: ModuleType) -> None:
@@ -100,7 +87,7 @@ def test_an_interrupted_study_goes_on_with_the_same_settings_only(
 
 
 def test_gravity_along_the_seat_shuts_it() -> None:
-    opening = load("opening")
+    opening = importlib.import_module("scripts.studies.opening")
     settings = dataclasses.replace(
         opening.Settings(), gravities=(0.0, 1.0), gaps=(4e-4,), levels=(1.0,), repeats=2
     )

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
+import importlib
 from types import ModuleType
 
 import numpy as np
@@ -13,18 +11,10 @@ import pytest
 from loose_env.arms import planar, scara
 from loose_env.diagnosis import ToolFrames
 
-ROOT = Path(__file__).resolve().parents[3]
-
 
 @pytest.fixture(scope="module")
 def study() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("study_links", ROOT / "scripts/studies/links.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["study_links"] = module  # where dataclasses look their annotations up
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module("scripts.studies.links")
 
 
 def test_a_quick_run_prints_both_tables(

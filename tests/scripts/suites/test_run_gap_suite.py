@@ -460,3 +460,11 @@ def test_the_gap_of_the_written_model_goes_into_the_row(tmp_path: Path) -> None:
     assert grade_of(row).exported == pytest.approx(1.25)
     assert "1.250, 1.250 (1 cases)" in script.report([row], 1)
     assert "1.250, 1.250 (1 cases)" in script.tables([row], 1).replace("\N{NO-BREAK SPACE}", " ")
+
+
+def test_the_published_rows_are_those_of_the_code_on_record() -> None:
+    head = json.loads((script.DOCS.parent / script.ROWS).read_text("utf-8").partition("\n")[0])
+    record = json.loads((Path(script.__file__).parent / "code_hashes.json").read_text("utf-8"))
+    assert record["published"] == {key: head["configuration"][key] for key in ("tool", "suite")}
+    for each in record["equivalent"]:
+        assert each["because"] and {len(each["tool"]), len(each["suite"])} == {16}
