@@ -1,4 +1,7 @@
-"""What a mapping says: sources, their clocks, and the columns and runs made of them."""
+"""Contents of a mapping: sources, their clocks, and the columns and runs made of them.
+
+The scalar fields are keys of the mapping file; their types and metadata are its schema.
+"""
 
 from __future__ import annotations
 
@@ -6,30 +9,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from loose_env.importing.mapping.checked_fields import among, within
 from loose_env.importing.samples import ChannelKey
 from loose_env.recording import Condition
 
-__all__ = [
-    "Align",
-    "ColumnEntry",
-    "CsvLayout",
-    "FileKind",
-    "ImportMapping",
-    "Method",
-    "RunPlan",
-    "SourceEntry",
-    "TimeSource",
-]
-
 FileKind = Literal["csv", "mcap", "uff"]
 """Kinds of files that are read."""
+Sign = Literal[1, -1]
 Method = Literal["band", "hold"]
-"""How a column is brought to the run's times: band-limited, or the last value held."""
+"""Resampling to the run's times: band-limited, or zero-order hold."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TimeSource:
-    """Where the time of samples comes from."""
+    """Source of the sampling times."""
 
     column: str = ""
     """CSV: column of the time."""
@@ -39,30 +32,32 @@ class TimeSource:
     """CSV: "iso", or a format of Python's ``strptime``, where the column holds dates."""
     stamp: str = "log"
     """MCAP: "log", "publish", "header", or the field of the message that holds the time."""
-    rate_hz: float | None = None
-    """Samples are this far apart, whatever stamps there are [Hz]."""
+    rate_hz: float | None = field(default=None, metadata=within(1e-6, 1e9))
+    """Sampling rate, in the place of any stamps [Hz]."""
     even: bool = False
     """Stamps jitter about evenly spaced samples: a straight line through them is taken."""
     from_start: bool = False
     """Time counts from the source's first sample that is taken, not from its dates."""
-    offset_s: float = 0.0
+    offset_s: float = field(default=0.0, metadata=within(-1e10, 1e10))
     """Added to the source's times [s]."""
-    drift_ppm: float = 0.0
-    """How much the source's clock runs slow against the others [µs a second]."""
+    drift_ppm: float = field(default=0.0, metadata=within(-1e5, 1e5))
+    """Rate error of the source's clock, positive where it runs slow [µs/s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CsvLayout:
-    """How a table is written."""
+    """Layout of a text table."""
 
-    separator: str = ","
-    decimal: str = "."
-    encoding: str = "utf-8"
-    skip: int = 0
+    separator: str = field(default=",", metadata=among(",", ";", "\t", " ", "|"))
+    decimal: str = field(default=".", metadata=among(".", ","))
+    encoding: str = field(
+        default="utf-8", metadata=among("utf-8", "utf-16", "latin-1", "cp1252")
+    )
+    skip: int = field(default=0, metadata=within(0, 10_000))
     """Lines before the line of names."""
     header: bool = True
     """Whether there is a line of names; without one columns are called "1", "2" and so on."""
-    skip_after_header: int = 0
+    skip_after_header: int = field(default=0, metadata=within(0, 100))
     """Lines between the names and the numbers, such as a line of units."""
     missing: tuple[str, ...] = ()
     """Words that stand for a missing sample, beside an empty cell and NaN."""
@@ -70,31 +65,31 @@ class CsvLayout:
 
 @dataclass(frozen=True, kw_only=True)
 class Align:
-    """Two channels that show the same motion, by which one source's clock is set by another's."""
+    """Two channels of the same motion, from which one clock is aligned to the other."""
 
     to: str
     """Source whose clock is kept."""
     own: ChannelKey
     other: ChannelKey
-    most_s: float = 1.0
-    """Largest shift looked for [s]."""
+    most_s: float = field(default=1.0, metadata=within(1e-6, 1e5))
+    """Largest shift searched [s]."""
     band_hz: tuple[float, float] | None = None
     """Frequencies compared; all that both have by default [Hz]."""
-    sign: int = 1
-    """-1 where one channel is the other upside down."""
-    least_correlation: float = 0.6
-    """Below this the two are not taken for the same motion."""
+    sign: Sign = 1
+    """-1 where one channel is the negative of the other."""
+    least_correlation: float = field(default=0.6, metadata=within(0.0, 1.0))
+    """Least correlation at which the two count as the same motion [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SourceEntry:
-    """One source: a file, or files of one kind that take turns."""
+    """One source: a file, or one file of a kind in each run."""
 
     name: str
     file: str = ""
     """Name of the file; a run may name another."""
     kind: FileKind | None = None
-    """By its name and first bytes where it is not said."""
+    """Detected from name and first bytes by default."""
     csv: CsvLayout = field(default_factory=CsvLayout)
     time: TimeSource = field(default_factory=TimeSource)
     topics: Mapping[str, TimeSource] = field(default_factory=dict)
@@ -102,7 +97,7 @@ class SourceEntry:
     align: Align | None = None
 
     def time_of(self, topic: str) -> TimeSource:
-        """Where the time of a topic comes from."""
+        """Time source of a topic."""
         return self.topics.get(topic, self.time)
 
 
@@ -111,27 +106,27 @@ class ColumnEntry:
     """One column of the recording, and the channel that fills it."""
 
     place: str
-    """Where the mapping says so."""
+    """Location in the mapping, for errors."""
     column: str
     source: str
     key: ChannelKey
     unit: str = ""
     """Unit of the channel's values times ``scale``; SI, or what the file says, by default."""
     scale: float = 1.0
-    """How many of the unit one of the channel's values is."""
-    sign: int = 1
+    """Factor from the channel's values to the unit; not 0."""
+    sign: Sign = 1
     offset: float = 0.0
-    """Added at the end, in SI units."""
+    """Added last [SI unit]."""
     method: Method | None = None
     """"hold" for ``ctrl.`` columns and "band" for the others by default."""
-    delay_s: float = 0.0
-    """How long after it happened the channel shows it [s]."""
-    gap_s: float | None = None
+    delay_s: float = field(default=0.0, metadata=within(-1e4, 1e4))
+    """Latency of the channel [s]."""
+    gap_s: float | None = field(default=None, metadata=within(1e-9, 1e9))
     """Longest pause between samples that is bridged [s]."""
 
     @property
     def way(self) -> Method:
-        """How it is brought to the run's times."""
+        """Resampling method, with its default."""
         return self.method or ("hold" if self.column.startswith("ctrl.") else "band")
 
 
@@ -151,13 +146,13 @@ class RunPlan:
     start: float | int | None = None
     """Seconds after the first time that all columns have; an int is a date [ns since 1970]."""
     stop: float | int | None = None
-    rate_hz: float | None = None
+    rate_hz: float | None = field(default=None, metadata=within(1e-6, 1e9))
     """Rate of the rows [Hz]; the samples of the fastest channel by default."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImportMapping:
-    """All that a mapping file says."""
+    """Contents of a mapping file."""
 
     name: str
     """Name of the file, as errors give it."""

@@ -6,17 +6,15 @@ import datetime
 import json
 import tomllib
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from loose_env.errors import InvalidData
-from loose_env.importing.mapping.checked_fields import Fields, got, number
+from loose_env.importing.mapping.checked_fields import Fields, got, number, text
 from loose_env.importing.mapping.mapping import (
     Align,
     ColumnEntry,
     CsvLayout,
-    FileKind,
     ImportMapping,
-    Method,
     RunPlan,
     SourceEntry,
     TimeSource,
@@ -24,27 +22,13 @@ from loose_env.importing.mapping.mapping import (
 from loose_env.importing.mapping.units import unit_named
 from loose_env.importing.samples import ChannelKey
 from loose_env.importing.timing.dates import date_ns
-from loose_env.recording import Condition, nearest, read_text
-
-__all__ = ["MAPPING_FORMAT", "mapping_of", "read_mapping"]
+from loose_env.recording import nearest, read_text
 
 MAPPING_FORMAT = "loose-mapping/1"
 """The format read here."""
 
 _MOST_BYTES = 2**22
 _MOST_RUNS = 10_000
-_KEYS = ("format", "model", "sources", "columns", "runs")
-_TIME = ("column", "unit", "date_format", "stamp", "rate_hz", "even", "from_start", "offset_s",
-         "drift_ppm")  # fmt: skip
-_SOURCE = ("file", "kind", "separator", "decimal", "encoding", "skip", "header",
-           "skip_after_header", "missing", "time", "topics", "align")  # fmt: skip
-_COLUMN = ("source", "topic", "channel", "unit", "scale", "sign", "offset", "method", "delay_s",
-           "gap_s")  # fmt: skip
-_RUN = ("file", "columns", "sources", "pose", "excited", "condition", "start", "stop", "rate_hz")
-_ALIGN = ("to", "channel", "topic", "to_channel", "to_topic", "most_s", "band_hz", "sign",
-          "least_correlation")  # fmt: skip
-_ENCODINGS = ("utf-8", "utf-16", "latin-1", "cp1252")
-_SEPARATORS = (",", ";", "\t", " ", "|")
 _YEAR = 3.2e7  # [s]
 
 
@@ -79,12 +63,12 @@ def read_mapping(file: str | Path) -> ImportMapping:
         raise InvalidData(f"{path.name}: a mapping ends in .toml or .json")
     if not path.is_file():
         raise InvalidData(f"there is no mapping file {str(file)!r}")
-    text = read_text(path, path.name, _MOST_BYTES)
+    words = read_text(path, path.name, _MOST_BYTES)
     try:
         if ending == ".toml":
-            whole = tomllib.loads(text)
+            whole = tomllib.loads(words)
         else:
-            whole = json.loads(text, object_pairs_hook=_once)
+            whole = json.loads(words, object_pairs_hook=_once)
     except RecursionError:
         raise InvalidData(f"{path.name}: nested too deeply") from None
     except ValueError as error:
@@ -95,7 +79,7 @@ def read_mapping(file: str | Path) -> ImportMapping:
 
 def mapping_of(whole: Any, name: str) -> ImportMapping:
     """Check a mapping that was read from a file; errors as `read_mapping`."""
-    top = Fields(name, whole, _KEYS)
+    top = Fields(name, whole, also=("format", "model", "sources", "columns", "runs"))
     if top.text("format") != MAPPING_FORMAT:
         raise InvalidData(
             f"{name}: format is {top.given['format']!r:.60}; this version reads {MAPPING_FORMAT!r}"
@@ -123,61 +107,45 @@ def mapping_of(whole: Any, name: str) -> ImportMapping:
 
 
 def _source(place: str, name: str, given: Any) -> SourceEntry:
-    fields = Fields(place, given, _SOURCE)
+    fields = Fields(
+        place, given, SourceEntry, CsvLayout, also=("time", "topics", "align"), without=("name",)
+    )
     if not name.replace("_", "").replace("-", "").isalnum():
         raise InvalidData(f"{place}: a source's name is of letters, digits, _ and -")
-    kind = fields.text("kind", among=get_args(FileKind)) if fields.has("kind") else None
-    separator = fields.text("separator", ",", among=_SEPARATORS)
-    decimal = fields.text("decimal", ".", among=(".", ","))
-    if separator == decimal:
+    csv = CsvLayout(**fields.values(CsvLayout))
+    if csv.separator == csv.decimal:
         raise InvalidData(
-            f"{place}: separator and decimal are both {separator!r}; a table with decimal commas "
-            "has another separator, mostly ';'"
+            f"{place}: separator and decimal are both {csv.separator!r}; a table with decimal "
+            "commas has another separator, mostly ';'"
         )
     return SourceEntry(
         name=name,
-        file=fields.text("file", ""),
-        kind=kind,  # type: ignore[arg-type]
-        csv=CsvLayout(
-            separator=separator,
-            decimal=decimal,
-            encoding=fields.text("encoding", "utf-8", among=_ENCODINGS),
-            skip=fields.whole("skip", 0, 10_000),
-            header=fields.flag("header", True),
-            skip_after_header=fields.whole("skip_after_header", 0, 100),
-            missing=fields.texts("missing"),
-        ),
+        **fields.values(SourceEntry),
+        csv=csv,
         time=_time(fields.at("time"), given.get("time", {})),
         topics={
             topic: _time(f"{place}.topics.{topic}", value)
             for topic, value in fields.table("topics").items()
         },
-        align=_align(fields.at("align"), given["align"]) if fields.has("align") else None,
+        align=_align(fields.at("align"), given["align"]) if "align" in given else None,
     )
 
 
 def _time(place: str, given: Any) -> TimeSource:
-    fields = Fields(place, given, _TIME)
-    unit = fields.text("unit", "s")
-    if unit_named(unit, fields.at("unit")).quantity != "time":
-        raise InvalidData(f"{fields.at('unit')}: {unit!r} is no unit of time; s, ms, us, ns are")
-    return TimeSource(
-        column=fields.text("column", ""),
-        unit=unit,
-        date_format=fields.text("date_format", ""),
-        stamp=fields.text("stamp", "log"),
-        rate_hz=fields.optional("rate_hz", 1e-6, 1e9),
-        even=fields.flag("even", False),
-        from_start=fields.flag("from_start", False),
-        offset_s=fields.number("offset_s", 0.0, -1e10, 1e10),
-        drift_ppm=fields.number("drift_ppm", 0.0, -1e5, 1e5),
-    )
+    fields = Fields(place, given, TimeSource)
+    time = TimeSource(**fields.values(TimeSource))
+    if unit_named(time.unit, fields.at("unit")).quantity != "time":
+        raise InvalidData(
+            f"{fields.at('unit')}: {time.unit!r} is no unit of time; s, ms, us, ns are"
+        )
+    return time
 
 
 def _align(place: str, given: Any) -> Align:
-    fields = Fields(place, given, _ALIGN)
+    other = ("to_channel", "to_topic", "band_hz")
+    fields = Fields(place, given, Align, ChannelKey, also=other)
     band = None
-    if fields.has("band_hz"):
+    if "band_hz" in given:
         ends = given["band_hz"]
         if not isinstance(ends, list) or len(ends) != 2:
             raise InvalidData(f"{fields.at('band_hz')} is two frequencies, {got(ends)}")
@@ -186,13 +154,10 @@ def _align(place: str, given: Any) -> Align:
             raise InvalidData(f"{fields.at('band_hz')}: {low:g} is not below {high:g}")
         band = (low, high)
     return Align(
-        to=fields.text("to"),
-        own=ChannelKey(fields.text("channel"), fields.text("topic", "")),
+        **fields.values(Align),
+        own=ChannelKey(**fields.values(ChannelKey)),
         other=ChannelKey(fields.text("to_channel"), fields.text("to_topic", "")),
-        most_s=fields.number("most_s", 1.0, 1e-6, 1e5),
         band_hz=band,
-        sign=fields.sign("sign"),
-        least_correlation=fields.number("least_correlation", 0.6, 0.0, 1.0),
     )
 
 
@@ -200,7 +165,10 @@ def _run(
     name: str, index: int, given: Any, shared: Any, sources: dict[str, SourceEntry]
 ) -> RunPlan:
     place = f"{name}: runs[{index}]"
-    fields = Fields(place, given, _RUN)
+    own = ("columns", "sources", "pose", "start", "stop")
+    if isinstance(given, dict):
+        given = {"file": f"run-{index + 1:02d}", **given}
+    fields = Fields(place, given, RunPlan, also=own, without=("place",))
     columns = {
         column: _column(f"{name}: columns.{column!r}", column, value, sources)
         for column, value in shared.items()
@@ -216,50 +184,37 @@ def _run(
     files = {}
     for source, file in fields.table("sources").items():
         _known(f"{place}.sources", source, sources)
-        if not isinstance(file, str) or not file:
-            raise InvalidData(f"{place}.sources.{source} is the name of a file, {got(file)}")
-        files[source] = file
+        files[source] = text(f"{place}.sources.{source}", file)
     start, stop = (_moment(fields, key) for key in ("start", "stop"))
     if type(start) is type(stop) and start is not None and stop is not None and start >= stop:
         raise InvalidData(f"{place}: start is not before stop")
     return RunPlan(
         place=place,
-        file=fields.text("file", f"run-{index + 1:02d}"),
         columns=tuple(columns.values()),
         sources=files,
-        pose=_pose(fields) if fields.has("pose") else None,
-        excited=fields.texts("excited"),
-        condition=fields.text("condition", "suspect", among=get_args(Condition)),  # type: ignore[arg-type]
+        pose=_pose(fields) if "pose" in given else None,
         start=start,
         stop=stop,
-        rate_hz=fields.optional("rate_hz", 1e-6, 1e9),
+        **fields.values(RunPlan),
     )
 
 
 def _column(place: str, column: str, given: Any, sources: dict[str, SourceEntry]) -> ColumnEntry:
-    fields = Fields(place, given, _COLUMN)
-    source = fields.text("source", next(iter(sources)) if len(sources) == 1 else None)
-    _known(fields.at("source"), source, sources)
-    unit = fields.text("unit", "")
-    if unit:
-        unit_named(unit, fields.at("unit"))
-    scale = fields.number("scale", 1.0)
-    if scale == 0:
-        raise InvalidData(f"{fields.at('scale')} is 0, which leaves nothing of the channel")
-    method = fields.text("method", among=get_args(Method)) if fields.has("method") else None
-    return ColumnEntry(
+    if len(sources) == 1 and isinstance(given, dict):
+        given = {"source": next(iter(sources)), **given}
+    fields = Fields(place, given, ColumnEntry, ChannelKey, without=("place", "column"))
+    entry = ColumnEntry(
         place=place,
         column=column,
-        source=source,
-        key=ChannelKey(fields.text("channel"), fields.text("topic", "")),
-        unit=unit,
-        scale=scale,
-        sign=fields.sign("sign"),
-        offset=fields.number("offset", 0.0),
-        method=method,  # type: ignore[arg-type]
-        delay_s=fields.number("delay_s", 0.0, -1e4, 1e4),
-        gap_s=fields.optional("gap_s", 1e-9, 1e9),
+        key=ChannelKey(**fields.values(ChannelKey)),
+        **fields.values(ColumnEntry),
     )
+    _known(fields.at("source"), entry.source, sources)
+    if entry.unit:
+        unit_named(entry.unit, fields.at("unit"))
+    if entry.scale == 0:
+        raise InvalidData(f"{fields.at('scale')} is 0, which leaves nothing of the channel")
+    return entry
 
 
 def _pose(fields: Fields) -> dict[str, float] | Literal["measured"]:
@@ -300,7 +255,7 @@ def _moment(fields: Fields, key: str) -> float | int | None:
             f"{value!s:.30} is more than a year; give a date in quotes, such as "
             "'2024-05-01T10:00:03.5Z'"
         )
-    return fields.number(key, low=0.0, high=_YEAR)
+    return number(fields.at(key), value, 0.0, _YEAR)
 
 
 def _known(place: str, source: str, sources: dict[str, SourceEntry]) -> None:
