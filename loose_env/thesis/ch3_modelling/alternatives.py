@@ -151,10 +151,7 @@ def finding(flexible: list[Weighing], stiff: list[Weighing], chosen: Sequence[st
 def step_words(weighed: list[Weighing], halved: list[Weighing]) -> str:
     """Say how far the gap's figures move when the simulation step is halved.
 
-    Parameters
-    ----------
-    weighed, halved : list of Weighing
-        VERA's alternatives under the same excitation, displacement first.
+    ``weighed``, ``halved``: VERA's alternatives under the same excitation, displacement first.
     """
     first, *rest = (abs(h.gap / w.gap - 1) for w, h in zip(weighed, halved, strict=True))
     most = max(rest)

@@ -42,20 +42,8 @@ class ErrorSummary(NamedTuple):
 def error_summary(found: ArrayLike, true: ArrayLike) -> ErrorSummary:
     """Boil down the errors of directions found against true ones, as axes.
 
-    Parameters
-    ----------
-    found, true : array, shape (K,)
-        Directions, degrees; a direction and its opposite are the same.
-
-    Returns
-    -------
-    ErrorSummary
-        Signed mean, RMS and largest magnitude, degrees.
-
-    Raises
-    ------
-    InvalidData
-        If there is no direction, the shapes differ, or an angle is not finite.
+    ``found``, ``true`` (K,): directions, degrees; a direction and its opposite are the same.
+    Returns signed mean, RMS and largest magnitude, degrees.
 
     Examples
     --------
@@ -132,20 +120,7 @@ class IndexRow:
 def index_rows(condition: str) -> list[IndexRow]:
     """Work out a table of the comparative index again.
 
-    Parameters
-    ----------
-    condition : str
-        ``"looseness"`` (table 6.5), ``"low_preload"`` (6.6) or ``"backlash"`` (6.7).
-
-    Returns
-    -------
-    list of IndexRow
-        One a pose, in the order of the thesis.
-
-    Raises
-    ------
-    InvalidData
-        If the condition is another.
+    ``condition``: ``"looseness"`` (table 6.5), ``"low_preload"`` (6.6) or ``"backlash"`` (6.7).
 
     Examples
     --------
@@ -208,10 +183,7 @@ def _lowest(condition: str, k: int) -> tuple[float, float]:
 def directions(fault: str) -> tuple[list[float], list[float]]:
     """Direction of lowest correlation and the fault's own [deg], by pose.
 
-    Parameters
-    ----------
-    fault : str
-        ``"looseness"`` or ``"backlash"``.
+    ``fault``: ``"looseness"`` or ``"backlash"``.
     """
     cases = _cases(fault)
     return [c[f"lowest_{fault}_deg"] for c in cases], [c[f"{fault}_deg"] for c in cases]

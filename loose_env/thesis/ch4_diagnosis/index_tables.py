@@ -43,18 +43,7 @@ _TURN = "φn − φ".replace(" ", "\u00a0")
 
 
 def section(seed: int) -> Section:
-    """Set tables 6.3 to 6.7 beside what follows from the thesis's own figures.
-
-    Parameters
-    ----------
-    seed : int
-        Not used: nothing here is random.
-
-    Returns
-    -------
-    Section
-        Words, tables and a figure.
-    """
+    """Set tables 6.3 to 6.7 beside what follows from the thesis's own figures."""
     loose, preload, backlash = map(index_rows, ("looseness", "low_preload", "backlash"))
     errors = {name: error_summary(*directions(name)) for name in ("looseness", "backlash")}
     slips = _slips(loose, preload, backlash, errors)
@@ -312,15 +301,8 @@ _MOST = 0.8
 def index_figure(groups: Mapping[str, Sequence[IndexRow]]) -> Figure:
     """Draw one line a pose and one block a condition.
 
-    Parameters
-    ----------
-    groups : mapping
-        Rows of each condition by its name; the dashed line marks the least index of the first.
-
-    Raises
-    ------
-    MissingExtra
-        If matplotlib is not installed.
+    ``groups``: rows of each condition by its name; the dashed line marks the least index of the
+    first.
     """
     lines = sum(len(rows) + _GAP for rows in groups.values())
     height = 0.235 * lines + 0.55

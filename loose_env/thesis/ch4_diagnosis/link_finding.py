@@ -89,18 +89,7 @@ class Search:
 
 
 def section(seed: int) -> Section:
-    """Search arms of four links, and average direction errors over poses as the thesis did.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of arms, faults and records.
-
-    Returns
-    -------
-    Section
-        Words, tables and a figure.
-    """
+    """Search arms of four links, and average direction errors over poses as the thesis did."""
     arm = planar(LINKS)
     found = {
         (name, order): search(arm, estimator, order, seed=seed)
@@ -131,18 +120,7 @@ def search(
     reference in each pose. Joint 1 is shaken, all others are braked. A joint moves by a quarter
     turn; the direction has turned if it turned by more than half of that.
 
-    Parameters
-    ----------
-    arm : Arm
-        The nominal arm, planar.
-    estimator : callable
-        Direction of looseness [rad] from a record and the healthy twin's.
-    order : {"outward", "inward", "bisection"}
-        Which joint moves next.
-    seed : int
-        Seed; arm number k is the same for every estimator and order.
-    arms : int
-        Number of arms; the loose link goes round.
+    ``estimator``: direction of looseness [rad] from a record and the healthy twin's.
     """
     linear, difficulty = LinearArm(arm), Difficulty()
     sampler = FaultSampler(linear, difficulty)

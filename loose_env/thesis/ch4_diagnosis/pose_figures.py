@@ -87,10 +87,8 @@ def ellipsoid_figure(arm: Arm, panels: Sequence[EllipsoidPanel], *, columns: int
 def set_figure(arms: Sequence[tuple[Arm, Array, Array]]) -> Figure:
     """Draw the chosen poses, a row an arm, with the pushes on the last link's seat.
 
-    Parameters
-    ----------
-    arms : sequence of (Arm, ndarray (P, n), ndarray (P, 2, n))
-        Arm, poses [rad] and push of the seat from each joint, in the last link's axes.
+    ``arms`` (Arm, ndarray (P, n), ndarray (P, 2, n)): arm, poses [rad] and push of the seat from
+    each joint, in the last link's axes.
     """
     columns = max(len(poses) for _, poses, _ in arms)
     side, top = WIDTH / columns, 0.42

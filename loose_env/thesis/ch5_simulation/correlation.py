@@ -68,21 +68,8 @@ class _Result:
 def scaled_normal(count: int, ratio: float, rng: np.random.Generator) -> tuple[Array, Array]:
     """Draw a Gaussian signal x and a motion: x with its variance scaled, across it another.
 
-    Parameters
-    ----------
-    count : int
-        Samples N.
-    ratio : float
-        Variance of the motion along x over that across it.
-    rng : numpy.random.Generator
-        Source of the draws.
-
-    Returns
-    -------
-    x : array, shape (N,)
-        Signal.
-    a : array, shape (2, N)
-        Motion; row 0 is x scaled.
+    ``ratio``: variance of the motion along x over that across it. Returns ``x`` (N,): signal; ``a``
+    (2, N): motion; row 0 is x scaled.
     """
     x, other = rng.standard_normal((2, count))
     return x, np.stack([math.sqrt(ratio) * x, other])
@@ -93,23 +80,8 @@ def uniform_across(
 ) -> tuple[Array, Array]:
     """Draw a Gaussian signal x and a motion: x itself, and across it a uniform component.
 
-    Parameters
-    ----------
-    count : int
-        Samples N.
-    width : float
-        Half the range of the uniform component, as the thesis counts it.
-    variance : float
-        Variance of x.
-    rng : numpy.random.Generator
-        Source of the draws.
-
-    Returns
-    -------
-    x : array, shape (N,)
-        Signal.
-    a : array, shape (2, N)
-        Motion; row 0 is x.
+    ``width``: half the range of the uniform component, as the thesis counts it. Returns ``x`` (N,):
+    signal; ``a`` (2, N): motion; row 0 is x.
     """
     x = math.sqrt(variance) * rng.standard_normal(count)
     return x, np.stack([x, rng.uniform(-width, width, count)])

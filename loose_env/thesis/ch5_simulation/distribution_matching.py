@@ -129,13 +129,9 @@ def near_errors(found: Histogram, truth: Array, part: float) -> Array:
 def far_success(found: Histogram, truth: Array) -> tuple[float, Array]:
     """Share of fits that reach the true parameters within 0.1 %, from far trial values.
 
-    Returns
-    -------
-    share : float
-        Over heights and exponents wrong by ten either way, and directions up to 80 degrees off.
-    by_offset : array, shape (K,)
-        Share of both sides on which the direction is found from the trial of (4.7) to (4.9), at
-        each of `OFFSETS`.
+    Returns ``share`` over heights and exponents wrong by ten either way, and directions up to 80
+    degrees off; ``by_offset`` (K,): share of both sides on which the direction is found from the
+    trial of (4.7) to (4.9), at each of `OFFSETS`.
     """
     reached = []
     for height in (0.1, 1.0, 10.0):
@@ -160,14 +156,7 @@ def far_success(found: Histogram, truth: Array) -> tuple[float, Array]:
 def planar_study(case: Case, seed: Sequence[int], part: float) -> Found:
     """Match each data set of a case from near, from each distance, and from several starts.
 
-    Parameters
-    ----------
-    case : Case
-        Data sets.
-    seed : sequence of int
-        Data set k draws from ``[*seed, k]``.
-    part : float
-        Relative error of the near trial values [1].
+    ``part``: relative error of the near trial values [1].
     """
     sets = [
         histogram(ridge_samples(case.trials, np.random.default_rng([*seed, k])), case.bins)

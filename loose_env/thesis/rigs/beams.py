@@ -27,23 +27,9 @@ def beam_frequency(
     Rayleigh's estimate, a little too high: by 2.7 % without an end mass, by 0.3 % where the end
     mass is that of the beam, by 0.12 % for link 1 of VERA.
 
-    Parameters
-    ----------
-    modulus : float
-        Young's modulus E [Pa].
-    second_moment : float
-        Second moment of area I of the section [m⁴].
-    length : float
-        Length of the beam L [m].
-    end_mass : float
-        Mass at the free end M [kg]; may be zero.
-    beam_mass : float
-        Mass of the beam [kg]; may be zero if there is an end mass.
-
-    Raises
-    ------
-    InvalidSetting
-        If a figure is not finite, negative, or leaves nothing to vibrate.
+    ``modulus``: Young's modulus E [Pa]. ``second_moment``: second moment of area I of the section
+    [m⁴]. ``length``: length of the beam L [m]. ``end_mass``: mass at the free end M [kg]; may be
+    zero. ``beam_mass``: mass of the beam [kg]; may be zero if there is an end mass.
 
     Examples
     --------
@@ -79,14 +65,8 @@ def beam_modulus(
 def rod_stiffness(*, area: float, modulus: float, length: float) -> float:
     """Stiffness of a rod pulled along its axis [N/m] (6.12).
 
-    Parameters
-    ----------
-    area : float
-        Section A [m²]; of a thread, what carries load.
-    modulus : float
-        Young's modulus E [Pa].
-    length : float
-        Free length L [m].
+    ``area``: section A [m²]; of a thread, what carries load. ``modulus``: Young's modulus E [Pa].
+    ``length``: free length L [m].
 
     Examples
     --------
@@ -100,14 +80,8 @@ def rod_stiffness(*, area: float, modulus: float, length: float) -> float:
 def stinger_frequency(*, stiffness: float, mass: float, rod_mass: float) -> float:
     """First longitudinal frequency of a mass on a rod held at its other end [Hz] (6.11).
 
-    Parameters
-    ----------
-    stiffness : float
-        Of the rod, from `rod_stiffness` [N/m].
-    mass : float
-        Mass at the rod's end M [kg].
-    rod_mass : float
-        Mass of the rod [kg].
+    ``stiffness``: of the rod, from `rod_stiffness` [N/m]. ``mass``: mass at the rod's end M [kg].
+    ``rod_mass``: mass of the rod [kg].
 
     Examples
     --------
@@ -123,19 +97,8 @@ def rod_area(
 ) -> float:
     """Section of the rod with which (6.11) and (6.12) give a frequency [m²].
 
-    Parameters
-    ----------
-    frequency : float
-        First longitudinal frequency [Hz].
-    modulus, length, mass : float
-        As `rod_stiffness` and `stinger_frequency` [Pa, m, kg].
-    density : float
-        Of the rod [kg/m³].
-
-    Raises
-    ------
-    InvalidSetting
-        If no section is large enough: a rod alone has no higher frequency than √(3E/ρ)/(2πL).
+    ``frequency``: first longitudinal frequency [Hz]. ``modulus``, ``length``, ``mass``: as
+    `rod_stiffness` and `stinger_frequency` [Pa, m, kg]. ``density``: of the rod [kg/m³].
 
     Examples
     --------

@@ -66,25 +66,11 @@ def slide_rig(
     the cube of accelerometers alone, or the looseness joint with a distal link and the cube.
     The link's x axis lies along the looseness joint, so a seat there has direction (1, 0, 0).
 
-    Parameters
-    ----------
-    looseness_angle : float, optional
-        Angle of the looseness joint from the sliding motion [rad] (the thesis's β);
-        None mounts the cube on the slide itself.
-    cube_angle : float
-        Angle of the cube's x axis from the link's [rad] (the thesis's α).
-    stinger : {"threaded_rod", "stiff"}
-        Rod between shaker and slide.
-    mount : {"bolted", "loose"}
-        Whether the plate under the looseness joint is bolted down or its one screw has lost
-        its preload: it then slides and turns within its play, whatever the seat does.
-
-    Raises
-    ------
-    InvalidSetting
-        If an angle is not finite, or the mount is loose without a looseness joint.
-    UnknownName
-        If there is no such stinger or mount.
+    ``looseness_angle``: angle of the looseness joint from the sliding motion [rad] (the thesis's
+    β); None mounts the cube on the slide itself. ``cube_angle``: angle of the cube's x axis from
+    the link's [rad] (the thesis's α). ``mount``: whether the plate under the looseness joint is
+    bolted down or its one screw has lost its preload: it then slides and turns within its play,
+    whatever the seat does.
 
     Examples
     --------

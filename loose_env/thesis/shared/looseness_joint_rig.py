@@ -15,13 +15,6 @@ def loosened(*, link: int, direction: Direction) -> StructuralLooseness:
     Travel is the thesis's. It runs on linear bushings of low friction between steel stops whose
     stiffness differs; those figures are estimates, the same on both rigs.
 
-    Parameters
-    ----------
-    link : int
-        Link that carries the joint.
-    direction : tuple of float
-        Direction of travel in the link frame.
-
     Examples
     --------
     >>> loosened(link=2, direction=(1.0, 0.0, 0.0)).gap

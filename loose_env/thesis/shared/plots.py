@@ -76,15 +76,6 @@ def loop_panels(panels: Sequence[LoopPanel], names: Sequence[str], *, columns: i
 
     The tool's y axis points up, from which the thesis counts its angles; the outer circle is a
     correlation of one. A thin line through the middle marks the direction sought.
-
-    Parameters
-    ----------
-    panels : sequence of LoopPanel
-        What to draw.
-    names : sequence of str
-        Names of the states, the same in every panel.
-    columns : int
-        Panels side by side.
     """
     rows = -(-len(panels) // columns)
     side = WIDTH / columns
@@ -141,16 +132,8 @@ def by_category(
 ) -> Figure:
     """Draw figures with intervals, side by side at every category.
 
-    Parameters
-    ----------
-    points : sequence of Points
-        One for every state.
-    categories : sequence of str
-        Names under the axis.
-    ylabel, xlabel : str
-        Names of the axes.
-    symlog : float, optional
-        Draw logarithmically beyond this value, linearly within.
+    ``ylabel``, ``xlabel``: names of the axes. ``symlog``: draw logarithmically beyond this value,
+    linearly within.
     """
     height = 2.7
     figure = new_figure(height)
@@ -180,14 +163,8 @@ def curves_by_direction(
 ) -> Figure:
     """Draw figures against direction, one panel below the other.
 
-    Parameters
-    ----------
-    panels : sequence of (str, sequence of Curve)
-        Name of each panel's vertical axis, and its curves.
-    direction : float
-        Direction of the fault, from the x axis [rad]; marked by a line.
-    label : str
-        What to write at that line.
+    ``panels``: name of each panel's vertical axis, and its curves. ``direction``: direction of the
+    fault, from the x axis [rad]; marked by a line.
     """
     each = 1.45
     height = each * len(panels) + 0.95

@@ -63,13 +63,7 @@ def choose(only: Sequence[str] | None = None) -> list[str]:
 
 
 def load(key: str) -> ModuleType:
-    """Import the module of a section.
-
-    Raises
-    ------
-    UnknownName
-        If there is no section of that key, or its module does not exist.
-    """
+    """Import the module of a section."""
     (key,) = choose([key])
     if find_spec(SECTIONS[key]) is None:
         raise UnknownName(f"section {key!r} has no module {SECTIONS[key]}")

@@ -35,20 +35,7 @@ class Outcome:
 
 
 def run_section(key: str, seed: int) -> Outcome:
-    """Run one section; whatever it raises comes back as its outcome.
-
-    Parameters
-    ----------
-    key : str
-        Key of the section.
-    seed : int
-        All that its random numbers depend on, 0 or more.
-
-    Returns
-    -------
-    Outcome
-        The section or the error.
-    """
+    """Run one section; whatever it raises comes back as its outcome."""
     begin = time.perf_counter()
     try:
         found = load(key).section(seed)

@@ -29,16 +29,8 @@ def panels(
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure with one panel above the other.
 
-    Parameters
-    ----------
-    titles : sequence of str
-        What each panel shows; stands over it.
-    across : str
-        Label of the horizontal axis of the lowest panel.
-    up : sequence of str
-        Labels of the vertical axes.
-    height : float
-        Height of one panel [inch].
+    ``across``: label of the horizontal axis of the lowest panel. ``height``: height of one panel
+    [inch].
     """
     count = len(titles)
     total = count * height + count * _ABOVE + (count - 1) * 0.24 + _BELOW

@@ -71,10 +71,7 @@ class Shudder:
 def repeatability(strokes: Array) -> Repeatability:
     """Compare each stroke with the others of its set.
 
-    Parameters
-    ----------
-    strokes : array (strokes, N)
-        One signal a stroke.
+    ``strokes`` (strokes, N): one signal a stroke.
 
     Examples
     --------

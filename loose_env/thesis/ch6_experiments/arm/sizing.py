@@ -53,21 +53,9 @@ def demand(
 ) -> tuple[Array, Array, JointLoads]:
     """Sweep joint 2 over its angles and rates in one motion of joint 1 (6.1.2).
 
-    Parameters
-    ----------
-    links : TwoLinks
-        Figures of the links.
-    told : dict
-        Printed limits of angle and rate of joint 2.
-    rate : float
-        Of joint 1 [rad/s].
-    accelerations : tuple of float
-        Of both joints [rad/s²].
-
-    Returns
-    -------
-    tuple
-        Angles [rad] (K, 1), rates of joint 2 [rad/s] (1, R), loads of shape (K, R, ...).
+    ``told``: printed limits of angle and rate of joint 2. ``rate``: of joint 1 [rad/s].
+    ``accelerations``: of both joints [rad/s²]. Returns angles [rad] (K, 1), rates of joint 2
+    [rad/s] (1, R), loads of shape (K, R, ...).
     """
     limit = math.radians(told["theta2_limit_deg"])
     angles = np.linspace(-limit, limit, _ANGLES)[:, None]

@@ -47,24 +47,6 @@ def stroke_many(
     Every stroke is simulated. From stroke to stroke the potentiometer's noise, which also
     goes through the servo, the accelerometer's noise and the trigger's jitter differ.
 
-    Parameters
-    ----------
-    pose : StrokePose
-        Where the stroke runs.
-    count : int
-        Number of strokes.
-    settings : Guideway
-        Guide, servos and sensors.
-    rng : numpy.random.Generator
-        Source of noise and jitter.
-
-    Raises
-    ------
-    InvalidSetting
-        If no stroke is asked for or the pose lies outside the arm's ranges.
-    InvalidData
-        If the simulation diverges.
-
     Examples
     --------
     >>> from loose_env.thesis.ch6_experiments.arm.guideway import POSES

@@ -152,19 +152,8 @@ def measured_cases(
 ) -> dict[str, list[CaseFigures]]:
     """Measure every pose in every state.
 
-    Parameters
-    ----------
-    seed : int
-        Seed; a case's records depend on it, the state and the pose alone.
-    states : tuple of str
-        Keys of `STATES`.
-    records : int
-        Records of every case; the first ones are the same for any number.
-
-    Returns
-    -------
-    dict
-        For every state, its cases in the order of `poses`.
+    ``states``: keys of `STATES`. ``records``: records of every case; the first ones are the same
+    for any number. Returns for every state, its cases in the order of `poses`.
     """
     return {state: _measure(state, seed, records) for state in states}
 

@@ -69,18 +69,7 @@ Cases = Mapping[str, Sequence[CaseFigures]]
 
 
 def section(seed: int) -> Section:
-    """Measure the five poses in four states and set them beside the printed cases.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of all records.
-
-    Returns
-    -------
-    Section
-        Words, tables and figures.
-    """
+    """Measure the five poses in four states and set them beside the printed cases."""
     cases = measured_cases(seed, _STATES)
     errors = [
         direction_errors(loose, tight, LOOSE_DIRECTION)

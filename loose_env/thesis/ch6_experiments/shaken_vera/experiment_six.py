@@ -48,18 +48,7 @@ Cases = Mapping[str, Sequence[CaseFigures]]
 
 
 def section(seed: int) -> Section:
-    """Measure the five poses with play in joint 2 and set them beside the printed cases.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of all records.
-
-    Returns
-    -------
-    Section
-        Words, tables and figures.
-    """
+    """Measure the five poses with play in joint 2 and set them beside the printed cases."""
     cases = measured_cases(seed, (TIGHT, PLAY))
     errors = [
         direction_errors(play, tight, PLAY_DIRECTION)

@@ -88,12 +88,8 @@ _SHARE = 0.9
 def principal_axis(case: CaseFigures) -> tuple[float, float]:
     """Direction of the long axis of the tool's acceleration, and the aspect ratio.
 
-    Returns
-    -------
-    float
-        Direction from the tool's x axis [rad].
-    float
-        Ratio of the standard deviations along the long and the short axis.
+    Returns direction from the tool's x axis [rad]; ratio of the standard deviations along the long
+    and the short axis.
     """
     covariance = np.mean([np.cov(a) for _, a in case.pairs], axis=0)
     power, axes = np.linalg.eigh(covariance)
@@ -109,16 +105,8 @@ def histogram_panels(
 ) -> Figure:
     """Draw the contour that holds 90 % of the samples, every state in every pose.
 
-    Parameters
-    ----------
-    cases : mapping
-        Cases of every state, in the order of the poses.
-    states : sequence of str
-        States to draw, in the order of the colours.
-    direction : float
-        Direction of the fault, from the tool's x axis [rad]; a line marks it.
-    columns : int
-        Panels side by side.
+    ``cases``: cases of every state, in the order of the poses. ``direction``: direction of the
+    fault, from the tool's x axis [rad]; a line marks it.
     """
     count = len(cases[states[0]])
     rows = -(-count // columns)

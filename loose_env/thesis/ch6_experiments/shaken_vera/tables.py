@@ -75,12 +75,8 @@ class Errors:
 def direction_errors(case: CaseFigures, healthy: CaseFigures, direction: float) -> Errors:
     """Compare four estimators on the same records.
 
-    Parameters
-    ----------
-    case, healthy : CaseFigures
-        Records with the fault and without it, at the same pose.
-    direction : float
-        True direction of the fault [rad].
+    ``case``, ``healthy``: records with the fault and without it, at the same pose. ``direction``:
+    true direction of the fault [rad].
     """
 
     def error(angle: float) -> float:
@@ -171,16 +167,7 @@ def peak_table(
 ) -> Table:
     """Range of the tool's acceleration, printed beside found.
 
-    Parameters
-    ----------
-    cases : mapping
-        Cases of every state.
-    ranges : mapping
-        Printed ranges of every state, pose by pose [g].
-    states : mapping
-        Key of the printed ranges for each state shown.
-    number : str
-        Number of the thesis's table.
+    ``ranges``: printed ranges of every state, pose by pose [g].
     """
     rows = []
     for k, theta2 in enumerate(poses()):

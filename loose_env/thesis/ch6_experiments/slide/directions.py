@@ -153,28 +153,8 @@ def shares_within(
     The motion is the same for all; gains, cross-axis sensitivities, protractor and tape
     are drawn for each. Pair 0 is that of `slide_records` by default.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the records.
-    pairs : int
-        Number of pairs.
-    band : tuple of float
-        Band of the rms [Hz].
-    angles : tuple of float
-        Lowest and highest angle of the cube that count [deg].
-    percent : float
-        Error allowed, in percent of the angle.
-
-    Returns
-    -------
-    ndarray (pairs,)
-        Shares [%].
-
-    Raises
-    ------
-    InvalidSetting
-        If there is no pair, or no angle in the range.
+    ``band``: band of the rms [Hz]. ``angles``: lowest and highest angle of the cube that count
+    [deg]. Returns (pairs,): shares [%].
 
     Examples
     --------

@@ -84,18 +84,7 @@ class Trial:
 
 
 def section(seed: int) -> Section:
-    """Shake the rig at the four angles, bolted down and with the mounting screw loose.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of all records.
-
-    Returns
-    -------
-    Section
-        Words, tables and figures.
-    """
+    """Shake the rig at the four angles, bolted down and with the mounting screw loose."""
     bolted = {state: trials(seed, state, "bolted") for state in STATES}
     loose = {state: trials(seed, state, "loose") for state in (TIGHT, LOOSE)}
     return Section(
@@ -123,16 +112,8 @@ def section(seed: int) -> Section:
 def trials(seed: int, state: str, mount: Mount, *, records: int = RECORDS) -> tuple[Trial, ...]:
     """Measure one state of the joint at the four angles.
 
-    Parameters
-    ----------
-    seed : int
-        Seed; the records of a trial depend on it, the state, the mount and the angle alone.
-    state : str
-        Key of `STATES`.
-    mount : {"bolted", "loose"}
-        How the joint is mounted on the slide.
-    records : int
-        Records of each trial; the first ones are the same for any number.
+    ``state``: key of `STATES`. ``records``: records of each trial; the first ones are the same for
+    any number.
     """
     found = []
     shake = Excitation(torque_rms=(0.0,), duration=1.2, band=SLIDE_BAND, shaker_rms=FORCE)

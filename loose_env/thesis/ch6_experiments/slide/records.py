@@ -121,18 +121,8 @@ class ResolverRecords:
 def slide_records(seed: int, *, pair: int = 0) -> SlideRecords:
     """Shake the slide with the cube at 0 to 90 degrees; then once with the bench shaken too.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of everything.
-    pair : int
-        Which pair of accelerometers, with its protractor and tape: the motion is the same for
-        every pair.
-
-    Raises
-    ------
-    InvalidSetting
-        If there is no pair of that number.
+    ``pair``: which pair of accelerometers, with its protractor and tape: the motion is the same for
+    every pair.
 
     Examples
     --------
@@ -199,22 +189,8 @@ def resolver_records(seed: int) -> ResolverRecords:
 def play(driving: Array, width: float) -> Array:
     """Follow a motion through play: the driven side stays until it is pushed.
 
-    Parameters
-    ----------
-    driving : array (N,)
-        Position of the driving side [rad], sampled finely.
-    width : float
-        Play between its stops [rad].
-
-    Returns
-    -------
-    array (N,)
-        Position of the driven side, in the middle of the play at first.
-
-    Raises
-    ------
-    InvalidSetting
-        If the width is negative or not finite.
+    ``driving`` (N,): position of the driving side [rad], sampled finely. ``width``: play between
+    its stops [rad]. Returns (N,): position of the driven side, in the middle of the play at first.
 
     Examples
     --------

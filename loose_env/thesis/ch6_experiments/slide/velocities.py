@@ -30,19 +30,9 @@ def velocity_correlations(
 ) -> dict[tuple[str, str], float]:
     """Correlation of two axes' velocities, median over windows, by rule and by use of its steps.
 
-    Parameters
-    ----------
-    x, y : array (N,)
-        Accelerations [m/s²].
-    rate : float
-        Sampling rate [Hz].
-    window : float
-        Length of a window [s].
-
-    Returns
-    -------
-    dict
-        By rule and by ``"step by step"`` or ``"summed"`` from the start of the window.
+    ``x``, ``y`` (N,): accelerations [m/s²]. ``rate``: sampling rate [Hz]. ``window``: length of a
+    window [s]. Returns by rule and by ``"step by step"`` or ``"summed"`` from the start of the
+    window.
     """
     length = round(window * rate)
     found = {}

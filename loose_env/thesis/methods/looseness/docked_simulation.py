@@ -51,27 +51,9 @@ def simulate_docked(
 
     Each joint has its drive's torque, its soft centring spring and its own damping; no brake.
 
-    Parameters
-    ----------
-    arm : Arm
-        The arm; its motion must lie in the x-y plane, gravity normal to it.
-    pose : array (n,)
-        Where it is docked [rad].
-    fault : Fault
-        Its seat.
-    torque : array (n, steps)
-        Torque of each drive at every simulation step [N·m].
-    jig : {"pin", "clamp"}
-        What holds the tool.
-    every : int
-        Steps per recorded sample.
-
-    Raises
-    ------
-    InvalidSetting
-        If pose, torque or ``every`` do not fit.
-    InvalidData
-        If the simulation diverged.
+    ``arm``: the arm; its motion must lie in the x-y plane, gravity normal to it. ``pose`` (n,):
+    where it is docked [rad]. ``torque`` (n, steps): torque of each drive at every simulation step
+    [N·m].
 
     Examples
     --------

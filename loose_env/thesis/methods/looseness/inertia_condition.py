@@ -39,24 +39,9 @@ def seated_inertia(
 ) -> Array:
     """Inertia matrix of the driven joints and, for a fault, its seat (3.11 with 3.43).
 
-    Parameters
-    ----------
-    arm : Arm
-        The arm; its bending modes are at rest and left out.
-    pose : array (n,)
-        Joint positions [rad].
-    fault : Fault
-        The seat. Healthy gives the nominal (n, n) matrix.
-
-    Returns
-    -------
-    ndarray (n, n) or (n+1, n+1)
-        Joints first, base to tool, then the seat [kg m², kg m, kg].
-
-    Raises
-    ------
-    InvalidSetting
-        If the pose does not have one finite number for every joint.
+    ``arm``: the arm; its bending modes are at rest and left out. ``pose`` (n,): joint positions
+    [rad]. ``fault``: the seat. Healthy gives the nominal (n, n) matrix. Returns (n, n) or (n+1,
+    n+1): joints first, base to tool, then the seat [kg m², kg m, kg].
 
     Examples
     --------
@@ -93,11 +78,6 @@ def seated_inertia(
 def condition_of(inertia: ArrayLike) -> Condition:
     """Condition number of an inertia matrix, raw and scaled to a unit diagonal.
 
-    Raises
-    ------
-    InvalidData
-        If the matrix is not square, symmetric, finite and positive definite.
-
     Examples
     --------
     >>> condition_of([[4.0, 0.0], [0.0, 1.0]])
@@ -124,11 +104,8 @@ def backlash_condition(ratio: float) -> float:
     Motor side of inertia ``ratio`` times that of the link side: M = I [[1 + r, 1], [1, 1]],
     condition (1 + c) / (1 - c) with c = (1 + r)^(-1/2), about 4 / r for a light motor side.
 
-    Parameters
-    ----------
-    ratio : float
-        Motor side over link side, seen at the joint; gears multiply a rotor's inertia by the
-        square of their ratio.
+    ``ratio``: motor side over link side, seen at the joint; gears multiply a rotor's inertia by the
+    square of their ratio.
 
     Examples
     --------

@@ -24,19 +24,10 @@ def insert_looseness(
 ) -> Chain:
     """Put a looseness joint between joint ``link`` and what that joint moves (3.30-3.32).
 
-    Parameters
-    ----------
-    chain : Chain
-        The nominal arm.
-    link : int
-        Loose link, from 1; its looseness joint becomes column ``link`` counted from 0.
-    axis : array (3,)
-        Direction of the slide or axis of the hinge, in world coordinates.
-    kind : {"prismatic", "revolute"}
-        Slide or hinge.
-    anchor : array (3,), optional
-        A point of the axis [m]; by default that of joint ``link``. A slide needs none: its
-        velocity is a free vector.
+    ``link``: loose link, from 1; its looseness joint becomes column ``link`` counted from 0.
+    ``axis`` (3,): direction of the slide or axis of the hinge, in world coordinates. ``anchor``
+    (3,): point of the axis [m]; by default that of joint ``link``. A slide needs none: its velocity
+    is a free vector.
 
     Examples
     --------
@@ -120,19 +111,9 @@ def looseness_transform(
     the inverse rotation restores the axes of frame (i), so the Denavit-Hartenberg parameters of
     the neighbours stay as they were.
 
-    Parameters
-    ----------
-    axis : array (3,)
-        Direction of the slide or of the hinge's axis in frame (i).
-    displacement : float
-        Motion of the looseness joint [m or rad].
-    kind : {"prismatic", "revolute"}
-        Slide or hinge.
-
-    Returns
-    -------
-    ndarray (4, 4)
-        For a slide, a pure translation along ``axis``.
+    ``axis`` (3,): direction of the slide or of the hinge's axis in frame (i). ``displacement``:
+    motion of the looseness joint [m or rad]. Returns (4, 4): for a slide, a pure translation along
+    ``axis``.
 
     Examples
     --------

@@ -132,23 +132,8 @@ def weigh_alternatives(
     constrained tool, a pin holds it; the static one is driven slowly. Healthy and loose arm get
     the same torques, and the gap counts by the rms difference of their disagreements.
 
-    Parameters
-    ----------
-    arm : Arm
-        A planar arm with as many joints as `Arm.axes` names directions, its motion in x-y.
-    pose : ndarray (n,)
-        Where it stands [rad].
-    fault : StructuralLooseness
-        The loose seat.
-    rng : numpy.random.Generator
-        Source of the excitation.
-    settings : AlternativeSettings, optional
-        Drive and sensors.
-
-    Raises
-    ------
-    InvalidSetting
-        If the arm has not two joints, so that a pin would leave it free to move.
+    ``arm``: planar arm with as many joints as `Arm.axes` names directions, its motion in x-y.
+    ``pose`` (n,): where it stands [rad].
 
     Examples
     --------

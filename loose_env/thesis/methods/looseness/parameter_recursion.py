@@ -45,17 +45,8 @@ class PlanarParameters:
 def velocity_components(jacobian: ArrayLike, rates: ArrayLike) -> Array:
     """Tool velocity from each joint alone (3.51, 3.52); they add up to the whole (3.53).
 
-    Parameters
-    ----------
-    jacobian : array (d, n)
-        Rows of the Jacobian.
-    rates : array (n,)
-        Joint velocities.
-
-    Returns
-    -------
-    ndarray (n, d)
-        Component of joint i in row i.
+    ``jacobian`` (d, n): rows of the Jacobian. ``rates`` (n,): joint velocities. Returns (n, d):
+    component of joint i in row i.
 
     Examples
     --------
@@ -76,22 +67,8 @@ def velocity_components(jacobian: ArrayLike, rates: ArrayLike) -> Array:
 def rotation_arms(velocities: ArrayLike, rates: ArrayLike) -> Array:
     """Vector from each revolute joint to the tool (3.58-3.60).
 
-    Parameters
-    ----------
-    velocities : array (n, 2)
-        Tool velocity while joint i alone turns [m/s], all in one frame.
-    rates : array (n,)
-        Velocity of that joint [rad/s].
-
-    Returns
-    -------
-    ndarray (n, 2)
-        Vectors [m].
-
-    Raises
-    ------
-    InvalidData
-        If shapes do not match, a value is not finite or a joint did not turn.
+    ``velocities`` (n, 2): tool velocity while joint i alone turns [m/s], all in one frame.
+    ``rates`` (n,): velocity of that joint [rad/s]. Returns (n, 2): vectors [m].
 
     Examples
     --------
@@ -126,21 +103,9 @@ def identify_planar(
     (3.65) instead, the angle between link i and the vector from its end to the tool, which
     changes with the joints beyond; see `distended_angles`.
 
-    Parameters
-    ----------
-    velocities : array (n, 2)
-        Tool velocity while joint i alone turns [m/s], in the world's or the tool's frame.
-    rates : array (n,)
-        Velocity of that joint [rad/s].
-    angles : array (n,)
-        Joint readings in the pose [rad].
-    kinds : sequence of {"revolute", "prismatic"}, optional
-        Kind of each joint; all revolute by default.
-
-    Raises
-    ------
-    InvalidData
-        If a joint is prismatic, two neighbours coincide, or shapes do not match.
+    ``velocities`` (n, 2): tool velocity while joint i alone turns [m/s], in the world's or the
+    tool's frame. ``rates`` (n,): velocity of that joint [rad/s]. ``angles`` (n,): joint readings in
+    the pose [rad].
 
     Examples
     --------
@@ -183,10 +148,7 @@ def distended_angles(velocities: ArrayLike, rates: ArrayLike) -> Array:
     Only the last of them is a joint angle, that of joint n; the others turn with every joint
     beyond.
 
-    Returns
-    -------
-    ndarray (n-1,)
-        Angles in (-pi, pi] [rad].
+    Returns (n-1,): angles in (-pi, pi] [rad].
 
     Examples
     --------
@@ -204,19 +166,9 @@ def parameter_deviations(
 ) -> tuple[Array, Array]:
     """Propagate white velocity noise to lengths and offsets, to first order.
 
-    Parameters
-    ----------
-    velocities, rates : array (n, 2), array (n,)
-        As for `identify_planar`.
-    noise : float
-        Standard deviation of every velocity component [m/s], independent of each other.
-
-    Returns
-    -------
-    lengths : ndarray (n,)
-        Standard deviations of the lengths [m].
-    offsets : ndarray (n-1,)
-        Standard deviations of the offsets [rad].
+    ``velocities``, ``rates`` (n, 2), (n,): as for `identify_planar`. ``noise``: standard deviation
+    of every velocity component [m/s], independent of each other. Returns ``lengths`` (n,): standard
+    deviations of the lengths [m]; ``offsets`` (n-1,): standard deviations of the offsets [rad].
 
     Examples
     --------
@@ -247,15 +199,7 @@ def slide_direction(velocity: ArrayLike) -> Array:
 
     The direction is all there is: its sign is that of an unknown rate.
 
-    Parameters
-    ----------
-    velocity : array (2,) or (3,)
-        Velocity of the tool [m/s].
-
-    Returns
-    -------
-    ndarray, same shape
-        Unit vector.
+    ``velocity`` (2,) or (3,): velocity of the tool [m/s].
 
     Examples
     --------

@@ -63,12 +63,8 @@ class LinkAgreement:
 def joint_torques(jacobian: ArrayLike, force: ArrayLike) -> Array:
     """Joint torques equivalent to a force at the tool, J^T f (3.10).
 
-    Parameters
-    ----------
-    jacobian : array (m, n)
-        Rows of the Jacobian.
-    force : array (m,) or (m, N)
-        Force and moment on the tool in the same rows [N, N·m].
+    ``jacobian`` (m, n): rows of the Jacobian. ``force`` (m,) or (m, N): force and moment on the
+    tool in the same rows [N, N·m].
 
     Examples
     --------
@@ -87,14 +83,8 @@ def seat_force(jacobian: ArrayLike, force: ArrayLike, column: int) -> Array:
     A seat between its stops carries none: such a force at the tool has no part along the slide
     (the wrench of zero amplitude).
 
-    Parameters
-    ----------
-    jacobian : array (m, n+1)
-        The loose arm's Jacobian.
-    force : array (m,) or (m, N)
-        Force on the tool.
-    column : int
-        The looseness joint's column, from 0.
+    ``jacobian`` (m, n+1): the loose arm's Jacobian. ``force`` (m,) or (m, N): force on the tool.
+    ``column``: the looseness joint's column, from 0.
 
     Examples
     --------
@@ -109,16 +99,10 @@ def tool_acceleration(
 ) -> Array:
     """Tool acceleration at low speed, J M⁻¹ (τ* + J^T f) (3.9, 3.15-3.17, 3.20-3.24).
 
-    Parameters
-    ----------
-    jacobian : array (m, n)
-        Rows of the Jacobian; n counts the looseness joint if there is one.
-    inertia : array (n, n)
-        Inertia matrix.
-    torque : array (n,) or (n, N)
-        Joint torques, potential loads taken off (3.14); 0 at a looseness joint.
-    force : array (m,) or (m, N), optional
-        Force of the surroundings on the tool; none for a free arm.
+    ``jacobian`` (m, n): rows of the Jacobian; n counts the looseness joint if there is one.
+    ``inertia`` (n, n): inertia matrix. ``torque`` (n,) or (n, N): joint torques, potential loads
+    taken off (3.14); 0 at a looseness joint. ``force`` (m,) or (m, N): force of the surroundings on
+    the tool; none for a free arm.
 
     Examples
     --------
@@ -162,17 +146,9 @@ def docked_acceleration(jacobian: ArrayLike, inertia: ArrayLike, torque: ArrayLi
 def remaining_motions(jacobian: ArrayLike, *, tolerance: float = 1e-9) -> Array:
     """Joint motions that leave the tool still: the null space of J.
 
-    Parameters
-    ----------
-    jacobian : array (m, n)
-        Only the rows that the jig holds; n counts the looseness joint if there is one.
-    tolerance : float
-        Singular values below this share of the largest count as zero.
-
-    Returns
-    -------
-    ndarray (n, k)
-        Orthonormal motions; k = n - rank of J.
+    ``jacobian`` (m, n): only the rows that the jig holds; n counts the looseness joint if there is
+    one. ``tolerance``: singular values below this share of the largest count as zero. Returns (n,
+    k): orthonormal motions; k = n - rank of J.
 
     Examples
     --------
@@ -205,19 +181,9 @@ def free_torque(jacobian: ArrayLike, torque: ArrayLike) -> Array:
 def moving_directions(angles: ArrayLike, noise: float, *, factor: float = 3.0) -> Array:
     """Joint motions seen in a record, larger than the encoders' noise (k, n).
 
-    Parameters
-    ----------
-    angles : array (n, N)
-        Joint positions [rad].
-    noise : float
-        Rms error of one reading [rad].
-    factor : float
-        A principal motion counts if its rms is above ``factor`` times the noise.
-
-    Returns
-    -------
-    ndarray (k, n)
-        Principal motions, largest first, unit vectors.
+    ``angles`` (n, N): joint positions [rad]. ``noise``: rms error of one reading [rad]. ``factor``:
+    principal motion counts if its rms is above ``factor`` times the noise. Returns (k, n):
+    principal motions, largest first, unit vectors.
 
     Examples
     --------
@@ -241,17 +207,8 @@ def seat_twist(jacobian: ArrayLike, angles: ArrayLike) -> SeatTwist:
 
     A spare joint's own motion drops out, because it does nothing at the tool.
 
-    Parameters
-    ----------
-    jacobian : array (m, n)
-        The nominal Jacobian, the rows that the jig holds.
-    angles : array (n, N)
-        Joint positions while docked [rad].
-
-    Raises
-    ------
-    InvalidData
-        If shapes do not match or nothing moved.
+    ``jacobian`` (m, n): the nominal Jacobian, the rows that the jig holds. ``angles`` (n, N): joint
+    positions while docked [rad].
 
     Examples
     --------
@@ -291,17 +248,8 @@ def link_frames(arm: Arm, pose: ArrayLike) -> Array:
 def compatible_links(directions: ArrayLike, frames: ArrayLike) -> LinkAgreement:
     """Find the link in whose frame the directions of several poses agree.
 
-    Parameters
-    ----------
-    directions : array (P, d)
-        Direction of the slide in each pose, world axes; signs are free.
-    frames : array (P, n, d, d)
-        Rotation from each link's frame to the world in each pose.
-
-    Raises
-    ------
-    InvalidData
-        If there are fewer than two poses or shapes do not match.
+    ``directions`` (P, d): direction of the slide in each pose, world axes; signs are free.
+    ``frames`` (P, n, d, d): rotation from each link's frame to the world in each pose.
 
     Examples
     --------

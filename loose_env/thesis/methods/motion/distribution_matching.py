@@ -43,13 +43,7 @@ Model = Callable[[ArrayLike, ArrayLike], Array]
 
 @dataclass(frozen=True, kw_only=True)
 class MatchSettings:
-    """How a ridge is fitted.
-
-    Raises
-    ------
-    InvalidSetting
-        If a choice is unknown or there is no iteration.
-    """
+    """How a ridge is fitted."""
 
     bins: Literal["filled", "all"] = "filled"
     """Bins that are fitted. The ridge of the model has no ends, the motion has: with empty bins
@@ -93,26 +87,8 @@ def match_planar(
 ) -> Match:
     """Fit `planar_ridge` to a planar histogram from trial parameters.
 
-    Parameters
-    ----------
-    found : Histogram
-        Counts in the plane.
-    trial : array, shape (3,)
-        Trial a0, a1, a2; see `planar_trial`.
-    settings : MatchSettings, optional
-        How it is fitted.
-
-    Returns
-    -------
-    Match
-        The minimum that was reached; a2 is wrapped to [0, pi).
-
-    Raises
-    ------
-    InvalidData
-        If the histogram is not planar, has fewer than four bins to fit, or the trial is unfit.
-    MissingExtra
-        If odrpack is not installed.
+    ``trial`` (3,): trial a0, a1, a2; see `planar_trial`. Returns the minimum that was reached; a2
+    is wrapped to [0, pi).
 
     Examples
     --------
@@ -141,26 +117,7 @@ def match_spatial(
 ) -> Match:
     """Fit `spatial_ridge` to a histogram in space from trial parameters.
 
-    Parameters
-    ----------
-    found : Histogram
-        Counts in space.
-    trial : array, shape (6,)
-        Trial parameters; see `spatial_trial`.
-    settings : MatchSettings, optional
-        How it is fitted.
-
-    Returns
-    -------
-    Match
-        The minimum that was reached.
-
-    Raises
-    ------
-    InvalidData
-        If the histogram is not spatial, has too few bins to fit, or the trial is unfit.
-    MissingExtra
-        If odrpack is not installed.
+    ``trial`` (6,): trial parameters; see `spatial_trial`.
 
     Examples
     --------
@@ -192,28 +149,8 @@ def search_planar(
 ) -> Match:
     """Fit from trial directions spread evenly over [0, pi) and keep the lowest residual (5.3.1).
 
-    Parameters
-    ----------
-    found : Histogram
-        Counts in the plane.
-    starts : int
-        Trial directions, 1 or more.
-    settings : MatchSettings, optional
-        How it is fitted.
-
-    Returns
-    -------
-    Match
-        The match of the lowest residual; those that converged come first.
-
-    Raises
-    ------
-    InvalidData
-        As `match_planar`.
-    InvalidSetting
-        If there is no start.
-    MissingExtra
-        If odrpack is not installed.
+    ``starts``: trial directions, 1 or more. Returns the match of the lowest residual; those that
+    converged come first.
 
     Examples
     --------

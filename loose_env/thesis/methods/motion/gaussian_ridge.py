@@ -28,22 +28,7 @@ _STEEPEST = 50.0  # Exponents are cut here, so that a wild step of a search does
 def along(points: ArrayLike, angle: float) -> Array:
     """Component of points along a direction of the plane (4.4).
 
-    Parameters
-    ----------
-    points : array, shape (2, N)
-        Points, any unit.
-    angle : float
-        Direction from the x axis, rad.
-
-    Returns
-    -------
-    array, shape (N,)
-        Component, unit of the points.
-
-    Raises
-    ------
-    InvalidData
-        If the points have a wrong shape or a value that is not finite.
+    ``points`` (2, N): points, any unit. Returns (N,): component, unit of the points.
 
     Examples
     --------
@@ -57,23 +42,9 @@ def along(points: ArrayLike, angle: float) -> Array:
 def planar_ridge(points: ArrayLike, a: ArrayLike) -> Array:
     """Height of the ridge: z = a0 exp(a1 (cos a2 x + sin a2 y)^2) (4.3, 4.5, 4.6).
 
-    Parameters
-    ----------
-    points : array, shape (2, N)
-        Points, any unit.
-    a : array, shape (3,)
-        Height a0, exponent a1 (negative, one over the squared unit of the points) and direction
-        a2 [rad] of the Gaussian component.
-
-    Returns
-    -------
-    array, shape (N,)
-        Heights, unit of a0.
-
-    Raises
-    ------
-    InvalidData
-        If the points or the parameters have a wrong shape or a value that is not finite.
+    ``points`` (2, N): points, any unit. ``a`` (3,): height a0, exponent a1 (negative, one over the
+    squared unit of the points) and direction a2 [rad] of the Gaussian component. Returns (N,):
+    heights, unit of a0.
 
     Examples
     --------
@@ -88,11 +59,6 @@ def planar_ridge(points: ArrayLike, a: ArrayLike) -> Array:
 
 def exponent_from_sd(sd: float) -> float:
     """Exponent a1 of a standard deviation: -1 / (2 sd^2) (4.8).
-
-    Raises
-    ------
-    InvalidSetting
-        If the deviation is not above zero.
 
     Examples
     --------
@@ -120,15 +86,8 @@ def rotation(azimuth: float, elevation: float) -> Array:
 
     Rows one and two span the plane, row three is the direction of azimuth and elevation.
 
-    Parameters
-    ----------
-    azimuth, elevation : float
-        Direction in space: angle about z from x, and angle above the x-y plane, rad.
-
-    Returns
-    -------
-    array, shape (3, 3)
-        Rotation matrix.
+    ``azimuth``, ``elevation``: direction in space: angle about z from x, and angle above the x-y
+    plane, rad. Returns (3, 3): rotation matrix.
 
     Examples
     --------
@@ -143,22 +102,8 @@ def rotation(azimuth: float, elevation: float) -> Array:
 def to_plane(points: ArrayLike, azimuth: float, elevation: float) -> Array:
     """Points in the frame whose z axis is the direction of azimuth and elevation (4.1).
 
-    Parameters
-    ----------
-    points : array, shape (3, N)
-        Points, any unit.
-    azimuth, elevation : float
-        Direction, rad.
-
-    Returns
-    -------
-    array, shape (3, N)
-        Points; rows one and two lie in the plane across the direction.
-
-    Raises
-    ------
-    InvalidData
-        If the points have a wrong shape or a value that is not finite.
+    ``points`` (3, N): points, any unit. ``azimuth``, ``elevation``: direction, rad. Returns (3, N):
+    points; rows one and two lie in the plane across the direction.
 
     Examples
     --------
@@ -174,23 +119,9 @@ def spatial_ridge(points: ArrayLike, b: ArrayLike) -> Array:
     L = [[b1, 0], [b2, b3]] is a root of the inverse covariance in the plane, which any values
     keep positive.
 
-    Parameters
-    ----------
-    points : array, shape (3, N)
-        Points, any unit.
-    b : array, shape (6,)
-        Height, the three entries of L (one over the unit of the points), azimuth and elevation of
-        the direction across the plane [rad].
-
-    Returns
-    -------
-    array, shape (N,)
-        Heights, unit of b0.
-
-    Raises
-    ------
-    InvalidData
-        If the points or the parameters have a wrong shape or a value that is not finite.
+    ``points`` (3, N): points, any unit. ``b`` (6,): height, the three entries of L (one over the
+    unit of the points), azimuth and elevation of the direction across the plane [rad]. Returns
+    (N,): heights, unit of b0.
 
     Examples
     --------

@@ -40,13 +40,7 @@ class Histogram:
 
 
 def require_dimension(found: Histogram, dimension: int) -> None:
-    """Refuse a histogram of another number of directions.
-
-    Raises
-    ------
-    InvalidData
-        If the histogram has not that many directions.
-    """
+    """Refuse a histogram of another number of directions."""
     if found.counts.ndim != dimension:
         raise InvalidData(f"the histogram has {found.counts.ndim} directions, not {dimension}")
 
@@ -54,24 +48,8 @@ def require_dimension(found: Histogram, dimension: int) -> None:
 def histogram(samples: ArrayLike, bins: int = 120) -> Histogram:
     """Sort samples into bins; the largest range is used in all directions to preserve scale.
 
-    Parameters
-    ----------
-    samples : array, shape (N,) or (d, N)
-        Motion, one row a direction.
-    bins : int
-        Bins in each direction.
-
-    Returns
-    -------
-    Histogram
-        Counts; each direction is centred on the middle of its own range.
-
-    Raises
-    ------
-    InvalidData
-        If the samples have a wrong shape, a value that is not finite, or no spread.
-    InvalidSetting
-        If there are fewer than 2 bins, or more than 20 million in all.
+    ``samples`` (N,) or (d, N): motion, one row a direction. Returns counts; each direction is
+    centred on the middle of its own range.
 
     Examples
     --------
@@ -103,22 +81,8 @@ def histogram(samples: ArrayLike, bins: int = 120) -> Histogram:
 def contour_levels(found: Histogram, shares: Sequence[float] = (0.5, 0.9, 0.99)) -> Array:
     """Count down to which bins must be laid, fullest first, to hold each share of the data.
 
-    Parameters
-    ----------
-    found : Histogram
-        Counts.
-    shares : sequence of float
-        Shares of the data, in (0, 1].
-
-    Returns
-    -------
-    array, shape (len(shares),)
-        Counts: bins with at least that many hold at least the share.
-
-    Raises
-    ------
-    InvalidSetting
-        If a share is not in (0, 1].
+    ``shares``: shares of the data, in (0, 1]. Returns (len(shares),): counts: bins with at least
+    that many hold at least the share.
 
     Examples
     --------
@@ -139,22 +103,8 @@ def contour_levels(found: Histogram, shares: Sequence[float] = (0.5, 0.9, 0.99))
 def marginal(found: Histogram, axis: int) -> Array:
     """Marginal probability density of one direction: the density summed over all others (3.70).
 
-    Parameters
-    ----------
-    found : Histogram
-        Counts in d directions.
-    axis : int
-        Direction that is kept, 0 to d - 1.
-
-    Returns
-    -------
-    array, shape (B,)
-        Density at the centres of the bins, one over the unit of the data.
-
-    Raises
-    ------
-    InvalidSetting
-        If there is no such direction.
+    ``axis``: direction that is kept, 0 to d - 1. Returns (B,): density at the centres of the bins,
+    one over the unit of the data.
 
     Examples
     --------

@@ -28,13 +28,7 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class LoosePlanarArm:
-    """Two links in a plane; a slide sits at the proximal end of link 2.
-
-    Raises
-    ------
-    InvalidSetting
-        If a length is not above zero or the angle is not finite.
-    """
+    """Two links in a plane; a slide sits at the proximal end of link 2."""
 
     length1: float = 0.40
     """Length of link 1 [m]."""
@@ -68,24 +62,8 @@ def looseness_direction(arm: LoosePlanarArm, theta: ArrayLike) -> Array:
 def tool_position(arm: LoosePlanarArm, theta: ArrayLike, d: ArrayLike) -> Array:
     """Position of the tool (5.3).
 
-    Parameters
-    ----------
-    arm : LoosePlanarArm
-        Lengths and the slide's angle.
-    theta : array, shape (2, N) or (2,)
-        Joint angles, rad.
-    d : array, shape (N,) or ()
-        Displacement of the seat, m.
-
-    Returns
-    -------
-    array, shape (2, N) or (2,)
-        Position in the world frame, m.
-
-    Raises
-    ------
-    InvalidData
-        If an array has a wrong shape or a value that is not finite.
+    ``theta`` (2, N) or (2,): joint angles, rad. ``d`` (N,) or (): displacement of the seat, m.
+    Returns (2, N) or (2,): position in the world frame, m.
 
     Examples
     --------
@@ -104,24 +82,9 @@ def tool_velocity(
 ) -> Array:
     """Velocity of the tool (5.4).
 
-    Parameters
-    ----------
-    arm : LoosePlanarArm
-        Lengths and the slide's angle.
-    theta, theta_rate : array, shape (2, N) or (2,)
-        Joint angles [rad] and rates [rad/s].
-    d, d_rate : array, shape (N,) or ()
-        Displacement [m] and rate [m/s] of the seat.
-
-    Returns
-    -------
-    array, shape (2, N) or (2,)
-        Velocity in the world frame, m/s.
-
-    Raises
-    ------
-    InvalidData
-        As `tool_position`.
+    ``theta``, ``theta_rate`` (2, N) or (2,): joint angles [rad] and rates [rad/s]. ``d``,
+    ``d_rate`` (N,) or (): displacement [m] and rate [m/s] of the seat. Returns (2, N) or (2,):
+    velocity in the world frame, m/s.
 
     Examples
     --------
@@ -146,15 +109,8 @@ def link_rate(theta_rate: ArrayLike) -> Array:
 
     A slide turns nothing, so both turn alike.
 
-    Parameters
-    ----------
-    theta_rate : array, shape (2, N) or (2,)
-        Joint rates, rad/s.
-
-    Returns
-    -------
-    array, shape (N,) or ()
-        Rate of turn about the world's z axis, rad/s.
+    ``theta_rate`` (2, N) or (2,): joint rates, rad/s. Returns (N,) or (): rate of turn about the
+    world's z axis, rad/s.
 
     Examples
     --------
@@ -175,24 +131,10 @@ def tool_acceleration(
 ) -> Array:
     """Acceleration of the tool, with centripetal and Coriolis terms (5.6).
 
-    Parameters
-    ----------
-    arm : LoosePlanarArm
-        Lengths and the slide's angle.
-    theta, theta_rate, theta_acceleration : array, shape (2, N) or (2,)
-        Joint angles [rad], rates [rad/s] and accelerations [rad/s^2].
-    d, d_rate, d_acceleration : array, shape (N,) or ()
-        Displacement [m], rate [m/s] and acceleration [m/s^2] of the seat.
-
-    Returns
-    -------
-    array, shape (2, N) or (2,)
-        Acceleration in the world frame, m/s^2.
-
-    Raises
-    ------
-    InvalidData
-        As `tool_position`.
+    ``theta``, ``theta_rate``, ``theta_acceleration`` (2, N) or (2,): joint angles [rad], rates
+    [rad/s] and accelerations [rad/s^2]. ``d``, ``d_rate``, ``d_acceleration`` (N,) or ():
+    displacement [m], rate [m/s] and acceleration [m/s^2] of the seat. Returns (2, N) or (2,):
+    acceleration in the world frame, m/s^2.
 
     Examples
     --------
@@ -223,22 +165,7 @@ def tool_acceleration(
 def nominal_jacobian(arm: LoosePlanarArm, theta: ArrayLike) -> Array:
     """Jacobian of the tight arm, which takes joint rates to the tool's velocity (3.71).
 
-    Parameters
-    ----------
-    arm : LoosePlanarArm
-        Lengths.
-    theta : array, shape (2,)
-        Joint angles, rad.
-
-    Returns
-    -------
-    array, shape (2, 2)
-        Metres per radian, world frame.
-
-    Raises
-    ------
-    InvalidData
-        If theta is not two finite angles.
+    ``theta`` (2,): joint angles, rad. Returns (2, 2): metres per radian, world frame.
 
     Examples
     --------

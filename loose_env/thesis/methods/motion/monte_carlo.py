@@ -33,13 +33,7 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class MonteCarlo:
-    """A pose of the loose planar arm, Gaussian motion of its joints, assumed motion of its seat.
-
-    Raises
-    ------
-    InvalidSetting
-        If the pose is not two finite angles, or a deviation is negative or not finite.
-    """
+    """A pose of the loose planar arm, Gaussian motion of its joints, assumed motion of its seat."""
 
     arm: LoosePlanarArm = field(default_factory=LoosePlanarArm)
     """Lengths and the slide's angle."""
@@ -66,19 +60,7 @@ class MonteCarlo:
 def draw_tool_displacement(setting: MonteCarlo, count: int, rng: np.random.Generator) -> Array:
     """Draw differential displacements of the tool (5.3, figure 5.6).
 
-    Parameters
-    ----------
-    setting : MonteCarlo
-        Pose and motions.
-    count : int
-        Number of draws N.
-    rng : numpy.random.Generator
-        Source of the draws.
-
-    Returns
-    -------
-    array, shape (2, N)
-        Displacement from the nominal tool point, m, world frame.
+    Returns (2, N): displacement from the nominal tool point, m, world frame.
 
     Examples
     --------
@@ -93,10 +75,7 @@ def draw_tool_displacement(setting: MonteCarlo, count: int, rng: np.random.Gener
 def draw_tool_velocity(setting: MonteCarlo, count: int, rng: np.random.Generator) -> Array:
     """Draw velocities of the tool (5.4, figure 5.8); parameters as `draw_tool_displacement`.
 
-    Returns
-    -------
-    array, shape (2, N)
-        Velocity, m/s, world frame.
+    Returns (2, N): velocity, m/s, world frame.
 
     Examples
     --------
@@ -110,10 +89,7 @@ def draw_tool_velocity(setting: MonteCarlo, count: int, rng: np.random.Generator
 def draw_tool_acceleration(setting: MonteCarlo, count: int, rng: np.random.Generator) -> Array:
     """Draw accelerations of the tool (5.6); parameters as `draw_tool_displacement`.
 
-    Returns
-    -------
-    array, shape (2, N)
-        Acceleration, m/s^2, world frame.
+    Returns (2, N): acceleration, m/s^2, world frame.
 
     Examples
     --------

@@ -19,20 +19,8 @@ def variance_trial(found: Histogram) -> float:
 
     It is the mean over the counts: the sum as printed needs the division by their sum.
 
-    Parameters
-    ----------
-    found : Histogram
-        Counts in d directions; the motion has a mean of zero.
-
-    Returns
-    -------
-    float
-        Variance of one direction if all were alike (divided by d), squared unit of the data.
-
-    Raises
-    ------
-    InvalidData
-        If the histogram is empty.
+    ``found``: counts in d directions; the motion has a mean of zero. Returns variance of one
+    direction if all were alike (divided by d), squared unit of the data.
 
     Examples
     --------
@@ -51,22 +39,7 @@ def variance_trial(found: Histogram) -> float:
 def planar_trial(found: Histogram, angle: float) -> Array:
     """Trial parameters with a given direction: a0 the highest count, a1 from (4.7) and (4.9).
 
-    Parameters
-    ----------
-    found : Histogram
-        Counts in the plane.
-    angle : float
-        Trial direction a2 of the Gaussian component, rad.
-
-    Returns
-    -------
-    array, shape (3,)
-        a0, a1, a2.
-
-    Raises
-    ------
-    InvalidData
-        If the histogram is not planar, or empty.
+    ``angle``: trial direction a2 of the Gaussian component, rad. Returns (3,): a0, a1, a2.
 
     Examples
     --------
@@ -82,22 +55,8 @@ def planar_trial(found: Histogram, angle: float) -> Array:
 def spatial_trial(found: Histogram, direction: ArrayLike) -> Array:
     """Trial parameters of `spatial_ridge`: round, with the trial variance of (4.7).
 
-    Parameters
-    ----------
-    found : Histogram
-        Counts in space.
-    direction : array, shape (3,)
-        Trial direction of the looseness, of any length above zero.
-
-    Returns
-    -------
-    array, shape (6,)
-        Parameters b.
-
-    Raises
-    ------
-    InvalidData
-        If the histogram is not spatial, or empty, or the direction has no length.
+    ``direction`` (3,): trial direction of the looseness, of any length above zero. Returns (6,):
+    parameters b.
 
     Examples
     --------

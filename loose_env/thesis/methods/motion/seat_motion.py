@@ -36,13 +36,7 @@ PROXIMAL, FREE, DISTAL = 0, 1, 2
 
 @dataclass(frozen=True, kw_only=True)
 class SeatMotion:
-    """Assumed motion of a loose seat.
-
-    Raises
-    ------
-    InvalidSetting
-        If a length or time is not above zero, or the probabilities leave no free motion.
-    """
+    """Assumed motion of a loose seat."""
 
     gap: float = 2e-4
     """Travel between the stops [m]."""
@@ -81,19 +75,8 @@ def draw_displacement(seat: SeatMotion, count: int, rng: np.random.Generator) ->
 
     A uniform deviate wider than the gap is drawn; what falls beyond a stop is lumped there.
 
-    Parameters
-    ----------
-    seat : SeatMotion
-        Gap [m] and probabilities of contact.
-    count : int
-        Number of draws N.
-    rng : numpy.random.Generator
-        Source of the draws.
-
-    Returns
-    -------
-    array, shape (N,)
-        Displacement from the middle of the gap, m, exactly a half gap at the stops.
+    ``seat``: gap [m] and probabilities of contact. Returns (N,): displacement from the middle of
+    the gap, m, exactly a half gap at the stops.
 
     Examples
     --------
@@ -112,22 +95,7 @@ def draw_displacement(seat: SeatMotion, count: int, rng: np.random.Generator) ->
 def regions(seat: SeatMotion, d: ArrayLike) -> Regions:
     """Region of each displacement: 0 at the proximal stop, 1 free, 2 at the distal stop.
 
-    Parameters
-    ----------
-    seat : SeatMotion
-        The gap [m].
-    d : array, shape (N,)
-        Displacement, m.
-
-    Returns
-    -------
-    array of int, shape (N,)
-        Regions.
-
-    Raises
-    ------
-    InvalidData
-        If a displacement is not finite or lies beyond a stop.
+    ``seat``: the gap [m]. ``d`` (N,): displacement, m. Returns (N,): regions.
 
     Examples
     --------
@@ -147,24 +115,8 @@ def draw_seat_velocity(seat: SeatMotion, d: ArrayLike, rng: np.random.Generator)
     Free, it is uniform between the two velocities that cross the gap in a time step. At a stop
     it is zero with probability `SeatMotion.at_rest`, else uniform and away from the stop.
 
-    Parameters
-    ----------
-    seat : SeatMotion
-        Gap [m], time step [s] and probability of rest.
-    d : array, shape (N,)
-        Displacement, m.
-    rng : numpy.random.Generator
-        Source of the draws.
-
-    Returns
-    -------
-    array, shape (N,)
-        Velocity, m/s, positive towards the distal stop.
-
-    Raises
-    ------
-    InvalidData
-        If a displacement lies beyond a stop.
+    ``seat``: gap [m], time step [s] and probability of rest. ``d`` (N,): displacement, m. Returns
+    (N,): velocity, m/s, positive towards the distal stop.
 
     Examples
     --------
@@ -186,24 +138,8 @@ def draw_seat_acceleration(
     The bounds are the accelerations that lead, in one time step, to the fastest velocity either
     way. With a velocity of zero the distribution has the shape of the velocity's.
 
-    Parameters
-    ----------
-    seat : SeatMotion
-        Gap [m], time step [s] and probability of rest.
-    d, velocity : array, shape (N,)
-        Displacement [m] and velocity [m/s].
-    rng : numpy.random.Generator
-        Source of the draws.
-
-    Returns
-    -------
-    array, shape (N,)
-        Acceleration, m/s^2.
-
-    Raises
-    ------
-    InvalidData
-        If a displacement lies beyond a stop, or a velocity crosses the gap in less than a step.
+    ``seat``: gap [m], time step [s] and probability of rest. ``d``, ``velocity`` (N,): displacement
+    [m] and velocity [m/s]. Returns (N,): acceleration, m/s^2.
 
     Examples
     --------
@@ -245,19 +181,7 @@ def displacement_chain(seat: SeatMotion, count: int, rng: np.random.Generator) -
     which is 1/4 for r = 1/2, and free displacements are uniform: the assumed velocities and the
     assumed displacements agree.
 
-    Parameters
-    ----------
-    seat : SeatMotion
-        Gap [m] and probability of rest.
-    count : int
-        Number of displacements N.
-    rng : numpy.random.Generator
-        Source of the draws.
-
-    Returns
-    -------
-    array, shape (N,)
-        Displacement, m.
+    ``seat``: gap [m] and probability of rest. Returns (N,): displacement, m.
 
     Examples
     --------
@@ -282,20 +206,8 @@ def displacement_chain(seat: SeatMotion, count: int, rng: np.random.Generator) -
 def transition_table(sequence: ArrayLike) -> Array:
     """Estimate the joint probabilities of the region now and the region before (table 5.1).
 
-    Parameters
-    ----------
-    sequence : array of int, shape (N,)
-        Regions in order of time, 0, 1 or 2.
-
-    Returns
-    -------
-    array, shape (3, 3)
-        Row: region now; column: region before. The sum is 1 (5.2).
-
-    Raises
-    ------
-    InvalidData
-        If there are fewer than two regions, or others than 0, 1 and 2.
+    ``sequence`` (N,): regions in order of time, 0, 1 or 2. Returns (3, 3): row: region now; column:
+    region before. The sum is 1 (5.2).
 
     Examples
     --------
@@ -312,20 +224,8 @@ def transition_table(sequence: ArrayLike) -> Array:
 def region_probabilities(table: ArrayLike) -> Array:
     """Probability of each region now: the row sums of the transition table (5.1, 5.2).
 
-    Parameters
-    ----------
-    table : array, shape (3, 3)
-        Joint probabilities, as `transition_table` returns them.
-
-    Returns
-    -------
-    array, shape (3,)
-        Probabilities at the proximal stop, free and at the distal stop.
-
-    Raises
-    ------
-    InvalidData
-        If the table is not 3 by 3, has a negative value, or does not sum to 1.
+    ``table`` (3, 3): joint probabilities, as `transition_table` returns them. Returns (3,):
+    probabilities at the proximal stop, free and at the distal stop.
 
     Examples
     --------

@@ -86,20 +86,8 @@ def rms_motion(x: ArrayLike, y: ArrayLike) -> PlaneMotion:
     either channel adds by itself pulls it off the axes: noise of rms n on the y channel of a
     motion A along x gives arctan(n / A).
 
-    Parameters
-    ----------
-    x, y : array, shape (..., N)
-        Accelerations along two perpendicular axes, m/s^2.
-
-    Returns
-    -------
-    PlaneMotion
-        Magnitude, m/s^2, and direction, rad; both of shape (...).
-
-    Raises
-    ------
-    InvalidData
-        If the signals cannot be used, differ in shape, or neither moves.
+    ``x``, ``y`` (..., N): accelerations along two perpendicular axes, m/s^2. Returns magnitude,
+    m/s^2, and direction, rad; both of shape (...).
 
     Examples
     --------
@@ -123,21 +111,9 @@ def instantaneous_motion(x: ArrayLike, y: ArrayLike) -> PlaneMotion:
     both accelerations pass through zero it is that of the noise: leave out samples of small
     magnitude.
 
-    Parameters
-    ----------
-    x, y : array, shape (..., N)
-        Accelerations along two perpendicular axes, m/s^2, sampled at the same instants.
-
-    Returns
-    -------
-    PlaneMotion
-        Magnitude, m/s^2, and direction, rad; both of shape (..., N). The direction of a sample
-        that is zero on both axes is 0.
-
-    Raises
-    ------
-    InvalidData
-        If the signals cannot be used or differ in shape.
+    ``x``, ``y`` (..., N): accelerations along two perpendicular axes, m/s^2, sampled at the same
+    instants. Returns magnitude, m/s^2, and direction, rad; both of shape (..., N). The direction of
+    a sample that is zero on both axes is 0.
 
     Examples
     --------
@@ -155,15 +131,7 @@ def line_of_motion(x: ArrayLike, y: ArrayLike) -> LineFit:
 
     Errors are taken to lie in y alone, so noise in x turns the line towards the x axis.
 
-    Parameters
-    ----------
-    x, y : array, shape (N,)
-        Signals sampled at the same instants, of one unit.
-
-    Raises
-    ------
-    InvalidData
-        If the signals cannot be used, differ in shape, or one of them does not vary.
+    ``x``, ``y`` (N,): signals sampled at the same instants, of one unit.
 
     Examples
     --------
@@ -193,26 +161,9 @@ def quadrature_steps(g: ArrayLike, dt: float, rule: QuadratureRule) -> Array:
     dt^5. (The thesis gives dt^2 for 6.9, which is the error of dt g_1.) White noise in the
     samples comes through 1.6 and 3.7 times dt.
 
-    Parameters
-    ----------
-    g : array, shape (..., N)
-        Samples of the rate, such as an acceleration, m/s^2.
-    dt : float
-        Sampling period, s.
-    rule : {"two_point", "newton_cotes"}
-        Which formula.
-
-    Returns
-    -------
-    array, shape (..., N - 1) or (..., N - 3)
-        Change over the interval that ends at sample k, for every k with samples enough after it.
-
-    Raises
-    ------
-    InvalidData
-        If the samples or the period cannot be used.
-    UnknownName
-        If there is no such rule.
+    ``g`` (..., N): samples of the rate, such as an acceleration, m/s^2. Returns (..., N - 1) or
+    (..., N - 3): change over the interval that ends at sample k, for every k with samples enough
+    after it.
 
     Examples
     --------
@@ -230,20 +181,8 @@ def integrate(g: ArrayLike, dt: float, rule: QuadratureRule) -> Array:
     In the sum all but the first and last few samples have weight one, whatever the rule: the
     rules differ by the end terms only, and each gathers the same drift from noise and offset.
 
-    Parameters
-    ----------
-    g, dt, rule
-        As for `quadrature_steps`.
-
-    Returns
-    -------
-    array, shape (..., N - 1) or (..., N - 3)
-        Integral up to sample k, from one sample before the first.
-
-    Raises
-    ------
-    InvalidData, UnknownName
-        As for `quadrature_steps`.
+    ``g``, ``dt``, ``rule``: as for `quadrature_steps`. Returns (..., N - 1) or (..., N - 3):
+    integral up to sample k, from one sample before the first.
 
     Examples
     --------
@@ -258,19 +197,8 @@ def integrate(g: ArrayLike, dt: float, rule: QuadratureRule) -> Array:
 def summed_noise(count: int, dt: float, noise: float) -> float:
     """Drift of a summed quadrature under white noise: noise dt sqrt(count).
 
-    Parameters
-    ----------
-    count : int
-        Number of samples summed.
-    dt : float
-        Sampling period, s.
-    noise : float
-        Standard deviation of a sample, such as m/s^2.
-
-    Returns
-    -------
-    float
-        Standard deviation of the sum after `count` samples, such as m/s.
+    ``noise``: standard deviation of a sample, such as m/s^2. Returns standard deviation of the sum
+    after `count` samples, such as m/s.
 
     Examples
     --------
@@ -287,26 +215,8 @@ def differentiate(g: ArrayLike, dt: float, rule: DifferenceRule) -> Array:
     dt^2. (The thesis gives dt^2 and dt^3, which are those before the division by dt.) White
     noise in the samples comes through 1.4 / dt and 2.5 / dt.
 
-    Parameters
-    ----------
-    g : array, shape (..., N)
-        Samples, such as an angle, rad.
-    dt : float
-        Sampling period, s.
-    rule : {"two_point", "three_point"}
-        Which formula.
-
-    Returns
-    -------
-    array, shape (..., N - 1) or (..., N - 2)
-        Derivative at sample k.
-
-    Raises
-    ------
-    InvalidData
-        If the samples or the period cannot be used.
-    UnknownName
-        If there is no such rule.
+    ``g`` (..., N): samples, such as an angle, rad. Returns (..., N - 1) or (..., N - 2): derivative
+    at sample k.
 
     Examples
     --------
@@ -325,25 +235,8 @@ def subtract_base(signal: ArrayLike, base: ArrayLike, *, fit: bool = False) -> B
     is biased wherever the wanted motion is itself correlated with the base's: it then takes part
     of the wanted motion off too.
 
-    Parameters
-    ----------
-    signal : array, shape (N,) or (d, N)
-        Acceleration of the point, m/s^2.
-    base : array, shape (N,)
-        Acceleration of the base along the same axis, m/s^2.
-    fit : bool
-        Whether the gain is fitted; else it is one.
-
-    Returns
-    -------
-    BaseRemoved
-        The signal without the base's motion, and the gain.
-
-    Raises
-    ------
-    InvalidData
-        If the signals cannot be used, differ in length, or a gain is asked for of a base that
-        does not vary.
+    ``signal`` (N,) or (d, N): acceleration of the point, m/s^2. ``base`` (N,): acceleration of the
+    base along the same axis, m/s^2. Returns the signal without the base's motion, and the gain.
 
     Examples
     --------
