@@ -1,4 +1,4 @@
-"""Joints of a serial arm in one pose: kinds, axes and positions, base first."""
+"""Joints of a serial arm in one pose, base first, and the geometric Jacobian."""
 
 from __future__ import annotations
 
@@ -13,9 +13,12 @@ from loose_env.arms import Arm
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.typing import Array
 
-__all__ = ["Chain", "JointKind", "require_kind"]
+__all__ = ["Chain", "Frame", "JointKind", "geometric_jacobian", "require_kind"]
 
 JointKind = Literal["revolute", "prismatic"]
+Frame = Literal["tool", "world", "base"]
+"""Point and axes of a Jacobian: tool point in tool axes, tool point in world axes, or the point
+of the tool's body that lies on the world's origin, in world axes."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,3 +106,43 @@ def require_kind(kind: str) -> None:
     """
     if kind not in ("revolute", "prismatic"):
         raise UnknownName(f"a joint is 'revolute' or 'prismatic', got {kind!r}")
+
+
+def geometric_jacobian(chain: Chain, frame: Frame = "world") -> Array:
+    """Columns of the Jacobian, linear part above angular part (3.2, 3.28, 3.29, 3.32).
+
+    A revolute joint gives z × (p - o) and z, a prismatic one z and nothing. The thesis prints
+    only the revolute form.
+
+    Parameters
+    ----------
+    chain : Chain
+        Joints and tool.
+    frame : {"world", "tool", "base"}
+        Tool point in world axes; tool point in tool axes; or the twist at the world's origin.
+
+    Returns
+    -------
+    ndarray (6, n)
+        Rows 0 to 2 [m/s per rad/s, or 1 for a prismatic joint], rows 3 to 5 [1].
+
+    Raises
+    ------
+    UnknownName
+        If there is no such frame.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> geometric_jacobian(Chain.of(planar(2), [0.0, 0.0]))[1]
+    array([0.6, 0.3])
+    """
+    if frame not in ("world", "tool", "base"):
+        raise UnknownName(f"unknown frame {frame!r}: 'world', 'tool' or 'base'")
+    point = np.zeros(3) if frame == "base" else chain.tool
+    turning = np.array([k == "revolute" for k in chain.kinds])[:, None]
+    linear = np.where(turning, np.cross(chain.axes, point - chain.anchors), chain.axes)
+    angular = np.where(turning, chain.axes, 0.0)
+    if frame == "tool":
+        linear, angular = linear @ chain.tool_axes, angular @ chain.tool_axes
+    return np.vstack([linear.T, angular.T])

@@ -13,22 +13,18 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loose_env.arms import Arm, LinearArm
+from loose_env.arms import Arm
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
-from loose_env.kinematics.seat_loads import Others, reactions, wrench_rank
+from loose_env.kinematics.seat_loads import reactions, wrench_rank
 from loose_env.typing import Array
 
 __all__ = [
-    "Drive",
     "chebyshev_nodes",
     "chebyshev_poses",
     "choose_poses",
-    "seat_drive",
     "worst_push",
 ]
 
-Drive = Literal["torque", "tool"]
-"""Unit of drive: torque at each joint, or motion of the tool."""
 MOST_POSES = 50_000
 
 
@@ -37,7 +33,6 @@ def worst_push(
     pose: ArrayLike,
     link: int | None = None,
     *,
-    others: Others = "held",
     normalised: bool = True,
 ) -> float:
     """Minimum over directions of the load that the joints exert on a link's seat (4.2.3).
@@ -48,8 +43,6 @@ def worst_push(
         As `reactions`.
     link : int, optional
         Link of interest, from 1; by default the link that fares worst.
-    others : {"held", "free"}
-        What the joints that are not driven do.
     normalised : bool
         Per root of the energy of the links beyond the seat [√kg]; else per torque [1/m].
 
@@ -60,7 +53,7 @@ def worst_push(
     0.0
     """
     found = reactions(arm, pose)
-    push = found.per_energy(others) if normalised else found.per_torque(others)
+    push = found.per_energy if normalised else found.per_torque
     links = range(arm.n) if link is None else (arm.link_number(link) - 1,)
     return min(float(wrench_rank(push[k, list(arm.axes)])[1][-1]) for k in links)
 
@@ -186,53 +179,6 @@ def choose_poses(
         order = np.lexsort((np.arange(len(best)), -mean.round(9), -near.round(9)))
         chosen.append(int(order[0]))
     return np.asarray(best[chosen])
-
-
-def seat_drive(
-    linear: LinearArm, pose: ArrayLike, link: int, *, per: Drive = "torque"
-) -> tuple[float, float]:
-    """Force transmitted by a link's slide in the linear arm: worst direction and total.
-
-    Each joint is excited in turn over the arm's band while the others are held; the powers add.
-
-    Parameters
-    ----------
-    linear : LinearArm
-        The nominal arm with its brakes and bending modes.
-    pose : array (n,)
-        Joint positions [rad].
-    link : int
-        Link, from 1.
-    per : {"torque", "tool"}
-        Unit of drive: 1 N m rms at each joint, or 1 m/s² rms at the tool from each joint.
-
-    Returns
-    -------
-    tuple of float
-        Rms force along the direction least driven, and rms of the whole force [N per unit].
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> worst, whole = seat_drive(LinearArm(planar(2)), [0.0, 1.5], 2)
-    >>> 0 < worst < whole
-    True
-    """
-    arm = linear.arm
-    number = arm.link_number(link)
-    if per not in ("torque", "tool"):
-        raise UnknownName(f"seats are driven per 'torque' or per 'tool' motion, got {per!r}")
-    at = linear.at(np.asarray(pose, dtype=float))
-    power = np.zeros((len(arm.axes),) * 2)
-    for joint in range(arm.n):
-        answer = at.response(np.arange(arm.n) == joint)
-        force = answer.slide[:, number - 1, :, 0]
-        level = 1.0
-        if per == "tool":
-            level = float(np.sum(np.abs(answer.tool[:, :, 0]) ** 2)) / len(force)
-        power += np.real(force.T @ force.conj()) / (len(force) * level)
-    values = np.linalg.eigvalsh(power)
-    return float(np.sqrt(max(0.0, values[0]))), float(np.sqrt(values.sum()))
 
 
 def _wrapped(angle: Array) -> Array:

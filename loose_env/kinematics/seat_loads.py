@@ -7,22 +7,16 @@ it. Looseness moves only where that push has a part along it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from loose_env.arms import Arm
-from loose_env.errors import InvalidData, InvalidSetting, UnknownName
-from loose_env.kinematics.joint_loads import carried_bodies
-from loose_env.kinematics.manipulability import LinkPoint
+from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.typing import Array
 
-__all__ = ["Others", "Reactions", "reactions", "reciprocal_product", "wrench_rank"]
-
-Others = Literal["held", "free"]
-"""What the joints that are not driven do: they keep their place, or carry no torque."""
+__all__ = ["Reactions", "carried_bodies", "reactions", "wrench_rank"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,40 +31,29 @@ class Reactions:
     inertia: Array
     """Inertia matrix of the arm, rotors included [kg m²] (n joints, n joints)."""
 
-    def accelerations(self, others: Others = "held") -> Array:
-        """Joint accelerations per torque at each joint in turn, in columns (n, n).
+    @property
+    def per_torque(self) -> Array:
+        """Wrench at each seat per torque at each joint, others braked (n links, 6, n joints)."""
+        return np.asarray(self.wrench / np.diag(self.inertia))
 
-        Raises
-        ------
-        UnknownName
-            If ``others`` is neither "held" nor "free".
-        """
-        if others == "held":
-            return np.diag(1 / np.diag(self.inertia))
-        if others == "free":
-            return np.asarray(np.linalg.inv(self.inertia))
-        raise UnknownName(f"the other joints are 'held' or 'free', got {others!r}")
-
-    def per_torque(self, others: Others = "held") -> Array:
-        """Wrench at each seat per torque at each joint (n links, 6, n joints)."""
-        return np.asarray(self.wrench @ self.accelerations(others))
-
-    def per_energy(self, others: Others = "held") -> Array:
-        """Wrench at each seat per root energy of links j to n (n links, 6, n joints).
+    @property
+    def per_energy(self) -> Array:
+        """Wrench at each seat per root energy of links j to n, others braked.
 
         Impulses instead of steady torques: an impulsive torque at joint i gives links j to n
-        the energy T and the momentum p. What is returned is p / √(2T) [√kg for forces]. No
-        force exceeds the root of the mass that link j carries, its own included.
+        the energy T and the momentum p. The property is p / √(2T) (n links, 6, n joints) [√kg for
+        forces]. No force exceeds the root of the mass that link j carries, its own included.
         """
-        motion = self.accelerations(others)
-        energy = np.einsum("ai,jab,bi->ji", motion, self.distal, motion)
+        energy = np.einsum("jii->ji", self.distal)
         # A joint that leaves links j to n at rest neither pushes them nor gives them energy.
         scale = np.where(energy > 0, np.sqrt(np.where(energy > 0, energy, 1.0)), np.inf)
-        return np.asarray((self.wrench @ motion) / scale[:, None, :])
+        return np.asarray(self.wrench / scale[:, None, :])
 
 
-def reactions(arm: Arm, pose: ArrayLike, *, point: LinkPoint = "seat") -> Reactions:
+def reactions(arm: Arm, pose: ArrayLike) -> Reactions:
     """Compute the load on every seat from every joint in a pose (4.2.3).
+
+    Moments are about the seat, the bolted connection at the link's proximal end.
 
     Parameters
     ----------
@@ -78,9 +61,6 @@ def reactions(arm: Arm, pose: ArrayLike, *, point: LinkPoint = "seat") -> Reacti
         The arm; bending modes at rest.
     pose : array (n,)
         Joint positions [rad].
-    point : {"seat", "centre"}
-        Where moments are taken: at the link's proximal end, a bolted connection, or at the
-        centre of mass of what the link carries, itself included.
 
     Raises
     ------
@@ -90,7 +70,7 @@ def reactions(arm: Arm, pose: ArrayLike, *, point: LinkPoint = "seat") -> Reacti
     Examples
     --------
     >>> from loose_env.arms import planar
-    >>> reactions(planar(2), [0.0, 0.5]).per_torque().shape
+    >>> reactions(planar(2), [0.0, 0.5]).per_torque.shape
     (2, 6, 2)
     """
     q = np.asarray(pose, dtype=float)
@@ -98,8 +78,6 @@ def reactions(arm: Arm, pose: ArrayLike, *, point: LinkPoint = "seat") -> Reacti
         raise InvalidSetting(
             f"a pose of {arm.name!r} is {arm.n} finite numbers [rad], got {pose!r}"
         )
-    if point not in ("centre", "seat"):
-        raise UnknownName(f"the point of a link is its 'centre' or its 'seat', got {point!r}")
     model, n = arm.model, arm.n
     data = mujoco.MjData(model)
     data.qpos[arm.pose_addresses] = q
@@ -119,8 +97,7 @@ def reactions(arm: Arm, pose: ArrayLike, *, point: LinkPoint = "seat") -> Reacti
     for k, name in enumerate(arm.seat_bodies):
         seat = model.body(name).id
         carried = carried_bodies(model, seat)
-        place = data.subtree_com[seat] if point == "centre" else data.xpos[seat]
-        arms = data.xipos[carried] - place
+        arms = data.xipos[carried] - data.xpos[seat]
         force = momentum[carried].sum(axis=0)
         moment = (turning[carried] + np.cross(arms[:, :, None], momentum[carried], axis=1)).sum(0)
         frame = data.xmat[seat].reshape(3, 3)
@@ -129,33 +106,6 @@ def reactions(arm: Arm, pose: ArrayLike, *, point: LinkPoint = "seat") -> Reacti
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
     return Reactions(wrench=wrench, distal=distal, inertia=full[np.ix_(dofs, dofs)])
-
-
-def reciprocal_product(wrench: ArrayLike, twist: ArrayLike) -> float:
-    """Power of a wrench on a twist (4.2.3); zero if it does not move the seat.
-
-    Parameters
-    ----------
-    wrench : array (6,)
-        Force and moment about a point [N, N m].
-    twist : array (6,)
-        Velocity of the looseness at that point and its rate of turn [m/s, rad/s]: a slide along
-        z is (z, 0), a hinge about it (0, z).
-
-    Raises
-    ------
-    InvalidData
-        If one of the two is not six finite numbers.
-
-    Examples
-    --------
-    >>> reciprocal_product([0, 2, 0, 0, 0, 1], [0, 1, 0, 0, 0, 0])
-    2.0
-    """
-    w, t = np.asarray(wrench, dtype=float), np.asarray(twist, dtype=float)
-    if w.shape != (6,) or t.shape != (6,) or not (np.isfinite(w).all() and np.isfinite(t).all()):
-        raise InvalidData(f"a wrench and a twist are six finite numbers each, got {w} and {t}")
-    return float(w @ t)
 
 
 def wrench_rank(wrenches: ArrayLike, *, tolerance: float = 1e-6) -> tuple[int, Array]:
@@ -187,3 +137,20 @@ def wrench_rank(wrenches: ArrayLike, *, tolerance: float = 1e-6) -> tuple[int, A
     found = np.linalg.svd(w, compute_uv=False)
     values[: len(found)] = found
     return int(np.sum(values > tolerance * values[0])), values
+
+
+def carried_bodies(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
+    """Mask of the bodies in the subtree of a body, itself included (nbody,).
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> model = planar(2).model
+    >>> [model.body(b).name for b in np.flatnonzero(carried_bodies(model, model.body("link1").id))]
+    ['link1', 'flange2', 'link2']
+    """
+    carried = np.zeros(model.nbody, dtype=bool)
+    carried[body] = True
+    for b in range(body + 1, model.nbody):  # parents come before their children
+        carried[b] = carried[model.body_parentid[b]]
+    return carried

@@ -50,9 +50,7 @@ class CsvLayout:
 
     separator: str = field(default=",", metadata=among(",", ";", "\t", " ", "|"))
     decimal: str = field(default=".", metadata=among(".", ","))
-    encoding: str = field(
-        default="utf-8", metadata=among("utf-8", "utf-16", "latin-1", "cp1252")
-    )
+    encoding: str = field(default="utf-8", metadata=among("utf-8", "utf-16", "latin-1", "cp1252"))
     skip: int = field(default=0, metadata=within(0, 10_000))
     """Lines before the line of names."""
     header: bool = True

@@ -8,13 +8,7 @@ import numpy as np
 
 from loose_env.arms import planar, vera
 from loose_env.faults import Backlash, Healthy, StructuralLooseness
-from loose_env.kinematics import (
-    Chain,
-    Frame,
-    changed_columns,
-    geometric_jacobian,
-    link_of_changed_columns,
-)
+from loose_env.kinematics import Chain, Frame, geometric_jacobian
 from loose_env.report import Plate
 from loose_env.thesis.ch3_modelling.alternatives import GAP, POSES, loose_seat
 from loose_env.thesis.ch3_modelling.figures import condition_figure
@@ -23,7 +17,12 @@ from loose_env.thesis.methods.looseness.inertia_condition import (
     condition_of,
     seated_inertia,
 )
-from loose_env.thesis.methods.looseness.looseness_joint import displaced, insert_looseness
+from loose_env.thesis.methods.looseness.looseness_joint import (
+    changed_columns,
+    displaced,
+    insert_looseness,
+    link_of_changed_columns,
+)
 from loose_env.thesis.shared.section import Table
 
 __all__ = ["inertia_condition", "jacobian_columns", "jacobian_ranks"]

@@ -29,15 +29,17 @@ __all__ = ["EQUATIONS", "section"]
 
 EQUATIONS: dict[str, str] = {
     **dict.fromkeys(
-        ("3.2", "3.28", "3.29", "3.32"), "loose_env.kinematics.jacobian.geometric_jacobian"
+        ("3.2", "3.28", "3.29", "3.32"), "loose_env.kinematics.chain.geometric_jacobian"
     ),
-    **dict.fromkeys(("3.3", "3.30"), "loose_env.kinematics.jacobian.tool_velocity"),
+    **dict.fromkeys(
+        ("3.3", "3.30"), "loose_env.thesis.methods.looseness.looseness_joint.tool_velocity"
+    ),
     "3.1": "loose_env.kinematics.chain.Chain",
     "3.26": "loose_env.thesis.methods.looseness.looseness_joint.looseness_transform",
     "3.27": "loose_env.thesis.methods.looseness.looseness_joint.slot_direction",
     "3.31": "loose_env.thesis.methods.looseness.looseness_joint.insert_looseness",
-    "3.33": "loose_env.kinematics.jacobian.changed_columns",
-    "3.34": "loose_env.kinematics.jacobian.velocity_error",
+    "3.33": "loose_env.thesis.methods.looseness.looseness_joint.changed_columns",
+    "3.34": "loose_env.thesis.methods.looseness.looseness_joint.velocity_error",
     **dict.fromkeys(
         ("3.9", "3.14", "3.15", "3.16", "3.17", "3.20", "3.21", "3.23", "3.24"),
         "loose_env.thesis.methods.looseness.static_force_test.tool_acceleration",
@@ -53,7 +55,7 @@ EQUATIONS: dict[str, str] = {
     # The seated arm as MuJoCo has it; the tests integrate the equations beside it.
     **dict.fromkeys([f"3.{k}" for k in range(37, 41)], "loose_env.faults.seated_spec"),
     **dict.fromkeys([f"3.{k}" for k in range(42, 49)], "loose_env.faults.seated_spec"),
-    "4.21": "loose_env.kinematics.jacobian.tool_velocity",
+    "4.21": "loose_env.thesis.methods.looseness.looseness_joint.tool_velocity",
     "4.24": "loose_env.thesis.methods.looseness.static_force_test.tool_acceleration",
 }
 """Function of each equation."""

@@ -7,17 +7,7 @@ from typing import Any
 import numpy as np
 
 from loose_env.arms import Arm, planar, vera
-from loose_env.kinematics import (
-    Chain,
-    axis_difference_deg,
-    direction_deg,
-    ellipsoid,
-    geometric_jacobian,
-    reactions,
-    reciprocal_product,
-    rotation_line,
-    wrench_rank,
-)
+from loose_env.kinematics import Chain, geometric_jacobian, reactions, wrench_rank
 from loose_env.report import Plate
 from loose_env.thesis.ch4_diagnosis.pose_figures import (
     EllipsoidPanel,
@@ -33,6 +23,12 @@ from loose_env.thesis.ch4_diagnosis.pose_trials import (
     trial_table,
     trial_words,
 )
+from loose_env.thesis.methods.motion.manipulability import (
+    axis_difference_deg,
+    direction_deg,
+    ellipsoid,
+    rotation_line,
+)
 from loose_env.thesis.printed import printed
 from loose_env.thesis.shared.section import Section, Table
 
@@ -40,7 +36,7 @@ __all__ = ["EQUATIONS", "section"]
 
 EQUATIONS: dict[str, str] = {
     "4.2.3": "loose_env.kinematics.seat_loads.reactions",
-    "8.2.3": "loose_env.kinematics.manipulability.submanipulator",
+    "8.2.3": "loose_env.thesis.methods.motion.manipulability.submanipulator",
 }
 """Function of each equation."""
 
@@ -53,7 +49,13 @@ def section(seed: int) -> Section:
 
     Examples
     --------
-    >>> from loose_env.thesis.printed import printed
+    >>> from loose_env.thesis.methods.motion.manipulability import (
+    axis_difference_deg,
+    direction_deg,
+    ellipsoid,
+    rotation_line,
+    )
+    from loose_env.thesis.printed import printed
     >>> printed("pose_choice")["p1_line_deg"]
     [299, 311, 332, 346, 29]
     """
@@ -98,8 +100,8 @@ def section(seed: int) -> Section:
         equations=EQUATIONS,
         left_out=[
             "The gravity wrench of 4.2.3: VERA and the planar arm move across gravity, which so "
-            "never loads a seat along the plane. arm_loads in loose_env.kinematics.joint_loads has "
-            "it for other arms.",
+            "never loads a seat along the plane. arm_loads in "
+            "loose_env.thesis.methods.motion.joint_loads has it for other arms.",
             "Three independent wrenches: in the plane there are two directions of looseness, so "
             "two are wanted. The functions take spatial arms.",
         ],
@@ -199,19 +201,20 @@ def _like(angle: float, example: float) -> float:
 def _thesis_poses(told: dict[str, Any]) -> tuple[Table, list[str]]:
     arm, link = vera(), told["looseness_link"] - 1
     slope = np.radians(told["looseness_deg"])
-    twist = np.array([-np.sin(slope), np.cos(slope), 0.0, 0.0, 0.0, 0.0])
+    slide = np.array([-np.sin(slope), np.cos(slope)])
     rows, shares, ranks = [], [], []
     for theta in told["theta2_deg"]:
         found = reactions(arm, np.radians([0.0, theta]))
-        push = found.per_energy()[link]
-        one = push[:, 0]
-        shares.append(abs(reciprocal_product(one, twist)) / float(np.linalg.norm(one[:2])))
+        push = found.per_energy[link]
+        one = push[:2, 0]
+        # The reciprocal product of push and slide is the power of the one on the other.
+        shares.append(abs(float(one @ slide)) / float(np.linalg.norm(one)))
         rank, values = wrench_rank(push[:2])
         ranks.append(rank)
         rows.append(
             (
                 f"{theta}°",
-                f"{direction_deg(one[:2]) % 180:.0f}",
+                f"{direction_deg(one) % 180:.0f}",
                 f"{100 * shares[-1]:.0f} %",
                 str(rank),
                 f"{values[-1]:.2f}",

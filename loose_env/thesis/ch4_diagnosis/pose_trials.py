@@ -4,21 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.stats import spearmanr
 
 from loose_env.arms import Arm, LinearArm
-from loose_env.kinematics import (
-    Drive,
-    chebyshev_poses,
-    choose_poses,
-    reactions,
-    seat_drive,
-    submanipulator,
-    worst_push,
-)
+from loose_env.kinematics import chebyshev_poses, choose_poses, reactions, worst_push
 from loose_env.thesis.ch4_diagnosis.pose_figures import Comparison
+from loose_env.thesis.methods.motion.manipulability import submanipulator
 from loose_env.thesis.shared.section import Table
 from loose_env.typing import Array
 
@@ -31,6 +25,8 @@ RANDOM_POSES = 240
 RANDOM_SETS = 4000
 """Sets drawn from those."""
 _POINTS = {2: 25, 4: 6}  # Chebyshev points a joint, by the number of joints
+Drive = Literal["torque", "tool"]
+"""Unit of drive: 1 N m rms at each joint, or 1 m/s² rms at the tool from each joint."""
 _PER: tuple[tuple[Drive, str], ...] = (("tool", "1 m/s² at the tool"), ("torque", "1 N·m"))
 
 
@@ -102,7 +98,7 @@ def trial(arm: Arm, seed: list[int]) -> Trial:
         last = [seat_drive(linear, q, arm.n, per=per)[0] for q in drawn]
         proximal[per] = float(spearmanr(narrow, last).statistic)
         comparisons.append(Comparison(title=f"{arm.name}, per {unit}", random=sets, chosen=marks))
-    pushes = np.array([reactions(arm, q).per_energy()[-1, :2] for q in chosen[True]])
+    pushes = np.array([reactions(arm, q).per_energy[-1, :2] for q in chosen[True]])
     return Trial(
         arm=arm,
         candidates=len(candidates),
@@ -117,6 +113,36 @@ def trial(arm: Arm, seed: list[int]) -> Trial:
         moves=moves,
         comparisons=comparisons,
     )
+
+
+def seat_drive(
+    linear: LinearArm, pose: Array, link: int, *, per: Drive = "torque"
+) -> tuple[float, float]:
+    """Force transmitted by a link's slide in the linear arm: worst direction and total.
+
+    Each joint is excited in turn over the arm's band while the others are held; the powers add.
+    Returns the rms force along the direction least driven, and the rms of the whole force
+    [N per unit of drive].
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> worst, whole = seat_drive(LinearArm(planar(2)), np.array([0.0, 1.5]), 2)
+    >>> 0 < worst < whole
+    True
+    """
+    arm = linear.arm
+    at = linear.at(np.asarray(pose, dtype=float))
+    power = np.zeros((len(arm.axes),) * 2)
+    for joint in range(arm.n):
+        answer = at.response(np.arange(arm.n) == joint)
+        force = answer.slide[:, arm.link_number(link) - 1, :, 0]
+        level = 1.0
+        if per == "tool":
+            level = float(np.sum(np.abs(answer.tool[:, :, 0]) ** 2)) / len(force)
+        power += np.real(force.T @ force.conj()) / (len(force) * level)
+    values = np.linalg.eigvalsh(power)
+    return float(np.sqrt(max(0.0, values[0]))), float(np.sqrt(values.sum()))
 
 
 def _worst(linear: LinearArm, pose: Array, per: Drive) -> float:

@@ -8,14 +8,6 @@ from typing import Any
 import numpy as np
 
 from loose_env.arms import LINK_LENGTH, vera
-from loose_env.kinematics import (
-    JointLoads,
-    PeakForce,
-    TwoLinks,
-    arm_loads,
-    peak_force,
-    two_link_loads,
-)
 from loose_env.report import Plate
 from loose_env.thesis.ch6_experiments.arm.sizing_figures import (
     CaseCurves,
@@ -23,6 +15,14 @@ from loose_env.thesis.ch6_experiments.arm.sizing_figures import (
     torque_figure,
 )
 from loose_env.thesis.ch6_experiments.arm.structures import structures
+from loose_env.thesis.methods.motion.joint_loads import (
+    JointLoads,
+    PeakForce,
+    TwoLinks,
+    arm_loads,
+    peak_force,
+    two_link_loads,
+)
 from loose_env.thesis.printed import printed
 from loose_env.thesis.shared.section import Section, Table
 from loose_env.typing import Array
@@ -30,12 +30,12 @@ from loose_env.typing import Array
 __all__ = ["EQUATIONS", "demand", "section"]
 
 EQUATIONS: dict[str, str] = {
-    "3.41": "loose_env.kinematics.joint_loads.two_link_loads",
+    "3.41": "loose_env.thesis.methods.motion.joint_loads.two_link_loads",
     "6.1": "loose_env.kinematics.chain.Chain.of",
-    "6.2": "loose_env.kinematics.joint_loads.two_link_loads",
-    "6.3": "loose_env.kinematics.joint_loads.two_link_loads",
-    "6.4": "loose_env.kinematics.joint_loads.two_link_loads",
-    "6.5": "loose_env.kinematics.joint_loads.two_link_loads",
+    "6.2": "loose_env.thesis.methods.motion.joint_loads.two_link_loads",
+    "6.3": "loose_env.thesis.methods.motion.joint_loads.two_link_loads",
+    "6.4": "loose_env.thesis.methods.motion.joint_loads.two_link_loads",
+    "6.5": "loose_env.thesis.methods.motion.joint_loads.two_link_loads",
     "6.6": "loose_env.thesis.rigs.beams.beam_frequency",
     "6.11": "loose_env.thesis.rigs.beams.stinger_frequency",
     "6.12": "loose_env.thesis.rigs.beams.rod_stiffness",

@@ -1,14 +1,19 @@
-"""A looseness joint in a serial arm: one more joint, which nobody drives or measures (3.2.2)."""
+"""A looseness joint in a serial arm: one more joint, neither driven nor measured (3.2.2).
+
+It is one more column of the Jacobian. Where the loose seat has moved by d, other columns change
+too; which ones depends on the point and the frame of the Jacobian, and they locate the link.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from loose_env.errors import InvalidData, UnknownName
-from loose_env.kinematics import Chain, JointKind, require_kind
+from loose_env.kinematics import Chain, Frame, JointKind, require_kind
 from loose_env.typing import Array
 
 __all__ = ["displaced", "insert_looseness", "looseness_transform", "slot_direction"]
@@ -136,6 +141,74 @@ def looseness_transform(
         motion[:2, :2] = [[c, -s], [s, c]]
     back = to_loose.T  # no translation in it, so its transpose is its inverse
     return to_loose @ motion @ back
+
+
+def tool_velocity(jacobian: ArrayLike, rates: ArrayLike) -> Array:
+    """Tool velocity (m,) from a Jacobian (m, n) and joint velocities (n,) (3.3); loose arm (3.30).
+
+    Examples
+    --------
+    >>> tool_velocity([[1.0, 2.0]], [0.5, 0.25])
+    array([1.])
+    """
+    return np.asarray(jacobian) @ np.asarray(rates)
+
+
+def velocity_error(
+    jacobian: ArrayLike, rates: ArrayLike, loose_jacobian: ArrayLike, loose_rates: ArrayLike
+) -> Array:
+    """Tool velocity of the loose arm minus that of the nominal arm (3.34).
+
+    Examples
+    --------
+    >>> velocity_error([[1.0, 2.0]], [0.5, 0.5], [[1.0, 0.7, 2.0]], [0.5, 0.1, 0.5])
+    array([0.07])
+    """
+    return tool_velocity(loose_jacobian, loose_rates) - tool_velocity(jacobian, rates)
+
+
+def changed_columns(before: ArrayLike, after: ArrayLike, *, tolerance: float) -> NDArray[np.bool_]:
+    """Mask (n,) of the columns of a Jacobian (m, n) that changed beyond a tolerance (3.33).
+
+    Examples
+    --------
+    >>> changed_columns([[1.0, 2.0]], [[1.1, 2.0]], tolerance=0.01)
+    array([ True, False])
+    """
+    return np.asarray(np.linalg.norm(np.subtract(after, before), axis=0) > tolerance)
+
+
+def link_of_changed_columns(changed: Sequence[bool] | NDArray[np.bool_], frame: Frame) -> int:
+    """Locate the loose link from the changed columns (after 3.33).
+
+    In tool coordinates columns 1 to i change, where i is the loose link. At the world's origin
+    columns i+1 to n change. At the tool point in world axes columns 1 to i change if the seat
+    slides, and all may if it turns. A column parallel to the slide never changes, so that the last
+    changed column is a lower bound of the link in a spatial arm. Returns the link, from 1; 0 where
+    the columns identify none: nothing changed, or at the base point everything did.
+
+    Raises
+    ------
+    InvalidData
+        If the columns do not change in one block, which a single seat cannot cause.
+
+    Examples
+    --------
+    >>> link_of_changed_columns([True, True, False], "tool")
+    2
+    """
+    mask = np.asarray(changed, dtype=bool)
+    count = int(mask.sum())
+    block = mask[len(mask) - count :] if frame == "base" else mask[:count]
+    if not block.all():
+        raise InvalidData(
+            f"columns {(np.flatnonzero(mask) + 1).tolist()} changed, which is not one block from "
+            f"the {'tool' if frame == 'base' else 'base'}: check the tolerance, or look for a "
+            "second seat"
+        )
+    if count == 0:
+        return 0
+    return len(mask) - count if frame == "base" else count
 
 
 def _unit(axis: ArrayLike) -> Array:

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from loose_env.arms import planar, vera
-from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.kinematics.joint_loads import (
+from loose_env.thesis import cylindrical
+from loose_env.thesis.methods.motion.joint_loads import (
     TwoLinks,
     arm_loads,
     peak_force,
     two_link_loads,
 )
-from loose_env.thesis import cylindrical
 from tests.faults.thesis_equations import Figures, healthy_torques, thesis_arm
 
 
@@ -97,17 +96,3 @@ def test_the_peak_says_where_and_which_way() -> None:
     peak = peak_force(force, [np.array([[10.0], [20.0]]), np.array([[1.0, 2.0]])])
     assert (peak.size, peak.along, peak.across) == (5.0, -3.0, 4.0)
     assert peak.at == (10.0, 2.0) and peak.direction == "tangential"
-
-
-def test_bad_motions_are_refused() -> None:
-    links = TwoLinks.of(vera())
-    with pytest.raises(InvalidData, match="finite"):
-        two_link_loads(links, np.nan, [0.0, 0.0], [0.0, 0.0])
-    with pytest.raises(InvalidData, match="rates"):
-        two_link_loads(links, 0.0, [0.0], [0.0, 0.0])
-    with pytest.raises(InvalidSetting, match="rates"):
-        arm_loads(vera(), [0.0, 0.0], [0.0], [0.0, 0.0])
-    with pytest.raises(InvalidSetting, match="two links"):
-        TwoLinks.of(planar(3))
-    with pytest.raises(InvalidData, match="finite"):
-        peak_force([[np.nan, 0.0]], [[1.0]])

@@ -11,21 +11,11 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loose_env.arms import Arm
-from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.kinematics import carried_bodies
 from loose_env.typing import Array
-
-__all__ = [
-    "JointLoads",
-    "PeakForce",
-    "TwoLinks",
-    "arm_loads",
-    "carried_bodies",
-    "peak_force",
-    "two_link_loads",
-]
 
 GRAVITY = 9.81
 
@@ -45,23 +35,9 @@ class TwoLinks:
     rotors: tuple[float, float] = (0.0, 0.0)
     """Inertia of each drive's rotor seen at its joint [kg m²]; the thesis has none."""
 
-    def __post_init__(self) -> None:
-        figures = (self.length, *self.masses, *self.centres, *self.inertias, *self.rotors)
-        if not np.isfinite(figures).all():
-            raise InvalidSetting("lengths, masses and inertias of the links must be finite")
-        if self.length <= 0 or min(self.masses) <= 0:
-            raise InvalidSetting("length and masses of the links must be above zero [m, kg]")
-        if min(*self.inertias, *self.rotors) < 0:
-            raise InvalidSetting("inertias of links and rotors must not be negative [kg m²]")
-
     @classmethod
     def of(cls, arm: Arm) -> TwoLinks:
         """Lump the bodies of a planar arm of two hinges into two links; bending modes at rest.
-
-        Raises
-        ------
-        InvalidSetting
-            If the arm has not two joints, or a centre of mass lies off its link.
 
         Examples
         --------
@@ -69,8 +45,6 @@ class TwoLinks:
         >>> round(TwoLinks.of(vera()).length, 3)
         0.4
         """
-        if arm.n != 2 or len(arm.axes) != 2:
-            raise InvalidSetting(f"the closed form is for two links in the plane, not {arm.name!r}")
         model = arm.model
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
@@ -84,8 +58,6 @@ class TwoLinks:
             turned = data.ximat[bodies].reshape(-1, 3, 3)[:, 2, :]  # z row: inertia about z
             own = np.einsum("bi,bi->b", turned**2, model.body_inertia[bodies])
             about = own + mass * np.sum((data.xipos[bodies] - middle)[:, :2] ** 2, axis=1)
-            if abs(middle[1] - anchors[k, 1]) > 1e-9:
-                raise InvalidSetting(f"the centre of mass of link {k + 1} lies off its link")
             masses.append(float(mass.sum()))
             centres.append(float(middle[0] - anchors[k, 0]))
             inertias.append(float(about.sum()))
@@ -125,21 +97,8 @@ def two_link_loads(
     I1 + m1 lc1², as here. In (3.41) it prints the bracket after S2 again after C2: the one after
     C2 is lc2 θ12'' + S2 l1 θ1'² + C2 l1 θ1'', as (6.5) has it.
 
-    Parameters
-    ----------
-    links : TwoLinks
-        Figures of the links.
-    angle : array (...)
-        Angle of joint 2, zero with the arm straight [rad].
-    rates, accelerations : array (..., 2)
-        Of both joints [rad/s, rad/s²]; all three broadcast.
-    gravity : float
-        Along -z [m/s²].
-
-    Raises
-    ------
-    InvalidData
-        If a value is not finite or the last axes are not of length 2.
+    ``angle`` (...): of joint 2, zero with the arm straight [rad]. ``rates``, ``accelerations``
+    (..., 2): of both joints [rad/s, rad/s²]; all three broadcast. ``gravity``: [m/s²].
 
     Examples
     --------
@@ -148,14 +107,7 @@ def two_link_loads(
     array([-3., -2.])
     """
     q, v, a = (np.asarray(x, dtype=float) for x in (angle, rates, accelerations))
-    if not (v.ndim and a.ndim and v.shape[-1] == 2 and a.shape[-1] == 2):
-        raise InvalidData(f"rates and accelerations are (..., 2), got {v.shape} and {a.shape}")
-    if not all(np.isfinite(x).all() for x in (q, v, a, np.asarray(gravity))):
-        raise InvalidData("angle, rates, accelerations and gravity must be finite")
-    try:
-        q, v1, v2, a1, a2 = np.broadcast_arrays(q, v[..., 0], v[..., 1], a[..., 0], a[..., 1])
-    except ValueError as error:
-        raise InvalidData(f"angle, rates and accelerations do not broadcast: {error}") from error
+    q, v1, v2, a1, a2 = np.broadcast_arrays(q, v[..., 0], v[..., 1], a[..., 0], a[..., 1])
     (m1, m2), (c1, c2), (i1, i2) = links.masses, links.centres, links.inertias
     l1, s, c = links.length, np.sin(q), np.cos(q)
     v12, a12, weight = v1 + v2, a1 + a2, np.full(q.shape, gravity)
@@ -193,20 +145,8 @@ def arm_loads(
     """Loads of any arm in one pose and motion, from MuJoCo's inverse dynamics.
 
     Bending modes are at rest. Friction and springs of the joints are left out, as in 6.1.2.
-
-    Parameters
-    ----------
-    arm : Arm
-        The arm.
-    pose, rates, accelerations : array (n,)
-        Of the joints [rad, rad/s, rad/s²].
-    gravity : bool
-        Whether the arm's gravity acts.
-
-    Raises
-    ------
-    InvalidSetting
-        If one of the three is not one finite number for every joint.
+    ``pose``, ``rates``, ``accelerations`` (n,): of the joints [rad, rad/s, rad/s²]. ``gravity``:
+    whether the arm's gravity acts.
 
     Examples
     --------
@@ -216,11 +156,6 @@ def arm_loads(
     True
     """
     motion = [np.asarray(x, dtype=float) for x in (pose, rates, accelerations)]
-    for name, given in zip(("pose", "rates", "accelerations"), motion, strict=True):
-        if given.shape != (arm.n,) or not np.isfinite(given).all():
-            raise InvalidSetting(
-                f"{name} of {arm.name!r}: {arm.n} finite numbers, one a joint; got {given}"
-            )
     model = arm.model
     data = mujoco.MjData(model)
     joints = [model.joint(name) for name in arm.joints]
@@ -272,17 +207,9 @@ class PeakForce:
 def peak_force(force: ArrayLike, settings: Sequence[ArrayLike]) -> PeakForce:
     """Find the maximum planar force over a sweep (5.2).
 
-    Parameters
-    ----------
-    force : array (..., 2) or (..., 3)
-        Along and across a link [N]; what follows is ignored.
-    settings : sequence of arrays (...)
-        What was swept; each broadcasts to the sweep's shape. The first of equal peaks counts.
-
-    Raises
-    ------
-    InvalidData
-        If shapes do not fit or a value is not finite.
+    ``force`` (..., 2) or (..., 3): along and across a link [N]; what follows is ignored.
+    ``settings`` (...): swept quantities, which broadcast to the sweep's shape. The first of equal
+    peaks counts.
 
     Examples
     --------
@@ -290,12 +217,7 @@ def peak_force(force: ArrayLike, settings: Sequence[ArrayLike]) -> PeakForce:
     (20.0,)
     """
     f = np.asarray(force, dtype=float)
-    if f.ndim < 1 or f.shape[-1] not in (2, 3) or f.size == 0 or not np.isfinite(f).all():
-        raise InvalidData(f"force is (..., 2) or (..., 3) and finite, got shape {f.shape}")
-    try:
-        swept = [np.broadcast_to(np.asarray(s, dtype=float), f.shape[:-1]) for s in settings]
-    except ValueError as error:
-        raise InvalidData(f"settings do not fit the sweep of {f.shape[:-1]}: {error}") from error
+    swept = [np.broadcast_to(np.asarray(s, dtype=float), f.shape[:-1]) for s in settings]
     size = np.hypot(f[..., 0], f[..., 1])
     first = int(np.flatnonzero(size.ravel() >= size.max() * (1 - 1e-12))[0])
     where = np.unravel_index(first, size.shape)
@@ -305,20 +227,3 @@ def peak_force(force: ArrayLike, settings: Sequence[ArrayLike]) -> PeakForce:
         across=float(f[(*where, 1)]),
         at=tuple(float(s[where]) for s in swept),
     )
-
-
-def carried_bodies(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
-    """Mask of the bodies in the subtree of a body, itself included (nbody,).
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> model = planar(2).model
-    >>> [model.body(b).name for b in np.flatnonzero(carried_bodies(model, model.body("link1").id))]
-    ['link1', 'flange2', 'link2']
-    """
-    carried = np.zeros(model.nbody, dtype=bool)
-    carried[body] = True
-    for b in range(body + 1, model.nbody):  # parents come before their children
-        carried[b] = carried[model.body_parentid[b]]
-    return carried
