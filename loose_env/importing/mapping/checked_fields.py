@@ -124,7 +124,7 @@ class Fields:
 
 
 @cache
-def _scalars(kind: type[Any]) -> dict[str, tuple[Field[Any], Any]]:
+def _scalars(kind: Any) -> dict[str, tuple[Field[Any], Any]]:
     """Fields of scalar types by name, each with its type less None."""
     hints, found = get_type_hints(kind), {}
     for field in fields(kind):

@@ -151,7 +151,7 @@ def tool_velocity(jacobian: ArrayLike, rates: ArrayLike) -> Array:
     >>> tool_velocity([[1.0, 2.0]], [0.5, 0.25])
     array([1.])
     """
-    return np.asarray(jacobian) @ np.asarray(rates)
+    return np.asarray(np.asarray(jacobian) @ np.asarray(rates))
 
 
 def velocity_error(
