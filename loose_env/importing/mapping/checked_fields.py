@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, Field, fields
-from functools import cache
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -29,6 +28,9 @@ def within(low: float, high: float) -> dict[str, Any]:
 def among(*allowed: str) -> dict[str, Any]:
     """Metadata of a text field: the allowed values."""
     return {"among": allowed}
+
+
+_KNOWN: dict[type[Any], dict[str, tuple[Field[Any], Any]]] = {}
 
 
 class Fields:
@@ -123,10 +125,12 @@ class Fields:
         return value
 
 
-@cache
-def _scalars(kind: Any) -> dict[str, tuple[Field[Any], Any]]:
+def _scalars(kind: type[Any]) -> dict[str, tuple[Field[Any], Any]]:
     """Fields of scalar types by name, each with its type less None."""
-    hints, found = get_type_hints(kind), {}
+    if kind in _KNOWN:
+        return _KNOWN[kind]
+    hints = get_type_hints(kind)
+    found: dict[str, tuple[Field[Any], Any]] = {}
     for field in fields(kind):
         hint = hints[field.name]
         if get_origin(hint) in (Union, UnionType):
@@ -134,7 +138,7 @@ def _scalars(kind: Any) -> dict[str, tuple[Field[Any], Any]]:
             hint = rest[0] if len(rest) == 1 else hint
         if hint in _SCALARS or get_origin(hint) is Literal:
             found[field.name] = (field, hint)
-    return found
+    return _KNOWN.setdefault(kind, found)
 
 
 def _checked(place: str, value: Any, kind: Any, rule: Mapping[str, Any]) -> Any:
