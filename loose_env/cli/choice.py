@@ -11,8 +11,6 @@ from typing import Any
 from loose_env.cli.options import add_settings
 from loose_env.instrument import NextSettings, option_words, unlike
 
-__all__ = ["add_choice", "add_kept", "take_over"]
-
 
 def add_choice(parser: argparse.ArgumentParser) -> None:
     """Add the options of how the next measurement is chosen; one that is not given is None."""

@@ -31,8 +31,6 @@ from loose_env.instrument import (
 )
 from loose_env.recording import read_recording
 
-__all__ = ["add_options", "run", "summary"]
-
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""

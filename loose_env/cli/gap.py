@@ -33,8 +33,6 @@ from loose_env.gap import (
 from loose_env.recording import read_recording
 from loose_env.report import ranked_words, unsure, write_outputs
 
-__all__ = ["add_options", "run", "summary"]
-
 _OWN = ("threads",)
 """Settings on which the result does not depend."""
 

@@ -23,8 +23,6 @@ from loose_env.cli.options import add_settings, settings_of
 from loose_env.errors import InvalidSetting
 from loose_env.importing import ImportSettings, describe_sources, import_recording
 
-__all__ = ["add_options", "run"]
-
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""

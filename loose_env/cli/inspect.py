@@ -17,8 +17,6 @@ from loose_env.cli.options import add_settings, settings_of
 from loose_env.instrument import ModelSettings, NextSettings, inspect_model, screen
 from loose_env.io import write_text
 
-__all__ = ["add_options", "run"]
-
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""

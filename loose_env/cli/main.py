@@ -15,8 +15,6 @@ from keyword import iskeyword
 
 from loose_env.errors import LooseEnvError, words_of
 
-__all__ = ["COMMANDS", "main", "parser"]
-
 COMMANDS = {
     "inspect": "show an arm's joints, tool and modes, and what faults could be found",
     "plan": "say what to measure next: pose, joint and signal",

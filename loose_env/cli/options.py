@@ -11,8 +11,6 @@ from dataclasses import MISSING, Field, fields, is_dataclass
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-__all__ = ["add_settings", "field_words", "settings_of"]
-
 T = TypeVar("T")
 
 _PLAIN = (int, float, str)

@@ -13,8 +13,6 @@ from pathlib import Path
 
 from loose_env.errors import InvalidSetting, LooseEnvError
 
-__all__ = ["OutputFolder"]
-
 _KEPT = ".gap"
 _LIST, _WHOSE = "written.json", "command"
 _FORMATS = {"loose-gap": "gap", "loose-diagnosis": "diagnose"}

@@ -35,8 +35,6 @@ from loose_env.instrument import (
     write_plan,
 )
 
-__all__ = ["add_options", "run"]
-
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""

@@ -10,8 +10,6 @@ from pathlib import Path
 from loose_env.cli.output_folder import OutputFolder
 from loose_env.errors import InvalidSetting
 
-__all__ = ["Said", "add_recording_options", "folder_of"]
-
 
 def add_recording_options(parser: argparse.ArgumentParser) -> None:
     """Add RECORDING, --out, --model and --quiet."""

@@ -16,8 +16,6 @@ from loose_env.importing.readers.sources import given_files, list_file
 from loose_env.importing.samples import Channel, FileList, Stream
 from loose_env.recording import ModelColumns, joint_sensors
 
-__all__ = ["describe_sources"]
-
 _WIDE = 300
 _UNKNOWN = "sensor.?"
 _OF_JOINT = re.compile(r"(position|velocity|effort)\[(.+)\]")

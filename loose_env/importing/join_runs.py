@@ -18,8 +18,6 @@ from loose_env.importing.timing.resampling import bridged, held, median_step, re
 from loose_env.recording import FEWEST_SAMPLES, MOST_VALUES, ModelColumns, Run, joint_sensors
 from loose_env.typing import Array
 
-__all__ = ["Joined", "Pool", "joined_run", "shifts_of"]
-
 Pool = Mapping[tuple[str, Path, ChannelKey], Samples]
 """What was read: source, file and channel -> its samples."""
 

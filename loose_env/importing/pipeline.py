@@ -25,8 +25,6 @@ from loose_env.recording import (
     write_recording,
 )
 
-__all__ = ["ImportSettings", "import_recording"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class ImportSettings:

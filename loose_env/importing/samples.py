@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from loose_env.errors import InvalidData
 from loose_env.typing import Array
 
-__all__ = ["Channel", "ChannelKey", "FileList", "Samples", "Stream", "checked"]
-
 
 @dataclass(frozen=True, order=True)
 class ChannelKey:

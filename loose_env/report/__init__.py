@@ -34,6 +34,7 @@ from loose_env.report.pages.figure_card import (
 from loose_env.report.pages.figures import (
     WIDTH,
     new_figure,
+    quiet_axes,
 )
 from loose_env.report.pages.palette import (
     AGENTS,
@@ -79,6 +80,7 @@ __all__ = [
     "new_figure",
     "paragraphs",
     "pyplot",
+    "quiet_axes",
     "ranked_words",
     "rounded",
     "save_figure",

@@ -16,18 +16,6 @@ from typing import Any
 import mujoco
 import numpy as np
 
-__all__ = [
-    "FAINT",
-    "INK",
-    "MUTED",
-    "pyplot",
-    "rounded",
-    "save_figure",
-    "stored_rows",
-    "study_head",
-    "write_study",
-]
-
 
 def study_head(made_by: str, settings: Any, *, version: str, **more: Any) -> dict[str, Any]:
     """Say what rows rest on: the script, its settings, the versions.

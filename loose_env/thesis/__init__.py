@@ -18,13 +18,11 @@ from loose_env.thesis.rigs.shaken_vera import (
 from loose_env.thesis.shared.page import (
     write_thesis_page,
 )
-from loose_env.thesis.shared.registry import (
+from loose_env.thesis.shared.sections import (
     SECTIONS,
+    Outcome,
     choose,
     first_line,
-)
-from loose_env.thesis.shared.run import (
-    Outcome,
     run_sections,
 )
 

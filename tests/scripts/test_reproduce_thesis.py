@@ -14,9 +14,8 @@ pytest.importorskip("matplotlib")
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.report import Plate
 from loose_env.thesis import SECTIONS, Outcome, run_sections
-from loose_env.thesis.shared import run
-from loose_env.thesis.shared.run import run_section
-from loose_env.thesis.shared.section import Section
+from loose_env.thesis.shared import sections as sections_module
+from loose_env.thesis.shared.sections import Section, run_section
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +49,7 @@ def sections(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, ModuleType]]
         # `find_spec` asks the module itself once it is imported.
         module.__spec__ = importlib.util.spec_from_loader(key, None)
         monkeypatch.setitem(sys.modules, key, module)
-    monkeypatch.setattr("loose_env.thesis.shared.registry.SECTIONS", {key: key for key in made})
+    monkeypatch.setattr("loose_env.thesis.shared.sections.SECTIONS", {key: key for key in made})
     yield made
 
 
@@ -177,7 +176,7 @@ def test_a_process_that_dies_takes_no_other_section_along(monkeypatch: pytest.Mo
             died = key == "index_tables" or (len(own) > 1 and key == "link_finding")
             yield key, None if died else Outcome(key=key, seconds=0.0, section=None, error="x")
 
-    monkeypatch.setattr(run, "_pool", pool)
+    monkeypatch.setattr(sections_module, "_pool", pool)
     found = {o.key: o.error for o in run_sections(keys, seed=0)}
     assert found == {"sizing": "x", "index_tables": "its process died", "link_finding": "x"}
     assert calls == [keys, ["index_tables"], ["link_finding"]]

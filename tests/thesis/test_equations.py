@@ -8,7 +8,7 @@ from importlib.util import find_spec
 import pytest
 
 from loose_env.errors import UnknownName
-from loose_env.thesis.shared.registry import SECTIONS, choose, first_line, load
+from loose_env.thesis.shared.sections import SECTIONS, choose, first_line, load
 
 
 def function(path: str) -> object:

@@ -15,8 +15,7 @@ from loose_env.errors import InvalidData
 from loose_env.report import Plate, new_figure
 from loose_env.report.pages.svg import THEMED
 from loose_env.thesis.shared.page import LEFT_OUT, ranges, render_thesis_page, write_thesis_page
-from loose_env.thesis.shared.run import Outcome
-from loose_env.thesis.shared.section import Section, Table
+from loose_env.thesis.shared.sections import Outcome, Section, Table
 
 SVG = b'<svg viewBox="0 0 5 4"><g id="a"/><use href="#a"/></svg>'
 PNG = b"\x89PNG\r\n\x1a\nrest"

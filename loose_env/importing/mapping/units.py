@@ -10,8 +10,6 @@ import mujoco
 from loose_env.errors import InvalidData
 from loose_env.recording import nearest
 
-__all__ = ["UNITS", "Unit", "column_quantity", "known_units", "unit_named"]
-
 STANDARD_GRAVITY = 9.80665
 """[m/s²], by definition."""
 

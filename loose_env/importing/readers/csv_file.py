@@ -19,9 +19,6 @@ from loose_env.importing.samples import ChannelKey, Samples, checked
 from loose_env.importing.timing.dates import date_ns
 from loose_env.recording import nearest
 
-__all__ = ["column_index", "number_of", "read_csv_logger"]
-
-
 _MOST_VALUES = 100_000_000
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|[+-]?inf", re.IGNORECASE | re.ASCII)
 _PLAIN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d{1,3})?", re.IGNORECASE | re.ASCII)

@@ -12,8 +12,6 @@ from typing import IO
 from loose_env.errors import InvalidData
 from loose_env.importing.mapping.mapping import CsvLayout
 
-__all__ = ["cells", "header_of", "open_text"]
-
 _LONGEST_LINE = 2**20
 _MOST_COLUMNS = 10_000
 

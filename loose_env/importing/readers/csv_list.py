@@ -15,8 +15,6 @@ from loose_env.importing.readers.csv_lines import cells, header_of, open_text
 from loose_env.importing.samples import Channel, ChannelKey, FileList, Stream
 from loose_env.importing.timing.dates import date_ns
 
-__all__ = ["list_csv"]
-
 _LOOKED_AT = 200  # lines
 _PREAMBLE = 40  # lines above a table, at most
 _ENCODINGS = ("utf-8", "utf-16", "cp1252", "latin-1")

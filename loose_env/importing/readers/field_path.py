@@ -12,8 +12,6 @@ from typing import Any
 from loose_env.errors import InvalidData
 from loose_env.recording import nearest
 
-__all__ = ["FieldPath", "fields_of", "leaves", "stamp_ns"]
-
 _PART = re.compile(r"([^.\[\]]+)|\[([^\[\]]+)\]")
 _LONGEST = 500
 _LABELS = ("name", "names", "joint_names", "label", "labels")

@@ -20,8 +20,6 @@ from loose_env.importing.readers.mcap_records import Message, walk
 from loose_env.importing.samples import Channel, ChannelKey, FileList, Samples, Stream, checked
 from loose_env.recording import nearest
 
-__all__ = ["list_mcap", "read_mcap"]
-
 _MOST_SAMPLES = 100_000_000
 _MOST_LISTED = 200
 """Channels listed of one topic."""

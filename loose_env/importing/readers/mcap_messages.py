@@ -10,8 +10,6 @@ from typing import Any
 
 from loose_env.errors import InvalidData, MissingExtra
 
-__all__ = ["READ_ENCODINGS", "decoder_of", "encoding_of"]
-
 Decoder = Callable[[bytes], Any]
 
 READ_ENCODINGS = ("cdr with ros2msg", "json", "protobuf with protobuf")

@@ -17,8 +17,6 @@ from typing import IO, Any
 
 from loose_env.errors import InvalidData, MissingExtra
 
-__all__ = ["MAGIC", "Message", "require_mcap", "walk"]
-
 MAGIC = b"\x89MCAP0\r\n"
 
 _HEADER = struct.Struct("<BQ")  # opcode and length before each record

@@ -23,8 +23,6 @@ from loose_env.importing.samples import ChannelKey, FileList, Samples
 from loose_env.importing.timing.even_stamps import straightened
 from loose_env.recording import nearest
 
-__all__ = ["Given", "files_of_runs", "given_files", "kind_of", "list_file", "read_source"]
-
 Given = Mapping[str, Path]
 """Files of the command line by the names that a mapping may call them."""
 

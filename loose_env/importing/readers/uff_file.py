@@ -18,9 +18,6 @@ from loose_env.importing.samples import Channel, ChannelKey, FileList, Samples, 
 from loose_env.recording import nearest
 from loose_env.typing import Array
 
-__all__ = ["list_uff", "read_uff"]
-
-
 _MOST_BYTES = 2**30
 _MARK = re.compile(rb"    -1(?=[\r\n]|\Z| {74})")
 _DIRECTIONS = {0: "", 1: "+X", 2: "+Y", 3: "+Z", 4: "+RX", 5: "+RY", 6: "+RZ"}

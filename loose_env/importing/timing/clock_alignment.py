@@ -11,9 +11,6 @@ from loose_env.errors import InvalidData
 from loose_env.importing.timing.resampling import bridged, median_step, resampled
 from loose_env.typing import Array
 
-__all__ = ["Shift", "shift_between"]
-
-
 _MOST_POINTS = 2**24
 _LEAST_OVERLAP = 0.3
 """Share of the shorter channel that has to lie beside the other."""

@@ -7,8 +7,6 @@ import re
 
 from loose_env.errors import InvalidData
 
-__all__ = ["date_ns"]
-
 _EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
 _FRACTION = re.compile(r"(?<=:\d\d)[.,](\d{1,9})\d*")
 

@@ -13,9 +13,6 @@ from loose_env.errors import InvalidData
 from loose_env.importing.timing.resampling import median_step
 from loose_env.typing import Array
 
-__all__ = ["straightened"]
-
-
 _OFF = 3.0
 """Steps that a stamp may be off the straight line through them."""
 _PLAIN = 0.3

@@ -11,9 +11,6 @@ from scipy.interpolate import CubicSpline
 
 from loose_env.typing import Array
 
-__all__ = ["Resampled", "bridged", "held", "is_even", "median_step", "resampled", "rows_of"]
-
-
 EVEN = 0.01
 """Stamps within this share of a step of a straight line are evenly spaced."""
 _GAP_EVEN, _GAP_UNEVEN = 1.5, 3.0

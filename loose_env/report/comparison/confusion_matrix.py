@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["confusion_counts", "confusion_matrix", "ordered_hypotheses"]
-
 
 def ordered_hypotheses(rows: Sequence[Row]) -> tuple[str, ...]:
     """All hypotheses that rows mention: healthy, then links, then joints, each by number.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from loose_env.envs import FAINT, INK, MUTED
+from loose_env.envs import INK, MUTED
 from loose_env.evaluation import (
     Division,
     Row,
@@ -17,14 +17,13 @@ from loose_env.evaluation import (
     pareto_front,
     reliability,
 )
-from loose_env.report.pages.figures import WIDTH, new_figure
+from loose_env.report.pages.figures import WIDTH, new_figure, quiet_axes
 from loose_env.report.pages.palette import agent_colours
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["reliability_curves", "success_and_records", "success_by_group"]
 
 _MARKERS = "osD^vP*Xhd"
 _LINE = 0.19  # of the legend [inch]
@@ -181,13 +180,7 @@ def _finish(figure: Figure, axes: Axes, what: str) -> None:
     ticks = np.arange(np.ceil(low / step) * step, high + 1e-9, step)
     axes.set_yticks(ticks, [f"{100 * t:.0f} %" for t in ticks])
     axes.set_ylim(low, high)
-    axes.patch.set_alpha(0.0)
-    axes.set_axisbelow(True)
-    axes.yaxis.grid(color=FAINT, linewidth=0.8)
-    axes.tick_params(length=0, pad=5, labelsize=8.5, labelcolor=MUTED)
-    for side, spine in axes.spines.items():
-        spine.set_visible(side == "bottom")
-        spine.set_color(MUTED)
+    quiet_axes(axes)
     above: dict[str, Any] = {"color": MUTED, "fontsize": 9, "ha": "left", "va": "bottom"}
     axes.text(0.0, 1.025, what, transform=axes.transAxes, **above)
     marks, labels = axes.get_legend_handles_labels()

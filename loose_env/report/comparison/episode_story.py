@@ -13,8 +13,6 @@ from loose_env.faults import UNSURE
 from loose_env.report.pages.figure_card import Plate
 from loose_env.report.pages.svg import to_svg
 
-__all__ = ["Player", "Story", "tell_episode"]
-
 
 class Player(Protocol):
     """An agent: stable-baselines3's ``predict``."""

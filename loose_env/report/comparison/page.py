@@ -15,7 +15,6 @@ from loose_env.report.pages.template import paragraphs, shown, template, write_w
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["render_page", "write_comparison_page"]
 
 Image = Plate | tuple[str, "bytes | Figure"]
 """A plate, or its caption and its image."""

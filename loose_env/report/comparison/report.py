@@ -42,8 +42,6 @@ from loose_env.report.pages.table import (
     trainings_page_table,
 )
 
-__all__ = ["write_comparison"]
-
 _MATRICES = 6  # confusion matrices on the page; more are hard to take in
 _COLUMNS = (
     "Right: verdicts that name the hidden fault. Right place: those that name its link or joint, "

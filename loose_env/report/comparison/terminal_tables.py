@@ -17,16 +17,6 @@ from loose_env.evaluation import (
     ratio_names,
 )
 
-__all__ = [
-    "calibration_table",
-    "crossed_table",
-    "curve_table",
-    "division_table",
-    "main_table",
-    "mistakes",
-    "trainings_table",
-]
-
 WIDTH = 120
 _NAME = 20  # of an agent; longer ones are cut in the middle
 

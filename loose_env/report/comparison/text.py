@@ -29,8 +29,6 @@ from loose_env.report.comparison.terminal_tables import (
     trainings_table,
 )
 
-__all__ = ["comparison_text"]
-
 
 def comparison_text(
     rows: Sequence[Row],

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Plate"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plate:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["new_figure", "success_against_records", "success_bars"]
 
 WIDTH = 5.4
 """Width of every figure [inch]; at 358 pixels of a phone its letters are still 8 high."""
@@ -41,6 +40,40 @@ def new_figure(height: float) -> Figure:
             "figures need matplotlib: install it with pip install 'loose-env[report]'"
         ) from error
     return Figure(figsize=(WIDTH, height))
+
+
+def quiet_axes(
+    axes: Axes,
+    *,
+    grid: Literal["x", "y", "both"] | None = "y",
+    spines: Sequence[str] = ("bottom",),
+    pad: float = 5,
+    size: float = 8.5,
+    width: float = 0.8,
+) -> None:
+    """Leave of the frame of axes only a grid, its labels and some spines.
+
+    Parameters
+    ----------
+    axes : matplotlib Axes
+        Axes to change.
+    grid : {"x", "y", "both"}, optional
+        Directions of the grid's lines; none where it is None.
+    spines : sequence of str
+        Sides of the frame that stay.
+    pad, size : float
+        Distance of the labels from the axis, and their size [pt].
+    width : float
+        Width of the grid's lines [pt].
+    """
+    axes.patch.set_alpha(0.0)
+    axes.set_axisbelow(True)
+    if grid is not None:
+        axes.grid(axis=grid, color=FAINT, linewidth=width)
+    axes.tick_params(which="both", length=0, pad=pad, labelsize=size, labelcolor=MUTED)
+    for side, spine in axes.spines.items():
+        spine.set_visible(side in spines)
+        spine.set_color(MUTED)
 
 
 def success_bars(
@@ -89,7 +122,7 @@ def success_bars(
     axes.set(xlim=(0.0, 1.0), ylim=(0.35 - len(found), 0.72))
     axes.set_yticks([])
     _percent(axes, "x")
-    _plain(axes, grid="x", spines=())
+    quiet_axes(axes, grid="x", spines=(), pad=6, size=9)
     axes.set_xlabel("share of right verdicts", color=MUTED, fontsize=9)
     return figure
 
@@ -140,7 +173,7 @@ def success_against_records(
     axes.set(xlim=(0, most), ylim=(0.0, 1.0))
     axes.set_xticks(counts if most <= 12 else counts[:: int(np.ceil(most / 12))])
     _percent(axes, "y")
-    _plain(axes, grid="y", spines=("bottom",))
+    quiet_axes(axes, pad=6, size=9)
     axes.set_xlabel("records taken, at most", color=MUTED, fontsize=9)
     axes.text(0.0, 1.05, "decided rightly", color=MUTED, fontsize=9, ha="left", va="bottom")
     return figure
@@ -171,14 +204,3 @@ def _percent(axes: Axes, which: str) -> None:
         last.set_horizontalalignment("right")
     else:
         axes.set_yticks(ticks, words)
-
-
-def _plain(axes: Axes, *, grid: str, spines: Sequence[str]) -> None:
-    """Leave of the frame only what helps reading."""
-    axes.patch.set_alpha(0.0)
-    axes.set_axisbelow(True)
-    getattr(axes, f"{grid}axis").grid(color=FAINT, linewidth=0.8)
-    axes.tick_params(length=0, pad=6, labelsize=9, labelcolor=MUTED)
-    for side, spine in axes.spines.items():
-        spine.set_visible(side in spines)
-        spine.set_color(MUTED)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-__all__ = ["AGENTS", "agent_colours", "is_light"]
-
 AGENTS = ("#0173b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9", "#8a8f98")
 """Okabe and Ito's palette without black and yellow, which vanish on one background or other.
 

@@ -8,8 +8,6 @@ from typing import Any
 from loose_env.report.pages.figure_card import Plate
 from loose_env.report.pages.template import shown
 
-__all__ = ["group", "signed", "spread"]
-
 
 def group(
     heading: str,

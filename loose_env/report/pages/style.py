@@ -7,8 +7,6 @@ from importlib.resources import files
 
 from loose_env.envs import palette as ink
 
-__all__ = ["DARK", "FONT", "LIGHT", "PAPER", "declared", "style"]
-
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
 """Letters of every page: those of the reader's own system, so that nothing is loaded."""
 

@@ -12,7 +12,6 @@ from loose_env.errors import InvalidData
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["THEMED", "inline", "standalone", "to_svg"]
 
 THEMED = {
     ink.PAPER: "paper",

@@ -8,14 +8,6 @@ from dataclasses import dataclass
 
 from loose_env.evaluation import Calibration, Crossing, Division, Interval, percent, ratio_names
 
-__all__ = [
-    "PageTable",
-    "calibration_tables",
-    "crossed_page_table",
-    "division_page_table",
-    "trainings_page_table",
-]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PageTable:

@@ -14,8 +14,6 @@ from loose_env.report.pages.figure_card import Plate
 from loose_env.report.pages.style import style
 from loose_env.report.pages.svg import inline, to_svg
 
-__all__ = ["paragraphs", "shown", "template", "write_whole"]
-
 _PNG = b"\x89PNG\r\n"
 
 

@@ -1,4 +1,4 @@
 """Chapter 3: modelling of looseness.
 
-Data flow: alternatives -> docked_tool -> figures -> identification -> matrices -> modelling.
+Data flow: alternatives -> docked_tool -> identification -> matrices -> modelling.
 """

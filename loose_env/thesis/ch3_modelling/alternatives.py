@@ -10,7 +10,6 @@ from loose_env.arms import Arm, vera
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import StructuralLooseness
 from loose_env.kinematics import Chain, geometric_jacobian
-from loose_env.thesis.methods.looseness.docked_simulation import simulate_docked
 from loose_env.thesis.methods.looseness.modelling_alternatives import (
     ALTERNATIVES,
     MEASURES,
@@ -18,23 +17,8 @@ from loose_env.thesis.methods.looseness.modelling_alternatives import (
     Weighing,
     weigh_alternatives,
 )
-from loose_env.thesis.methods.looseness.static_force_test import joint_torques
-from loose_env.thesis.shared.section import Table
-
-__all__ = [
-    "DIRECTION",
-    "GAP",
-    "POSES",
-    "carried_torque",
-    "finding",
-    "loose_seat",
-    "opening_words",
-    "step_words",
-    "verdicts",
-    "weigh",
-    "weighing_table",
-    "what_table",
-]
+from loose_env.thesis.methods.looseness.static_force_test import joint_torques, simulate_docked
+from loose_env.thesis.shared.sections import Table
 
 GAP = 2e-4
 """Travel of the loose seat [m], as on VERA."""

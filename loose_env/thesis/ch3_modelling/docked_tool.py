@@ -14,24 +14,23 @@ from loose_env.faults import Backlash, Fault, Healthy, StructuralLooseness
 from loose_env.kinematics import Chain, geometric_jacobian
 from loose_env.report import WIDTH, Plate, new_figure
 from loose_env.sensors import Encoder, read_encoder
-from loose_env.thesis.methods.looseness.docked_simulation import Jig, simulate_docked
-from loose_env.thesis.methods.looseness.inertia_condition import seated_inertia
-from loose_env.thesis.methods.looseness.looseness_joint import insert_looseness
+from loose_env.thesis.methods.looseness.looseness_joint import insert_looseness, seated_inertia
 from loose_env.thesis.methods.looseness.static_force_test import (
+    Jig,
     compatible_links,
     docked_acceleration,
     link_frames,
     moving_directions,
     remaining_motions,
     seat_twist,
+    simulate_docked,
 )
-from loose_env.thesis.shared.section import Table
+from loose_env.thesis.shared.sections import Table
 from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["GAP", "SLOPE", "loose_links", "motion_counts"]
 
 GAP = 2e-4
 """Travel of the loose seat [m]."""

@@ -17,9 +17,7 @@ from loose_env.thesis.methods.looseness.parameter_recursion import (
 )
 from loose_env.thesis.methods.looseness.static_force_test import link_frames
 from loose_env.thesis.printed import printed
-from loose_env.thesis.shared.section import Section, Table
-
-__all__ = ["EQUATIONS", "section"]
+from loose_env.thesis.shared.sections import Section, Table
 
 EQUATIONS: dict[str, str] = {
     **dict.fromkeys(

@@ -3,29 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from loose_env.arms import planar, vera
+from loose_env.envs import FAINT, INK, MEASURED, MUTED, SHAKEN
 from loose_env.faults import Backlash, Healthy, StructuralLooseness
 from loose_env.kinematics import Chain, Frame, geometric_jacobian
-from loose_env.report import Plate
+from loose_env.report import Plate, new_figure, quiet_axes
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 from loose_env.thesis.ch3_modelling.alternatives import GAP, POSES, loose_seat
-from loose_env.thesis.ch3_modelling.figures import condition_figure
-from loose_env.thesis.methods.looseness.inertia_condition import (
-    backlash_condition,
-    condition_of,
-    seated_inertia,
-)
 from loose_env.thesis.methods.looseness.looseness_joint import (
+    backlash_condition,
     changed_columns,
+    condition_of,
     displaced,
     insert_looseness,
     link_of_changed_columns,
+    seated_inertia,
 )
-from loose_env.thesis.shared.section import Table
-
-__all__ = ["inertia_condition", "jacobian_columns", "jacobian_ranks"]
+from loose_env.thesis.shared.sections import Table
 
 _FRAMES: tuple[tuple[Frame, str], ...] = (
     ("tool", "tool point, tool axes"),
@@ -190,3 +191,47 @@ def _medians(found: Sequence[object]) -> tuple[str, str]:
     raw = float(np.median([c.raw for c in found]))  # type: ignore[attr-defined]
     scaled = float(np.median([c.scaled for c in found]))  # type: ignore[attr-defined]
     return f"{raw:.0f}", f"{scaled:.3g}"
+
+
+def condition_figure(points: Sequence[tuple[str, int, float]]) -> Figure:
+    """Draw the closed form of `backlash_condition` and where the joints of the arms lie.
+
+    Each point is an arm ("planar4" or "vera"), a joint, and its motor side over its link side.
+    """
+    figure = new_figure(2.9)
+    axes = figure.add_axes((0.12, 0.17, 0.84, 0.72))
+    ratio = np.logspace(-3, 2, 200)
+    axes.plot(ratio, [backlash_condition(r) for r in ratio], color=MUTED, linewidth=1.8, zorder=2)
+    for name, colour, marker, side in (("planar4", MEASURED, "o", 1), ("vera", SHAKEN, "s", -1)):
+        own = [(j, r) for n, j, r in points if n == name]
+        axes.plot(
+            [r for _, r in own],
+            [backlash_condition(r) for _, r in own],
+            linestyle="none",
+            marker=marker,
+            markersize=6,
+            color=colour,
+            zorder=3,
+        )
+        middle = float(np.exp(np.mean([np.log(r) for _, r in own])))
+        at = backlash_condition(middle)
+        axes.annotate(
+            f"joints of {'VERA' if name == 'vera' else 'the four-link arm'}",
+            xy=(middle, at),
+            xytext=(middle * (2.2 if side > 0 else 1 / 3), at * (6 if side > 0 else 1 / 3.2)),
+            color=INK,
+            fontsize=9,
+            ha="left" if side > 0 else "right",
+            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 1.0},
+        )
+    axes.set(xscale="log", yscale="log", xlim=(1e-3, 1e2), ylim=(1, 1e4))
+    axes.grid(color=FAINT, linewidth=0.8)
+    # Plain numbers: the exponents of a power of ten are too small to read.
+    ratios, conditions = 10.0 ** np.arange(-3, 3), 10.0 ** np.arange(5)
+    axes.set_xticks(ratios, [f"{r:g}" for r in ratios])
+    axes.set_yticks(conditions, [f"{c:.0f}" for c in conditions])
+    axes.minorticks_off()
+    quiet_axes(axes, grid="y", spines=(), pad=6, size=9)
+    axes.set_xlabel("inertia of motor side over link side", color=MUTED, fontsize=9)
+    axes.text(0.0, 1.04, "condition", color=MUTED, fontsize=9, transform=axes.transAxes)
+    return figure

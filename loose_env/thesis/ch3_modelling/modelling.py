@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from loose_env.arms import planar, vera
-from loose_env.report import Plate
+from loose_env.envs import INK, MEASURED, MUTED, SHAKEN
+from loose_env.report import Plate, new_figure, quiet_axes
+from loose_env.thesis.methods.looseness.modelling_alternatives import Weighing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 from loose_env.thesis.ch3_modelling.alternatives import (
     carried_torque,
     finding,
@@ -16,16 +26,13 @@ from loose_env.thesis.ch3_modelling.alternatives import (
     weighing_table,
     what_table,
 )
-from loose_env.thesis.ch3_modelling.figures import ratios_figure
 from loose_env.thesis.ch3_modelling.matrices import (
     inertia_condition,
     jacobian_columns,
     jacobian_ranks,
 )
 from loose_env.thesis.printed import printed
-from loose_env.thesis.shared.section import Section
-
-__all__ = ["EQUATIONS", "section"]
+from loose_env.thesis.shared.sections import Section
 
 EQUATIONS: dict[str, str] = {
     **dict.fromkeys(
@@ -45,9 +52,9 @@ EQUATIONS: dict[str, str] = {
         "loose_env.thesis.methods.looseness.static_force_test.tool_acceleration",
     ),
     "3.10": "loose_env.thesis.methods.looseness.static_force_test.joint_torques",
-    "3.11": "loose_env.thesis.methods.looseness.inertia_condition.seated_inertia",
+    "3.11": "loose_env.thesis.methods.looseness.looseness_joint.seated_inertia",
     **dict.fromkeys(
-        ("3.18", "3.19"), "loose_env.thesis.methods.looseness.docked_simulation.simulate_docked"
+        ("3.18", "3.19"), "loose_env.thesis.methods.looseness.static_force_test.simulate_docked"
     ),
     "3.22": "loose_env.thesis.methods.looseness.static_force_test.docked_acceleration",
     "3.25": "loose_env.thesis.methods.looseness.static_force_test.dock_force",
@@ -125,3 +132,52 @@ def section(seed: int) -> Section:
             "measured sensor; the ratios scale with it.",
         ],
     )
+
+
+def ratios_figure(weighed: Sequence[Weighing]) -> Figure:
+    """Draw two bars an alternative: the gap over noise, and over noise and model error."""
+    height = 0.52 * len(weighed) + 0.75
+    figure = new_figure(height)
+    axes = figure.add_axes((0.03, 0.5 / height, 0.94, 1 - 0.62 / height))
+    values = [r for w in weighed for r in (w.against_noise, w.against_all)]
+    low, high = 10 ** np.floor(np.log10(min(values))), 10 ** np.ceil(np.log10(max(values)))
+    for k, w in enumerate(weighed):
+        y = -float(k)
+        for ratio, shift, colour, word in (
+            (w.against_noise, 0.11, MEASURED, "noise"),
+            (w.against_all, -0.11, SHAKEN, "noise and model"),
+        ):
+            left, width = min(ratio, 1.0), abs(ratio - 1.0)
+            axes.barh(y + shift, width, left=left, height=0.17, color=colour, zorder=2)
+            if k == 0:
+                axes.text(
+                    max(w.against_noise, 1.0) * 1.15,
+                    y + shift,
+                    f"over {word}",
+                    color=INK,
+                    fontsize=8,
+                    va="center",
+                )
+        axes.text(low, y + 0.23, w.name, color=INK, fontsize=9.5, va="bottom")
+        axes.text(
+            high,
+            y + 0.23,
+            f"{w.against_noise:.2g} and {w.against_all:.2g}",
+            color=INK,
+            fontsize=9.5,
+            ha="right",
+            va="bottom",
+        )
+        axes.plot([1.0, 1.0], [y - 0.24, y + 0.22], color=INK, linewidth=1.2, zorder=3)
+    axes.set_xscale("log")
+    axes.set(xlim=(low, high), ylim=(0.6 - len(weighed), 0.62))
+    axes.set_yticks([])
+    ticks = 10.0 ** np.arange(np.log10(low), np.log10(high) + 0.5)
+    axes.set_xticks(ticks, [f"{t:g}" for t in ticks])
+    first, *_, last = axes.get_xticklabels()
+    first.set_horizontalalignment("left")
+    last.set_horizontalalignment("right")
+    axes.minorticks_off()
+    quiet_axes(axes, grid="x", spines=(), pad=6, size=9)
+    axes.set_xlabel("disagreement from the gap, over the rest", color=MUTED, fontsize=9)
+    return figure

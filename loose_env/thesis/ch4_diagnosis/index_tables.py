@@ -23,13 +23,12 @@ from loose_env.thesis.ch4_diagnosis.comparative_index import (
     turns,
 )
 from loose_env.thesis.printed import printed
-from loose_env.thesis.shared.section import Section, Table
+from loose_env.thesis.shared.sections import Section, Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["EQUATIONS", "index_figure", "section"]
 
 EQUATIONS: dict[str, str] = dict.fromkeys(
     ("6.15", "6.16", "6.17", "6.18"),

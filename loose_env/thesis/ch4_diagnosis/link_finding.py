@@ -31,10 +31,8 @@ from loose_env.thesis.ch6_experiments.shaken_vera.cases import (
 from loose_env.thesis.ch6_experiments.shaken_vera.tables import percent
 from loose_env.thesis.printed import printed
 from loose_env.thesis.shared.plots import Points, by_category
-from loose_env.thesis.shared.section import Section, Table
+from loose_env.thesis.shared.sections import Section, Table
 from loose_env.typing import Array
-
-__all__ = ["EQUATIONS", "Search", "search", "section"]
 
 # In the plane every joint's axis is the same.
 EQUATIONS: dict[str, str] = {

@@ -30,9 +30,7 @@ from loose_env.thesis.methods.motion.manipulability import (
     rotation_line,
 )
 from loose_env.thesis.printed import printed
-from loose_env.thesis.shared.section import Section, Table
-
-__all__ = ["EQUATIONS", "section"]
+from loose_env.thesis.shared.sections import Section, Table
 
 EQUATIONS: dict[str, str] = {
     "4.2.3": "loose_env.kinematics.seat_loads.reactions",
@@ -45,20 +43,7 @@ AGREES_DEG = 2.0
 
 
 def section(seed: int) -> Section:
-    """Compare the printed ellipsoids and choose pose sets by section 4.2.3.
-
-    Examples
-    --------
-    >>> from loose_env.thesis.methods.motion.manipulability import (
-    axis_difference_deg,
-    direction_deg,
-    ellipsoid,
-    rotation_line,
-    )
-    from loose_env.thesis.printed import printed
-    >>> printed("pose_choice")["p1_line_deg"]
-    [299, 311, 332, 346, 29]
-    """
+    """Compare the printed ellipsoids and choose pose sets by section 4.2.3."""
     told = printed("pose_choice")
     ellipsoid_table, ellipsoid_words, panels = _ellipsoids(told)
     push_table, push_words = _thesis_poses(told)

@@ -11,14 +11,13 @@ import numpy as np
 from loose_env.arms import Arm
 from loose_env.envs import EDGE, FAINT, INK, MEASURED, MUTED, TRUTH
 from loose_env.kinematics import Chain
-from loose_env.report import WIDTH, new_figure
+from loose_env.report import WIDTH, new_figure, quiet_axes
 from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Comparison", "EllipsoidPanel", "comparison_figure", "ellipsoid_figure", "set_figure"]
 
 _LINK = "#8e9aa6"
 _FLAT = 0.8  # height of an ellipsoid panel over its width
@@ -161,12 +160,8 @@ def comparison_figure(comparisons: Sequence[Comparison], *, columns: int = 2) ->
         most = max([2.0, *(value / unit for _, value in item.chosen)])
         axes.set(xlim=(0.0, 1.12 * most), ylim=(0, 1.35))
         axes.text(0, 1.1, item.title, transform=axes.transAxes, color=INK, fontsize=9)
-        axes.patch.set_alpha(0.0)
         axes.set_yticks([])
-        axes.tick_params(length=0, pad=4, labelsize=8, labelcolor=MUTED)
-        for edge, spine in axes.spines.items():
-            spine.set_visible(edge == "bottom")
-            spine.set_color(MUTED)
+        quiet_axes(axes, grid=None, pad=4, size=8)
         if row == rows - 1:
             words = "drive over the mean of random poses"
             axes.set_xlabel(words, color=MUTED, fontsize=8.5, labelpad=3)

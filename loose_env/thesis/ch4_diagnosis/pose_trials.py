@@ -13,10 +13,8 @@ from loose_env.arms import Arm, LinearArm
 from loose_env.kinematics import chebyshev_poses, choose_poses, reactions, worst_push
 from loose_env.thesis.ch4_diagnosis.pose_figures import Comparison
 from loose_env.thesis.methods.motion.manipulability import submanipulator
-from loose_env.thesis.shared.section import Table
+from loose_env.thesis.shared.sections import Table
 from loose_env.typing import Array
-
-__all__ = ["RANDOM_SETS", "SET", "Trial", "move_table", "trial", "trial_table", "trial_words"]
 
 SET = 4
 """Poses in a set."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from loose_env.envs import FAINT, INK, MUTED
-from loose_env.report import AGENTS, Plate, new_figure
+from loose_env.report import AGENTS, Plate, new_figure, quiet_axes
 from loose_env.statistics import (
     axial_difference,
     correlation_loop,
@@ -18,14 +18,13 @@ from loose_env.statistics import (
     lowest_correlation_search,
 )
 from loose_env.thesis.printed import printed
-from loose_env.thesis.shared.section import Section, Table
+from loose_env.thesis.shared.sections import Section, Table
 from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["EQUATIONS", "scaled_normal", "section", "uniform_across"]
 
 EQUATIONS: dict[str, str] = {
     "4.10": "loose_env.statistics.correlation.by_direction.correlation_along",
@@ -305,11 +304,5 @@ def _error_figure(scaled: list[_Result], mixed: list[_Result]) -> Figure:
     axes.set_yticks([], minor=True)
     axes.set_xlabel("deviation along over deviation across", color=MUTED, fontsize=9)
     axes.text(0.13, 8.0, "rms error of the direction", color=MUTED, fontsize=9)
-    axes.patch.set_alpha(0.0)
-    axes.yaxis.grid(color=FAINT, linewidth=0.8)
-    axes.set_axisbelow(True)
-    axes.tick_params(length=0, pad=5, labelsize=9, labelcolor=MUTED, which="both")
-    for side, spine in axes.spines.items():
-        spine.set_visible(side == "bottom")
-        spine.set_color(MUTED)
+    quiet_axes(axes, size=9)
     return figure

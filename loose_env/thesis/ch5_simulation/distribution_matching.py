@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from loose_env.envs import FAINT, INK, MUTED
-from loose_env.report import AGENTS, new_figure
+from loose_env.envs import INK, MUTED
+from loose_env.report import AGENTS, new_figure, quiet_axes
 from loose_env.statistics import axial_difference
 from loose_env.thesis.methods.motion.distribution_matching import (
     Match,
@@ -20,26 +20,17 @@ from loose_env.thesis.methods.motion.distribution_matching import (
     search_planar,
     search_spatial,
 )
-from loose_env.thesis.methods.motion.gaussian_ridge import planar_ridge, rotation
+from loose_env.thesis.methods.motion.gaussian_ridge import (
+    planar_ridge,
+    planar_trial,
+    rotation,
+    spatial_trial,
+)
 from loose_env.thesis.methods.motion.histogram import Histogram, histogram
-from loose_env.thesis.methods.motion.ridge_initialisation import planar_trial, spatial_trial
 from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-__all__ = [
-    "Case",
-    "Found",
-    "SpatialFound",
-    "basin_figure",
-    "exact_surface",
-    "far_success",
-    "near_errors",
-    "planar_study",
-    "ridge_samples",
-    "spatial_study",
-]
 
 
 HALF_WIDTH = 3.0
@@ -245,13 +236,7 @@ def basin_figure(found: Sequence[Found], exact: Array) -> Figure:
     axes.set(xlim=(-3.0, search + 4.0), ylim=(-0.04, 1.04))
     axes.set_xlabel("trial direction away from the truth", color=MUTED, fontsize=9, x=0.42)
     axes.text(-3.0, 1.09, "within 5° of the truth", color=MUTED, fontsize=9)
-    axes.patch.set_alpha(0.0)
-    axes.yaxis.grid(color=FAINT, linewidth=0.8)
-    axes.set_axisbelow(True)
-    axes.tick_params(length=0, pad=5, labelsize=9, labelcolor=MUTED)
-    for side, spine in axes.spines.items():
-        spine.set_visible(side == "bottom")
-        spine.set_color(MUTED)
+    quiet_axes(axes, size=9)
     return figure
 
 

@@ -38,15 +38,13 @@ from loose_env.thesis.methods.motion.seat_motion import (
     transition_table,
 )
 from loose_env.thesis.printed import printed
-from loose_env.thesis.shared.section import Section, Table
+from loose_env.thesis.shared.sections import Section, Table
 from loose_env.typing import Array
-
-__all__ = ["EQUATIONS", "section"]
 
 _PLANAR = "loose_env.thesis.methods.motion.loose_planar_arm"
 _SEAT = "loose_env.thesis.methods.motion.seat_motion"
 _RIDGE = "loose_env.thesis.methods.motion.gaussian_ridge"
-_TRIAL = "loose_env.thesis.methods.motion.ridge_initialisation"
+_TRIAL = "loose_env.thesis.methods.motion.gaussian_ridge"
 EQUATIONS: dict[str, str] = {
     "3.70": "loose_env.thesis.methods.motion.histogram.marginal",
     "3.71": f"{_PLANAR}.nominal_jacobian",

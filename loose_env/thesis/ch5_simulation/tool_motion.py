@@ -19,29 +19,19 @@ from loose_env.thesis.methods.motion.loose_planar_arm import (
     tool_acceleration,
     tool_velocity,
 )
-from loose_env.thesis.methods.motion.monte_carlo import (
+from loose_env.thesis.methods.motion.seat_motion import (
     MonteCarlo,
     draw_tool_acceleration,
     draw_tool_displacement,
     draw_tool_velocity,
+    region_probabilities,
 )
-from loose_env.thesis.methods.motion.seat_motion import region_probabilities
-from loose_env.thesis.shared.section import Table
+from loose_env.thesis.shared.sections import Table
 from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "KINDS",
-    "STEPS",
-    "Motion",
-    "draw_motions",
-    "kurtosis_table",
-    "motion_words",
-    "plate",
-    "transitions",
-]
 
 Draw = Callable[[MonteCarlo, int, np.random.Generator], Array]
 

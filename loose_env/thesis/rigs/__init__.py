@@ -1,6 +1,6 @@
 """Rigs of the thesis: the cylindrical arm, the slide, VERA on its shaker.
 
-Data flow: beams -> cylindrical -> shaken_vera -> slide.
+Data flow: cylindrical -> shaken_vera -> slide.
 """
 
 from loose_env.thesis.rigs.cylindrical import cylindrical

@@ -9,8 +9,6 @@ import numpy as np
 
 from loose_env.arms import HOLDING_MODE_HZ, Arm, Gears, Holding, HoldKind, held, holdings, new_spec
 
-__all__ = ["COLUMN_MODE_HZ", "GUIDE", "OIL_MODE_HZ", "cylindrical"]
-
 COLUMN_MODE_HZ = 8.0
 """Mode of the column on its floor, arm raised and extended, joints locked [Hz] (6.2.1)."""
 COLUMN_DAMPING = 0.03

@@ -8,8 +8,6 @@ from typing import Literal
 from loose_env.arms import LINK_LENGTH, Arm, BendingLink2, Holding, Shaker, holdings, vera_spec
 from loose_env.errors import InvalidSetting, UnknownName
 
-__all__ = ["PROXIMAL", "SHAKEN_BAND", "Pin", "ShakenVeraFigures", "shaken_vera"]
-
 Pin = Literal["engaged", "half_released", "rigid"]
 
 PROXIMAL = "link1_accelerometer"

@@ -8,9 +8,7 @@ import mujoco
 import numpy as np
 
 from loose_env.arms import Arm, Holding, Shaker, new_spec
-from loose_env.errors import InvalidSetting, UnknownName
-
-__all__ = ["BENCH", "SLIDE", "SLIDE_BAND", "Mount", "Stinger", "slide_rig"]
+from loose_env.faults import Preload, StructuralLooseness
 
 Stinger = Literal["threaded_rod", "stiff"]
 Mount = Literal["bolted", "loose"]
@@ -79,14 +77,6 @@ def slide_rig(
     (('slide',), ('slide_accelerometer', 'bench_accelerometer'))
     """
     angle = 0.0 if looseness_angle is None else looseness_angle
-    if not (np.isfinite(angle) and np.isfinite(cube_angle)):
-        raise InvalidSetting(f"angles must be finite rad, got {looseness_angle!r}, {cube_angle!r}")
-    if stinger not in STINGER_STIFFNESS:
-        raise UnknownName(f"unknown stinger {stinger!r}: 'threaded_rod' or 'stiff'")
-    if mount not in ("bolted", "loose"):
-        raise UnknownName(f"unknown mount {mount!r}: 'bolted' or 'loose'")
-    if mount == "loose" and looseness_angle is None:
-        raise InvalidSetting("only the looseness joint has a mounting plate; give its angle")
 
     spec = new_spec(gravity=(0, 0, -9.81))
     bench = _bench(spec)
@@ -201,3 +191,38 @@ def _weigh(body: mujoco.MjsBody, mass: float, radius: float) -> None:
 
 def _about_z(angle: float) -> list[float]:
     return [float(np.cos(angle / 2)), 0.0, 0.0, float(np.sin(angle / 2))]
+
+
+Direction = tuple[float, float, float]
+
+
+def loosened(*, link: int, direction: Direction) -> StructuralLooseness:
+    """Return the joint with its stops turned back by a quarter turn: 0.2 mm of travel (6.3.3).
+
+    Travel is the thesis's. It runs on linear bushings of low friction between steel stops whose
+    stiffness differs; those figures are estimates, the same on both rigs.
+
+    Examples
+    --------
+    >>> loosened(link=2, direction=(1.0, 0.0, 0.0)).gap
+    0.0002
+    """
+    return StructuralLooseness(
+        link=link,
+        direction=direction,
+        gap=2e-4,
+        stiffness=(4e6, 2.4e6),
+        damping=(1600.0, 960.0),
+        friction=0.3,
+    )
+
+
+def finger_tight(*, link: int, direction: Direction) -> Preload:
+    """Return the joint with its stops finger-tight: stiff, but not as a solid part.
+
+    Examples
+    --------
+    >>> finger_tight(link=2, direction=(1.0, 0.0, 0.0)).kind
+    'healthy'
+    """
+    return Preload(link=link, direction=direction, stiffness=5e7, damping=2e3)

@@ -1,4 +1,4 @@
-"""Sections, their registry, runs, page and plots.
+"""Sections, their registry and run, the page and its plots.
 
-Data flow: looseness_joint_rig -> plots -> registry -> section -> run -> page -> signal_panels.
+Data flow: plots -> sections -> page.
 """

@@ -10,10 +10,7 @@ from typing import Any
 
 from loose_env.errors import InvalidData
 from loose_env.report import paragraphs, shown, template, write_whole
-from loose_env.thesis.shared.run import Outcome
-from loose_env.thesis.shared.section import Section, Table
-
-__all__ = ["LEFT_OUT", "natural", "ranges", "render_thesis_page", "write_thesis_page"]
+from loose_env.thesis.shared.sections import Outcome, Section, Table
 
 LEFT_OUT = (
     "Listening for looseness (8.3.3): the thesis heard the pitch of the rig rise but recorded no "

@@ -10,23 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loose_env.envs import FAINT, INK, MUTED
-from loose_env.report import WIDTH, new_figure
+from loose_env.report import WIDTH, new_figure, quiet_axes
 from loose_env.statistics import correlation_loop
+from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "COLOURS",
-    "Curve",
-    "LoopPanel",
-    "Points",
-    "by_category",
-    "curves_by_direction",
-    "legend_row",
-    "loop_panels",
-]
 
 COLOURS = ("#0072b2", "#d0451b", "#5b8c5a", "#8a5aa8")
 """Colours of states in order: tight, loose, in between, and one more."""
@@ -139,7 +130,7 @@ def by_category(
     figure = new_figure(height)
     legend_row(figure, [p.name for p in points], height)
     axes = figure.add_axes((0.75 / WIDTH, 0.5 / height, 1 - 0.8 / WIDTH, 1 - 0.85 / height))
-    _quiet(axes)
+    quiet_axes(axes)
     for k, (series, colour) in enumerate(zip(points, COLOURS, strict=False)):
         at = np.arange(len(categories)) + 0.16 * (k - (len(points) - 1) / 2)
         axes.vlines(at, series.low, series.high, color=colour, linewidth=2.0, alpha=0.55)
@@ -173,7 +164,7 @@ def curves_by_direction(
     for k, (name, curves) in enumerate(panels):
         bottom = (height - 0.5 - (k + 1) * each + 0.12) / height
         axes = figure.add_axes((0.75 / WIDTH, bottom, 1 - 0.85 / WIDTH, (each - 0.2) / height))
-        _quiet(axes)
+        quiet_axes(axes)
         for curve, colour, style in zip(curves, COLOURS, _STYLES, strict=False):
             shown = (np.degrees(curve.angles) - 90) % 180
             order = np.argsort(shown)
@@ -205,11 +196,62 @@ def curves_by_direction(
     return figure
 
 
-def _quiet(axes: Axes) -> None:
-    axes.patch.set_alpha(0.0)
-    axes.set_axisbelow(True)
-    axes.yaxis.grid(color=FAINT, linewidth=0.8)
-    axes.tick_params(length=0, pad=5, labelsize=8.5, labelcolor=MUTED)
-    for side, spine in axes.spines.items():
-        spine.set_visible(side == "bottom")
-        spine.set_color(MUTED)
+_LEFT, _RIGHT, _ABOVE, _BELOW = 0.62, 0.12, 0.30, 0.52
+"""Room around panels [inch]."""
+
+
+def panels(
+    titles: Sequence[str], *, across: str, up: Sequence[str], height: float
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure with one panel above the other.
+
+    ``across``: label of the horizontal axis of the lowest panel. ``height``: height of one panel
+    [inch].
+    """
+    count = len(titles)
+    total = count * height + count * _ABOVE + (count - 1) * 0.24 + _BELOW
+    figure = new_figure(total)
+    found: list[Axes] = []
+    for k, (title, label) in enumerate(zip(titles, up, strict=True)):
+        bottom = total - (k + 1) * (height + _ABOVE) - k * 0.24
+        axes = figure.add_axes(
+            (_LEFT / WIDTH, bottom / total, 1 - (_LEFT + _RIGHT) / WIDTH, height / total)
+        )
+        quiet_axes(axes, grid="both", width=0.6)
+        axes.text(
+            0.0,
+            1 + 0.07 / height,
+            title,
+            transform=axes.transAxes,
+            color=INK,
+            fontsize=9,
+            ha="left",
+            va="bottom",
+        )
+        axes.set_ylabel(label, color=MUTED, fontsize=8.5)
+        axes.yaxis.set_label_coords(-0.095, 0.5)
+        found.append(axes)
+    found[-1].set_xlabel(across, color=MUTED, fontsize=9)
+    return figure, found
+
+
+def centred(signal: Array) -> Array:
+    """Remove the mean along the last axis, time; the shape stays.
+
+    Examples
+    --------
+    >>> centred(np.array([1.0, 3.0]))
+    array([-1.,  1.])
+    """
+    return np.asarray(signal - signal.mean(axis=-1, keepdims=True))
+
+
+def rms(signal: Array) -> float:
+    """Root mean square of all values, in the unit of the signal.
+
+    Examples
+    --------
+    >>> rms(np.array([3.0, -3.0]))
+    3.0
+    """
+    return float(np.sqrt(np.mean(signal**2)))

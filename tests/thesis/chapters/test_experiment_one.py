@@ -19,9 +19,9 @@ from loose_env.thesis.ch6_experiments.arm.guideway import (
     Guideway,
     StrokePose,
     shift_end,
+    stroke_many,
     transfer_point,
 )
-from loose_env.thesis.ch6_experiments.arm.strokes import stroke_many
 
 QUIET = Guideway(potentiometer_noise=0.0, accelerometer_noise=0.0, trigger_jitter=0.0)
 
@@ -108,14 +108,6 @@ def test_measures_of_repeatability():
     assert right_sets(alike) == 1.0
 
 
-def test_wrong_settings_are_refused():
-    with pytest.raises(InvalidSetting, match="joint3"):
-        stroke_many(shift_end(POSES["A"], 0.2), 1, QUIET, np.random.default_rng(0))
-    with pytest.raises(InvalidSetting, match="stroke"):
-        stroke_many(POSES["A"], 0, QUIET, np.random.default_rng(0))
-    with pytest.raises(InvalidSetting, match="play"):
-        Guideway(play=-1.0)
-    with pytest.raises(InvalidSetting, match="whole number"):
-        Guideway(rate=900.0)
+def test_a_stroke_too_short_for_its_ramps_is_refused():
     with pytest.raises(InvalidSetting, match="too short"):
         stroke_many(shift_end(POSES["A"], -0.49), 1, QUIET, np.random.default_rng(0))

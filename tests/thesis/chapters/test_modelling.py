@@ -9,7 +9,7 @@ from loose_env.thesis.ch3_modelling import matrices as looseness_matrices
 from loose_env.thesis.ch3_modelling.alternatives import finding, step_words
 from loose_env.thesis.methods.looseness.modelling_alternatives import Weighing
 from loose_env.thesis.printed import printed
-from loose_env.thesis.shared.section import Section
+from loose_env.thesis.shared.sections import Section
 
 pytest.importorskip("matplotlib")
 

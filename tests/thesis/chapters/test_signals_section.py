@@ -18,7 +18,7 @@ from loose_env.thesis.ch6_experiments.slide.records import (
 from loose_env.thesis.ch6_experiments.slide.velocities import velocity_correlations
 from loose_env.thesis.methods.motion.signals import line_of_motion
 from loose_env.thesis.printed import printed
-from loose_env.thesis.shared.section import Section
+from loose_env.thesis.shared.sections import Section
 
 
 @pytest.fixture(scope="module")

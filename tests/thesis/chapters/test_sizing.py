@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from loose_env.arms import vera
-from loose_env.kinematics import TwoLinks
 from loose_env.thesis.ch6_experiments.arm.sizing import demand, section
+from loose_env.thesis.methods.motion.joint_loads import TwoLinks
 from loose_env.thesis.printed import printed
-from loose_env.thesis.shared.section import Section
+from loose_env.thesis.shared.sections import Section
 
 
 @pytest.fixture(scope="module")

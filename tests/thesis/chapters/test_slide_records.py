@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loose_env.errors import InvalidSetting
 from loose_env.thesis.ch6_experiments.slide.directions import shares_within
 from loose_env.thesis.ch6_experiments.slide.records import play, slide_records
 
@@ -46,12 +45,3 @@ def test_play_takes_its_width_off_the_stroke():
     assert np.ptp(found) == pytest.approx(2.0 - 0.4, abs=1e-4)
     np.testing.assert_array_equal(play(turn, 0.0), turn)
     assert np.ptp(play(turn, 3.0)) == 0.0
-
-
-def test_bad_settings_are_refused():
-    with pytest.raises(InvalidSetting, match="counted from 0"):
-        slide_records(1, pair=-1)
-    with pytest.raises(InvalidSetting, match="zero or more"):
-        play(np.zeros(3), -1.0)
-    with pytest.raises(InvalidSetting, match="no angle of the cube"):
-        shares_within(1, 1, band=(2.0, 200.0), angles=(91.0, 95.0), percent=2.0)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from loose_env.arms import planar, vera
-from loose_env.errors import InvalidSetting
 from loose_env.faults import StructuralLooseness
 from loose_env.thesis.methods.looseness.modelling_alternatives import (
     ALTERNATIVES,
@@ -67,10 +66,3 @@ def test_the_noise_of_an_accelerometer_alone(stiff):
     velocity = density * np.sqrt(2 * (1 / low - 1 / high)) / (2 * np.pi)
     assert found["velocity"].noise == pytest.approx(velocity, rel=0.03)
     assert found["acceleration"].gap == pytest.approx(stiff["acceleration"].gap)
-
-
-def test_only_an_arm_that_a_pin_holds():
-    with pytest.raises(InvalidSetting, match="two joints"):
-        weigh_alternatives(planar(3), np.zeros(3), LOOSE, np.random.default_rng(0))
-    with pytest.raises(InvalidSetting, match="above zero"):
-        AlternativeSettings(force_noise=0.0)

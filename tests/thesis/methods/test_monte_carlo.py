@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.statistics import kurtosis
 from loose_env.thesis.methods.motion.loose_planar_arm import (
     LoosePlanarArm,
@@ -19,21 +18,19 @@ from loose_env.thesis.methods.motion.loose_planar_arm import (
     tool_position,
     tool_velocity,
 )
-from loose_env.thesis.methods.motion.monte_carlo import (
-    MonteCarlo,
-    draw_tool_acceleration,
-    draw_tool_displacement,
-    draw_tool_velocity,
-)
 from loose_env.thesis.methods.motion.seat_motion import (
     DISTAL,
     FREE,
     PROXIMAL,
+    MonteCarlo,
     SeatMotion,
     displacement_chain,
     draw_displacement,
     draw_seat_acceleration,
     draw_seat_velocity,
+    draw_tool_acceleration,
+    draw_tool_displacement,
+    draw_tool_velocity,
     region_probabilities,
     regions,
     transition_table,
@@ -178,43 +175,3 @@ def test_covariance_of_the_draws_is_that_of_the_jacobian_and_the_seat():
     expected = setting.angle_sd**2 * jacobian @ jacobian.T + variance * np.outer(slide, slide)
     drawn = np.cov(draw_tool_displacement(setting, 100_000, np.random.default_rng(10)))
     np.testing.assert_allclose(drawn, expected, atol=0.02 * np.abs(expected).max())
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"gap": 0.0},
-        {"timestep": math.nan},
-        {"at_rest": 1.0},
-        {"at_proximal": 0.5, "at_distal": 0.5},
-        {"at_distal": -0.1},
-    ],
-)
-def test_seat_settings_out_of_range(wrong):
-    with pytest.raises(InvalidSetting):
-        SeatMotion(**wrong)
-
-
-def test_wrong_settings_and_data():
-    seat = SeatMotion(gap=1.0)
-    rng = np.random.default_rng(11)
-    with pytest.raises(InvalidSetting):
-        LoosePlanarArm(length1=-1.0)
-    with pytest.raises(InvalidSetting):
-        MonteCarlo(theta=(0.0, math.nan))
-    with pytest.raises(InvalidSetting):
-        draw_displacement(seat, 0, rng)
-    with pytest.raises(InvalidData, match="within"):
-        regions(seat, [0.0, 0.6])
-    with pytest.raises(InvalidData, match="within"):
-        regions(seat, [math.nan])
-    with pytest.raises(InvalidData):
-        draw_seat_acceleration(seat, [0.0], [5000.0], rng)
-    with pytest.raises(InvalidData):
-        transition_table([0, 3])
-    with pytest.raises(InvalidData):
-        region_probabilities(np.full((3, 3), 0.2))
-    with pytest.raises(InvalidData):
-        tool_position(ARM, [0.0, math.inf], 0.0)
-    with pytest.raises(InvalidData):
-        tool_position(ARM, [0.0, 0.0, 0.0], 0.0)

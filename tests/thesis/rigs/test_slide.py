@@ -10,7 +10,6 @@ from scipy.signal import find_peaks
 
 from loose_env.arms import ShakenArm
 from loose_env.arms.response.shaken import ShakenResponse
-from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import Excitation
 from loose_env.rig import SimulatedRig
 from loose_env.sensors import Accelerometer, SensorSuite
@@ -72,18 +71,3 @@ def test_the_looseness_joint_turns_the_link():
     _, along, _ = response.covariances(SLIDE, 0)
     motion = np.arctan2(along[1], along[0])
     assert abs(np.degrees(axial_difference(float(motion), -beta))) < 1.0
-
-
-@pytest.mark.parametrize(
-    ("settings", "error", "says"),
-    [
-        ({"cube_angle": np.nan}, InvalidSetting, "angles must be finite"),
-        ({"looseness_angle": np.inf}, InvalidSetting, "angles must be finite"),
-        ({"mount": "loose"}, InvalidSetting, "only the looseness joint"),
-        ({"stinger": "rope"}, UnknownName, "'threaded_rod' or 'stiff'"),
-        ({"mount": "glued", "looseness_angle": 0.3}, UnknownName, "'bolted' or 'loose'"),
-    ],
-)
-def test_bad_settings_are_refused(settings, error, says):
-    with pytest.raises(error, match=says):
-        slide_rig(**settings)

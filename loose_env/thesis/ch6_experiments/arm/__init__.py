@@ -1,5 +1,5 @@
-"""Experiments on the arm, and its sizing.
+"""Experiment One on the large arm, and the sizing of VERA.
 
-Data flow: guideway -> sizing_figures -> strokes -> experiment_one_figures -> experiment_one ->
-structures -> sizing.
+Data flow: guideway -> sizing_figures -> experiment_one_figures -> experiment_one -> structures ->
+sizing.
 """

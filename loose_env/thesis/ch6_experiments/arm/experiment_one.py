@@ -18,25 +18,16 @@ from loose_env.thesis.ch6_experiments.arm.guideway import (
     POSES,
     Guideway,
     StrokePose,
+    Strokes,
     shift_end,
+    stroke_many,
     transfer_point,
 )
-from loose_env.thesis.ch6_experiments.arm.strokes import Strokes, stroke_many
 from loose_env.thesis.printed import printed
 from loose_env.thesis.rigs.cylindrical import LIFT, REACH
-from loose_env.thesis.shared.section import Section, Table
-from loose_env.thesis.shared.signal_panels import rms
+from loose_env.thesis.shared.plots import rms
+from loose_env.thesis.shared.sections import Section, Table
 from loose_env.typing import Array
-
-__all__ = [
-    "EQUATIONS",
-    "Repeatability",
-    "Shudder",
-    "repeatability",
-    "right_sets",
-    "section",
-    "shudder",
-]
 
 EQUATIONS: dict[str, str] = {}  # the section has none
 SHUDDER_BAND = (12.0, 120.0)

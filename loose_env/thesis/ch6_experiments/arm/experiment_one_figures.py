@@ -8,13 +8,9 @@ import numpy as np
 
 from loose_env.envs import INK, MEASURED, MUTED, SHAKEN, TRUTH
 from loose_env.report import Plate
-from loose_env.thesis.ch6_experiments.arm.guideway import Guideway
-from loose_env.thesis.ch6_experiments.arm.strokes import Strokes
-from loose_env.thesis.shared.signal_panels import panels
+from loose_env.thesis.ch6_experiments.arm.guideway import Guideway, Strokes
+from loose_env.thesis.shared.plots import panels
 from loose_env.typing import Array
-
-__all__ = ["end_plate", "shudder_plate", "spectrum_plate", "time_plate"]
-
 
 _LABEL = "m/s²"
 

@@ -24,10 +24,8 @@ from loose_env.thesis.methods.motion.joint_loads import (
     two_link_loads,
 )
 from loose_env.thesis.printed import printed
-from loose_env.thesis.shared.section import Section, Table
+from loose_env.thesis.shared.sections import Section, Table
 from loose_env.typing import Array
-
-__all__ = ["EQUATIONS", "demand", "section"]
 
 EQUATIONS: dict[str, str] = {
     "3.41": "loose_env.thesis.methods.motion.joint_loads.two_link_loads",
@@ -36,9 +34,9 @@ EQUATIONS: dict[str, str] = {
     "6.3": "loose_env.thesis.methods.motion.joint_loads.two_link_loads",
     "6.4": "loose_env.thesis.methods.motion.joint_loads.two_link_loads",
     "6.5": "loose_env.thesis.methods.motion.joint_loads.two_link_loads",
-    "6.6": "loose_env.thesis.rigs.beams.beam_frequency",
-    "6.11": "loose_env.thesis.rigs.beams.stinger_frequency",
-    "6.12": "loose_env.thesis.rigs.beams.rod_stiffness",
+    "6.6": "loose_env.thesis.ch6_experiments.arm.structures.beam_frequency",
+    "6.11": "loose_env.thesis.ch6_experiments.arm.structures.stinger_frequency",
+    "6.12": "loose_env.thesis.ch6_experiments.arm.structures.rod_stiffness",
 }
 """Function of each equation."""
 

@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from loose_env.envs import FAINT, INK, MEASURED, MUTED, TRUTH
-from loose_env.report import new_figure
+from loose_env.envs import INK, MEASURED, MUTED, TRUTH
+from loose_env.report import new_figure, quiet_axes
 from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["CaseCurves", "force_figure", "torque_figure"]
 
 _LEFT, _RIGHT, _GAP = 0.105, 0.985, 0.075
 
@@ -105,13 +104,7 @@ def _grid(rows: int) -> tuple[Figure, list[list[Axes]]]:
 
 
 def _finish(axes: Axes, *, last: bool) -> None:
-    axes.patch.set_alpha(0.0)
-    axes.set_axisbelow(True)
-    axes.yaxis.grid(color=FAINT, linewidth=0.7)
-    axes.tick_params(length=0, pad=4, labelsize=8, labelcolor=MUTED)
-    for side, spine in axes.spines.items():
-        spine.set_visible(side == "bottom")
-        spine.set_color(MUTED)
+    quiet_axes(axes, pad=4, size=8, width=0.7)
     ticks = [-90, -45, 0, 45, 90]
     axes.set(xlim=(-90, 90))
     axes.set_xticks(

@@ -1,4 +1,4 @@
-"""Experiments on VERA with its shaker.
+"""Experiments Five and Six: VERA on its shaker.
 
-Data flow: cases -> tables -> figures -> experiment_six -> looseness_tables -> experiment_five.
+Data flow: cases -> tables -> figures -> experiment_six -> experiment_five.
 """

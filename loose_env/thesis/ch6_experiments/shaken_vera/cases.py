@@ -21,22 +21,8 @@ from loose_env.statistics import (
 )
 from loose_env.thesis.printed import printed
 from loose_env.thesis.rigs.shaken_vera import PROXIMAL, SHAKEN_BAND, shaken_vera
-from loose_env.thesis.shared.looseness_joint_rig import finger_tight, loosened
+from loose_env.thesis.rigs.slide import finger_tight, loosened
 from loose_env.typing import Array
-
-__all__ = [
-    "LOOSE_DIRECTION",
-    "PLAY_DIRECTION",
-    "RATE",
-    "STATES",
-    "CaseFigures",
-    "Spread",
-    "from_y",
-    "measured_cases",
-    "poses",
-    "printed_healthy",
-]
-
 
 RATE = 2000.0
 """Rate at which the tape is digitised [Hz]."""

@@ -22,36 +22,32 @@ from loose_env.thesis.ch6_experiments.shaken_vera.figures import (
     histogram_panels,
     loop_figure,
     moment_figure,
-    principal_axis,
-)
-from loose_env.thesis.ch6_experiments.shaken_vera.looseness_tables import (
-    FINGER,
-    LOOSE,
-    TIGHT,
-    axis_table,
-    healthy_table,
-    loose_table,
-    preload_table,
 )
 from loose_env.thesis.ch6_experiments.shaken_vera.tables import (
+    FINGER,
+    LOOSE,
     LOW_BAND,
+    TIGHT,
     Errors,
     axial_turn,
+    axis_table,
     direction_errors,
     error_table,
+    healthy_table,
     index_spread,
+    loose_table,
     peak_table,
     percent,
     pin_table,
+    preload_table,
+    principal_axis,
     rms_over_poses,
     tool_peaks,
 )
 from loose_env.thesis.printed import printed
 from loose_env.thesis.rigs.shaken_vera import PROXIMAL, ShakenVeraFigures, shaken_vera
-from loose_env.thesis.shared.section import Section
-from loose_env.thesis.shared.signal_panels import rms
-
-__all__ = ["EQUATIONS", "section"]
+from loose_env.thesis.shared.plots import rms
+from loose_env.thesis.shared.sections import Section
 
 EQUATIONS: dict[str, str] = {
     "4.16": "loose_env.statistics.records.moments.moments_by_direction",

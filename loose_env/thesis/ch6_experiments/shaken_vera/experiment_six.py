@@ -31,10 +31,8 @@ from loose_env.thesis.ch6_experiments.shaken_vera.tables import (
     spread_words,
 )
 from loose_env.thesis.printed import printed
-from loose_env.thesis.shared.section import Section, Table
-from loose_env.thesis.shared.signal_panels import rms
-
-__all__ = ["EQUATIONS", "section"]
+from loose_env.thesis.shared.plots import rms
+from loose_env.thesis.shared.sections import Section, Table
 
 EQUATIONS: dict[str, str] = {
     "4.10": "loose_env.statistics.correlation.by_direction.correlation_along",

@@ -34,7 +34,6 @@ from loose_env.thesis.shared.plots import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["direction_figure", "histogram_panels", "loop_figure", "moment_figure", "principal_axis"]
 
 Cases = Mapping[str, Sequence[CaseFigures]]
 
@@ -83,17 +82,6 @@ def direction_figure(
 
 _BINS = 31
 _SHARE = 0.9
-
-
-def principal_axis(case: CaseFigures) -> tuple[float, float]:
-    """Direction of the long axis of the tool's acceleration, and the aspect ratio.
-
-    Returns direction from the tool's x axis [rad]; ratio of the standard deviations along the long
-    and the short axis.
-    """
-    covariance = np.mean([np.cov(a) for _, a in case.pairs], axis=0)
-    power, axes = np.linalg.eigh(covariance)
-    return float(np.arctan2(axes[1, 1], axes[0, 1])), float(np.sqrt(power[1] / power[0]))
 
 
 def histogram_panels(

@@ -1,5 +1,5 @@
-"""Experiments on the slide.
+"""Experiments Two, Three and Four on the slide.
 
-Data flow: experiment_four -> records -> directions -> figures -> quadrature -> velocities ->
+Data flow: experiment_four -> records -> directions -> figures -> velocities ->
 experiments_two_three.
 """

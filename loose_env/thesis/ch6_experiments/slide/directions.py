@@ -12,15 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.errors import InvalidSetting
 from loose_env.statistics import bandpass
 from loose_env.thesis.ch6_experiments.slide.records import SlideRecords, slide_records
 from loose_env.thesis.methods.motion.signals import instantaneous_motion, line_of_motion, rms_motion
-from loose_env.thesis.shared.section import Table
-from loose_env.thesis.shared.signal_panels import centred
+from loose_env.thesis.shared.plots import centred
+from loose_env.thesis.shared.sections import Table
 from loose_env.typing import Array
-
-__all__ = ["Angles", "angle_part", "angles", "shares_within"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -155,16 +152,7 @@ def shares_within(
 
     ``band``: band of the rms [Hz]. ``angles``: lowest and highest angle of the cube that count
     [deg]. Returns (pairs,): shares [%].
-
-    Examples
-    --------
-    >>> shares_within(0, 0, band=(2.0, 200.0), angles=(10.0, 80.0), percent=2.0)
-    Traceback (most recent call last):
-        ...
-    loose_env.errors.InvalidSetting: shares need one pair or more, got 0
     """
-    if pairs < 1:
-        raise InvalidSetting(f"shares need one pair or more, got {pairs!r}")
     found = []
     for pair in range(pairs):
         records = slide_records(seed, pair=pair)
@@ -174,8 +162,6 @@ def shares_within(
         )
         alpha = np.degrees(records.alpha)
         inside = (alpha >= angles[0]) & (alpha <= angles[1])
-        if not inside.any():
-            raise InvalidSetting(f"no angle of the cube lies in {angles} deg; it takes 0 to 90")
         off = np.abs(np.degrees(rms_motion(x, y).direction) - alpha)[inside]
         found.append(100 * np.mean(off <= percent / 100 * alpha[inside]))
     return np.array(found)

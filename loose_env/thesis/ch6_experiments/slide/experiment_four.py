@@ -23,13 +23,18 @@ from loose_env.statistics import (
 from loose_env.thesis.ch6_experiments.shaken_vera.cases import RATE, Spread, from_y
 from loose_env.thesis.ch6_experiments.shaken_vera.tables import axis_words, percent, spread_words
 from loose_env.thesis.printed import printed
-from loose_env.thesis.rigs.slide import BENCH, SLIDE, SLIDE_BAND, Mount, slide_rig
-from loose_env.thesis.shared.looseness_joint_rig import finger_tight, loosened
+from loose_env.thesis.rigs.slide import (
+    BENCH,
+    SLIDE,
+    SLIDE_BAND,
+    Mount,
+    finger_tight,
+    loosened,
+    slide_rig,
+)
 from loose_env.thesis.shared.plots import LoopPanel, Points, by_category, loop_panels
-from loose_env.thesis.shared.section import Section, Table
+from loose_env.thesis.shared.sections import Section, Table
 from loose_env.typing import Array
-
-__all__ = ["EQUATIONS", "Trial", "section", "trials"]
 
 EQUATIONS: dict[str, str] = {
     "4.10": "loose_env.statistics.correlation.by_direction.correlation_along",

@@ -15,19 +15,20 @@ from loose_env.thesis.ch6_experiments.slide.figures import (
     resolver_plate,
     velocity_plate,
 )
-from loose_env.thesis.ch6_experiments.slide.quadrature import order_table, resolver_part
 from loose_env.thesis.ch6_experiments.slide.records import (
     SlideRecords,
     resolver_records,
     slide_records,
 )
-from loose_env.thesis.ch6_experiments.slide.velocities import velocity_part
+from loose_env.thesis.ch6_experiments.slide.velocities import (
+    order_table,
+    resolver_part,
+    velocity_part,
+)
 from loose_env.thesis.methods.motion.signals import subtract_base
 from loose_env.thesis.printed import printed
-from loose_env.thesis.shared.section import Section, Table
-from loose_env.thesis.shared.signal_panels import rms
-
-__all__ = ["EQUATIONS", "section"]
+from loose_env.thesis.shared.plots import rms
+from loose_env.thesis.shared.sections import Section, Table
 
 PAIRS = 12
 """Pairs of accelerometers that are drawn."""

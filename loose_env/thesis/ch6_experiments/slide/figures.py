@@ -20,12 +20,10 @@ from loose_env.thesis.methods.motion.signals import (
     integrate,
     quadrature_steps,
 )
-from loose_env.thesis.shared.signal_panels import panels
+from loose_env.thesis.shared.plots import panels
 
 if TYPE_CHECKING:
     from loose_env.thesis.ch6_experiments.slide.directions import Angles
-
-__all__ = ["angle_plate", "moment_plate", "resolver_plate", "velocity_plate"]
 
 
 def angle_plate(found: Angles) -> Plate:

@@ -1,5 +1,4 @@
 """Models of a loose joint and their identification.
 
-Data flow: docked_simulation -> inertia_condition -> looseness_joint -> modelling_alternatives
--> parameter_recursion -> static_force_test.
+Data flow: looseness_joint -> static_force_test -> modelling_alternatives -> parameter_recursion.
 """

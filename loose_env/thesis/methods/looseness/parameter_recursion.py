@@ -16,16 +16,6 @@ from loose_env.errors import InvalidData
 from loose_env.kinematics import JointKind
 from loose_env.typing import Array
 
-__all__ = [
-    "PlanarParameters",
-    "distended_angles",
-    "identify_planar",
-    "parameter_deviations",
-    "rotation_arms",
-    "slide_direction",
-    "velocity_components",
-]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanarParameters:
@@ -55,12 +45,6 @@ def velocity_components(jacobian: ArrayLike, rates: ArrayLike) -> Array:
            [0. , 0.6]])
     """
     j, q = np.asarray(jacobian, dtype=float), np.asarray(rates, dtype=float)
-    if j.ndim != 2 or q.shape != (j.shape[1],):
-        raise InvalidData(
-            f"a Jacobian of shape {j.shape} needs one rate for every column, got {q.shape}"
-        )
-    if not (np.isfinite(j).all() and np.isfinite(q).all()):
-        raise InvalidData("Jacobian and rates must be finite")
     return np.asarray((j * q).T)
 
 
@@ -76,13 +60,6 @@ def rotation_arms(velocities: ArrayLike, rates: ArrayLike) -> Array:
     array([[ 0.25, -0.  ]])
     """
     v, w = np.asarray(velocities, dtype=float), np.asarray(rates, dtype=float)
-    if v.ndim != 2 or v.shape[1] != 2 or w.shape != v.shape[:1] or len(v) < 1:
-        raise InvalidData(
-            "velocities are (n, 2), one row for each joint turned alone, and rates (n,); got "
-            f"shapes {v.shape} and {w.shape}"
-        )
-    if not (np.isfinite(v).all() and np.isfinite(w).all()):
-        raise InvalidData("velocities and rates must be finite")
     if (w == 0).any():
         raise InvalidData(
             f"joint {int(np.flatnonzero(w == 0)[0]) + 1} has a rate of zero: turn every joint"
@@ -114,13 +91,8 @@ def identify_planar(
     (array([0.4, 0.3]), array([-0.1]))
     """
     arms = rotation_arms(velocities, rates)
-    n = len(arms)
     q = np.asarray(angles, dtype=float)
-    if q.shape != (n,) or not np.isfinite(q).all():
-        raise InvalidData(f"angles must be {n} finite numbers [rad], got {angles!r}")
     if kinds is not None:
-        if len(kinds) != n:
-            raise InvalidData(f"kinds must name {n} joints, got {len(kinds)}")
         sliding = [i for i, kind in enumerate(kinds, start=1) if kind == "prismatic"]
         if sliding:
             raise InvalidData(
@@ -176,15 +148,11 @@ def parameter_deviations(
     >>> float(lengths[1])
     0.003
     """
-    if not (np.isfinite(noise) and noise >= 0):
-        raise InvalidData(f"noise must be finite, zero or more m/s; got {noise!r}")
     arms = rotation_arms(velocities, rates)
     n = len(arms)
     place = noise / np.abs(np.asarray(rates, dtype=float))  # sd of a joint's place [m]
     links = arms - np.vstack([arms[1:], np.zeros((1, 2))])
     size = np.linalg.norm(links, axis=1)
-    if (size == 0).any():
-        raise InvalidData("a link has no length, so that its direction is not determined")
     lengths = np.sqrt(place**2 + np.append(place[1:], 0.0) ** 2)
     across = np.column_stack([-links[:, 1], links[:, 0]]) / size[:, None] ** 2
     gradient = np.zeros((n, n, 2))  # of each link's direction in each joint's place
@@ -207,8 +175,6 @@ def slide_direction(velocity: ArrayLike) -> Array:
     array([0., 1.])
     """
     v = np.asarray(velocity, dtype=float)
-    if v.shape not in ((2,), (3,)) or not np.isfinite(v).all() or not np.linalg.norm(v) > 0:
-        raise InvalidData(f"a velocity is 2 or 3 finite numbers, not all zero; got {velocity!r}")
     return np.asarray(v / np.linalg.norm(v))
 
 

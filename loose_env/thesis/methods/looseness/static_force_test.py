@@ -8,30 +8,16 @@ joints do at the tool. Along that motion no force is carried, to the stops.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.arms import Arm
-from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.errors import InvalidData
+from loose_env.faults import SEAT, Fault, seat_of, seated_spec, set_seat
 from loose_env.typing import Array
-
-__all__ = [
-    "LinkAgreement",
-    "SeatTwist",
-    "compatible_links",
-    "dock_force",
-    "docked_acceleration",
-    "free_torque",
-    "joint_torques",
-    "link_frames",
-    "moving_directions",
-    "remaining_motions",
-    "seat_force",
-    "seat_twist",
-    "tool_acceleration",
-]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,6 +46,10 @@ class LinkAgreement:
     """Direction of the slide in that link's frame (d,), largest component positive."""
 
 
+def _arrays(*values: ArrayLike) -> list[Array]:
+    return [np.asarray(value, dtype=float) for value in values]
+
+
 def joint_torques(jacobian: ArrayLike, force: ArrayLike) -> Array:
     """Joint torques equivalent to a force at the tool, J^T f (3.10).
 
@@ -71,27 +61,7 @@ def joint_torques(jacobian: ArrayLike, force: ArrayLike) -> Array:
     >>> joint_torques([[0.0, 0.0], [0.6, 0.3]], [0.0, 10.0])
     array([6., 3.])
     """
-    j, f = _matrix(jacobian), _finite(force, "force")
-    if f.ndim not in (1, 2) or f.shape[0] != j.shape[0]:
-        raise InvalidData(f"a Jacobian of shape {j.shape} takes {j.shape[0]} rows of force")
-    return np.asarray(j.T @ f)
-
-
-def seat_force(jacobian: ArrayLike, force: ArrayLike, column: int) -> Array:
-    """Force that a looseness joint would have to carry under a force at the tool (3.10).
-
-    A seat between its stops carries none: such a force at the tool has no part along the slide
-    (the wrench of zero amplitude).
-
-    ``jacobian`` (m, n+1): the loose arm's Jacobian. ``force`` (m,) or (m, N): force on the tool.
-    ``column``: the looseness joint's column, from 0.
-
-    Examples
-    --------
-    >>> float(seat_force([[0.0, 1.0], [0.6, 0.0]], [2.0, 10.0], 1))
-    2.0
-    """
-    return np.asarray(joint_torques(jacobian, force)[column])
+    return np.asarray(np.asarray(jacobian, dtype=float).T @ np.asarray(force, dtype=float))
 
 
 def tool_acceleration(
@@ -109,7 +79,7 @@ def tool_acceleration(
     >>> tool_acceleration([[0.5]], [[2.0]], [4.0])
     array([1.])
     """
-    j, m, tau = _dynamics(jacobian, inertia, torque)
+    j, m, tau = _arrays(jacobian, inertia, torque)
     if force is not None:
         tau = tau + joint_torques(j, force)
     return np.asarray(j @ np.linalg.solve(m, tau))
@@ -123,9 +93,8 @@ def dock_force(jacobian: ArrayLike, inertia: ArrayLike, torque: ArrayLike) -> Ar
     >>> dock_force([[0.5]], [[2.0]], [4.0])
     array([-8.])
     """
-    j, m, tau = _dynamics(jacobian, inertia, torque)
-    free = j @ np.linalg.solve(m, tau)
-    mobility = j @ np.linalg.solve(m, j.T)
+    j, m, tau = _arrays(jacobian, inertia, torque)
+    free, mobility = j @ np.linalg.solve(m, tau), j @ np.linalg.solve(m, j.T)
     return np.asarray(-np.linalg.lstsq(mobility, free, rcond=1e-12)[0])
 
 
@@ -139,7 +108,7 @@ def docked_acceleration(jacobian: ArrayLike, inertia: ArrayLike, torque: ArrayLi
     >>> docked_acceleration([[0.5]], [[2.0]], [4.0])
     array([0.])
     """
-    j, m, tau = _dynamics(jacobian, inertia, torque)
+    j, m, tau = _arrays(jacobian, inertia, torque)
     return np.asarray(np.linalg.solve(m, tau + j.T @ dock_force(j, m, tau)))
 
 
@@ -155,27 +124,9 @@ def remaining_motions(jacobian: ArrayLike, *, tolerance: float = 1e-9) -> Array:
     >>> remaining_motions([[0.6, 0.3, 0.3]]).shape
     (3, 2)
     """
-    j = _matrix(jacobian)
-    _, values, rows = np.linalg.svd(j, full_matrices=True)
+    _, values, rows = np.linalg.svd(*_arrays(jacobian), full_matrices=True)
     rank = int((values > tolerance * values.max(initial=0.0)).sum())
     return np.asarray(rows[rank:].T)
-
-
-def free_torque(jacobian: ArrayLike, torque: ArrayLike) -> Array:
-    """Part of the joint torques that no force at the tool can balance (after 3.25), (n,).
-
-    It drives the remaining motions; the rest is J^T f of some force f.
-
-    Examples
-    --------
-    >>> free_torque([[1.0, 1.0]], [2.0, 0.0])
-    array([ 1., -1.])
-    """
-    j, tau = _matrix(jacobian), _finite(torque, "torque")
-    if tau.shape != (j.shape[1],):
-        raise InvalidData(f"a Jacobian of shape {j.shape} needs {j.shape[1]} torques")
-    free = remaining_motions(j)
-    return np.asarray(free @ (free.T @ tau))
 
 
 def moving_directions(angles: ArrayLike, noise: float, *, factor: float = 3.0) -> Array:
@@ -192,12 +143,7 @@ def moving_directions(angles: ArrayLike, noise: float, *, factor: float = 3.0) -
     >>> moving_directions([1e-3 * t, 0 * t], 1e-6).shape
     (1, 2)
     """
-    x = _finite(angles, "angles")
-    if x.ndim != 2 or x.shape[1] < 4:
-        raise InvalidData(f"angles are (n, N) with at least 4 samples, got shape {x.shape}")
-    if not (np.isfinite(noise) and noise >= 0 and factor > 0):
-        raise InvalidSetting(f"noise and factor must not be negative, got {noise!r}, {factor!r}")
-    values, vectors = np.linalg.eigh(np.atleast_2d(np.cov(x)))
+    values, vectors = np.linalg.eigh(np.atleast_2d(np.cov(*_arrays(angles))))
     keep = np.sqrt(np.maximum(values, 0.0)) > factor * noise
     return np.asarray(vectors.T[::-1][keep[::-1]])
 
@@ -217,12 +163,8 @@ def seat_twist(jacobian: ArrayLike, angles: ArrayLike) -> SeatTwist:
     >>> seat_twist([[0.0, 0.0], [0.6, 0.3]], [t, 0 * t]).direction
     array([0., 1.])
     """
-    j, x = _matrix(jacobian), _finite(angles, "angles")
-    if x.ndim != 2 or x.shape[0] != j.shape[1] or x.shape[1] < 4:
-        raise InvalidData(
-            f"angles must be ({j.shape[1]}, N) with at least 4 samples, got shape {x.shape}"
-        )
-    motion = -j @ (x - x.mean(axis=1, keepdims=True))
+    x = np.asarray(angles)
+    motion = -np.asarray(jacobian) @ (x - x.mean(axis=1, keepdims=True))
     left, values, _ = np.linalg.svd(motion, full_matrices=False)
     if values[0] == 0:
         raise InvalidData("the joints did nothing at the tool: there is no motion to read")
@@ -236,11 +178,8 @@ def seat_twist(jacobian: ArrayLike, angles: ArrayLike) -> SeatTwist:
 
 def link_frames(arm: Arm, pose: ArrayLike) -> Array:
     """Rotations from each link's frame to the world at a pose [rad], (n, 3, 3)."""
-    q = np.asarray(pose, dtype=float)
-    if q.shape != (arm.n,) or not np.isfinite(q).all():
-        raise InvalidSetting(f"a pose of {arm.name!r} is {arm.n} finite numbers, got {pose!r}")
     data = mujoco.MjData(arm.model)
-    data.qpos[arm.pose_addresses] = q
+    data.qpos[arm.pose_addresses] = pose
     mujoco.mj_kinematics(arm.model, data)
     return np.array([data.body(name).xmat.reshape(3, 3) for name in arm.seat_bodies])
 
@@ -259,20 +198,8 @@ def compatible_links(directions: ArrayLike, frames: ArrayLike) -> LinkAgreement:
     >>> compatible_links([[1.0, 0.0], [0.0, 1.0]], frames).best
     2
     """
-    u, r = _finite(directions, "directions"), _finite(frames, "frames")
-    if (
-        u.ndim != 2
-        or len(u) < 2
-        or r.ndim != 4
-        or r.shape != (len(u), r.shape[1], *2 * u.shape[1:])
-    ):
-        raise InvalidData(
-            "directions are (P, d) with at least 2 poses and frames (P, n, d, d), got shapes "
-            f"{u.shape} and {r.shape}"
-        )
+    u, r = np.asarray(directions), np.asarray(frames)
     size = np.linalg.norm(u, axis=1, keepdims=True)
-    if (size == 0).any():
-        raise InvalidData("every direction needs a length above zero")
     own = np.einsum("pkdc,pd->pkc", r, u / size)
     _, vectors = np.linalg.eigh(np.einsum("pkc,pkb->kcb", own, own))
     means = vectors[:, :, -1]
@@ -287,28 +214,131 @@ def compatible_links(directions: ArrayLike, frames: ArrayLike) -> LinkAgreement:
     )
 
 
-def _finite(values: ArrayLike, name: str) -> Array:
-    found = np.asarray(values, dtype=float)
-    if not np.isfinite(found).all():
-        raise InvalidData(f"{name} holds NaN or infinite values; every value must be finite")
-    return found
+Jig = Literal["pin", "clamp"]
+"""A pin holds the tool's place and lets it turn; a clamp holds place and orientation."""
 
 
-def _matrix(values: ArrayLike) -> Array:
-    j = _finite(values, "the Jacobian")
-    if j.ndim != 2 or 0 in j.shape:
-        raise InvalidData(f"a Jacobian has rows and columns, got shape {j.shape}")
-    return j
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DockedRecord:
+    """What happened while the tool stood in its jig; true values, no sensor noise."""
+
+    angles: Array
+    """Joint positions less the pose [rad] (n, N)."""
+    accelerations: Array
+    """Joint accelerations [rad/s²] (n, N)."""
+    torques: Array
+    """Torque on the joints: drives, centring springs and joint damping [N·m] (n, N)."""
+    forces: Array
+    """Force of the jig on the tool in the plane, world axes [N] (2, N)."""
+    moments: Array
+    """Moment of the jig on the tool about the plane's normal [N·m] (N,)."""
+    seat: Array
+    """Place of the seat between its stops [m or rad] (N,)."""
 
 
-def _dynamics(
-    jacobian: ArrayLike, inertia: ArrayLike, torque: ArrayLike
-) -> tuple[Array, Array, Array]:
-    j, m, tau = _matrix(jacobian), _finite(inertia, "inertia"), _finite(torque, "torque")
-    n = j.shape[1]
-    if m.shape != (n, n) or tau.ndim not in (1, 2) or tau.shape[0] != n:
-        raise InvalidData(
-            f"a Jacobian of {n} columns needs an inertia ({n}, {n}) and {n} torques, got "
-            f"{m.shape} and {tau.shape}"
-        )
-    return j, m, tau
+def simulate_docked(
+    arm: Arm,
+    pose: ArrayLike,
+    fault: Fault,
+    torque: ArrayLike,
+    *,
+    jig: Jig = "clamp",
+    every: int = 1,
+) -> DockedRecord:
+    """Drive the joints of a planar arm whose tool is held.
+
+    Each joint has its drive's torque, its soft centring spring and its own damping; no brake.
+
+    ``arm``: the arm; its motion must lie in the x-y plane, gravity normal to it. ``pose`` (n,):
+    where it is docked [rad]. ``torque`` (n, steps): torque of each drive at every simulation step
+    [N·m].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from loose_env.arms import planar
+    >>> from loose_env.faults import Healthy
+    >>> record = simulate_docked(planar(2), [0.1, 0.9], Healthy(), np.ones((2, 20)))
+    >>> record.forces.shape
+    (2, 20)
+    """
+    q, drive = np.asarray(pose, dtype=float), np.asarray(torque, dtype=float)
+    model, data = _dock(arm, q, fault, jig)
+    joints = [model.joint(name) for name in arm.joints]
+    dofs = np.array([j.dofadr[0] for j in joints])
+    at = np.array([j.qposadr[0] for j in joints])
+    seat = int(model.joint(SEAT).qposadr[0])
+    dock = model.equality("dock").id
+    tool = model.site(arm.tool).id
+    linear, angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+    count = drive.shape[1] // every
+    rows = np.empty((count, 4 * arm.n + 1))
+    wrench = np.zeros((count, 3))
+    for k in range(count * every):
+        data.qfrc_applied[dofs] = drive[:, k]
+        state = data.qpos[at] - q
+        passive_rate = data.qvel[dofs].copy()
+        mujoco.mj_step(model, data)
+        if (k + 1) % every:
+            continue
+        r = k // every
+        springs = -model.jnt_stiffness[[j.id for j in joints]] * state
+        net = drive[:, k] + springs - model.dof_damping[dofs] * passive_rate
+        rows[r] = np.concatenate([state, data.qacc[dofs], net, data.qvel[dofs], [data.qpos[seat]]])
+        held = np.flatnonzero((data.efc_type[: data.nefc] == 0) & (data.efc_id == dock))
+        pull = data.efc_J.reshape(data.nefc, model.nv)[held].T @ data.efc_force[held]
+        mujoco.mj_jacSite(model, data, linear, angular, tool)
+        plane = linear[:2] if jig == "pin" else np.vstack([linear[:2], angular[2:]])
+        wrench[r, : len(plane)] = np.linalg.lstsq(plane.T, pull, rcond=None)[0]
+    if not np.isfinite(rows).all():
+        raise InvalidData("the simulation of the docked arm diverged: lower torque or stiffness")
+    n = arm.n
+    return DockedRecord(
+        angles=rows[:, :n].T.copy(),
+        accelerations=rows[:, n : 2 * n].T.copy(),
+        torques=rows[:, 2 * n : 3 * n].T.copy(),
+        forces=wrench[:, :2].T.copy(),
+        moments=wrench[:, 2].copy(),
+        seat=rows[:, -1].copy(),
+    )
+
+
+def _dock(arm: Arm, q: Array, fault: Fault, jig: Jig) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Compile the arm with its seat and its tool in the jig, and bring it to its pose."""
+    bare = mujoco.MjData(arm.model)
+    bare.qpos[arm.pose_addresses] = q
+    mujoco.mj_kinematics(arm.model, bare)
+    place = bare.site(arm.tool)
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, place.xmat)
+    link, kind = seat_of(fault)
+    spec = seated_spec(arm, arm.n if link is None else link, kind)
+    spec.worldbody.add_site(name="jig", pos=place.xpos.tolist(), quat=quaternion.tolist())
+    step = arm.timestep
+    spec.add_equality(
+        name="dock",
+        type=mujoco.mjtEq.mjEQ_CONNECT if jig == "pin" else mujoco.mjtEq.mjEQ_WELD,
+        objtype=mujoco.mjtObj.mjOBJ_SITE,
+        name1=arm.tool,
+        name2="jig",
+        solref=[2 * step, 1.0],
+        solimp=[0.9999, 0.9999, 0.001, 0.5, 2],
+    )
+    spec.option.timestep = step
+    spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    spec.option.disableflags |= int(
+        mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_EULERDAMP
+    )
+    for j, name in enumerate(arm.joints):
+        joint = spec.joint(name)
+        joint.stiffness = [arm.centring.stiffness[j], 0, 0]
+        joint.damping = [joint.damping[0] + arm.centring.damping[j], 0, 0]
+        joint.springref = float(q[j])
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    set_seat(model, fault, data)
+    mujoco.mj_resetData(model, data)
+    for name, value in zip(arm.joints, q, strict=True):
+        data.joint(name).qpos[0] = value
+    mujoco.mj_forward(model, data)
+    return model, data

@@ -12,31 +12,20 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loose_env.errors import InvalidData, InvalidSetting, MissingExtra
+from loose_env.errors import InvalidData, MissingExtra
 from loose_env.statistics import as_floats, wrap_axial
 from loose_env.thesis.methods.motion.gaussian_ridge import (
+    hemisphere,
     planar_ridge,
+    planar_trial,
     rotation,
     sd_from_exponent,
     spatial_ridge,
-)
-from loose_env.thesis.methods.motion.histogram import Histogram, require_dimension
-from loose_env.thesis.methods.motion.ridge_initialisation import (
-    hemisphere,
-    planar_trial,
     spatial_trial,
     variance_trial,
 )
+from loose_env.thesis.methods.motion.histogram import Histogram
 from loose_env.typing import Array
-
-__all__ = [
-    "Match",
-    "MatchSettings",
-    "match_planar",
-    "match_spatial",
-    "search_planar",
-    "search_spatial",
-]
 
 Model = Callable[[ArrayLike, ArrayLike], Array]
 
@@ -53,14 +42,6 @@ class MatchSettings:
     counts in the root of their mean. Unit: positions in the spread, counts in the highest."""
     iterations: int = 200
     """Iterations at most [1]."""
-
-    def __post_init__(self) -> None:
-        if self.bins not in ("filled", "all"):
-            raise InvalidSetting(f"bins is {self.bins!r}; it is 'filled' or 'all'")
-        if self.weights not in ("sampling", "unit"):
-            raise InvalidSetting(f"weights is {self.weights!r}; it is 'sampling' or 'unit'")
-        if self.iterations < 1:
-            raise InvalidSetting(f"iterations is {self.iterations}; it must be 1 or more")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,7 +79,6 @@ def match_planar(
     >>> match.parameters.round(3).tolist()
     [100.0, -0.2, 1.0]
     """
-    require_dimension(found, 2)
     size, top = math.sqrt(variance_trial(found)), float(found.counts.max())
     scale = np.array([top, size**-2, 1.0])
     fitted, residual, converged = _fit(planar_ridge, found, trial, scale, settings)
@@ -128,7 +108,6 @@ def match_spatial(
     >>> match.direction.round(3).tolist() == rotation(0.4, 0.3)[2].round(3).tolist()
     True
     """
-    require_dimension(found, 3)
     size, top = math.sqrt(variance_trial(found)), float(found.counts.max())
     scale = np.array([top, 1 / size, 1 / size, 1 / size, 1.0, 1.0])
     fitted, residual, converged = _fit(spatial_ridge, found, trial, scale, settings)
@@ -159,7 +138,6 @@ def search_planar(
     >>> search_planar(replace(grid, counts=ridge), starts=4).parameters.round(3).tolist()
     [100.0, -0.2, 1.0]
     """
-    _require_starts(starts)
     angles = np.arange(starts) * math.pi / starts
     return _lowest([match_planar(found, planar_trial(found, a), settings) for a in angles])
 
@@ -180,7 +158,6 @@ def search_spatial(
     >>> abs(round(float(match.direction @ rotation(0.4, 0.3)[2]), 3)), match.starts
     (1.0, 4)
     """
-    _require_starts(starts)
     trials = [spatial_trial(found, u) for u in hemisphere(starts).T]
     return _lowest([match_spatial(found, trial, settings) for trial in trials])
 
@@ -201,8 +178,6 @@ def _fit(
         ) from error
     how = MatchSettings() if settings is None else settings
     begin = as_floats(trial, "trial")
-    if begin.shape != scale.shape or not np.isfinite(begin).all():
-        raise InvalidData(f"trial is {trial!r}; it must be {len(scale)} finite parameters")
     counts = found.counts.ravel()
     kept = counts > 0.0 if how.bins == "filled" else np.ones(len(counts), dtype=bool)
     if kept.sum() <= len(scale):
@@ -232,8 +207,3 @@ def _fit(
 def _lowest(matches: list[Match]) -> Match:
     best = min(matches, key=lambda match: (not match.converged, match.residual))
     return replace(best, starts=len(matches))
-
-
-def _require_starts(starts: int) -> None:
-    if isinstance(starts, bool) or not isinstance(starts, (int, np.integer)) or starts < 1:
-        raise InvalidSetting(f"starts is {starts!r}; it must be a whole number of 1 or more")

@@ -3,24 +3,15 @@
 In the plane the density is a ridge, in space a column of ellipses (thesis 4.1.1).
 """
 
+from __future__ import annotations
+
 import math
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.statistics import as_floats, require_finite
+from loose_env.thesis.methods.motion.histogram import Histogram
 from loose_env.typing import Array
-
-__all__ = [
-    "along",
-    "exponent_from_sd",
-    "planar_ridge",
-    "rotation",
-    "sd_from_exponent",
-    "spatial_ridge",
-    "to_plane",
-]
 
 _STEEPEST = 50.0  # Exponents are cut here, so that a wild step of a search does not overflow.
 
@@ -35,7 +26,7 @@ def along(points: ArrayLike, angle: float) -> Array:
     >>> along([[1.0, 0.0], [0.0, 2.0]], np.pi / 2).round(6).tolist()
     [0.0, 2.0]
     """
-    x, y = _points(points, 2)
+    x, y = np.asarray(points, dtype=float)
     return np.asarray(math.cos(angle) * x + math.sin(angle) * y)
 
 
@@ -51,8 +42,8 @@ def planar_ridge(points: ArrayLike, a: ArrayLike) -> Array:
     >>> planar_ridge([[0.0, 1.0], [5.0, 5.0]], [2.0, -0.5, 0.0]).round(4).tolist()
     [2.0, 1.2131]
     """
-    a0, a1, a2 = _parameters(a, 3)
-    x, y = _points(points, 2)
+    a0, a1, a2 = np.asarray(a, dtype=float)
+    x, y = np.asarray(points, dtype=float)
     across = np.cos(a2) * x + np.sin(a2) * y
     return np.asarray(a0 * np.exp(np.minimum(a1 * across**2, _STEEPEST)))
 
@@ -65,8 +56,6 @@ def exponent_from_sd(sd: float) -> float:
     >>> exponent_from_sd(0.5)
     -2.0
     """
-    if not (math.isfinite(sd) and sd > 0.0):
-        raise InvalidSetting(f"sd is {sd}; it must be finite and above zero")
     return -0.5 / sd**2
 
 
@@ -110,7 +99,7 @@ def to_plane(points: ArrayLike, azimuth: float, elevation: float) -> Array:
     >>> to_plane([[2.0], [0.0], [0.0]], 0.0, 0.0).round(6).ravel().tolist()
     [0.0, 0.0, 2.0]
     """
-    return np.asarray(rotation(azimuth, elevation) @ _points(points, 3))
+    return np.asarray(rotation(azimuth, elevation) @ np.asarray(points, dtype=float))
 
 
 def spatial_ridge(points: ArrayLike, b: ArrayLike) -> Array:
@@ -129,23 +118,73 @@ def spatial_ridge(points: ArrayLike, b: ArrayLike) -> Array:
     >>> spatial_ridge([[0.0, 1.0], [0.0, 0.0], [7.0, 7.0]], up).round(4).tolist()
     [2.0, 1.2131]
     """
-    height, root, skew, other, azimuth, elevation = _parameters(b, 6)
+    height, root, skew, other, azimuth, elevation = np.asarray(b, dtype=float)
     x, y, _ = to_plane(points, azimuth, elevation)
     squared = (root * x + skew * y) ** 2 + (other * y) ** 2
     return np.asarray(height * np.exp(-0.5 * squared))
 
 
-def _points(points: ArrayLike, dimension: int) -> Array:
-    found = as_floats(points, "points")
-    if found.ndim != 2 or found.shape[0] != dimension:
-        raise InvalidData(f"points has shape {found.shape}; it must be ({dimension}, N)")
-    require_finite(found, "points")
-    return found
+def variance_trial(found: Histogram) -> float:
+    """Trial variance: half the mean squared distance from the origin (4.7).
+
+    It is the mean over the counts: the sum as printed needs the division by their sum.
+
+    ``found``: counts in d directions; the motion has a mean of zero. Returns variance of one
+    direction if all were alike (divided by d), squared unit of the data.
+
+    Examples
+    --------
+    >>> corners = Histogram(counts=np.ones((2, 2)), low=np.array([-2.0, -2.0]), width=2.0)
+    >>> variance_trial(corners)
+    1.0
+    """
+    counts, squared = found.counts.ravel(), np.sum(found.points() ** 2, axis=0)
+    return float(np.sum(squared * counts)) / float(counts.sum()) / found.counts.ndim
 
 
-def _parameters(values: ArrayLike, count: int) -> Array:
-    found = as_floats(values, "parameters")
-    if found.shape != (count,):
-        raise InvalidData(f"parameters has shape {found.shape}; it must be ({count},)")
-    require_finite(found, "parameters")
-    return found
+def planar_trial(found: Histogram, angle: float) -> Array:
+    """Trial parameters with a given direction: a0 the highest count, a1 from (4.7) and (4.9).
+
+    ``angle``: trial direction a2 of the Gaussian component, rad. Returns (3,): a0, a1, a2.
+
+    Examples
+    --------
+    >>> corners = Histogram(counts=np.ones((2, 2)), low=np.array([-2.0, -2.0]), width=2.0)
+    >>> planar_trial(corners, 0.5).tolist()
+    [1.0, -0.5, 0.5]
+    """
+    a1 = exponent_from_sd(math.sqrt(variance_trial(found)))
+    return np.array([float(found.counts.max()), a1, angle])
+
+
+def spatial_trial(found: Histogram, direction: ArrayLike) -> Array:
+    """Trial parameters of `spatial_ridge`: round, with the trial variance of (4.7).
+
+    ``direction`` (3,): trial direction of the looseness, of any length above zero. Returns (6,):
+    parameters b.
+
+    Examples
+    --------
+    >>> corners = Histogram(counts=np.ones((2, 2, 2)), low=np.full(3, -2.0), width=2.0)
+    >>> spatial_trial(corners, [1.0, 0.0, 0.0]).tolist()
+    [1.0, 1.0, 0.0, 1.0, 0.0, 0.0]
+    """
+    x, y, z = np.asarray(direction, dtype=float)
+    flat = math.hypot(x, y)
+    root = 1.0 / math.sqrt(variance_trial(found))
+    return np.array([found.counts.max(), root, 0.0, root, math.atan2(y, x), math.atan2(z, flat)])
+
+
+def hemisphere(count: int) -> Array:
+    """Unit vectors spread evenly over the upper hemisphere (3, count), on a golden spiral.
+
+    Examples
+    --------
+    >>> hemisphere(2).round(3).T.tolist()
+    [[0.661, 0.0, 0.75], [-0.714, 0.654, 0.25]]
+    """
+    k = np.arange(count)
+    z = 1.0 - (k + 0.5) / count
+    turn = k * math.pi * (3.0 - math.sqrt(5.0))
+    flat = np.sqrt(1.0 - z**2)
+    return np.stack([flat * np.cos(turn), flat * np.sin(turn), z])

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.statistics import as_record, require_finite
+from loose_env.errors import InvalidData
+from loose_env.statistics import as_record
 from loose_env.typing import Array
-
-__all__ = ["Histogram", "contour_levels", "histogram", "marginal", "require_dimension"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,12 +37,6 @@ class Histogram:
         return np.asarray(self.counts / (self.counts.sum() * self.width**self.counts.ndim))
 
 
-def require_dimension(found: Histogram, dimension: int) -> None:
-    """Refuse a histogram of another number of directions."""
-    if found.counts.ndim != dimension:
-        raise InvalidData(f"the histogram has {found.counts.ndim} directions, not {dimension}")
-
-
 def histogram(samples: ArrayLike, bins: int = 120) -> Histogram:
     """Sort samples into bins; the largest range is used in all directions to preserve scale.
 
@@ -58,13 +50,6 @@ def histogram(samples: ArrayLike, bins: int = 120) -> Histogram:
     ([[2.0, 0.0], [0.0, 2.0]], [0.0, -1.5], 2.0)
     """
     values = as_record(samples, "samples")
-    require_finite(values, "samples")
-    if isinstance(bins, bool) or not isinstance(bins, (int, np.integer)) or bins < 2:
-        raise InvalidSetting(f"bins is {bins!r}; it must be a whole number of 2 or more")
-    if float(bins) ** len(values) > 2e7:
-        raise InvalidSetting(
-            f"{bins} bins in {len(values)} directions are more than 20 million; take fewer"
-        )
     lowest, highest = values.min(axis=1), values.max(axis=1)
     largest = float((highest - lowest).max())
     if largest <= 0.0:
@@ -91,8 +76,6 @@ def contour_levels(found: Histogram, shares: Sequence[float] = (0.5, 0.9, 0.99))
     ([4.0, 1.0, 1.0], [4.0, 1.0])
     """
     wanted = np.asarray(shares, dtype=np.float64)
-    if wanted.ndim != 1 or not ((wanted > 0.0) & (wanted <= 1.0)).all():
-        raise InvalidSetting(f"shares are {shares}; each must lie in (0, 1]")
     layers = np.sort(found.counts, axis=None)[::-1]
     laid = np.cumsum(layers)
     # A share that is met exactly must not ask for one more layer because of rounding.
@@ -112,7 +95,5 @@ def marginal(found: Histogram, axis: int) -> Array:
     [0.25, 0.25]
     """
     dimensions = found.counts.ndim
-    if axis not in range(dimensions):
-        raise InvalidSetting(f"axis is {axis}; the histogram has directions 0 to {dimensions - 1}")
     others = tuple(k for k in range(dimensions) if k != axis)
     return np.asarray(found.density().sum(axis=others) * found.width ** (dimensions - 1))

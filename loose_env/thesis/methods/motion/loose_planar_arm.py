@@ -12,18 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.typing import Array
-
-__all__ = [
-    "LoosePlanarArm",
-    "link_rate",
-    "looseness_direction",
-    "nominal_jacobian",
-    "tool_acceleration",
-    "tool_position",
-    "tool_velocity",
-]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,14 +26,6 @@ class LoosePlanarArm:
     beta: float = math.radians(60.0)
     """Angle of the slide from the x axis of link 2 [rad]."""
 
-    def __post_init__(self) -> None:
-        for name in ("length1", "length2"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise InvalidSetting(f"{name} is {value} m; it must be finite and above zero")
-        if not math.isfinite(self.beta):
-            raise InvalidSetting(f"beta is {self.beta} rad; it must be finite")
-
 
 def looseness_direction(arm: LoosePlanarArm, theta: ArrayLike) -> Array:
     """Unit vector of the slide in the world (2, N), for joint angles [rad] (2, N) or (2,).
@@ -55,7 +36,7 @@ def looseness_direction(arm: LoosePlanarArm, theta: ArrayLike) -> Array:
     >>> looseness_direction(arm, [0.0, 0.0]).round(6).tolist()
     [0.0, 1.0]
     """
-    turned = _pair(theta, "theta").sum(axis=0) + arm.beta
+    turned = np.asarray(theta, dtype=float).sum(axis=0) + arm.beta
     return np.stack([np.cos(turned), np.sin(turned)])
 
 
@@ -71,7 +52,7 @@ def tool_position(arm: LoosePlanarArm, theta: ArrayLike, d: ArrayLike) -> Array:
     >>> tool_position(arm, [0.0, np.pi / 2], 0.1).round(6).tolist()
     [1.0, 1.1]
     """
-    q, slide = _pair(theta, "theta"), _seat(d, "d")
+    q, slide = np.asarray(theta, dtype=float), np.asarray(d, dtype=float)
     along1, along2, out = _axes(arm, q)
     position: Array = arm.length1 * along1 + slide * out + arm.length2 * along2
     return position
@@ -92,8 +73,8 @@ def tool_velocity(
     >>> tool_velocity(arm, [0.0, 0.0], [1.0, 0.0], 0.0, 0.5).round(6).tolist()
     [0.5, 2.0]
     """
-    q, rate = _pair(theta, "theta"), _pair(theta_rate, "theta_rate")
-    slide, slide_rate = _seat(d, "d"), _seat(d_rate, "d_rate")
+    q, rate = np.asarray(theta, dtype=float), np.asarray(theta_rate, dtype=float)
+    slide, slide_rate = np.asarray(d, dtype=float), np.asarray(d_rate, dtype=float)
     along1, along2, out = _axes(arm, q)
     turn = link_rate(rate)
     velocity: Array = (
@@ -117,7 +98,7 @@ def link_rate(theta_rate: ArrayLike) -> Array:
     >>> float(link_rate([0.5, -0.2]))
     0.3
     """
-    return np.asarray(_pair(theta_rate, "theta_rate").sum(axis=0))
+    return np.asarray(np.asarray(theta_rate, dtype=float).sum(axis=0))
 
 
 def tool_acceleration(
@@ -145,10 +126,10 @@ def tool_acceleration(
     >>> tool_acceleration(arm, still, [0.0, 1.0], still, 0.0, 0.5, 0.0).round(6).tolist()
     [-1.0, 1.0]
     """
-    q, rate = _pair(theta, "theta"), _pair(theta_rate, "theta_rate")
-    growth = _pair(theta_acceleration, "theta_acceleration")
-    slide, slide_rate = _seat(d, "d"), _seat(d_rate, "d_rate")
-    slide_growth = _seat(d_acceleration, "d_acceleration")
+    q, rate = np.asarray(theta, dtype=float), np.asarray(theta_rate, dtype=float)
+    growth = np.asarray(theta_acceleration, dtype=float)
+    slide, slide_rate = np.asarray(d, dtype=float), np.asarray(d_rate, dtype=float)
+    slide_growth = np.asarray(d_acceleration, dtype=float)
     along1, along2, out = _axes(arm, q)
     turn, turn_growth = link_rate(rate), link_rate(growth)
     lever = slide * out + arm.length2 * along2
@@ -172,9 +153,7 @@ def nominal_jacobian(arm: LoosePlanarArm, theta: ArrayLike) -> Array:
     >>> nominal_jacobian(LoosePlanarArm(), [0.0, 0.0]).round(6).tolist()
     [[-0.0, -0.0], [0.8, 0.4]]
     """
-    q = _pair(theta, "theta")
-    if q.ndim != 1:
-        raise InvalidData(f"theta has shape {q.shape}; one pose is (2,)")
+    q = np.asarray(theta, dtype=float)
     along1, along2, _ = _axes(arm, q)
     second = arm.length2 * _left(along2)
     return np.column_stack([arm.length1 * _left(along1) + second, second])
@@ -193,21 +172,3 @@ def _axes(arm: LoosePlanarArm, q: Array) -> tuple[Array, Array, Array]:
 def _left(vector: Array) -> Array:
     """Turn vectors by a quarter, counter-clockwise."""
     return np.stack([-vector[1], vector[0]])
-
-
-def _pair(values: ArrayLike, name: str) -> Array:
-    found = np.asarray(values, dtype=np.float64)
-    if found.ndim not in (1, 2) or found.shape[0] != 2:
-        raise InvalidData(f"{name} has shape {found.shape}; two joints are (2,) or (2, N)")
-    if not np.isfinite(found).all():
-        raise InvalidData(f"{name} holds NaN or infinite values; every value must be finite")
-    return found
-
-
-def _seat(values: ArrayLike, name: str) -> Array:
-    found = np.asarray(values, dtype=np.float64)
-    if found.ndim > 1:
-        raise InvalidData(f"{name} has shape {found.shape}; one seat is () or (N,)")
-    if not np.isfinite(found).all():
-        raise InvalidData(f"{name} holds NaN or infinite values; every value must be finite")
-    return found

@@ -7,28 +7,18 @@ distal stop (thesis 5.1). Its displacement is measured from the middle of the ga
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.thesis.methods.motion.loose_planar_arm import (
+    LoosePlanarArm,
+    tool_acceleration,
+    tool_position,
+    tool_velocity,
+)
 from loose_env.typing import Array
-
-__all__ = [
-    "DISTAL",
-    "FREE",
-    "PROXIMAL",
-    "SeatMotion",
-    "displacement_chain",
-    "draw_displacement",
-    "draw_seat_acceleration",
-    "draw_seat_velocity",
-    "region_probabilities",
-    "regions",
-    "transition_table",
-    "whole_count",
-]
 
 Regions = NDArray[np.int64]
 PROXIMAL, FREE, DISTAL = 0, 1, 2
@@ -48,21 +38,6 @@ class SeatMotion:
     """Probability that a seat in contact has no velocity, or no acceleration [1]."""
     timestep: float = 1e-3
     """Time in which the fastest seat crosses the gap [s]."""
-
-    def __post_init__(self) -> None:
-        for name, unit in (("gap", "m"), ("timestep", "s")):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise InvalidSetting(f"{name} is {value} {unit}; it must be finite and above zero")
-        for name in ("at_proximal", "at_distal", "at_rest"):
-            value = getattr(self, name)
-            if not 0.0 <= value < 1.0:
-                raise InvalidSetting(f"{name} is {value}; it must lie in [0, 1)")
-        if self.at_proximal + self.at_distal >= 1.0:
-            raise InvalidSetting(
-                f"at_proximal {self.at_proximal} and at_distal {self.at_distal} leave no free "
-                "motion; their sum must be below 1"
-            )
 
     @property
     def fastest(self) -> float:
@@ -86,9 +61,7 @@ def draw_displacement(seat: SeatMotion, count: int, rng: np.random.Generator) ->
     """
     half = 0.5 * seat.gap
     width = seat.gap / (1.0 - seat.at_proximal - seat.at_distal)
-    wide = rng.uniform(
-        -half - seat.at_proximal * width, half + seat.at_distal * width, whole_count(count)
-    )
+    wide = rng.uniform(-half - seat.at_proximal * width, half + seat.at_distal * width, count)
     return np.clip(wide, -half, half)
 
 
@@ -104,8 +77,6 @@ def regions(seat: SeatMotion, d: ArrayLike) -> Regions:
     """
     values = np.asarray(d, dtype=np.float64)
     half = 0.5 * seat.gap
-    if values.ndim != 1 or not (np.abs(values) <= half).all():
-        raise InvalidData(f"displacements must have shape (N,) and lie within ±{half} m")
     return np.where(values <= -half, PROXIMAL, np.where(values >= half, DISTAL, FREE))
 
 
@@ -150,11 +121,6 @@ def draw_seat_acceleration(
     """
     where = regions(seat, d)
     v = np.asarray(velocity, dtype=np.float64)
-    limit = seat.fastest * (1.0 + 1e-12)
-    if v.shape != where.shape or not (np.abs(v) <= limit).all():
-        raise InvalidData(
-            f"velocities must have shape {where.shape} and lie within ±{seat.fastest} m/s"
-        )
     low = np.minimum((-seat.fastest - v) / seat.timestep, 0.0)
     high = np.maximum((seat.fastest - v) / seat.timestep, 0.0)
     return _by_region(seat, where, low, high, rng)
@@ -190,10 +156,10 @@ def displacement_chain(seat: SeatMotion, count: int, rng: np.random.Generator) -
     >>> bool(abs(np.mean(regions(seat, d) == FREE) - 0.5) < 0.02)
     True
     """
-    n, half, rest = whole_count(count), 0.5 * seat.gap, seat.at_rest
-    chain = np.empty(n)
+    half, rest = 0.5 * seat.gap, seat.at_rest
+    chain = np.empty(count)
     d = chain[0] = float(draw_displacement(seat, 1, rng)[0])
-    for k, share in enumerate(rng.random(n - 1).tolist(), start=1):
+    for k, share in enumerate(rng.random(count - 1).tolist(), start=1):
         if -half < d < half:
             d += (2.0 * share - 1.0) * seat.gap
         elif share > rest:
@@ -215,8 +181,6 @@ def transition_table(sequence: ArrayLike) -> Array:
     [[0.0, 0.0, 0.0], [0.25, 0.25, 0.25], [0.0, 0.25, 0.0]]
     """
     where = np.asarray(sequence)
-    if where.ndim != 1 or len(where) < 2 or not np.isin(where, (PROXIMAL, FREE, DISTAL)).all():
-        raise InvalidData("a sequence has shape (N,), N of 2 or more, of regions 0, 1 and 2")
     pairs = 3 * where[1:].astype(np.int64) + where[:-1].astype(np.int64)
     return np.bincount(pairs, minlength=9).reshape(3, 3) / len(pairs)
 
@@ -232,14 +196,79 @@ def region_probabilities(table: ArrayLike) -> Array:
     >>> region_probabilities([[0.125, 0.125, 0], [0.125, 0.25, 0.125], [0, 0.125, 0.125]]).tolist()
     [0.25, 0.5, 0.25]
     """
-    joint = np.asarray(table, dtype=np.float64)
-    if joint.shape != (3, 3) or not (joint >= 0.0).all() or abs(joint.sum() - 1.0) > 1e-9:
-        raise InvalidData("a transition table is 3 by 3, of probabilities that sum to 1")
-    return np.asarray(joint.sum(axis=1))
+    return np.asarray(np.sum(table, axis=1))
 
 
-def whole_count(count: int) -> int:
-    """Return a number of draws, or raise `InvalidSetting` if it is no whole number above 0."""
-    if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
-        raise InvalidSetting(f"count is {count!r}; it must be a whole number of 1 or more")
-    return int(count)
+@dataclass(frozen=True, kw_only=True)
+class MonteCarlo:
+    """A pose of the loose planar arm, Gaussian motion of its joints, assumed motion of its seat."""
+
+    arm: LoosePlanarArm = field(default_factory=LoosePlanarArm)
+    """Lengths and the slide's angle."""
+    theta: tuple[float, float] = (0.0, math.pi / 2)
+    """Nominal joint angles [rad]."""
+    angle_sd: float = 2e-4
+    """Standard deviation of each joint's angle [rad]."""
+    rate_sd: float = 0.2
+    """Standard deviation of each joint's rate [rad/s]."""
+    acceleration_sd: float = 200.0
+    """Standard deviation of each joint's acceleration [rad/s^2]."""
+    seat: SeatMotion | None = field(default_factory=SeatMotion)
+    """Motion of the seat; None for the tight arm."""
+
+
+def draw_tool_displacement(setting: MonteCarlo, count: int, rng: np.random.Generator) -> Array:
+    """Draw differential displacements of the tool (5.3, figure 5.6).
+
+    Returns (2, N): displacement from the nominal tool point, m, world frame.
+
+    Examples
+    --------
+    >>> draw_tool_displacement(MonteCarlo(), 10, np.random.default_rng(1)).shape
+    (2, 10)
+    """
+    theta, d, _ = _pose(setting, count, rng)
+    nominal = tool_position(setting.arm, setting.theta, 0.0)
+    return tool_position(setting.arm, theta, d) - nominal[:, None]
+
+
+def draw_tool_velocity(setting: MonteCarlo, count: int, rng: np.random.Generator) -> Array:
+    """Draw velocities of the tool (5.4, figure 5.8); parameters as `draw_tool_displacement`.
+
+    Returns (2, N): velocity, m/s, world frame.
+
+    Examples
+    --------
+    >>> draw_tool_velocity(MonteCarlo(seat=None), 10, np.random.default_rng(1)).shape
+    (2, 10)
+    """
+    theta, d, v = _pose(setting, count, rng)
+    return tool_velocity(setting.arm, theta, rng.normal(0.0, setting.rate_sd, theta.shape), d, v)
+
+
+def draw_tool_acceleration(setting: MonteCarlo, count: int, rng: np.random.Generator) -> Array:
+    """Draw accelerations of the tool (5.6); parameters as `draw_tool_displacement`.
+
+    Returns (2, N): acceleration, m/s^2, world frame.
+
+    Examples
+    --------
+    >>> draw_tool_acceleration(MonteCarlo(), 10, np.random.default_rng(1)).shape
+    (2, 10)
+    """
+    theta, d, v = _pose(setting, count, rng)
+    rate = rng.normal(0.0, setting.rate_sd, theta.shape)
+    growth = rng.normal(0.0, setting.acceleration_sd, theta.shape)
+    still = np.zeros_like(d)
+    seat = setting.seat
+    a = still if seat is None else draw_seat_acceleration(seat, d, v, rng)
+    return tool_acceleration(setting.arm, theta, rate, growth, d, v, a)
+
+
+def _pose(setting: MonteCarlo, count: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Joint angles (2, N), and displacement and velocity of the seat (N,)."""
+    theta = np.asarray(setting.theta)[:, None] + rng.normal(0.0, setting.angle_sd, (2, count))
+    if setting.seat is None:
+        return theta, np.zeros(count), np.zeros(count)
+    d = draw_displacement(setting.seat, count, rng)
+    return theta, d, draw_seat_velocity(setting.seat, d, rng)

@@ -1,7 +1,7 @@
 """From two accelerations to a motion: direction, velocity, and what the base adds.
 
 Rules for one interval of samples have a bounded error each; what happens when their results are
-summed, or divided by the step, is said by `summed_noise` and by each rule's `noise_gain`.
+summed, or divided by the step, follows from each rule's `noise_gain`.
 """
 
 from dataclasses import dataclass
@@ -10,8 +10,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loose_env.errors import InvalidData, UnknownName
-from loose_env.statistics import as_finite_samples, require_rate
+from loose_env.errors import InvalidData
 from loose_env.typing import Array
 
 DifferenceRule = Literal["two_point", "three_point"]
@@ -96,7 +95,7 @@ def rms_motion(x: ArrayLike, y: ArrayLike) -> PlaneMotion:
     >>> round(float(np.degrees(found.direction)), 2)
     53.13
     """
-    first, second = _pair(x, y)
+    first, second = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     rms = first.std(axis=-1), second.std(axis=-1)
     magnitude = np.hypot(*rms)
     if not (magnitude > 0.0).all():
@@ -121,7 +120,7 @@ def instantaneous_motion(x: ArrayLike, y: ArrayLike) -> PlaneMotion:
     >>> np.degrees(found.direction).round().tolist()
     [45.0, 45.0, -45.0, 90.0]
     """
-    first, second = _pair(x, y)
+    first, second = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     flip = np.where((first < 0.0) | ((first == 0.0) & (second < 0.0)), -1.0, 1.0)
     return PlaneMotion(np.hypot(first, second), np.arctan2(flip * second, flip * first))
 
@@ -140,9 +139,7 @@ def line_of_motion(x: ArrayLike, y: ArrayLike) -> LineFit:
     >>> round(fit.slope, 6), round(fit.intercept, 6), round(fit.correlation, 6)
     (2.0, 1.0, 1.0)
     """
-    first, second = _pair(x, y)
-    if first.ndim != 1:
-        raise InvalidData(f"x has shape {first.shape}; a line is fitted to signals of shape (N,)")
+    first, second = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     dx, dy = first - first.mean(), second - second.mean()
     sizes = float(dx @ dx), float(dy @ dy)
     if min(sizes) == 0.0:
@@ -172,7 +169,7 @@ def quadrature_steps(g: ArrayLike, dt: float, rule: QuadratureRule) -> Array:
     >>> bool(np.allclose(steps, t[:17] ** 3 - (t[:17] - 0.1) ** 3))
     True
     """
-    return _filter(as_finite_samples(g, "g"), _rule(rule, QUADRATURES)) * _period(dt)
+    return _filter(g, QUADRATURES[rule]) * dt
 
 
 def integrate(g: ArrayLike, dt: float, rule: QuadratureRule) -> Array:
@@ -194,20 +191,6 @@ def integrate(g: ArrayLike, dt: float, rule: QuadratureRule) -> Array:
     return np.asarray(np.cumsum(quadrature_steps(g, dt, rule), axis=-1))
 
 
-def summed_noise(count: int, dt: float, noise: float) -> float:
-    """Drift of a summed quadrature under white noise: noise dt sqrt(count).
-
-    ``noise``: standard deviation of a sample, such as m/s^2. Returns standard deviation of the sum
-    after `count` samples, such as m/s.
-
-    Examples
-    --------
-    >>> round(summed_noise(400, 0.0001, 1.0), 6)
-    0.002
-    """
-    return float(noise * _period(dt) * np.sqrt(count))
-
-
 def differentiate(g: ArrayLike, dt: float, rule: DifferenceRule) -> Array:
     """Differentiate samples by a forward difference.
 
@@ -224,7 +207,7 @@ def differentiate(g: ArrayLike, dt: float, rule: DifferenceRule) -> Array:
     >>> differentiate(t**2, 0.1, "three_point").round(6).tolist()
     [0.0, 0.2, 0.4]
     """
-    return _filter(as_finite_samples(g, "g"), _rule(rule, DIFFERENCES)) / _period(dt)
+    return _filter(g, DIFFERENCES[rule]) / dt
 
 
 def subtract_base(signal: ArrayLike, base: ArrayLike, *, fit: bool = False) -> BaseRemoved:
@@ -245,12 +228,7 @@ def subtract_base(signal: ArrayLike, base: ArrayLike, *, fit: bool = False) -> B
     >>> found.signal.tolist(), float(found.gain)
     ([1.0, 1.0, -1.0, -1.0], 2.0)
     """
-    samples, ground = as_finite_samples(signal, "signal"), as_finite_samples(base, "base")
-    if ground.ndim != 1 or samples.ndim > 2 or samples.shape[-1] != len(ground):
-        raise InvalidData(
-            f"signal has shape {samples.shape} and base {ground.shape}; they must be (N,) or "
-            "(d, N), and (N,)"
-        )
+    samples, ground = np.asarray(signal, dtype=float), np.asarray(base, dtype=float)
     gain = np.ones(samples.shape[:-1])
     if fit:
         varying = ground - ground.mean()
@@ -261,27 +239,8 @@ def subtract_base(signal: ArrayLike, base: ArrayLike, *, fit: bool = False) -> B
     return BaseRemoved(samples - gain[..., None] * ground, gain)
 
 
-def _pair(x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
-    first, second = as_finite_samples(x, "x"), as_finite_samples(y, "y")
-    if first.shape != second.shape:
-        raise InvalidData(f"x has shape {first.shape} and y {second.shape}; they must agree")
-    return first, second
-
-
-def _period(dt: float) -> float:
-    if not (np.isfinite(dt) and dt > 0.0):
-        raise InvalidData(f"dt is {dt} s; it must be finite and above zero")
-    require_rate(1.0 / dt)
-    return float(dt)
-
-
-def _rule(name: str, rules: dict[str, Rule]) -> Rule:
-    if name not in rules:
-        raise UnknownName(f"unknown rule {name!r}; there are {', '.join(rules)}")
-    return rules[name]
-
-
-def _filter(samples: Array, rule: Rule) -> Array:
+def _filter(g: ArrayLike, rule: Rule) -> Array:
+    samples = np.asarray(g, dtype=float)
     count = samples.shape[-1] - len(rule.weights) + 1
     terms = (w * samples[..., k : k + count] for k, w in enumerate(rule.weights))
     return np.asarray(sum(terms))

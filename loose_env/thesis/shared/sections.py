@@ -1,21 +1,129 @@
-"""Run sections side by side; an error in one of them leaves the others whole."""
+"""A section of the reproduction: words, tables that set printed beside found, figures."""
 
 from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from importlib import import_module
+from importlib.util import find_spec
 from multiprocessing import get_context
+from types import ModuleType
 
-from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.report import Plate, to_svg
-from loose_env.thesis.shared.registry import choose, load
-from loose_env.thesis.shared.section import Section
 
-__all__ = ["Outcome", "run_section", "run_sections"]
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A table of the page; every cell is text that code has made from a figure."""
+
+    caption: str
+    """What the table shows, with the number of the thesis's table or section."""
+    columns: tuple[str, ...]
+    """Headings; the first column names the row."""
+    rows: tuple[tuple[str, ...], ...]
+    """Cells, as many in a row as there are columns."""
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            if len(row) != len(self.columns):
+                raise InvalidData(
+                    f"table {self.caption!r} has {len(self.columns)} columns, got the row {row}"
+                )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Section:
+    """One experiment or method of the thesis, reproduced."""
+
+    key: str
+    """Short name, also the anchor on the page."""
+    title: str
+    """Heading, with the thesis's section or experiment."""
+    finding: str
+    """The outcome in one sentence, printed beside found: for the table at the top of the page."""
+    words: Sequence[str]
+    """Paragraphs: what was done, what the thesis found, what is found here."""
+    tables: Sequence[Table] = ()
+    """Tables, printed beside found."""
+    plates: Sequence[Plate] = ()
+    """Figures."""
+    equations: Mapping[str, str] = field(default_factory=dict)
+    """Function that implements each equation, by its number: ``{"6.6": "module.function"}``."""
+    left_out: Sequence[str] = ()
+    """What of the thesis is not reproduced here, and why."""
+
+
+_PACKAGE = "loose_env.thesis"
+
+SECTIONS: dict[str, str] = {
+    key: f"{_PACKAGE}.{place}"
+    for key, place in {
+        "simulations": "ch5_simulation.simulations",
+        "correlation_simulations": "ch5_simulation.correlation",
+        "modelling": "ch3_modelling.modelling",
+        "identification": "ch3_modelling.identification",
+        "sizing": "ch6_experiments.arm.sizing",
+        "pose_choice": "ch4_diagnosis.pose_choice",
+        "signals": "ch6_experiments.slide.experiments_two_three",
+        "experiment_one": "ch6_experiments.arm.experiment_one",
+        "experiment_four": "ch6_experiments.slide.experiment_four",
+        "experiment_five": "ch6_experiments.shaken_vera.experiment_five",
+        "experiment_six": "ch6_experiments.shaken_vera.experiment_six",
+        "index_tables": "ch4_diagnosis.index_tables",
+        "link_finding": "ch4_diagnosis.link_finding",
+    }.items()
+}
+"""Module of each section by its key. A module has ``section(seed) -> Section``."""
+
+
+def choose(only: Sequence[str] | None = None) -> list[str]:
+    """Return the keys asked for, in the order of the page; all of them by default.
+
+    Parameters
+    ----------
+    only : sequence of str, optional
+        Keys of sections.
+
+    Raises
+    ------
+    UnknownName
+        If a key is none of those in `SECTIONS`.
+
+    Examples
+    --------
+    >>> choose(["link_finding", "sizing"])
+    ['sizing', 'link_finding']
+    """
+    if not only:
+        return list(SECTIONS)
+    unknown = [key for key in only if key not in SECTIONS]
+    if unknown:
+        raise UnknownName(
+            f"no section {', '.join(map(repr, unknown))}; there are {', '.join(SECTIONS)}"
+        )
+    return [key for key in SECTIONS if key in only]
+
+
+def load(key: str) -> ModuleType:
+    """Import the module of a section."""
+    (key,) = choose([key])
+    if find_spec(SECTIONS[key]) is None:
+        raise UnknownName(f"section {key!r} has no module {SECTIONS[key]}")
+    return import_module(SECTIONS[key])
+
+
+def first_line(key: str) -> str:
+    """Return what the module of a section says it does, or that there is none."""
+    try:
+        module = load(key)
+    except UnknownName:
+        return "(no module)"
+    return (module.__doc__ or "").strip().partition("\n")[0]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
