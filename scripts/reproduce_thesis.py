@@ -84,7 +84,7 @@ def summary(outcomes: Sequence[Outcome]) -> str:
         counts = f"{'failed':>27}"
         if o.section is not None:
             s = o.section
-            counts = f"{len(s.equations):>10}{len(s.tables):>8}{len(s.plates):>9}"
+            counts = f"{len(s.equations):>10}{len(s.tables):>8}{len(s.cards):>9}"
         lines.append(f"{o.key:<24}{counts}{o.seconds:>9.1f}")
     return "\n".join(lines)
 

@@ -3,8 +3,8 @@
 Data flow: pages -> comparison -> diagnosis -> gap -> studies.
 """
 
-from loose_env.report.comparison.episode_story import (
-    tell_episode,
+from loose_env.report.comparison.episode_timeline import (
+    episode_timeline,
 )
 from loose_env.report.comparison.report import (
     write_comparison,
@@ -29,7 +29,7 @@ from loose_env.report.gap.write import (
     write_outputs,
 )
 from loose_env.report.pages.figure_card import (
-    Plate,
+    FigureCard,
 )
 from loose_env.report.pages.figures import (
     WIDTH,
@@ -75,8 +75,9 @@ __all__ = [
     "LIGHT",
     "MUTED",
     "WIDTH",
-    "Plate",
+    "FigureCard",
     "comparison_text",
+    "episode_timeline",
     "new_figure",
     "paragraphs",
     "pyplot",
@@ -89,7 +90,6 @@ __all__ = [
     "stored_rows",
     "study_head",
     "summary",
-    "tell_episode",
     "template",
     "to_svg",
     "unsure",

@@ -165,15 +165,15 @@ def write_page(
     reference: str | None,
 ) -> Path:
     """Write the page: what was played, who won, tables, figures, one episode in pictures."""
-    from loose_env.report import tell_episode, write_comparison
+    from loose_env.report import episode_timeline, write_comparison
 
     best = next(s.agent for s in standings(rows) if not s.agent.endswith("*"))
     told = _told(rows, best, problem)
-    story = None
+    timeline = None
     if told is not None:
         agent = make_agent(best, problem, seed=options.agent_seed)
         arm, settings = problem.arm, problem.settings
-        story = tell_episode(agent, arm, settings, seed=told["seed"], number=told["episode"])
+        timeline = episode_timeline(agent, arm, settings, seed=told["seed"], number=told["episode"])
     own = by_agent(rows)
     truths = Counter(row["truth"] for row in own[best])
     return write_comparison(
@@ -194,8 +194,8 @@ def write_page(
         reference=reference,
         rng=np.random.default_rng(BOOTSTRAP_SEED),
         said=[line(problem, rows) for line in LINES],
-        story=story,
-        story_of=best,
+        timeline=timeline,
+        timeline_agent=best,
         notes=made_by,
     )
 

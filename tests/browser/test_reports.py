@@ -15,8 +15,8 @@ from loose_env.envs import DiagnosisSettings
 from loose_env.gap import gather, result_of
 from loose_env.instrument import NextSettings, PlanSettings, plan
 from loose_env.report import (
-    Plate,
-    tell_episode,
+    FigureCard,
+    episode_timeline,
     write_comparison,
     write_page,
     write_plan_page,
@@ -48,18 +48,16 @@ def comparison_page(folder: Path) -> Path:
         title="Who finds it?",
         played="Two agents, twenty arms.",
         chance=1 / 3,
-        story=tell_episode(Guesser(), vera(), DiagnosisSettings(), seed=0),
-        story_of="first <one>",
+        timeline=episode_timeline(Guesser(), vera(), DiagnosisSettings(), seed=0),
+        timeline_agent="first <one>",
         notes="Made by: make run",
     )
 
 
 def thesis_page(folder: Path) -> Path:
-    bars = Plate(image=success_bars(ROWS), caption="Bars", title="A name")
-    section = outcome("first", plates=[bars])
-    return write_whole(
-        folder / "thesis.html", render(section, outcome("second", plates=[]), FAILED)
-    )
+    bars = FigureCard(image=success_bars(ROWS), caption="Bars", title="A name")
+    section = outcome("first", cards=[bars])
+    return write_whole(folder / "thesis.html", render(section, outcome("second", cards=[]), FAILED))
 
 
 def diagnosis_page(case: str) -> Callable[[Path], Path]:

@@ -20,10 +20,10 @@ from loose_env.report.comparison.confusion_matrix import (
     confusion_matrix,
     ordered_hypotheses,
 )
-from loose_env.report.comparison.episode_story import Story, tell_episode
+from loose_env.report.comparison.episode_timeline import EpisodeTimeline, episode_timeline
 from loose_env.report.comparison.page import render_page, write_comparison_page
 from loose_env.report.comparison.report import write_comparison
-from loose_env.report.pages.figure_card import Plate
+from loose_env.report.pages.figure_card import FigureCard
 from loose_env.report.pages.figures import success_against_records, success_bars
 from loose_env.report.pages.palette import AGENTS, agent_colours
 from loose_env.report.pages.svg import THEMED, inline, to_svg
@@ -79,12 +79,12 @@ class Guesser:
 
 
 @pytest.fixture(scope="module")
-def story() -> Story:
-    return tell_episode(Guesser(), vera(), DiagnosisSettings(), seed=0)
+def timeline() -> EpisodeTimeline:
+    return episode_timeline(Guesser(), vera(), DiagnosisSettings(), seed=0)
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory, story: Story) -> str:
+def page(tmp_path_factory: pytest.TempPathFactory, timeline: EpisodeTimeline) -> str:
     path = tmp_path_factory.mktemp("page") / "new" / "comparison.html"
     written = write_comparison(
         path,
@@ -92,8 +92,8 @@ def page(tmp_path_factory: pytest.TempPathFactory, story: Story) -> str:
         title="Who finds it? <b>",
         played="Two agents, twenty arms.",
         chance=1 / 3,
-        story=story,
-        story_of="first <one>",
+        timeline=timeline,
+        timeline_agent="first <one>",
         notes="Made by: make run",
     )
     assert written == path
@@ -113,13 +113,13 @@ def test_the_page_loads_nothing_from_elsewhere(page: str) -> None:
     assert "<link" not in page
 
 
-def test_the_page_holds_every_agent_figure_and_step(page: str, story: Story) -> None:
+def test_the_page_holds_every_agent_figure_and_step(page: str, timeline: EpisodeTimeline) -> None:
     assert page.count("first &lt;one&gt;") >= 3
     assert page.count("second &amp; two") >= 3
-    # Bars, costs, curves, kinds of fault, a matrix for each agent, and the story.
-    assert page.count("<svg") == 6 + len(story.plates)
+    # Bars, costs, curves, kinds of fault, a matrix for each agent, and the timeline.
+    assert page.count("<svg") == 6 + len(timeline.cards)
     assert page.count("<figure") == page.count("</figure>") == page.count("<svg")
-    for word in ("Two agents, twenty arms.", "Made by: make run", story.words, "90 %", "45 %"):
+    for word in ("Two agents, twenty arms.", "Made by: make run", timeline.words, "90 %", "45 %"):
         assert word in page
 
 
@@ -167,7 +167,7 @@ def test_the_page_of_a_whole_comparison_holds_every_section(tmp_path: Path) -> N
 
 def test_tables_stand_in_the_section_of_their_heading() -> None:
     parts = [
-        Plate(image=SVG, caption="picture", heading="First"),
+        FigureCard(image=SVG, caption="picture", heading="First"),
         PageTable(rows=[{"Agent": "a", "Right": "5 %"}], title="In it", note="Five."),
         PageTable(rows=[{"Agent": "b"}], heading="Second", intro="Why."),
     ]
@@ -230,12 +230,12 @@ def test_figures_may_be_figures_svgs_or_pngs() -> None:
 
 
 def test_figures_stand_below_their_headings() -> None:
-    plates = [
-        Plate(image=SVG, caption="one", heading="Before", intro="why"),
-        Plate(image=SVG, caption="two"),
-        Plate(image=SVG, caption="three", heading="After"),
+    cards = [
+        FigureCard(image=SVG, caption="one", heading="Before", intro="why"),
+        FigureCard(image=SVG, caption="two"),
+        FigureCard(image=SVG, caption="three", heading="After"),
     ]
-    shown = render_page(**simple(figures=plates))
+    shown = render_page(**simple(figures=cards))
     order = ["Before", "why", "one</fig", "two</fig", "After", "three</fig"]
     places = [shown.index(word) for word in order]
     assert places == sorted(places)
@@ -336,15 +336,15 @@ def test_unsure_verdicts_and_truths_beyond_the_hypotheses_are_counted() -> None:
         confusion_counts(rows, names[:-1])
 
 
-def test_the_story_shows_each_record_and_the_end(story: Story) -> None:
-    captions = [plate.caption for plate in story.plates]
+def test_the_timeline_shows_each_record_and_the_end(timeline: EpisodeTimeline) -> None:
+    captions = [card.caption for card in timeline.cards]
     assert captions == ["The first pose", "Record 1", "Record 2", "Verdict and truth"]
-    assert story.records == 2
-    assert story.verdict == "backlash@joint2"
-    assert "joint 2 has play" in story.words
-    last = story.plates[-1].image
+    assert timeline.records == 2
+    assert timeline.verdict == "backlash@joint2"
+    assert "joint 2 has play" in timeline.words
+    last = timeline.cards[-1].image
     assert isinstance(last, bytes)
     assert "Verdict: joint 2 has play" in last.decode("utf-8")
-    for plate in story.plates[:-1]:
-        assert isinstance(plate.image, bytes)
-        assert "Verdict" not in plate.image.decode("utf-8")
+    for card in timeline.cards[:-1]:
+        assert isinstance(card.image, bytes)
+        assert "Verdict" not in card.image.decode("utf-8")

@@ -12,7 +12,7 @@ pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
 from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.report import Plate
+from loose_env.report import FigureCard
 from loose_env.thesis import SECTIONS, Outcome, run_sections
 from loose_env.thesis.shared import sections as sections_module
 from loose_env.thesis.shared.sections import Section, run_section
@@ -31,9 +31,9 @@ def sections(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, ModuleType]]
     def drawn(seed: int) -> Section:
         figure = new_figure(2.0)
         figure.add_subplot().plot([0, seed])
-        plates = [Plate(image=figure, caption="a line")]
+        cards = [FigureCard(image=figure, caption="a line")]
         return Section(
-            key="drawn", title="Drawn", finding="A line.", words=[f"Seed {seed}."], plates=plates
+            key="drawn", title="Drawn", finding="A line.", words=[f"Seed {seed}."], cards=cards
         )
 
     def broken(seed: int) -> Section:
@@ -72,9 +72,9 @@ def test_figures_are_drawn_where_the_section_runs(sections: dict[str, ModuleType
     section = run_section("drawn", 3).section
     assert section is not None
     assert section.words == ["Seed 3."]
-    assert isinstance(section.plates[0].image, bytes)
-    assert b"<svg" in section.plates[0].image
-    assert section.plates[0].caption == "a line"
+    assert isinstance(section.cards[0].image, bytes)
+    assert b"<svg" in section.cards[0].image
+    assert section.cards[0].caption == "a line"
 
 
 def test_a_section_that_calls_itself_otherwise_fails(sections: dict[str, ModuleType]) -> None:
@@ -162,7 +162,7 @@ def test_a_section_is_the_same_in_a_process_of_its_own() -> None:
     assert other.section is not None and own.section is not None
     assert other.section.words == own.section.words
     assert other.section.tables == own.section.tables
-    assert [p.image for p in other.section.plates] == [p.image for p in own.section.plates]
+    assert [p.image for p in other.section.cards] == [p.image for p in own.section.cards]
 
 
 def test_a_process_that_dies_takes_no_other_section_along(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ pytest.importorskip("matplotlib")
 from markupsafe import escape
 
 from loose_env.errors import InvalidData
-from loose_env.report import Plate, new_figure
+from loose_env.report import FigureCard, new_figure
 from loose_env.report.pages.svg import THEMED
 from loose_env.thesis.shared.page import LEFT_OUT, ranges, render_thesis_page, write_thesis_page
 from loose_env.thesis.shared.sections import Outcome, Section, Table
@@ -33,7 +33,7 @@ def outcome(key: str, **changes: Any) -> Outcome:
                 rows=(("mode", "720 Hz", "885 Hz", "from its own figures, which do not agree"),),
             )
         ],
-        "plates": [Plate(image=SVG, caption=f"Figure of {key}", title="A name")],
+        "cards": [FigureCard(image=SVG, caption=f"Figure of {key}", title="A name")],
         "finding": f"Outcome of {key}, 7 of 9.",
         "equations": {"6.15": "loose_env.a.f", "6.2": "loose_env.a.g"},
         "left_out": [f"Something of {key}, because."],
@@ -86,8 +86,8 @@ def test_ids_are_single_and_every_link_leads_somewhere() -> None:
 def test_the_page_loads_nothing_from_elsewhere() -> None:
     figure = new_figure(2.0)
     figure.add_subplot().plot([0, 1])
-    plates = [Plate(image=figure, caption="f"), Plate(image=PNG, caption="p")]
-    page = render(outcome("first", plates=plates))
+    cards = [FigureCard(image=figure, caption="f"), FigureCard(image=PNG, caption="p")]
+    page = render(outcome("first", cards=cards))
     assert not re.search(r"""(?:src|href)\s*=\s*["']?\s*(?:https?:)?//""", page)
     assert not re.search(r"url\(\s*[\"']?(?!#)", page)
     assert "@import" not in page and "<script" not in page and "<link" not in page
@@ -159,7 +159,7 @@ def test_a_failing_render_leaves_the_old_file_whole(tmp_path: Path) -> None:
     }
     assert write_thesis_page(path, [outcome("first")], **settings) == path
     old = path.read_bytes()
-    broken = outcome("first", plates=[Plate(image=b"GIF89a", caption="no picture")])
+    broken = outcome("first", cards=[FigureCard(image=b"GIF89a", caption="no picture")])
     with pytest.raises(InvalidData):
         write_thesis_page(path, [broken], **settings)
     assert path.read_bytes() == old

@@ -1,5 +1,5 @@
 """Report of a comparison of agents.
 
-Data flow: confusion_matrix -> cost_figures -> episode_story -> page -> report ->
+Data flow: confusion_matrix -> cost_figures -> episode_timeline -> page -> report ->
 terminal_tables -> text.
 """

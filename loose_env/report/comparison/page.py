@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loose_env.errors import InvalidData
-from loose_env.report.pages.figure_card import Plate
+from loose_env.report.pages.figure_card import FigureCard
 from loose_env.report.pages.table import PageTable
 from loose_env.report.pages.template import paragraphs, shown, template, write_whole
 
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-Image = Plate | tuple[str, "bytes | Figure"]
-"""A plate, or its caption and its image."""
+Image = FigureCard | tuple[str, "bytes | Figure"]
+"""A card, or its caption and its image."""
 
 
 def write_comparison_page(
@@ -30,8 +30,8 @@ def write_comparison_page(
     result: str | Sequence[str] = (),
     colours: Mapping[str, str] | None = None,
     table_note: str = "",
-    story: Sequence[Image] = (),
-    story_text: str | Sequence[str] = (),
+    timeline: Sequence[Image] = (),
+    timeline_text: str | Sequence[str] = (),
     notes: str | Sequence[str] = (),
 ) -> Path:
     """Write the page of a comparison of agents.
@@ -47,7 +47,7 @@ def write_comparison_page(
     table : sequence of mapping
         One row an agent. The keys of the first row are the columns; the first of them names
         the agent.
-    figures : sequence of Plate, (caption, image) or PageTable
+    figures : sequence of FigureCard, (caption, image) or PageTable
         Figures and further tables in order; an image is a matplotlib figure, or an SVG or a PNG
         as bytes. In a section tables stand above figures.
     text : str or sequence of str
@@ -58,10 +58,10 @@ def write_comparison_page(
         Colour of each agent, ``#rrggbb``, shown beside its name in the table.
     table_note : str
         A sentence below the table: what its columns mean.
-    story : sequence of Plate or (caption, image)
+    timeline : sequence of FigureCard or (caption, image)
         One episode in pictures.
-    story_text, notes : str or sequence of str
-        Paragraphs above the story and at the foot of the page.
+    timeline_text, notes : str or sequence of str
+        Paragraphs above the timeline and at the foot of the page.
 
     Returns
     -------
@@ -83,8 +83,8 @@ def write_comparison_page(
         result=result,
         colours=colours,
         table_note=table_note,
-        story=story,
-        story_text=story_text,
+        timeline=timeline,
+        timeline_text=timeline_text,
         notes=notes,
     )
     return write_whole(path, page)
@@ -99,8 +99,8 @@ def render_page(
     result: str | Sequence[str] = (),
     colours: Mapping[str, str] | None = None,
     table_note: str = "",
-    story: Sequence[Image] = (),
-    story_text: str | Sequence[str] = (),
+    timeline: Sequence[Image] = (),
+    timeline_text: str | Sequence[str] = (),
     notes: str | Sequence[str] = (),
 ) -> str:
     """Return the page that `write_comparison_page` writes."""
@@ -111,29 +111,29 @@ def render_page(
         table=_table(PageTable(rows=table, note=table_note)) if table else None,
         colours=dict(colours or {}),
         groups=_groups(figures),
-        story=[shown(_plate(item), f"s{k}") for k, item in enumerate(story)],
-        story_text=paragraphs(story_text),
+        timeline=[shown(_card(item), f"s{k}") for k, item in enumerate(timeline)],
+        timeline_text=paragraphs(timeline_text),
         notes=paragraphs(notes),
     )
     return page
 
 
-def _plate(item: Image) -> Plate:
-    return item if isinstance(item, Plate) else Plate(caption=item[0], image=item[1])
+def _card(item: Image) -> FigureCard:
+    return item if isinstance(item, FigureCard) else FigureCard(caption=item[0], image=item[1])
 
 
 def _groups(items: Sequence[Image | PageTable]) -> list[dict[str, Any]]:
     """Put figures and tables under their headings."""
     groups: list[dict[str, Any]] = []
     for k, item in enumerate(items):
-        whole = item if isinstance(item, PageTable) else _plate(item)
+        whole = item if isinstance(item, PageTable) else _card(item)
         if whole.heading or not groups:
             head = {"heading": whole.heading, "intro": whole.intro}
-            groups.append({**head, "tables": [], "plates": []})
+            groups.append({**head, "tables": [], "cards": []})
         if isinstance(whole, PageTable):
             groups[-1]["tables"].append(_table(whole))
         else:
-            groups[-1]["plates"].append(shown(whole, f"f{k}"))
+            groups[-1]["cards"].append(shown(whole, f"f{k}"))
     return groups
 
 

@@ -29,9 +29,9 @@ from loose_env.report.comparison.cost_figures import (
     success_and_records,
     success_by_group,
 )
-from loose_env.report.comparison.episode_story import Story
+from loose_env.report.comparison.episode_timeline import EpisodeTimeline
 from loose_env.report.comparison.page import write_comparison_page
-from loose_env.report.pages.figure_card import Plate
+from loose_env.report.pages.figure_card import FigureCard
 from loose_env.report.pages.figures import success_against_records, success_bars
 from loose_env.report.pages.palette import agent_colours
 from loose_env.report.pages.table import (
@@ -77,8 +77,8 @@ def write_comparison(
     reference: str | None = None,
     rng: np.random.Generator | None = None,
     said: Sequence[str] = (),
-    story: Story | None = None,
-    story_of: str = "",
+    timeline: EpisodeTimeline | None = None,
+    timeline_agent: str = "",
     notes: str | Sequence[str] = (),
 ) -> Path:
     """Write the page of a comparison: words, tables, figures, and one episode in pictures.
@@ -105,9 +105,9 @@ def write_comparison(
         Draws the bootstrap; without it there are no intervals of records and return.
     said : sequence of str
         Further paragraphs below the outcome, such as a bound on records.
-    story : Story, optional
-        One episode, from `loose_env.report.comparison.episode_story.tell_episode`.
-    story_of : str
+    timeline : EpisodeTimeline, optional
+        One episode, from `loose_env.report.comparison.episode_timeline.episode_timeline`.
+    timeline_agent : str
         Who played it.
     notes : str or sequence of str
         Paragraphs at the foot of the page: how to make it again.
@@ -139,8 +139,8 @@ def write_comparison(
         table_note=note if reference is None else f"{note} {_PAIRED.format(reference)}",
         colours=colours,
         figures=[item for chapter in chapters for item in chapter],
-        story=() if story is None else story.plates,
-        story_text=() if story is None else _told(story, story_of),
+        timeline=() if timeline is None else timeline.cards,
+        timeline_text=() if timeline is None else _told(timeline, timeline_agent),
         notes=notes,
     )
 
@@ -151,17 +151,17 @@ def _success(
     found: Sequence[Standing],
     colours: Mapping[str, str],
     chance: float | None,
-) -> list[Plate | PageTable]:
+) -> list[FigureCard | PageTable]:
     curves = success_after(forced)
     lines = "The lines show how often an agent is right after so many records if it may not stop. "
-    plates: list[Plate | PageTable] = [
-        Plate(
+    cards: list[FigureCard | PageTable] = [
+        FigureCard(
             heading="How often they were right",
             image=success_bars(rows, colours=colours, chance=chance),
             caption="Share of arms whose fault was named rightly. The line is the 95 % interval: "
             "where the true rate lies, given this number of arms.",
         ),
-        Plate(
+        FigureCard(
             image=success_and_records(found, curves=curves, colours=colours),
             caption="Success against mean records; upright lines are 95 % intervals. Up and left "
             f"is good. {lines if curves else ''}The dashed front joins those that no other "
@@ -169,28 +169,28 @@ def _success(
         ),
     ]
     if not curves:
-        plates.append(
-            Plate(
+        cards.append(
+            FigureCard(
                 image=success_against_records(rows, colours=colours),
                 caption="Share decided rightly after at most so many records. Steep and early is "
                 "good: every record costs.",
             )
         )
-    return plates
+    return cards
 
 
-def _crossed(found: Sequence[Standing]) -> list[Plate | PageTable]:
+def _crossed(found: Sequence[Standing]) -> list[FigureCard | PageTable]:
     crossed = crossing(found)
     return [] if crossed is None else [crossed_page_table(crossed)]
 
 
-def _divided(rows: Sequence[Row], colours: Mapping[str, str]) -> list[Plate | PageTable]:
-    parts: list[Plate | PageTable] = []
+def _divided(rows: Sequence[Row], colours: Mapping[str, str]) -> list[FigureCard | PageTable]:
+    parts: list[FigureCard | PageTable] = []
     for k, division in enumerate(divisions(rows)):
         heading = "What makes a fault hard to find" if k == 0 else ""
         parts.append(division_page_table(division, heading=heading))
         parts.append(
-            Plate(
+            FigureCard(
                 image=success_by_group(division, colours=colours),
                 caption=f"Share of right verdicts by {division.heading}, with 95 % intervals.",
             )
@@ -198,7 +198,7 @@ def _divided(rows: Sequence[Row], colours: Mapping[str, str]) -> list[Plate | Pa
     return parts
 
 
-def _calibrated(rows: Sequence[Row], colours: Mapping[str, str]) -> list[Plate | PageTable]:
+def _calibrated(rows: Sequence[Row], colours: Mapping[str, str]) -> list[FigureCard | PageTable]:
     figure = reliability_curves(rows, colours=colours)
     if figure is None:
         return []
@@ -211,11 +211,11 @@ def _calibrated(rows: Sequence[Row], colours: Mapping[str, str]) -> list[Plate |
     )
     return [
         *calibration_tables([c for c in judged if c is not None]),
-        Plate(image=figure, caption=caption),
+        FigureCard(image=figure, caption=caption),
     ]
 
 
-def _trained(rows: Sequence[Row], rng: np.random.Generator | None) -> list[Plate | PageTable]:
+def _trained(rows: Sequence[Row], rng: np.random.Generator | None) -> list[FigureCard | PageTable]:
     runs = trained_agents(str(row["agent"]) for row in rows)
     if rng is None or not runs:
         return []
@@ -228,7 +228,7 @@ def _confused(
     found: Sequence[Standing],
     colours: Mapping[str, str],
     hypotheses: Sequence[str] | None,
-) -> list[Plate | PageTable]:
+) -> list[FigureCard | PageTable]:
     names = hypotheses
     if names is None:
         names = ordered_hypotheses([row for some in own.values() for row in some])
@@ -237,7 +237,7 @@ def _confused(
         f" The {_MATRICES} best by return; the raw rows hold the other {left}." if left > 0 else ""
     )
     return [
-        Plate(
+        FigureCard(
             heading="What they took for what" if k == 0 else "",
             intro=_MATRIX + more,
             title=standing.agent,
@@ -250,5 +250,5 @@ def _confused(
     ]
 
 
-def _told(story: Story, teller: str) -> list[str]:
-    return [f"Played by {teller}. {story.words}" if teller else story.words, _READING]
+def _told(timeline: EpisodeTimeline, teller: str) -> list[str]:
+    return [f"Played by {teller}. {timeline.words}" if teller else timeline.words, _READING]

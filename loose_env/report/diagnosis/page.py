@@ -19,7 +19,7 @@ from loose_env.report.diagnosis.text import (
     questions,
     short_name,
 )
-from loose_env.report.pages.figure_card import Plate
+from loose_env.report.pages.figure_card import FigureCard
 from loose_env.report.pages.sections import group
 from loose_env.report.pages.template import template, write_whole
 
@@ -89,11 +89,11 @@ def _found_group(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:
     return group(
         "What was found",
         "",
-        plates=[_arm_plate(diagnosis, arm), *_posterior_plates(diagnosis, arm)],
+        cards=[_arm_card(diagnosis, arm), *_posterior_cards(diagnosis, arm)],
     )
 
 
-def _arm_plate(diagnosis: Diagnosis, arm: Arm) -> Plate:
+def _arm_card(diagnosis: Diagnosis, arm: Arm) -> FigureCard:
     fault = diagnosis.fault
     suspect = [r for r in diagnosis.records if r.condition != HEALTHY]
     last = suspect[-1] if suspect else None
@@ -102,7 +102,7 @@ def _arm_plate(diagnosis: Diagnosis, arm: Arm) -> Plate:
     else:
         said = short_name(arm, fault.hypothesis)
         marked = f"Marked: {said} ({percent(diagnosis.probability)})."
-    return Plate(
+    return FigureCard(
         title="The last pose measured" if last else "The arm, all joints at zero",
         image=arm_figure(
             arm,
@@ -131,7 +131,7 @@ def _next_group(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:
         | {"In the recording": f"{value:.4f}".replace("-", "−") + _unit(arm, joint)}
         for joint, value in following.pose.items()
     ]
-    plate = Plate(
+    card = FigureCard(
         title="The pose to measure next",
         image=arm_figure(arm, following.pose, fault=diagnosis.fault, excited=following.joints),
         caption="Shake the joint in yellow, hold the others."
@@ -141,7 +141,7 @@ def _next_group(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:
     return group(
         "The next measurement",
         _expects(following),
-        plates=[plate],
+        cards=[card],
         beside=True,
         tables=[
             {"title": "", "rows": pose, "note": "Positions from the base, every joint held there."},
@@ -185,7 +185,7 @@ def _unit(arm: Arm, joint: str) -> str:
     return " m" if _slides(arm, joint) else " rad"
 
 
-def _posterior_plates(diagnosis: Diagnosis, arm: Arm) -> list[Plate]:
+def _posterior_cards(diagnosis: Diagnosis, arm: Arm) -> list[FigureCard]:
     seen = [(k, r) for k, r in enumerate(diagnosis.records, 1) if r.probabilities]
     if not seen:
         return []
@@ -194,7 +194,7 @@ def _posterior_plates(diagnosis: Diagnosis, arm: Arm) -> list[Plate]:
     names = {h: short_name(arm, h) for h in shown_hypotheses(steps)}
     dropped = len(seen) - len(shown)
     return [
-        Plate(
+        FigureCard(
             title="How sure, record by record",
             image=posterior_figure(steps, [f"record {k}" for k, _ in shown], names),
             caption="Probability of every explanation after each record and all before it, in per "
@@ -229,8 +229,8 @@ def _explanations_group(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:
 def _loops_group(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:
     drawn = [(k, r) for k, r in enumerate(diagnosis.records, 1) if r.loops]
     dropped = len(drawn) - _LOOPS
-    plates = [
-        Plate(
+    cards = [
+        FigureCard(
             title=f"Record {number}: {', '.join(record.excited) or 'nothing'} shaken",
             image=loop_figure(record),
             caption=_loop_words(record, arm),
@@ -245,7 +245,7 @@ def _loops_group(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:
         "is lost turns from pose to pose only if a joint between the loose link and the tool was "
         "moved: that is how the link is found."
         + (f" The first {dropped} records are not drawn." if dropped > 0 else ""),
-        plates=plates,
+        cards=cards,
     )
 
 

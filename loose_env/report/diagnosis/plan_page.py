@@ -22,7 +22,7 @@ from loose_env.report.diagnosis.plan_text import (
     steps,
 )
 from loose_env.report.diagnosis.text import percent, with_plain_names
-from loose_env.report.pages.figure_card import Plate
+from loose_env.report.pages.figure_card import FigureCard
 from loose_env.report.pages.figures import new_figure
 from loose_env.report.pages.sections import group
 from loose_env.report.pages.template import template, write_whole
@@ -126,8 +126,8 @@ def _pose_group(plan: Plan) -> dict[str, Any]:
     return group(
         "The pose",
         "",
-        plates=[
-            Plate(
+        cards=[
+            FigureCard(
                 title="Where to hold the arm",
                 image=arm_figure(plan.machine.arm, pose, excited=own),
                 caption="The joint in yellow is shaken, the others are held.",
@@ -167,8 +167,8 @@ def _signal_group(plan: Plan) -> dict[str, Any]:
     return group(
         "The signal",
         "",
-        plates=[
-            Plate(
+        cards=[
+            FigureCard(
                 title=f"Command of {signal.joint}",
                 image=_figure(plan, signal),
                 caption="Above: the command over time, swelling and dying away. Below: its "

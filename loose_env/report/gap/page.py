@@ -34,7 +34,7 @@ from loose_env.report.gap.text import (
     size_words,
     sure_words,
 )
-from loose_env.report.pages.figure_card import Plate
+from loose_env.report.pages.figure_card import FigureCard
 from loose_env.report.pages.sections import group, signed, spread
 from loose_env.report.pages.template import template, write_whole
 
@@ -114,8 +114,8 @@ def _gap_group(evidence: Evidence, result: GapResult) -> dict[str, Any]:
     """The gap by channel and by horizon, side by side."""
     pairs = sorted(result.gap.by_channel.items(), key=lambda item: -item[1][0])
     dropped = len(pairs) - _BARS
-    plates = [
-        Plate(
+    cards = [
+        FigureCard(
             title="Channel by channel",
             image=channel_bars(dict(pairs[:_BARS])),
             caption="Residual of each channel over its noise floor, before and after, on a "
@@ -124,8 +124,8 @@ def _gap_group(evidence: Evidence, result: GapResult) -> dict[str, Any]:
         )
     ]
     if evidence.before:
-        plates.append(
-            Plate(
+        cards.append(
+            FigureCard(
                 title="How far a prediction goes wrong",
                 image=horizon_curves(
                     [e.horizon for e in evidence.before],
@@ -141,26 +141,26 @@ def _gap_group(evidence: Evidence, result: GapResult) -> dict[str, Any]:
         "The gap, before and after",
         "On the held-out runs: the nominal model, fitted within its tolerance, and the corrected "
         "one. At 1 nothing is left but the sensors' noise.",
-        plates=plates if pairs else [],
+        cards=cards if pairs else [],
     )
 
 
 def _motion_group(outputs: GapOutputs, evidence: Evidence) -> dict[str, Any]:
     """Residual against position, velocity and load, as torque where the motion allows it."""
-    plates = []
+    cards = []
     for joint, number in _joints_to_show(outputs, evidence):
         motions = evidence.motions_held
-        plate = _torque_plate(motions, joint, number)
-        if plate is not None:
-            plates.append(plate)
-    reading = _reading_plate(outputs, evidence)
+        card = _torque_card(motions, joint, number)
+        if card is not None:
+            cards.append(card)
+    reading = _reading_card(outputs, evidence)
     if reading is not None:
-        plates.append(reading)
+        cards.append(reading)
     return group(
         "Against motion and load",
         "What an effect looks like: friction steps where the motion turns round, a spring goes by "
         "position, a wrong mass by load. Dots are samples of the held-out runs, lines are means.",
-        plates=plates,
+        cards=cards,
     )
 
 
@@ -175,7 +175,7 @@ def _joints_to_show(outputs: GapOutputs, evidence: Evidence) -> list[tuple[str, 
     return [(joint, joints.index(joint)) for joint in dict.fromkeys(named)][:2]
 
 
-def _torque_plate(motions: Sequence[JointMotion], joint: str, number: int) -> Plate | None:
+def _torque_card(motions: Sequence[JointMotion], joint: str, number: int) -> FigureCard | None:
     missing = np.concatenate([m.missing[:, number] for m in motions])
     if not np.isfinite(missing).any():
         return None
@@ -188,7 +188,7 @@ def _torque_plate(motions: Sequence[JointMotion], joint: str, number: int) -> Pl
         )
         for name in _PANELS
     ]
-    return Plate(
+    return FigureCard(
         title=f"{'Torque' if unit == 'N·m' else 'Force'} at {joint} left unexplained",
         image=residual_panels(
             panels, missing, None, floor=float(np.nanmean(floors)), label=f"[{unit}]"
@@ -199,7 +199,7 @@ def _torque_plate(motions: Sequence[JointMotion], joint: str, number: int) -> Pl
     )
 
 
-def _reading_plate(outputs: GapOutputs, evidence: Evidence) -> Plate | None:
+def _reading_card(outputs: GapOutputs, evidence: Evidence) -> FigureCard | None:
     """Residual of the worst channel, before and after."""
     before = by_channel(outputs, outputs.base.held_residual)
     after = by_channel(outputs, outputs.best.held_residual)
@@ -222,7 +222,7 @@ def _reading_plate(outputs: GapOutputs, evidence: Evidence) -> Plate | None:
     ]
     if not any(np.isfinite(values).any() for _, values in panels):
         return None
-    return Plate(
+    return FigureCard(
         title=f"Residual of {channel}",
         image=residual_panels(
             [panel for panel in panels if np.isfinite(panel[1]).any()],

@@ -18,7 +18,7 @@ from loose_env.gap import (
     spectrum,
 )
 from loose_env.report.gap.figures import spectrum_curves
-from loose_env.report.pages.figure_card import Plate
+from loose_env.report.pages.figure_card import FigureCard
 from loose_env.report.pages.sections import group
 from loose_env.typing import Array
 
@@ -43,8 +43,8 @@ def spectra_group(outputs: GapOutputs, evidence: Evidence, result: GapResult) ->
     before = _spectra(by_channel(outputs, outputs.base.held_residual), evidence.struck_before)
     after = _spectra(by_channel(outputs, outputs.best.held_residual), evidence.struck_after)
     worst = sorted(result.gap.by_channel, key=lambda c: -result.gap.by_channel[c][0])
-    plates = [
-        Plate(
+    cards = [
+        FigureCard(
             title=channel,
             image=spectrum_curves(before[channel][0], after[channel][0]),
             caption=before[channel][1],
@@ -55,7 +55,7 @@ def spectra_group(outputs: GapOutputs, evidence: Evidence, result: GapResult) ->
     return group(
         "Spectra before and after",
         "At which frequencies the held-out runs disagree, of the channels with the largest gap.",
-        plates=plates,
+        cards=cards,
     )
 
 

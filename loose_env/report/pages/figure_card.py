@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Plate:
+class FigureCard:
     """One picture with its words."""
 
     image: bytes | Figure

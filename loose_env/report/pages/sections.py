@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from loose_env.report.pages.figure_card import Plate
+from loose_env.report.pages.figure_card import FigureCard
 from loose_env.report.pages.template import shown
 
 
@@ -14,7 +14,7 @@ def group(
     intro: str,
     *,
     tables: Sequence[dict[str, Any]] = (),
-    plates: Sequence[Plate] = (),
+    cards: Sequence[FigureCard] = (),
     points: Sequence[str] = (),
     code: str = "",
     beside: bool = False,
@@ -23,7 +23,7 @@ def group(
 
     With ``beside`` the first table stands beside the first picture where there is room.
     """
-    if not (tables or plates or points or code):
+    if not (tables or cards or points or code):
         return {}
     name = "".join(c for c in heading.lower() if c.isalpha())
     return {
@@ -39,10 +39,10 @@ def group(
             for t in tables
             if t["rows"]
         ],
-        "plates": [shown(plate, f"{name}{k}") for k, plate in enumerate(plates)],
+        "cards": [shown(card, f"{name}{k}") for k, card in enumerate(cards)],
         "points": list(points),
         "code": code,
-        "beside": beside and bool(plates) and bool(tables),
+        "beside": beside and bool(cards) and bool(tables),
     }
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from loose_env.errors import MissingExtra
-from loose_env.report.pages.figure_card import Plate
+from loose_env.report.pages.figure_card import FigureCard
 from loose_env.report.pages.style import style
 from loose_env.report.pages.svg import inline, to_svg
 
@@ -60,12 +60,12 @@ def paragraphs(text: str | Sequence[str]) -> list[str]:
     return [text] if isinstance(text, str) else list(text)
 
 
-def shown(plate: Plate, name: str) -> dict[str, str]:
+def shown(card: FigureCard, name: str) -> dict[str, str]:
     """Return heading, caption and either SVG markup or the address of a PNG.
 
     Parameters
     ----------
-    plate : Plate
+    card : FigureCard
         Picture and words.
     name : str
         A name that no other figure of the page has.
@@ -75,12 +75,12 @@ def shown(plate: Plate, name: str) -> dict[str, str]:
     InvalidData
         If the picture cannot be shown.
     """
-    image = plate.image if isinstance(plate.image, bytes) else to_svg(plate.image)
+    image = card.image if isinstance(card.image, bytes) else to_svg(card.image)
     found = {
-        "heading": plate.heading,
-        "intro": plate.intro,
-        "title": plate.title,
-        "caption": plate.caption,
+        "heading": card.heading,
+        "intro": card.intro,
+        "title": card.title,
+        "caption": card.caption,
         "svg": "",
         "png": "",
     }

@@ -12,7 +12,7 @@ from loose_env.envs import FAINT, INK, MEASURED, MUTED, TRUTH
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import Backlash, Fault, Healthy, StructuralLooseness
 from loose_env.kinematics import Chain, geometric_jacobian
-from loose_env.report import WIDTH, Plate, new_figure
+from loose_env.report import WIDTH, FigureCard, new_figure
 from loose_env.sensors import Encoder, read_encoder
 from loose_env.thesis.methods.looseness.looseness_joint import insert_looseness, seated_inertia
 from loose_env.thesis.methods.looseness.static_force_test import (
@@ -145,7 +145,7 @@ def _docked_dynamics(arm: Arm, pose: Array) -> tuple[float, float]:
     return float(np.abs(healthy).max()), float(np.abs(np.delete(loose, 2)).max())
 
 
-def loose_links(seed: int) -> tuple[Table, str, Plate]:
+def loose_links(seed: int) -> tuple[Table, str, FigureCard]:
     """Find the loose link from the directions of several docked poses."""
     arm = planar(4)
     rows, right, worst = [], 0, 0.0
@@ -196,7 +196,7 @@ def loose_links(seed: int) -> tuple[Table, str, Plate]:
             rows=tuple(rows),
         ),
         words,
-        Plate(
+        FigureCard(
             image=_frames_figure(shown, 2),
             title="One frame in which all poses agree",
             caption="Directions of the seat's motion from the docked poses of an arm loose at "

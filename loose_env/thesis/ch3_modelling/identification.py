@@ -60,7 +60,7 @@ def section(seed: int) -> Section:
     told = printed("identification")
     recursion_table, recursion_words = _recursion(seed, told)
     count_table, count_words = motion_counts(seed, told)
-    link_table, link_words, plate = loose_links(seed)
+    link_table, link_words, card = loose_links(seed)
     agree = sum(row[2] == row[3] for row in count_table.rows)
     named = sum(row[0] == f"link {row[-2]}" for row in link_table.rows)
     return Section(
@@ -75,7 +75,7 @@ def section(seed: int) -> Section:
         ),
         words=[*recursion_words, _free_vector(), *count_words, link_words],
         tables=[recursion_table, count_table, link_table],
-        plates=[plate],
+        cards=[card],
         equations=EQUATIONS,
         left_out=[
             "The order of moves that finds the link without a dock (3.3.1, after 3.69): it is "

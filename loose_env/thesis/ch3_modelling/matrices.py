@@ -11,7 +11,7 @@ from loose_env.arms import planar, vera
 from loose_env.envs import FAINT, INK, MEASURED, MUTED, SHAKEN
 from loose_env.faults import Backlash, Healthy, StructuralLooseness
 from loose_env.kinematics import Chain, Frame, geometric_jacobian
-from loose_env.report import Plate, new_figure, quiet_axes
+from loose_env.report import FigureCard, new_figure, quiet_axes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -123,7 +123,7 @@ def jacobian_ranks(told: dict[str, object]) -> tuple[Table, str]:
     )
 
 
-def inertia_condition(seed: int, told: dict[str, object]) -> tuple[Table, str, Plate]:
+def inertia_condition(seed: int, told: dict[str, object]) -> tuple[Table, str, FigureCard]:
     """Compare the condition of the inertia matrix with a slide and with play in a joint."""
     rows, points = [], []
     worst = {"slide": 0.0, "play": 0.0}
@@ -168,7 +168,7 @@ def inertia_condition(seed: int, told: dict[str, object]) -> tuple[Table, str, P
         f"the gear ratio it would be up to {direct:.0f}. As an indicator the number needs the "
         "acceleration of the seat itself, which no sensor of the arm gives."
     )
-    plate = Plate(
+    card = FigureCard(
         image=condition_figure(points),
         title="Condition with play in one joint",
         caption="Scaled condition number of one joint with play against the inertia of its motor "
@@ -183,7 +183,7 @@ def inertia_condition(seed: int, told: dict[str, object]) -> tuple[Table, str, P
             rows=tuple(rows),
         ),
         words,
-        plate,
+        card,
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from loose_env.arms import planar, vera
 from loose_env.envs import INK, MEASURED, MUTED, SHAKEN
-from loose_env.report import Plate, new_figure, quiet_axes
+from loose_env.report import FigureCard, new_figure, quiet_axes
 from loose_env.thesis.methods.looseness.modelling_alternatives import Weighing
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def section(seed: int) -> Section:
     stiff = weigh(planar(2), seed, 1)
     columns_table, columns_words = jacobian_columns()
     rank_table, rank_words = jacobian_ranks(told)
-    inertia_table, inertia_words, inertia_plate = inertia_condition(seed, told)
+    inertia_table, inertia_words, inertia_card = inertia_condition(seed, told)
     return Section(
         key="modelling",
         title="Modelling looseness (3.2)",
@@ -107,15 +107,15 @@ def section(seed: int) -> Section:
             rank_table,
             inertia_table,
         ],
-        plates=[
-            Plate(
+        cards=[
+            FigureCard(
                 image=ratios_figure(flexible),
                 title="How far the gap stands out, by alternative",
                 caption="Disagreement made by a gap of 0.2 mm on VERA over the noise of the "
                 "sensors (blue), and over noise and the model's own error together (orange). "
                 "Left of the line the gap is hidden.",
             ),
-            inertia_plate,
+            inertia_card,
         ],
         equations=EQUATIONS,
         left_out=[

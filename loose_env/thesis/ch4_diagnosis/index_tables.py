@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from loose_env.envs import FAINT, INK, MEASURED, MUTED
-from loose_env.report import WIDTH, Plate, new_figure
+from loose_env.report import WIDTH, FigureCard, new_figure
 from loose_env.thesis.ch4_diagnosis.comparative_index import (
     STEP,
     ErrorSummary,
@@ -67,8 +67,8 @@ def section(seed: int) -> Section:
                 rows=tuple(slips),
             ),
         ],
-        plates=[
-            Plate(
+        cards=[
+            FigureCard(
                 image=index_figure(
                     {"looseness": loose, "low preload, no fault": preload, "backlash": backlash}
                 ),

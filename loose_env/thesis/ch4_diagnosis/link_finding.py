@@ -20,7 +20,7 @@ from loose_env.diagnosis import (
 from loose_env.envs import Difficulty, FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Healthy
-from loose_env.report import Plate
+from loose_env.report import FigureCard
 from loose_env.rig import Job, Measurement, SimulatedRig
 from loose_env.statistics import axial_difference, lowest_correlation_direction
 from loose_env.thesis.ch6_experiments.shaken_vera.cases import (
@@ -100,7 +100,7 @@ def section(seed: int) -> Section:
         finding=_words(found)[1].partition(";")[0] + ".",
         words=_words(found),
         tables=[_search_table(found), _average_table(seed)],
-        plates=[_plate(found)],
+        cards=[_card(found)],
         equations=EQUATIONS,
         left_out=[
             "The search on VERA itself: with two links and the looseness joint on the second, "
@@ -270,7 +270,7 @@ def _average_table(seed: int) -> Table:
     )
 
 
-def _plate(found: Found) -> Plate:
+def _card(found: Found) -> FigureCard:
     points = []
     for name in ESTIMATORS:
         ends = [_interval(found[name, order]) for order in ORDERS]
@@ -282,7 +282,7 @@ def _plate(found: Found) -> Plate:
                 high=[100 * e[1] for e in ends],
             )
         )
-    return Plate(
+    return FigureCard(
         title="Right links by order and estimator",
         image=by_category(points, ORDERS, ylabel="right link [%]", xlabel="order of the joints"),
         caption="Share of searches that name the right link, with the 95 % interval.",

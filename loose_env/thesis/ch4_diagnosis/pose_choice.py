@@ -8,7 +8,7 @@ import numpy as np
 
 from loose_env.arms import Arm, planar, vera
 from loose_env.kinematics import Chain, geometric_jacobian, reactions, wrench_rank
-from loose_env.report import Plate
+from loose_env.report import FigureCard
 from loose_env.thesis.ch4_diagnosis.pose_figures import (
     EllipsoidPanel,
     comparison_figure,
@@ -56,8 +56,8 @@ def section(seed: int) -> Section:
         + " times as hard as random ones, per motion of the tool.",
         words=[*ellipsoid_words, *push_words, *trial_words(trials)],
         tables=[ellipsoid_table, push_table, trial_table(trials), move_table(trials)],
-        plates=[
-            Plate(
+        cards=[
+            FigureCard(
                 image=ellipsoid_figure(vera(), panels),
                 title="Kinematic manipulability in the five poses",
                 caption="Frame of link 2, its y axis up; the dark dot is joint 1, the square the "
@@ -65,7 +65,7 @@ def section(seed: int) -> Section:
                 "ellipsoid.",
                 heading="Poses",
             ),
-            Plate(
+            FigureCard(
                 image=set_figure(
                     [(t.arm, t.poses, t.pushes) for t in trials],
                 ),
@@ -74,7 +74,7 @@ def section(seed: int) -> Section:
                 "the worst seat is pushed most, per energy, and the joints differ most (by the "
                 "sine). Red: push of the last link's seat from each joint. Joint angles above.",
             ),
-            Plate(
+            FigureCard(
                 image=comparison_figure([c for t in trials for c in t.comparisons]),
                 title="Chosen against random",
                 caption=f"Grey: mean drive of {RANDOM_SETS} random sets of {SET} poses, in the "

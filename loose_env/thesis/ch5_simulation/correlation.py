@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from loose_env.envs import FAINT, INK, MUTED
-from loose_env.report import AGENTS, Plate, new_figure, quiet_axes
+from loose_env.report import AGENTS, FigureCard, new_figure, quiet_axes
 from loose_env.statistics import (
     axial_difference,
     correlation_loop,
@@ -131,8 +131,8 @@ def section(seed: int) -> Section:
                 "half range : variance",
             ),
         ),
-        plates=(
-            Plate(
+        cards=(
+            FigureCard(
                 image=_loops(scaled, mixed),
                 title="Correlation loops",
                 caption=(
@@ -142,7 +142,7 @@ def section(seed: int) -> Section:
                     "Each loop passes through the origin along 90°."
                 ),
             ),
-            Plate(
+            FigureCard(
                 image=_error_figure(scaled, mixed),
                 title="Error of the direction",
                 caption=(

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from loose_env.report import Plate
+from loose_env.report import FigureCard
 from loose_env.thesis.ch5_simulation.distribution_matching import (
     ANGLE,
     HALF_WIDTH,
@@ -24,10 +24,10 @@ from loose_env.thesis.ch5_simulation.distribution_matching import (
 from loose_env.thesis.ch5_simulation.tool_motion import (
     KINDS,
     STEPS,
+    card,
     draw_motions,
     kurtosis_table,
     motion_words,
-    plate,
     transitions,
 )
 from loose_env.thesis.methods.motion.distribution_matching import MatchSettings
@@ -115,10 +115,10 @@ def section(seed: int) -> Section:
             _errors(exact, found, told),
             _spatial_table(spatial),
         ),
-        plates=(
-            plate(motions["displacement"], "displacement", "5.6", 1e3, "mm"),
-            plate(motions["velocity"], "velocity", "5.8", 1.0, "m/s"),
-            Plate(
+        cards=(
+            card(motions["displacement"], "displacement", "5.6", 1e3, "mm"),
+            card(motions["velocity"], "velocity", "5.8", 1.0, "m/s"),
+            FigureCard(
                 image=basin_figure(found, by_offset),
                 title="From how far the match finds the direction",
                 caption=(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from loose_env.envs import INK, MEASURED, MUTED, TRUTH
-from loose_env.report import Plate, new_figure
+from loose_env.report import FigureCard, new_figure
 from loose_env.statistics import kurtosis
 from loose_env.thesis.methods.motion.histogram import contour_levels, histogram
 from loose_env.thesis.methods.motion.loose_planar_arm import (
@@ -191,9 +191,9 @@ def transitions(table: Array, source: dict[str, object]) -> Table:
     )
 
 
-def plate(motions: list[Motion], name: str, number: str, scale: float, unit: str) -> Plate:
-    """Contours in all poses, as a plate."""
-    return Plate(
+def card(motions: list[Motion], name: str, number: str, scale: float, unit: str) -> FigureCard:
+    """Contours in all poses, as a card."""
+    return FigureCard(
         image=_contours(motions, scale, unit),
         title=f"Distribution of the tool's {name}",
         caption=(

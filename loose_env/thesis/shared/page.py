@@ -149,7 +149,7 @@ def _section(outcome: Outcome) -> dict[str, Any]:
         "finding": section.finding,
         "words": list(section.words),
         "tables": [_table(table) for table in section.tables],
-        "plates": [shown(plate, f"{section.key}-f{k}") for k, plate in enumerate(section.plates)],
+        "cards": [shown(card, f"{section.key}-f{k}") for k, card in enumerate(section.cards)],
         "numbers": ranges(list(section.equations)),
     }
 

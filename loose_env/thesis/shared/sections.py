@@ -14,7 +14,7 @@ from multiprocessing import get_context
 from types import ModuleType
 
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
-from loose_env.report import Plate, to_svg
+from loose_env.report import FigureCard, to_svg
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +50,7 @@ class Section:
     """Paragraphs: what was done, what the thesis found, what is found here."""
     tables: Sequence[Table] = ()
     """Tables, printed beside found."""
-    plates: Sequence[Plate] = ()
+    cards: Sequence[FigureCard] = ()
     """Figures."""
     equations: Mapping[str, str] = field(default_factory=dict)
     """Function that implements each equation, by its number: ``{"6.6": "module.function"}``."""
@@ -152,7 +152,7 @@ def run_section(key: str, seed: int) -> Outcome:
         if found.key != key:
             raise InvalidData(f"section {key!r} calls itself {found.key!r}")
         # Figures become SVG here, so that the work is shared and little travels back.
-        section = replace(found, plates=[_drawn(plate) for plate in found.plates])
+        section = replace(found, cards=[_drawn(card) for card in found.cards])
     except (Exception, SystemExit) as error:
         return _failed(key, error, time.perf_counter() - begin)
     return Outcome(key=key, seconds=time.perf_counter() - begin, section=section)
@@ -236,5 +236,5 @@ def _failed(key: str, error: BaseException, seconds: float) -> Outcome:
     return Outcome(key=key, seconds=seconds, error=line, trace=trace)
 
 
-def _drawn(plate: Plate) -> Plate:
-    return plate if isinstance(plate.image, bytes) else replace(plate, image=to_svg(plate.image))
+def _drawn(card: FigureCard) -> FigureCard:
+    return card if isinstance(card.image, bytes) else replace(card, image=to_svg(card.image))

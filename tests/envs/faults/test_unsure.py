@@ -303,7 +303,7 @@ def test_a_load_changes_nothing_where_nothing_is_loose(make_env: MakeEnv) -> Non
     np.testing.assert_array_equal(*seen)
 
 
-# ---- what the picture and the story say
+# ---- what picture and timeline show
 
 
 def test_the_words_call_being_unsure_neither_right_nor_wrong(make_env: MakeEnv) -> None:

@@ -86,7 +86,7 @@ def test_the_section_is_whole_and_repeats(done):
     again = section(1)
     assert list(done.words) == list(again.words)
     assert [t.rows for t in done.tables] == [t.rows for t in again.tables]
-    assert len(done.plates) == 4
+    assert len(done.cards) == 4
     assert "nan" not in " ".join(
         [*done.words, *(c for t in done.tables for r in t.rows for c in r)]
     )

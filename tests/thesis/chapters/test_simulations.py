@@ -24,9 +24,9 @@ from loose_env.thesis.ch5_simulation.distribution_matching import (
     spatial_study,
 )
 from loose_env.thesis.ch5_simulation.tool_motion import (
+    card,
     draw_motions,
     motion_words,
-    plate,
     transitions,
 )
 from loose_env.thesis.printed import printed
@@ -80,7 +80,7 @@ def test_motion_words_and_tables(monkeypatch):
     assert any("agree with the derivative" in line for line in words)
     assert any("0.0000 at most" in line for line in words)
     assert transitions(table, printed("simulations")).rows[1][-2:] == ("0.5000", "0.5")
-    picture = plate(motions["displacement"], "displacement", "5.6", 1e3, "mm")
+    picture = card(motions["displacement"], "displacement", "5.6", 1e3, "mm")
     assert len(picture.image.axes) == 6
 
 
@@ -104,7 +104,7 @@ def test_direction_error_of_a_wide_uniform_is_sampling_error():
 
 def test_correlation_section(correlations):
     assert correlations.key == "correlation_simulations"
-    assert len(correlations.tables) == 2 and len(correlations.plates) == 2
+    assert len(correlations.tables) == 2 and len(correlations.cards) == 2
     errors = [float(row[2].removesuffix("°")) for row in correlations.tables[0].rows]
     assert errors == sorted(errors, reverse=True)
     assert any("leaves the direction as it is" in words for words in correlations.words)

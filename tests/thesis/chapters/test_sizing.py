@@ -18,7 +18,7 @@ def found() -> Section:
 
 
 def test_the_section_is_complete(found: Section) -> None:
-    assert found.key == "sizing" and len(found.plates) == 2 and len(found.tables) == 4
+    assert found.key == "sizing" and len(found.cards) == 2 and len(found.tables) == 4
     assert {"3.41", "6.1", "6.2", "6.3", "6.4", "6.5", "6.6", "6.11", "6.12"} == set(
         found.equations
     )

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from loose_env.thesis.ch6_experiments.arm.experiment_one_figures import (
-    end_plate,
-    shudder_plate,
-    spectrum_plate,
-    time_plate,
+    end_card,
+    shudder_card,
+    spectrum_card,
+    time_card,
 )
 from loose_env.thesis.ch6_experiments.arm.guideway import (
     POSES,
@@ -234,11 +234,11 @@ def section(seed: int) -> Section:
             _end_table(shifted),
             _summary(told, rings, weight_over, goes_over, (with_play, without)),
         ),
-        plates=(
-            time_plate(sets, tight),
-            spectrum_plate(sets, int(told["spectrum_averages"]), settings),
-            end_plate(shifted, SHIFTED_POSE),
-            shudder_plate(sets["B"], tight, weight_over),
+        cards=(
+            time_card(sets, tight),
+            spectrum_card(sets, int(told["spectrum_averages"]), settings),
+            end_card(shifted, SHIFTED_POSE),
+            shudder_card(sets["B"], tight, weight_over),
         ),
         equations=EQUATIONS,
         left_out=(

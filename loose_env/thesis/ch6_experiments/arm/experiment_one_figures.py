@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from loose_env.envs import INK, MEASURED, MUTED, SHAKEN, TRUTH
-from loose_env.report import Plate
+from loose_env.report import FigureCard
 from loose_env.thesis.ch6_experiments.arm.guideway import Guideway, Strokes
 from loose_env.thesis.shared.plots import panels
 from loose_env.typing import Array
@@ -15,7 +15,7 @@ from loose_env.typing import Array
 _LABEL = "m/s²"
 
 
-def time_plate(sets: Mapping[str, Strokes], tight: Strokes) -> Plate:
+def time_card(sets: Mapping[str, Strokes], tight: Strokes) -> FigureCard:
     """Draw three strokes each of poses A, B and C, and of B without play."""
     shown = {f"pose {name}: {words}": sets[name] for name, words in _POSE_WORDS.items()}
     shown["pose B, play taken out of the guide"] = tight
@@ -27,7 +27,7 @@ def time_plate(sets: Mapping[str, Strokes], tight: Strokes) -> Plate:
         for k, colour in enumerate((MEASURED, SHAKEN, INK)):
             panel.plot(strokes.time, strokes.acceleration[k], color=colour, linewidth=0.8)
         panel.set(xlim=(0, strokes.time[-1]), ylim=(1.1 * low, -0.8 * low))
-    return Plate(
+    return FigureCard(
         image=figure,
         title="Three strokes each, one over the other",
         caption="Acceleration of the wrist along the boom in poses A, B and C, three strokes in "
@@ -39,7 +39,7 @@ def time_plate(sets: Mapping[str, Strokes], tight: Strokes) -> Plate:
 _POSE_WORDS = {"A": "out and low", "B": "in and low", "C": "out and high"}
 
 
-def spectrum_plate(sets: Mapping[str, Strokes], averages: int, settings: Guideway) -> Plate:
+def spectrum_card(sets: Mapping[str, Strokes], averages: int, settings: Guideway) -> FigureCard:
     """Draw the spectra of poses A and B, and their difference."""
     frequency, a = _spectrum(sets["A"].acceleration[:averages], settings.rate)
     _, b = _spectrum(sets["B"].acceleration[:averages], settings.rate)
@@ -58,7 +58,7 @@ def spectrum_plate(sets: Mapping[str, Strokes], averages: int, settings: Guidewa
         panel.set_ylim(0.5 * min(a[shown].min(), b[shown].min()), 2 * a.max())
     top = 1.2 * float(np.abs(a - b)[shown].max())
     axes[2].set_ylim(-top, top)
-    return Plate(
+    return FigureCard(
         image=figure,
         title="Spectra of two poses and their difference",
         caption=f"Amplitude spectra of the wrist's acceleration, averaged over {averages} strokes "
@@ -76,7 +76,7 @@ def _spectrum(strokes: Array, rate: float) -> tuple[Array, Array]:
     return frequency, np.asarray(lines.mean(axis=0))
 
 
-def end_plate(shifted: Mapping[int, Strokes], pose: str) -> Plate:
+def end_card(shifted: Mapping[int, Strokes], pose: str) -> FigureCard:
     """Draw the end of the stroke for each end point; keys are shifts [mm]."""
     figure, (panel,) = panels(
         ["end of the stroke, mean of each set"],
@@ -105,7 +105,7 @@ def end_plate(shifted: Mapping[int, Strokes], pose: str) -> Plate:
             ha="right",
         )
     panel.set_xlim(0.86, 1.10)
-    return Plate(
+    return FigureCard(
         image=figure,
         title=f"End point moved, pose {pose}",
         caption="The stroke stops later when its end lies farther out. The band is one standard "
@@ -113,7 +113,7 @@ def end_plate(shifted: Mapping[int, Strokes], pose: str) -> Plate:
     )
 
 
-def shudder_plate(loose: Strokes, tight: Strokes, weight_over: float) -> Plate:
+def shudder_card(loose: Strokes, tight: Strokes, weight_over: float) -> FigureCard:
     """Draw acceleration and pitch of the boom against its reach, with play and without."""
     figure, (upper, lower) = panels(
         ["acceleration of the wrist along the boom, mean", "pitch of the boom in its guide"],
@@ -134,7 +134,7 @@ def shudder_plate(loose: Strokes, tight: Strokes, weight_over: float) -> Plate:
     )
     lower.text(0.495, 0.25, "with play", color=MEASURED, fontsize=8.5, ha="right")
     lower.text(0.495, -0.35, "without play", color=MUTED, fontsize=8.5, ha="right")
-    return Plate(
+    return FigureCard(
         image=figure,
         title="Where the shudder comes from, pose B",
         caption="The boom leaves its rear seat where its weight comes over the middle of the "

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from loose_env.arms import LINK_LENGTH, vera
-from loose_env.report import Plate
+from loose_env.report import FigureCard
 from loose_env.thesis.ch6_experiments.arm.sizing_figures import (
     CaseCurves,
     force_figure,
@@ -115,8 +115,8 @@ def section(seed: int) -> Section:
             *structure_words,
         ],
         tables=[torque_table, readings_table, force_table, structure_table],
-        plates=[
-            Plate(
+        cards=[
+            FigureCard(
                 image=torque_figure(curves, limits, top),
                 title="Torque against the angle of joint 2",
                 caption="Shaded: all rates of joint 2 between the two limits. Rows: rate and "
@@ -124,7 +124,7 @@ def section(seed: int) -> Section:
                 "depend on its own rate (6.3). The same sweep as figures 6.7 and 6.8.",
                 heading="Torque and force over the workspace",
             ),
-            Plate(
+            FigureCard(
                 image=force_figure(curves),
                 title="Joint force against the angle of joint 2",
                 caption="Greatest force over all rates of joint 2, split into its part along the "

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from loose_env.arms import BENDING_MODE_HZ, LinearArm, ShakenArm
-from loose_env.report import Plate
+from loose_env.report import FigureCard
 from loose_env.statistics import axial_difference
 from loose_env.thesis.ch6_experiments.shaken_vera.cases import (
     LOOSE_DIRECTION,
@@ -102,7 +102,7 @@ def section(seed: int) -> Section:
             axis_table(cases),
             pin_table(cases[TIGHT], cases["pin half released"]),
         ],
-        plates=_plates(cases),
+        cards=_cards(cases),
         equations=EQUATIONS,
         left_out=[
             "Experiment Five: the sound of the rig, which changed with the loss of preload.",
@@ -270,33 +270,33 @@ def _unexplained(cases: Cases) -> str:
     )
 
 
-def _plates(cases: Cases) -> list[Plate]:
+def _cards(cases: Cases) -> list[FigureCard]:
     names = (TIGHT, LOOSE, FINGER)
     return [
-        Plate(
+        FigureCard(
             title="Correlation by direction (figures 6.34 to 6.38)",
             image=loop_figure(cases, names, LOOSE_DIRECTION),
             caption="Correlation of the tool with link 1 along every direction, first record of "
             "each case; the line lies along the looseness joint, y points up.",
         ),
-        Plate(
+        FigureCard(
             title="Tool acceleration in the plane (figures 6.34 to 6.38)",
             image=histogram_panels(cases, names, LOOSE_DIRECTION),
             caption="Contours that hold 90 % of the samples of all records, states by colour.",
         ),
-        Plate(
+        FigureCard(
             title="Skewness along the looseness joint (figure 6.39)",
             image=moment_figure(cases, names, LOOSE_DIRECTION, third=True),
             caption="Skewness of the tool's acceleration along the looseness joint, pose by pose, "
             "with the interval of single records.",
         ),
-        Plate(
+        FigureCard(
             title="Kurtosis along the looseness joint (figure 6.40)",
             image=moment_figure(cases, names, LOOSE_DIRECTION, third=False),
             caption="Kurtosis along the looseness joint: zero for Gaussian motion, high where the "
             "seat strikes its stops.",
         ),
-        Plate(
+        FigureCard(
             title="What the thesis left aside (4.1.2)",
             image=direction_figure(cases, (TIGHT, LOOSE), LOOSE_DIRECTION, "looseness joint"),
             caption="Kurtosis, flatness of the spectrum and mean coherence with link 1 against "

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from loose_env.report import Plate
+from loose_env.report import FigureCard
 from loose_env.thesis.ch6_experiments.shaken_vera.cases import (
     PLAY_DIRECTION,
     CaseFigures,
@@ -77,7 +77,7 @@ def section(seed: int) -> Section:
                 number="6.2",
             ),
         ],
-        plates=_plates(cases),
+        cards=_cards(cases),
         equations=EQUATIONS,
         left_out=["Experiment Six: the sound of the rig, which changed with the loss of preload."],
     )
@@ -141,32 +141,32 @@ def _case_table(cases: Cases) -> Table:
     )
 
 
-def _plates(cases: Cases) -> list[Plate]:
+def _cards(cases: Cases) -> list[FigureCard]:
     states = (TIGHT, PLAY)
     return [
-        Plate(
+        FigureCard(
             title="Correlation by direction (figures 6.41 to 6.45)",
             image=loop_figure(cases, states, PLAY_DIRECTION),
             caption="Correlation of the tool with link 1 along every direction, first record of "
             "each case; the line lies along the backlash motion, y points up.",
         ),
-        Plate(
+        FigureCard(
             title="Tool acceleration in the plane (figures 6.41 to 6.45)",
             image=histogram_panels(cases, states, PLAY_DIRECTION),
             caption="Contours that hold 90 % of the samples of all records, states by colour.",
         ),
-        Plate(
+        FigureCard(
             title="Skewness along the backlash motion (figure 6.46)",
             image=moment_figure(cases, states, PLAY_DIRECTION, third=True),
             caption="Skewness of the tool's acceleration along its y axis, pose by pose; the "
             "thesis saw no trend.",
         ),
-        Plate(
+        FigureCard(
             title="Kurtosis along the backlash motion (figure 6.47)",
             image=moment_figure(cases, states, PLAY_DIRECTION, third=False),
             caption="Kurtosis along the tool's y axis, pose by pose; the thesis saw no trend.",
         ),
-        Plate(
+        FigureCard(
             title="What the thesis left aside (4.1.2)",
             image=direction_figure(cases, states, PLAY_DIRECTION, "backlash motion", pose=2),
             caption="Kurtosis, flatness of the spectrum and mean coherence with link 1 against "

@@ -10,7 +10,7 @@ import numpy as np
 
 from loose_env.excitation import Excitation
 from loose_env.faults import Fault, Healthy
-from loose_env.report import Plate
+from loose_env.report import FigureCard
 from loose_env.rig import Job, Measurement, SimulatedRig
 from loose_env.sensors import Accelerometer, SensorSuite
 from loose_env.statistics import (
@@ -102,7 +102,7 @@ def section(seed: int) -> Section:
         ),
         words=_words(bolted, loose),
         tables=[_direction_table(bolted), _screw_table(loose)],
-        plates=_plates(bolted),
+        cards=_cards(bolted),
         equations=EQUATIONS,
         left_out=[
             "Experiment Four: the drop of the maximum correlation with looseness. Across the "
@@ -254,7 +254,7 @@ def _screw_table(loose: Trials) -> Table:
     )
 
 
-def _plates(bolted: Trials) -> list[Plate]:
+def _cards(bolted: Trials) -> list[FigureCard]:
     names = (TIGHT, LOOSE, FINGER)
     angles = [f"{np.degrees(t.angle):.0f}°" for t in bolted[TIGHT]]
 
@@ -292,19 +292,19 @@ def _plates(bolted: Trials) -> list[Plate]:
         return points
 
     return [
-        Plate(
+        FigureCard(
             title="Absolute acceleration (figures 6.26 to 6.29, left)",
             image=absolute,
             caption="Correlation with the slide along every direction, first record of each case; "
             "the line lies along the looseness joint.",
         ),
-        Plate(
+        FigureCard(
             title="Relative acceleration (figures 6.27 to 6.29, right)",
             image=relative,
             caption="The same with the slide's own motion taken off the distal link's. Tight, only "
             "noise is left.",
         ),
-        Plate(
+        FigureCard(
             title="Skewness along the joint (figure 6.30)",
             image=by_category(
                 moments(True), angles, ylabel="skewness", xlabel="angle β", symlog=1.0
@@ -312,7 +312,7 @@ def _plates(bolted: Trials) -> list[Plate]:
             caption="Skewness of the distal link's acceleration along the joint; the two stops "
             "differ in stiffness.",
         ),
-        Plate(
+        FigureCard(
             title="Kurtosis along the joint (figure 6.31)",
             image=by_category(
                 moments(False), angles, ylabel="kurtosis", xlabel="angle β", symlog=1.0

@@ -10,10 +10,10 @@ from scipy.signal import welch
 from loose_env.statistics import bandpass
 from loose_env.thesis.ch6_experiments.slide.directions import angle_part, angles, shares_within
 from loose_env.thesis.ch6_experiments.slide.figures import (
-    angle_plate,
-    moment_plate,
-    resolver_plate,
-    velocity_plate,
+    angle_card,
+    moment_card,
+    resolver_card,
+    velocity_card,
 )
 from loose_env.thesis.ch6_experiments.slide.records import (
     SlideRecords,
@@ -96,11 +96,11 @@ def section(seed: int) -> Section:
             *base_words,
         ),
         tables=(angle_table, velocity_table, order_table(told), resolver_table, base_table),
-        plates=(
-            angle_plate(found),
-            moment_plate(records),
-            velocity_plate(records, case, told),
-            resolver_plate(turned),
+        cards=(
+            angle_card(found),
+            moment_card(records),
+            velocity_card(records, case, told),
+            resolver_card(turned),
         ),
         equations=EQUATIONS,
         left_out=(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from loose_env.envs import INK, MEASURED, MUTED, SHAKEN, TRUTH
-from loose_env.report import Plate
+from loose_env.report import FigureCard
 from loose_env.thesis.ch6_experiments.slide.records import (
     RESOLVER_UNIT,
     ResolverRecords,
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from loose_env.thesis.ch6_experiments.slide.directions import Angles
 
 
-def angle_plate(found: Angles) -> Plate:
+def angle_card(found: Angles) -> FigureCard:
     """Draw the error of the direction and the correlation against the angle of the cube."""
     figure, (upper, lower) = panels(
         ["error of the direction found [°]", "correlation |r| of one axis with the other"],
@@ -48,7 +48,7 @@ def angle_plate(found: Angles) -> Plate:
     lower.set(xlim=(-2, 92), ylim=(0, 1.08))
     for panel in (upper, lower):
         panel.set_xticks(range(0, 91, 15))
-    return Plate(
+    return FigureCard(
         image=figure,
         title="Direction from two perpendicular accelerometers",
         caption="The rms direction is drawn towards 45° near the axes, where the bench and noise "
@@ -56,7 +56,7 @@ def angle_plate(found: Angles) -> Plate:
     )
 
 
-def moment_plate(records: SlideRecords) -> Plate:
+def moment_card(records: SlideRecords) -> FigureCard:
     """Draw the direction at every instant for three angles of the cube."""
     shown = [int(np.argmin(np.abs(np.degrees(records.alpha) - a))) for a in (10, 45, 80)]
     count = round(0.02 * records.rate)
@@ -77,7 +77,7 @@ def moment_plate(records: SlideRecords) -> Plate:
         panel.axhline(np.degrees(true), color=TRUTH, linewidth=1.1)
         panel.scatter(time, direction, s=size, color=MEASURED, alpha=0.6, linewidth=0)
         panel.set(xlim=(0, time[-1]), ylim=(np.degrees(true) - 30, np.degrees(true) + 30))
-    return Plate(
+    return FigureCard(
         image=figure,
         title="Direction at every instant",
         caption="A dot a sample, larger where the acceleration is larger; the line is the cube's "
@@ -86,7 +86,7 @@ def moment_plate(records: SlideRecords) -> Plate:
     )
 
 
-def velocity_plate(records: SlideRecords, case: int, told: Mapping[str, Any]) -> Plate:
+def velocity_card(records: SlideRecords, case: int, told: Mapping[str, Any]) -> FigureCard:
     """Draw velocities by quadrature, step by step and summed, of one record."""
     short, long = told["velocity_windows_s"]
     rate = records.rate
@@ -130,7 +130,7 @@ def velocity_plate(records: SlideRecords, case: int, told: Mapping[str, Any]) ->
         fontsize=9,
         ha="right",
     )
-    return Plate(
+    return FigureCard(
         image=figure,
         title=f"Velocity by quadrature, α = {told['velocity_angle_deg']}°",
         caption="One step of the rule is an acceleration in other units and stays about zero "
@@ -139,7 +139,7 @@ def velocity_plate(records: SlideRecords, case: int, told: Mapping[str, Any]) ->
     )
 
 
-def resolver_plate(turned: ResolverRecords) -> Plate:
+def resolver_card(turned: ResolverRecords) -> FigureCard:
     """Draw what the resolver says beside what the link does."""
     count = round(0.12 * turned.rate)
     time = 1000 * np.arange(count) / turned.rate
@@ -162,7 +162,7 @@ def resolver_plate(turned: ResolverRecords) -> Plate:
     lower.text(
         1.0, 1.06, "by 6.13", transform=lower.transAxes, color=MEASURED, fontsize=9, ha="right"
     )
-    return Plate(
+    return FigureCard(
         image=figure,
         title="A resolver behind a gear with play",
         caption="The resolver follows late, in steps, and stands still while the link crosses the "

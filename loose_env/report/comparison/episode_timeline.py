@@ -10,7 +10,7 @@ import numpy as np
 from loose_env.arms import Arm
 from loose_env.envs import DiagnosisSettings, EpisodeBatch, Picture, fault_words, hypothesis_words
 from loose_env.faults import UNSURE
-from loose_env.report.pages.figure_card import Plate
+from loose_env.report.pages.figure_card import FigureCard
 from loose_env.report.pages.svg import to_svg
 
 
@@ -29,10 +29,10 @@ class Player(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Story:
+class EpisodeTimeline:
     """What happened in one episode."""
 
-    plates: tuple[Plate, ...]
+    cards: tuple[FigureCard, ...]
     """The first pose, every record and the end, in order."""
     truth: str
     """The hypothesis that was true."""
@@ -44,9 +44,9 @@ class Story:
     """The end in plain words."""
 
 
-def tell_episode(
+def episode_timeline(
     agent: Player, arm: Arm, settings: DiagnosisSettings, *, seed: int, number: int = 0
-) -> Story:
+) -> EpisodeTimeline:
     """Let an agent play an episode and draw each step.
 
     Parameters
@@ -65,7 +65,7 @@ def tell_episode(
     batch.start(0, seed=seed, number=number)
     episode = batch.episode(0)
     assert episode is not None
-    plates = [Plate(image=to_svg(picture.figure(episode)), caption="The first pose")]
+    cards = [FigureCard(image=to_svg(picture.figure(episode)), caption="The first pose")]
     state: Any = None
     info: dict[str, Any] = {}
     while not episode.ended:
@@ -76,19 +76,19 @@ def tell_episode(
         if episode.ended:
             break
         caption = f"Record {episode.records}"
-        plates.append(Plate(image=to_svg(picture.figure(episode)), caption=caption))
+        cards.append(FigureCard(image=to_svg(picture.figure(episode)), caption=caption))
     verdict = info["verdict"]
     named = hypothesis_words(verdict)
     truth = fault_words(episode.fault)
     last = picture.figure(episode, verdict=verdict)
-    plates.append(Plate(image=to_svg(last), caption="Verdict and truth"))
+    cards.append(FigureCard(image=to_svg(last), caption="Verdict and truth"))
     mark = "That was right." if verdict == info["fault"] else f"That was wrong: {truth}."
     if verdict == UNSURE:
         mark = f"What was the matter: {truth}."
     spent = f"After {episode.records} record{'' if episode.records == 1 else 's'}"
     said = "there was no verdict" if verdict is None else f"the verdict was: {named}"
-    return Story(
-        plates=tuple(plates),
+    return EpisodeTimeline(
+        cards=tuple(cards),
         truth=info["fault"],
         verdict=verdict,
         records=episode.records,
