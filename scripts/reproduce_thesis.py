@@ -1,4 +1,4 @@
-"""The thesis's experiments, run here and set beside what it printed: one page.
+"""Reproduce the thesis's experiments and compare them with the printed results, on one page.
 
 Usage: python scripts/reproduce_thesis.py --only index_tables link_finding
 """
@@ -16,7 +16,8 @@ from pathlib import Path
 
 import loose_env
 from loose_env.errors import LooseEnvError, words_of
-from loose_env.thesis import SECTIONS, Outcome, choose, first_line, run_sections, write_thesis_page
+from loose_env.report import write_whole
+from loose_env.thesis import SECTIONS, Outcome, choose, first_line, render_thesis_page, run_sections
 
 SEED = 1995
 PACKAGES = ("numpy", "scipy", "mujoco", "gymnasium", "matplotlib", "Jinja2", "odrpack")
@@ -103,8 +104,7 @@ def reproduce(options: argparse.Namespace) -> int:
     for o in outcomes:
         if o.trace:
             print(f"\n{o.key}:\n{o.trace}", file=sys.stderr)
-    page = write_thesis_page(
-        out / "index.html",
+    html = render_thesis_page(
         outcomes,
         title=_TITLE,
         text=_TEXT,
@@ -112,6 +112,7 @@ def reproduce(options: argparse.Namespace) -> int:
         seed=options.seed,
         versions=versions(),
     )
+    page = write_whole(out / "index.html", html)
     failed = [o.key for o in outcomes if o.section is None]
     print(f"\n{summary(outcomes)}\n")
     if failed:

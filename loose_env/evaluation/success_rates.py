@@ -196,15 +196,15 @@ def table_of(found: Sequence[Standing], *, reference: str | None = None) -> list
     for s in found:
         row = {
             "Agent": s.agent,
-            "Right": f"{100 * s.success:.1f} %",
+            "Accuracy": f"{100 * s.success:.1f} %",
             "95 % interval": f"{100 * s.low:.1f} to {100 * s.high:.1f} %",
-            "Right place": percent(s.link_success),
+            "Location": percent(s.link_success),
             "False alarms": percent(s.false_alarms),
-            "Missed": percent(s.misses),
+            "Missed faults": percent(s.misses),
             **({"Unsure": percent(s.unsure)} if unsure else {}),
             "Poses": f"{s.poses:.2f}",
             "Records": f"{s.records:.2f}{_margin(s.records_interval)}",
-            "Shaken": f"{s.seconds:.2f} s",
+            "Excited": f"{s.seconds:.2f} s",
             "Return": f"{s.reward:.3f}{_margin(s.reward_interval, 3)}".replace("-", "−"),
         }
         if reference is not None:

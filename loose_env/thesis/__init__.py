@@ -16,7 +16,7 @@ from loose_env.thesis.rigs.shaken_vera import (
     shaken_vera,
 )
 from loose_env.thesis.shared.page import (
-    write_thesis_page,
+    render_thesis_page,
 )
 from loose_env.thesis.shared.sections import (
     SECTIONS,
@@ -35,7 +35,7 @@ __all__ = [
     "cylindrical",
     "first_line",
     "printed_healthy",
+    "render_thesis_page",
     "run_sections",
     "shaken_vera",
-    "write_thesis_page",
 ]

@@ -21,13 +21,14 @@ from loose_env.report.comparison.confusion_matrix import (
     ordered_hypotheses,
 )
 from loose_env.report.comparison.episode_timeline import EpisodeTimeline, episode_timeline
-from loose_env.report.comparison.page import render_page, write_comparison_page
+from loose_env.report.comparison.page import render_page
 from loose_env.report.comparison.report import write_comparison
 from loose_env.report.pages.figure_card import FigureCard
 from loose_env.report.pages.figures import success_against_records, success_bars
 from loose_env.report.pages.palette import AGENTS, agent_colours
 from loose_env.report.pages.svg import THEMED, inline, to_svg
 from loose_env.report.pages.table import PageTable
+from loose_env.report.pages.template import write_whole
 
 PNG = b"\x89PNG\r\n\x1a\nrest"
 SVG = b'<svg width="5" height="4"><defs><g id="a"/></defs><use href="#a"/></svg>'
@@ -147,16 +148,16 @@ def test_the_page_of_a_whole_comparison_holds_every_section(tmp_path: Path) -> N
     for words in (
         "Return against net/random",
         "At least 1.2 records are needed.",
-        "How often they were right",
+        "Accuracy",
         "Estimator and choice of poses",
-        "What makes a fault hard to find",
+        "Accuracy by stratum",
         "By seat drive over friction",
         "By what was hidden",
         "By difficulty",
-        "Whether probabilities mean what they say",
-        "What another training would give",
+        "Calibration",
+        "Variation over training seeds",
         "Agarwal",
-        "What they took for what",
+        "Confusion matrices",
     ):
         assert words in page, words
     ids = re.findall(r'\bid="([^"]+)"', page)
@@ -168,7 +169,7 @@ def test_the_page_of_a_whole_comparison_holds_every_section(tmp_path: Path) -> N
 def test_tables_stand_in_the_section_of_their_heading() -> None:
     parts = [
         FigureCard(image=SVG, caption="picture", heading="First"),
-        PageTable(rows=[{"Agent": "a", "Right": "5 %"}], title="In it", note="Five."),
+        PageTable(rows=[{"Agent": "a", "Accuracy": "5 %"}], title="In it", note="Five."),
         PageTable(rows=[{"Agent": "b"}], heading="Second", intro="Why."),
     ]
     shown = render_page(**simple(figures=parts))
@@ -183,7 +184,7 @@ def test_values_are_escaped(page: str) -> None:
     shown = render_page(**simple(table=[{"<i>": "<script>x</script>"}], text="a < b"))
     assert "<script>" not in shown and "<i>" not in shown
     assert "a &lt; b" in shown
-    captioned = render_page(**simple(figures=[('"><script>', PNG)]))
+    captioned = render_page(**simple(figures=[FigureCard(caption='"><script>', image=PNG)]))
     assert "<script>" not in captioned
 
 
@@ -196,10 +197,17 @@ def test_no_id_stands_twice(page: str) -> None:
 
 def test_a_failing_render_leaves_the_old_file_whole(tmp_path: Path) -> None:
     path = tmp_path / "page.html"
-    write_comparison_page(path, **simple())
+    write_comparison(path, ROWS, title="t", played="p")
     old = path.read_bytes()
+    broken = EpisodeTimeline(
+        cards=(FigureCard(caption="no picture", image=b"GIF89a"),),
+        truth="healthy",
+        verdict=None,
+        records=0,
+        words="",
+    )
     with pytest.raises(InvalidData):
-        write_comparison_page(path, **simple(figures=[("no picture", b"GIF89a")]))
+        write_comparison(path, ROWS, title="t", played="p", timeline=broken)
     assert path.read_bytes() == old
     assert list(tmp_path.iterdir()) == [path]
 
@@ -208,7 +216,7 @@ def test_a_failing_write_leaves_the_old_file_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "page.html"
-    write_comparison_page(path, **simple())
+    write_whole(path, "old")
     old = path.read_bytes()
 
     def fail(self: Path, target: Path) -> None:
@@ -216,13 +224,20 @@ def test_a_failing_write_leaves_the_old_file_whole(
 
     monkeypatch.setattr(Path, "replace", fail)
     with pytest.raises(OSError, match="disk full"):
-        write_comparison_page(path, **simple(title="other"))
+        write_whole(path, "other")
     assert path.read_bytes() == old
     assert list(tmp_path.iterdir()) == [path]
 
 
 def test_figures_may_be_figures_svgs_or_pngs() -> None:
-    figures = [("a figure", success_bars(ROWS)), ("a drawing", SVG), ("a photo", PNG)]
+    figures = [
+        FigureCard(caption=caption, image=image)
+        for caption, image in (
+            ("a figure", success_bars(ROWS)),
+            ("a drawing", SVG),
+            ("a photo", PNG),
+        )
+    ]
     shown = render_page(**simple(figures=figures))
     assert shown.count("<svg") == 2
     assert 'src="data:image/png;base64,' in shown

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,7 +13,7 @@ from markupsafe import escape
 from loose_env.errors import InvalidData
 from loose_env.report import FigureCard, new_figure
 from loose_env.report.pages.svg import THEMED
-from loose_env.thesis.shared.page import LEFT_OUT, ranges, render_thesis_page, write_thesis_page
+from loose_env.thesis.shared.page import LEFT_OUT, ranges, render_thesis_page
 from loose_env.thesis.shared.sections import Outcome, Section, Table
 
 SVG = b'<svg viewBox="0 0 5 4"><g id="a"/><use href="#a"/></svg>'
@@ -148,22 +147,10 @@ def test_a_section_may_stand_only_once() -> None:
         render(outcome("first"), outcome("first"))
 
 
-def test_a_failing_render_leaves_the_old_file_whole(tmp_path: Path) -> None:
-    path = tmp_path / "new" / "index.html"
-    settings: dict[str, Any] = {
-        "title": "T",
-        "text": "x",
-        "command": "c",
-        "seed": 0,
-        "versions": {},
-    }
-    assert write_thesis_page(path, [outcome("first")], **settings) == path
-    old = path.read_bytes()
+def test_a_figure_that_is_none_is_refused() -> None:
     broken = outcome("first", cards=[FigureCard(image=b"GIF89a", caption="no picture")])
     with pytest.raises(InvalidData):
-        write_thesis_page(path, [broken], **settings)
-    assert path.read_bytes() == old
-    assert list(path.parent.iterdir()) == [path]
+        render(broken)
 
 
 def test_neighbouring_numbers_make_a_range() -> None:

@@ -1,4 +1,4 @@
-"""The confusion matrix of one agent: what it named, against what was the matter."""
+"""The confusion matrix of one agent: verdicts against true faults."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def confusion_matrix(
     """Draw the confusion matrix of one agent's rows.
 
     The number in a cell counts arms; the darker the cell, the larger their share of the arms
-    with that truth. Right verdicts lie in the framed cells.
+    with that truth. Correct verdicts lie in the framed cells.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Figures of what success costs, where it is won, and whether confidence can be trusted."""
+"""Figures of a comparison: accuracy against cost and by stratum, reliability diagram."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def success_and_records(
     curves: Mapping[str, Sequence[float]] | None = None,
     colours: Mapping[str, str] | None = None,
 ) -> Figure:
-    """Draw success against mean records: a point an agent, and the front that none beats.
+    """Draw accuracy against mean records: a point an agent, and the Pareto front.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def success_and_records(
         linewidth=1.0,
         linestyle=(0, (3, 2)),
         zorder=1,
-        label="front: no other beats these",
+        label="Pareto front",
     )
     for k, s in enumerate(found):
         axes.plot([s.records] * 2, [s.low, s.high], color=paint[s.agent], linewidth=1.4, zorder=3)
@@ -87,12 +87,12 @@ def success_and_records(
     low = min([*(s.low for s in found), *(min(c) for c in (curves or {}).values())])
     axes.set(xlim=(0, 1.04 * most), ylim=(max(0.0, np.floor(10 * low - 0.5) / 10), 1.0))
     axes.set_xlabel("mean records", color=MUTED, fontsize=9)
-    _finish(figure, axes, "share of right verdicts")
+    _finish(figure, axes, "accuracy")
     return figure
 
 
 def success_by_group(division: Division, *, colours: Mapping[str, str] | None = None) -> Figure:
-    """Draw the success of every agent in every group of a division, with 95 % intervals."""
+    """Draw the accuracy of every agent in every stratum, with 95 % intervals."""
     names = list(division.cells)
     paint = agent_colours(names) if colours is None else colours
     figure, axes = _axes(len(names), lines=2)
@@ -121,17 +121,17 @@ def success_by_group(division: Division, *, colours: Mapping[str, str] | None = 
     axes.set_xticks(place, ticks)
     axes.set(xlim=(-0.4, len(place) - 0.6), ylim=(0.0, 1.0))
     axes.set_xlabel(division.heading, color=MUTED, fontsize=9)
-    _finish(figure, axes, "share of right verdicts")
+    _finish(figure, axes, "accuracy")
     return figure
 
 
 def reliability_curves(
     rows: Sequence[Row], *, colours: Mapping[str, str] | None = None, bins: int = 10
 ) -> Figure | None:
-    """Draw how often each degree of confidence was right; None where nobody keeps probabilities.
+    """Draw a reliability diagram; None where no agent has probabilities.
 
-    On the diagonal a probability means what it says; below it the agent is too sure. The
-    smaller a marker, the fewer the beliefs behind it.
+    On the diagonal probabilities are calibrated; below it the agent is overconfident. The smaller
+    a marker, the fewer the predictions behind it.
     """
     own = by_agent(rows)
     paint = agent_colours(list(own)) if colours is None else colours
@@ -159,7 +159,7 @@ def reliability_curves(
     axes.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
     axes.set_xticks([0.0, 0.25, 0.5, 0.75, 1.0], ["0 %", "25 %", "50 %", "75 %", "100 %"])
     axes.set_xlabel("probability of the best hypothesis", color=MUTED, fontsize=9)
-    _finish(figure, axes, "share that was right")
+    _finish(figure, axes, "accuracy")
     return figure
 
 

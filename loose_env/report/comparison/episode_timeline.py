@@ -1,4 +1,4 @@
-"""One episode in pictures: every record, the verdict and the truth."""
+"""Timeline of one episode: a figure of each record, the verdict and the truth."""
 
 from __future__ import annotations
 
@@ -30,24 +30,24 @@ class Player(Protocol):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EpisodeTimeline:
-    """What happened in one episode."""
+    """Figures and outcome of one episode."""
 
     cards: tuple[FigureCard, ...]
     """The first pose, every record and the end, in order."""
     truth: str
     """The hypothesis that was true."""
     verdict: str | None
-    """The one that the agent named."""
+    """The verdict of the agent."""
     records: int
     """Records taken."""
     words: str
-    """The end in plain words."""
+    """The outcome in a sentence."""
 
 
 def episode_timeline(
     agent: Player, arm: Arm, settings: DiagnosisSettings, *, seed: int, number: int = 0
 ) -> EpisodeTimeline:
-    """Let an agent play an episode and draw each step.
+    """Run an episode with an agent and draw each step.
 
     Parameters
     ----------
@@ -82,9 +82,9 @@ def episode_timeline(
     truth = fault_words(episode.fault)
     last = picture.figure(episode, verdict=verdict)
     cards.append(FigureCard(image=to_svg(last), caption="Verdict and truth"))
-    mark = "That was right." if verdict == info["fault"] else f"That was wrong: {truth}."
+    mark = "Correct." if verdict == info["fault"] else f"Wrong; the truth: {truth}."
     if verdict == UNSURE:
-        mark = f"What was the matter: {truth}."
+        mark = f"The truth: {truth}."
     spent = f"After {episode.records} record{'' if episode.records == 1 else 's'}"
     said = "there was no verdict" if verdict is None else f"the verdict was: {named}"
     return EpisodeTimeline(

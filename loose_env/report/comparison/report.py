@@ -30,7 +30,7 @@ from loose_env.report.comparison.cost_figures import (
     success_by_group,
 )
 from loose_env.report.comparison.episode_timeline import EpisodeTimeline
-from loose_env.report.comparison.page import write_comparison_page
+from loose_env.report.comparison.page import render_page
 from loose_env.report.pages.figure_card import FigureCard
 from loose_env.report.pages.figures import success_against_records, success_bars
 from loose_env.report.pages.palette import agent_colours
@@ -41,12 +41,13 @@ from loose_env.report.pages.table import (
     division_page_table,
     trainings_page_table,
 )
+from loose_env.report.pages.template import write_whole
 
 _MATRICES = 6  # confusion matrices on the page; more are hard to take in
 _COLUMNS = (
-    "Right: verdicts that name the hidden fault. Right place: those that name its link or joint, "
-    "whatever the kind. False alarms: healthy arms on which a fault was named. Missed: faulty arms "
-    "called healthy. Poses, records, seconds of shaking and return are means."
+    "Accuracy: verdicts equal to the hidden fault. Location: verdicts with its link or joint, "
+    "whatever the kind. False alarms: healthy arms called faulty. Missed faults: faulty arms "
+    "called healthy. Poses, records, seconds of excitation and return are means."
 )
 _MARGIN = "± is half the 95 % bootstrap interval."
 _PAIRED = (
@@ -55,13 +56,12 @@ _PAIRED = (
 
 _MATRIX = (
     "Number of arms by truth (rows) and verdict (columns); the stronger the colour, the larger the "
-    "share of the arms in that row. Right verdicts lie in the framed cells."
+    "share of the arms in that row. Correct verdicts lie in the framed cells."
 )
 _READING = (
-    "How to read the pictures: the blue loop on the tool shows, direction by direction, how well "
-    "the tool follows the shaken joint; on the grey circle it follows perfectly. The blue line is "
-    "the direction in which it follows least. Dashed is what a healthy arm would show. Where the "
-    "two differ clearly, something may be loose."
+    "The blue loop on the tool is the correlation of its acceleration with the excited joint, by "
+    "direction; on the grey circle it is 1. The blue line is the direction of lowest correlation. "
+    "Dashed: the healthy arm. A clear difference between the two indicates a loose link or joint."
 )
 
 
@@ -92,7 +92,7 @@ def write_comparison(
     title : str
         Title of the page.
     played : str or sequence of str
-        What was played, in plain words; who won is added below.
+        What was played; the outcome is added below.
     hypotheses : sequence of str, optional
         All hypotheses in order; by default those that the rows mention.
     chance : float, optional
@@ -130,8 +130,7 @@ def write_comparison(
         _confused(own, found, colours, hypotheses),
     ]
     note = _COLUMNS if rng is None else f"{_COLUMNS} {_MARGIN}"
-    return write_comparison_page(
-        path,
+    page = render_page(
         title=title,
         text=played,
         result=[best, *([" ".join(rest)] if rest else []), *said],
@@ -143,6 +142,7 @@ def write_comparison(
         timeline_text=() if timeline is None else _told(timeline, timeline_agent),
         notes=notes,
     )
+    return write_whole(path, page)
 
 
 def _success(
@@ -153,27 +153,24 @@ def _success(
     chance: float | None,
 ) -> list[FigureCard | PageTable]:
     curves = success_after(forced)
-    lines = "The lines show how often an agent is right after so many records if it may not stop. "
+    lines = "Lines: accuracy after so many records of agents that may not stop. "
     cards: list[FigureCard | PageTable] = [
         FigureCard(
-            heading="How often they were right",
+            heading="Accuracy",
             image=success_bars(rows, colours=colours, chance=chance),
-            caption="Share of arms whose fault was named rightly. The line is the 95 % interval: "
-            "where the true rate lies, given this number of arms.",
+            caption="Share of arms with a correct verdict, with its 95 % interval.",
         ),
         FigureCard(
             image=success_and_records(found, curves=curves, colours=colours),
-            caption="Success against mean records; upright lines are 95 % intervals. Up and left "
-            f"is good. {lines if curves else ''}The dashed front joins those that no other "
-            "beats in both.",
+            caption="Accuracy against mean records; upright lines are 95 % intervals. "
+            f"{lines if curves else ''}The dashed line is the Pareto front.",
         ),
     ]
     if not curves:
         cards.append(
             FigureCard(
                 image=success_against_records(rows, colours=colours),
-                caption="Share decided rightly after at most so many records. Steep and early is "
-                "good: every record costs.",
+                caption="Share of correct verdicts after at most so many records.",
             )
         )
     return cards
@@ -187,12 +184,12 @@ def _crossed(found: Sequence[Standing]) -> list[FigureCard | PageTable]:
 def _divided(rows: Sequence[Row], colours: Mapping[str, str]) -> list[FigureCard | PageTable]:
     parts: list[FigureCard | PageTable] = []
     for k, division in enumerate(divisions(rows)):
-        heading = "What makes a fault hard to find" if k == 0 else ""
+        heading = "Accuracy by stratum" if k == 0 else ""
         parts.append(division_page_table(division, heading=heading))
         parts.append(
             FigureCard(
                 image=success_by_group(division, colours=colours),
-                caption=f"Share of right verdicts by {division.heading}, with 95 % intervals.",
+                caption=f"Accuracy by {division.heading}, with 95 % intervals.",
             )
         )
     return parts
@@ -206,8 +203,8 @@ def _calibrated(rows: Sequence[Row], colours: Mapping[str, str]) -> list[FigureC
         calibration_of(agent, own, edges=RATIO_EDGES) for agent, own in by_agent(rows).items()
     ]
     caption = (
-        "How often beliefs of each strength were right. On the dashed line a probability means "
-        "what it says; below it the agent is too sure. Small marks rest on few beliefs."
+        "Accuracy by predicted probability. The dashed line is perfect calibration; below it the "
+        "agent is overconfident. Small marks stand for few predictions."
     )
     return [
         *calibration_tables([c for c in judged if c is not None]),
@@ -238,7 +235,7 @@ def _confused(
     )
     return [
         FigureCard(
-            heading="What they took for what" if k == 0 else "",
+            heading="Confusion matrices" if k == 0 else "",
             intro=_MATRIX + more,
             title=standing.agent,
             image=confusion_matrix(

@@ -22,16 +22,15 @@ _NAME = 20  # of an agent; longer ones are cut in the middle
 
 
 def main_table(found: Sequence[Standing], *, reference: str | None = None) -> str:
-    """Lay the standings out: one line an agent, and what the columns mean below."""
+    """Lay the standings out: one line an agent, and the meaning of the columns below."""
     whole = _main(found, reference, compact=False)
     if len(whole.splitlines()[-1]) > WIDTH or len(whole.splitlines()[2]) > WIDTH:
         whole = _main(found, reference, compact=True)
     words = (
-        "right: verdicts that name the hidden fault, with Wilson's interval; place: those that "
-        "name its link or joint; false al.: healthy arms on which a fault was named; missed: "
-        "faulty arms called healthy; poses, records, seconds shaken and return: means over all "
-        "episodes; "
-        "±: half the 95 % bootstrap interval."
+        "accuracy: verdicts equal to the hidden fault, with Wilson's 95 % interval; location: "
+        "verdicts with its link or joint; false alarms: healthy arms called faulty [%]; missed "
+        "faults: faulty arms called healthy [%]; poses, records, time of excitation and return: "
+        "means over all episodes; ±: half the 95 % bootstrap interval."
     )
     if reference is not None:
         words += (
@@ -47,14 +46,17 @@ def _main(found: Sequence[Standing], reference: str | None, *, compact: bool) ->
     for s in found:
         line = {
             ("agent", ""): s.agent,
-            ("right (95 %)", "%"): f"{100 * s.success:.1f} ({100 * s.low:.1f}-{100 * s.high:.1f})",
-            ("place", "%"): _share(s.link_success),
-            ("false", "al. %"): _share(s.false_alarms),
-            ("missed", "%"): _share(s.misses),
+            (
+                "accuracy",
+                "% (95 %)",
+            ): f"{100 * s.success:.1f} ({100 * s.low:.1f}-{100 * s.high:.1f})",
+            ("loca-", "tion %"): _share(s.link_success),
+            ("false", "alarms"): _share(s.false_alarms),
+            ("missed", "faults"): _share(s.misses),
             **({("unsure", "%"): _share(s.unsure)} if unsure else {}),
             ("poses", ""): f"{s.poses:.2f}",
             ("records", ""): f"{s.records:.2f}" + _margin(s.records_interval),
-            ("shaken", "s"): f"{s.seconds:.2f}",
+            ("time", "s"): f"{s.seconds:.2f}",
             ("return", ""): f"{s.reward:+.3f}",
         }
         if reference is not None:
@@ -77,12 +79,12 @@ def crossed_table(found: Crossing) -> str:
             )
             line.append(shown)
         lines.append(line)
-    heading = "Policies (lines) and estimators (columns): right [%] / mean records / mean return"
+    heading = "Policies (lines) and estimators (columns): accuracy [%] / mean records / mean return"
     return _parts(heading, [["policy", *found.estimators]], lines)
 
 
 def division_table(division: Division) -> str:
-    """Lay one division out: right verdicts and mean records of each group."""
+    """Lay one division out: accuracy and mean records of each group."""
     first = next(iter(division.cells.values()))
     head = ["agent", *division.groups]
     counts = ["arms", *(str(cell.episodes) for cell in first)]
@@ -90,12 +92,12 @@ def division_table(division: Division) -> str:
         [agent, *(_pair(cell.success, cell.records) for cell in cells)]
         for agent, cells in division.cells.items()
     ]
-    heading = f"By {division.heading}: right [%] / mean records"
+    heading = f"By {division.heading}: accuracy [%] / mean records"
     return _parts(heading, [head, counts], lines)
 
 
 def calibration_table(found: Sequence[Calibration]) -> str:
-    """Lay out how far the probabilities can be trusted."""
+    """Lay out the calibration of the probabilities."""
     records = len(found[0].by_record) - 1
     head = ["agent", "ECE", "verdict", "log score"]
     head += [*(f"rec. {k}" for k in range(1, records + 1)), f"{records + 1}+"]
@@ -126,7 +128,7 @@ def curve_table(curves: Mapping[str, Sequence[float]]) -> str:
         [agent, *(_share(share) for share in curve), *[""] * (most - len(curve))]
         for agent, curve in sorted(curves.items(), key=lambda pair: -pair[1][-1])
     ]
-    heading = "Right [%] after so many records, none allowed to stop"
+    heading = "Accuracy [%] after so many records, without stopping"
     return _parts(heading, [["agent", *(str(k + 1) for k in range(most))]], lines)
 
 
@@ -146,12 +148,12 @@ def trainings_table(found: Mapping[str, Mapping[str, Interval]], runs: Mapping[s
         "Interquartile mean over trainings with stratified bootstrap intervals (Agarwal et al., "
         "NeurIPS 2021)."
     )
-    head = [["agent", "trainings", "right [%] (95 %)", "records (95 %)", "return (95 %)"]]
+    head = [["agent", "trainings", "accuracy [%] (95 %)", "records (95 %)", "return (95 %)"]]
     return f"{_parts('Several trainings', head, lines)}\n\n{_filled(words)}"
 
 
 def mistakes(agent: str, rows: Sequence[Row], *, most: int = 5) -> str:
-    """Say what an agent took for what most often; nothing if it made no mistake.
+    """List the most frequent confusions of an agent; empty if it made no mistake.
 
     Examples
     --------

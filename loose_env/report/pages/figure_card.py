@@ -1,4 +1,4 @@
-"""A picture of the page with the words that go with it."""
+"""A figure of a report with its caption, title and heading."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FigureCard:
-    """One picture with its words."""
+    """One figure with its text."""
 
     image: bytes | Figure
     """A figure of matplotlib, or the bytes of an SVG or a PNG."""
     caption: str
-    """What there is to see; stands below the picture and is read out in its place."""
+    """Caption below the figure, and its alternative text."""
     title: str = ""
-    """A name that stands on the picture."""
+    """Name above the figure."""
     heading: str = ""
-    """What stands above it; pictures without a heading stand beside the one before."""
+    """Section heading; a figure without one joins the section before."""
     intro: str = ""
     """A paragraph below the heading."""

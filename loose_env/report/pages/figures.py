@@ -82,7 +82,7 @@ def success_bars(
     colours: Mapping[str, str] | None = None,
     chance: float | None = None,
 ) -> Figure:
-    """Draw a bar an agent: share of right verdicts, with its 95 % interval.
+    """Draw a bar an agent: accuracy with its 95 % interval.
 
     Parameters
     ----------
@@ -123,14 +123,14 @@ def success_bars(
     axes.set_yticks([])
     _percent(axes, "x")
     quiet_axes(axes, grid="x", spines=(), pad=6, size=9)
-    axes.set_xlabel("share of right verdicts", color=MUTED, fontsize=9)
+    axes.set_xlabel("accuracy", color=MUTED, fontsize=9)
     return figure
 
 
 def success_against_records(
     rows: Sequence[Row], *, colours: Mapping[str, str] | None = None
 ) -> Figure:
-    """Draw how soon the agents were right: share decided rightly after at most k records."""
+    """Draw the share of correct verdicts after at most k records."""
     paint = agent_colours(list(by_agent(rows))) if colours is None else colours
     most = max(int(row["records"]) for row in rows)
     figure = new_figure(3.5)
@@ -175,7 +175,7 @@ def success_against_records(
     _percent(axes, "y")
     quiet_axes(axes, pad=6, size=9)
     axes.set_xlabel("records taken, at most", color=MUTED, fontsize=9)
-    axes.text(0.0, 1.05, "decided rightly", color=MUTED, fontsize=9, ha="left", va="bottom")
+    axes.text(0.0, 1.05, "correct verdicts", color=MUTED, fontsize=9, ha="left", va="bottom")
     return figure
 
 

@@ -1,4 +1,4 @@
-"""A table of the page with the words that go with it, and the tables of a comparison."""
+"""Tables of a page with their text, and the tables of a comparison."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from loose_env.evaluation import Calibration, Crossing, Division, Interval, perc
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PageTable:
-    """A table with its words."""
+    """A table with its text."""
 
     rows: Sequence[Mapping[str, object]]
     """The keys of the first row are the columns; the first of them names the row."""
@@ -44,9 +44,8 @@ def crossed_page_table(found: Crossing) -> PageTable:
             for r in rows
         ],
         heading="Estimator and choice of poses",
-        intro="What the estimator gives shows along a line, what the choice of poses gives down a "
-        "column.",
-        note="In each cell: right verdicts, mean records, mean return.",
+        intro="Along a line the estimator changes, down a column the choice of poses.",
+        note="In each cell: accuracy, mean records, mean return.",
     )
 
 
@@ -67,12 +66,12 @@ def division_page_table(division: Division, *, heading: str = "") -> PageTable:
         rows=rows,
         heading=heading,
         title=f"By {division.heading}",
-        note="In each cell: right verdicts, mean records.",
+        note="In each cell: accuracy, mean records.",
     )
 
 
 def calibration_tables(found: Sequence[Calibration]) -> list[PageTable]:
-    """How far the probabilities can be trusted, in all, by record and by friction."""
+    """Calibration of the probabilities, in all, by record and by friction."""
     most = len(found[0].by_record)
     after = [*(f"after {k}" for k in range(1, most)), f"after {most} or more"]
     whole = [
@@ -92,10 +91,10 @@ def calibration_tables(found: Sequence[Calibration]) -> list[PageTable]:
     return [
         PageTable(
             rows=whole,
-            heading="Whether probabilities mean what they say",
-            intro="After every record the best hypothesis has a probability. Of all beliefs with a "
-            "probability of 80 %, 80 % should be right. The expected calibration error is the mean "
-            "distance from that; 0 is perfect.",
+            heading="Calibration",
+            intro="After every record the best hypothesis has a probability. Of all predictions "
+            "with a probability of 80 %, 80 % should be correct. The expected calibration error is "
+            "the mean distance from that; 0 is perfect.",
             note="Expected calibration error over all records, at the verdicts, and after each "
             "record; log score: mean natural logarithm of the truth's probability at the verdicts, "
             "0 at best.",
@@ -103,8 +102,8 @@ def calibration_tables(found: Sequence[Calibration]) -> list[PageTable]:
         PageTable(
             rows=ratios,
             title="Calibration error by seat drive over friction (faulty arms)",
-            note="No agent sees the friction. Sorted by it even the exact posterior is off: too "
-            "sure that a fault held fast is none, not sure enough of one that moves freely.",
+            note="No agent observes the friction. Conditional on it even the exact posterior is "
+            "miscalibrated: it misses stuck faults and is underconfident on free ones.",
         ),
     ]
 
@@ -117,7 +116,7 @@ def trainings_page_table(
         {
             "Agent": agent,
             "Trainings": str(runs[agent]),
-            "Right": _range(by["success"], 100, 1),
+            "Accuracy": _range(by["success"], 100, 1),
             "Records": _range(by["records"], 1, 2),
             "Return": _range(by["reward"], 1, 3),
         }
@@ -125,7 +124,7 @@ def trainings_page_table(
     ]
     return PageTable(
         rows=rows,
-        heading="What another training would give",
+        heading="Variation over training seeds",
         intro="The same training with other seeds.",
         note="Interquartile mean over trainings, with stratified bootstrap intervals (95 %), after "
         "Agarwal et al., NeurIPS 2021.",

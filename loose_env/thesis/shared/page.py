@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from loose_env.errors import InvalidData
-from loose_env.report import paragraphs, shown, template, write_whole
+from loose_env.report import paragraphs, shown, template
 from loose_env.thesis.shared.sections import Outcome, Section, Table
 
 LEFT_OUT = (
@@ -25,8 +23,7 @@ _NUMBER = re.compile(r"[≈~<>≤≥]?\s*[-−+±]?\s*[\d.]")
 _LONG, _LONGER = 24, 60  # letters; a cell with more may break into lines
 
 
-def write_thesis_page(
-    path: str | os.PathLike[str],
+def render_thesis_page(
     outcomes: Sequence[Outcome],
     *,
     title: str,
@@ -34,13 +31,11 @@ def write_thesis_page(
     command: str,
     seed: int,
     versions: Mapping[str, str],
-) -> Path:
-    """Write the page beside its final name and rename it into place.
+) -> str:
+    """Return the page of the reproduction.
 
     Parameters
     ----------
-    path : path-like
-        Where the page goes; its folder is made where there is none.
     outcomes : sequence of Outcome
         Sections in the order of the page, failed ones among them.
     title : str
@@ -54,11 +49,6 @@ def write_thesis_page(
     versions : mapping
         Version of each package by its name.
 
-    Returns
-    -------
-    Path
-        The file written.
-
     Raises
     ------
     InvalidData
@@ -66,22 +56,6 @@ def write_thesis_page(
     MissingExtra
         If jinja2 is not installed.
     """
-    page = render_thesis_page(
-        outcomes, title=title, text=text, command=command, seed=seed, versions=versions
-    )
-    return write_whole(path, page)
-
-
-def render_thesis_page(
-    outcomes: Sequence[Outcome],
-    *,
-    title: str,
-    text: str | Sequence[str],
-    command: str,
-    seed: int,
-    versions: Mapping[str, str],
-) -> str:
-    """Return the page that `write_thesis_page` writes."""
     keys = [outcome.key for outcome in outcomes]
     twice = sorted({key for key in keys if keys.count(key) > 1})
     if twice:
