@@ -32,9 +32,14 @@ class Reactions:
     """Inertia matrix of the arm, rotors included [kg m²] (n joints, n joints)."""
 
     @property
+    def accelerations(self) -> Array:
+        """Joint accelerations per torque at each joint in turn, the others braked (n, n)."""
+        return np.diag(1 / np.diag(self.inertia))
+
+    @property
     def per_torque(self) -> Array:
         """Wrench at each seat per torque at each joint, others braked (n links, 6, n joints)."""
-        return np.asarray(self.wrench / np.diag(self.inertia))
+        return np.asarray(self.wrench @ self.accelerations)
 
     @property
     def per_energy(self) -> Array:
@@ -44,10 +49,11 @@ class Reactions:
         the energy T and the momentum p. The property is p / √(2T) (n links, 6, n joints) [√kg for
         forces]. No force exceeds the root of the mass that link j carries, its own included.
         """
-        energy = np.einsum("jii->ji", self.distal)
+        motion = self.accelerations
+        energy = np.einsum("ai,jab,bi->ji", motion, self.distal, motion)
         # A joint that leaves links j to n at rest neither pushes them nor gives them energy.
         scale = np.where(energy > 0, np.sqrt(np.where(energy > 0, energy, 1.0)), np.inf)
-        return np.asarray(self.wrench / scale[:, None, :])
+        return np.asarray((self.wrench @ motion) / scale[:, None, :])
 
 
 def reactions(arm: Arm, pose: ArrayLike) -> Reactions:

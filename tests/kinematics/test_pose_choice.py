@@ -41,10 +41,9 @@ def by_inverse_dynamics(
 def test_reactions_are_those_of_inverse_dynamics(arm: Arm) -> None:
     pose = arm.random_pose(np.random.default_rng(0))
     found = reactions(arm, pose)
-    motion = np.diag(1 / np.diag(found.inertia))
     for link, joint in ((1, arm.n), (arm.n, 1), (arm.n, arm.n)):
         body = arm.model.body(arm.seat_bodies[link - 1]).id
-        expected = by_inverse_dynamics(arm, pose, motion[:, joint - 1], body)
+        expected = by_inverse_dynamics(arm, pose, found.accelerations[:, joint - 1], body)
         size = np.abs(expected).max()
         wrench = found.per_torque[link - 1, :, joint - 1]
         np.testing.assert_allclose(wrench, expected, atol=1e-9 * size)
