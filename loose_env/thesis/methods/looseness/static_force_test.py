@@ -124,7 +124,7 @@ def remaining_motions(jacobian: ArrayLike, *, tolerance: float = 1e-9) -> Array:
     >>> remaining_motions([[0.6, 0.3, 0.3]]).shape
     (3, 2)
     """
-    _, values, rows = np.linalg.svd(*_arrays(jacobian), full_matrices=True)
+    _, values, rows = np.linalg.svd(np.asarray(jacobian, dtype=float))
     rank = int((values > tolerance * values.max(initial=0.0)).sum())
     return np.asarray(rows[rank:].T)
 
@@ -143,7 +143,7 @@ def moving_directions(angles: ArrayLike, noise: float, *, factor: float = 3.0) -
     >>> moving_directions([1e-3 * t, 0 * t], 1e-6).shape
     (1, 2)
     """
-    values, vectors = np.linalg.eigh(np.atleast_2d(np.cov(*_arrays(angles))))
+    values, vectors = np.linalg.eigh(np.atleast_2d(np.cov(np.asarray(angles, dtype=float))))
     keep = np.sqrt(np.maximum(values, 0.0)) > factor * noise
     return np.asarray(vectors.T[::-1][keep[::-1]])
 
