@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import re
-import subprocess
+import runpy
 import sys
 import tomllib
-from functools import cache
+import warnings
+from collections.abc import Callable
+from contextlib import redirect_stdout
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -31,26 +34,36 @@ def test_the_pages_show_commands_of_every_kind() -> None:
     }  # fmt: skip
 
 
-@cache
-def options_of(script: str) -> str:
-    done = subprocess.run(
-        [sys.executable, script, "--help"], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+def help_of(run: Callable[..., object], program: str) -> str:
+    """What a program says to ``--help``, run in this process as if it were typed."""
+    argv, path, said = sys.argv, sys.path.copy(), io.StringIO()
+    sys.argv = [program, "--help"]
+    try:
+        with redirect_stdout(said), warnings.catch_warnings(action="ignore"):
+            with pytest.raises(SystemExit) as ended:
+                run(program, run_name="__main__")
+    finally:
+        sys.argv, sys.path[:] = argv, path
+    assert not ended.value.code, program
+    return said.getvalue()
+
+
+def unknown_options(name: str, shown: list[tuple[str, list[str]]], said: str) -> list[str]:
+    """Options that pages show with a program, and its help does not."""
+    known = set(re.findall(r"(?<![\w-])-{1,2}[a-zA-Z][\w-]*", said))
+    options = {
+        (page, word.partition("=")[0])
+        for page, words in shown
+        for word in words[1:]
+        if words[0] == name and re.match(r"-{1,2}[a-zA-Z]", word)
+    }
+    return sorted(f"{page}: {option}" for page, option in options if option not in known)
 
 
 @pytest.mark.parametrize("script", sorted({w[0] for _, w in of("python") if w[0][0] != "-"}))
 def test_scripts_exist_and_know_the_options_shown(script: str) -> None:
     assert (ROOT / script).is_file(), f"{script} is shown and does not exist"
-    shown = {
-        (page, word.partition("=")[0])
-        for page, words in of("python")
-        for word in words[1:]
-        if words[0] == script and re.match(r"-{1,2}[a-zA-Z]", word)
-    }
-    known = set(re.findall(r"(?<![\w-])-{1,2}[a-zA-Z][\w-]*", options_of(script)))
-    unknown = sorted(f"{page}: {option}" for page, option in shown if option not in known)
+    unknown = unknown_options(script, of("python"), help_of(runpy.run_path, script))
     assert not unknown, f"{script} has no {unknown}"
 
 
@@ -65,28 +78,13 @@ def test_no_command_of_python_goes_unlooked_at() -> None:
     assert any(words[0].startswith("scripts.") for _, words in of_modules())
 
 
-@cache
-def help_of(module: str) -> str:
-    command = [sys.executable, "-m", module, "--help"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, f"python -m {module}: {done.stderr}"
-    return done.stdout
-
-
 @pytest.mark.parametrize("module", sorted({words[0] for _, words in of_modules()}))
 def test_modules_exist_and_know_the_options_shown(module: str) -> None:
     if module in ELSEWHERE:
         assert find_spec(module) is not None
         return
     pytest.importorskip(module.partition(".")[0])
-    shown = {
-        (page, word.partition("=")[0])
-        for page, words in of_modules()
-        for word in words[1:]
-        if words[0] == module and re.match(r"-{1,2}[a-zA-Z]", word)
-    }
-    known = set(re.findall(r"(?<![\w-])-{1,2}[a-zA-Z][\w-]*", help_of(module)))
-    unknown = sorted(f"{page}: {option}" for page, option in shown if option not in known)
+    unknown = unknown_options(module, of_modules(), help_of(runpy.run_module, module))
     assert not unknown, f"python -m {module} has no {unknown}"
 
 
