@@ -158,32 +158,12 @@ class SeatDrive:
     """
 
     def __init__(self, linear: LinearArm, *, poses: int = 48) -> None:
-        arm = linear.arm
-        rng = np.random.default_rng(0)
-        axes = linear.slide_dofs.shape[1]
-        self._slide = np.zeros((poses, arm.n, arm.n, axes, axes))
-        self._hinge = np.zeros((poses, arm.n, arm.n))
-        motions = linear.twist_dofs.shape[1]
-        self._twist = (
-            np.zeros((poses, arm.n, arm.n, motions, motions)) if linear.rotations else None
-        )
-        for p in range(poses):
-            at = linear.at(arm.random_pose(rng))
-            for j in range(arm.n):
-                levels = np.zeros(arm.n)
-                levels[j] = arm.levels[-1]
-                excitation, _ = at_levels(at, levels, duration=1.0)
-                # Not those it says are excited: a drive that hardly holds its load is none of them.
-                answer = at.response(levels > 0)
-                power = excitation.torque_rms[j] ** 2
-                slide = answer.slide[..., 0]
-                outer = np.einsum("kia,kib->iab", slide, slide.conj()).real
-                self._slide[p, j] = power * outer / len(slide)
-                self._hinge[p, j] = power * np.mean(np.abs(answer.hinge[..., 0]) ** 2, axis=0)
-                if self._twist is not None and answer.twist is not None:
-                    twist = answer.twist[..., 0]
-                    outer = np.einsum("kia,kib->iab", twist, twist.conj()).real
-                    self._twist[p, j] = power * outer / len(twist)
+        key = (linear.digest(), poses)
+        if key not in _DRIVES:
+            while len(_DRIVES) >= _REMEMBERED:
+                del _DRIVES[next(iter(_DRIVES))]  # the oldest
+            _DRIVES[key] = _seat_powers(linear, poses)
+        self._slide, self._hinge, self._twist = _DRIVES[key]
 
     def slide(self, link: int, direction: tuple[float, ...]) -> float:
         """Rms force across the slide of a link along a direction of its frame [N]."""
@@ -217,6 +197,44 @@ class SeatDrive:
             raise InvalidSetting("for twists give a LinearArm(arm, rotations=True)")
         power = np.einsum("a,pjab,b->pj", twist, self._twist[:, :, link - 1], twist)
         return float(np.median(np.sqrt(power.max(axis=1))))
+
+
+_Powers = tuple[Array, Array, Array | None]
+_DRIVES: dict[tuple[bytes, int], _Powers] = {}
+"""Powers by arm and number of poses: every environment and agent of an arm asks for them."""
+_REMEMBERED = 32
+
+
+def _seat_powers(linear: LinearArm, poses: int) -> _Powers:
+    """Mean square force across slides, torque across joints and both across twists, by pose.
+
+    Of shapes (poses, n, n, s, s), (poses, n, n) and (poses, n, n, t, t), None without rotations;
+    the second axis is the excited joint.
+    """
+    arm = linear.arm
+    rng = np.random.default_rng(0)
+    axes, motions = linear.slide_dofs.shape[1], linear.twist_dofs.shape[1]
+    slides = np.zeros((poses, arm.n, arm.n, axes, axes))
+    hinges = np.zeros((poses, arm.n, arm.n))
+    twists = np.zeros((poses, arm.n, arm.n, motions, motions)) if linear.rotations else None
+    for p in range(poses):
+        at = linear.at(arm.random_pose(rng))
+        for j in range(arm.n):
+            levels = np.zeros(arm.n)
+            levels[j] = arm.levels[-1]
+            excitation, _ = at_levels(at, levels, duration=1.0)
+            # Not those it says are excited: a drive that hardly holds its load is none of them.
+            answer = at.response(levels > 0)
+            power = excitation.torque_rms[j] ** 2
+            slide = answer.slide[..., 0]
+            outer = np.einsum("kia,kib->iab", slide, slide.conj()).real
+            slides[p, j] = power * outer / len(slide)
+            hinges[p, j] = power * np.mean(np.abs(answer.hinge[..., 0]) ** 2, axis=0)
+            if twists is not None and answer.twist is not None:
+                twist = answer.twist[..., 0]
+                outer = np.einsum("kia,kib->iab", twist, twist.conj()).real
+                twists[p, j] = power * outer / len(twist)
+    return slides, hinges, twists
 
 
 def torque_signals(

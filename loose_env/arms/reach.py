@@ -102,7 +102,7 @@ def _best_place(
         return max(limits, key=lambda place: abs(along + place - now))
     across = tool - (tool @ axis) * axis
     # Turned by t, the distance falls with base . tool = constant + c cos t + s sin t.
-    c, s = float(base @ across), float(base @ np.cross(axis, across))
+    c, s = float(base @ across), float(base @ _cross(axis, across))
     if np.hypot(c, s) < 1e-12:
         return now
     place = now + float(np.arctan2(-s, -c))
@@ -116,3 +116,9 @@ def _best_place(
         return place
     farthest: float = max(limits, key=lambda end: -c * np.cos(end - now) - s * np.sin(end - now))
     return farthest
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross product of two vectors (3,), without what `numpy.cross` asks of many."""
+    (x, y, z), (u, v, w) = a, b
+    return np.array([y * w - z * v, z * u - x * w, x * v - y * u])

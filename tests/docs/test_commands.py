@@ -39,9 +39,12 @@ def help_of(run: Callable[..., object], program: str) -> str:
     argv, path, said = sys.argv, sys.path.copy(), io.StringIO()
     sys.argv = [program, "--help"]
     try:
-        with redirect_stdout(said), warnings.catch_warnings(action="ignore"):
-            with pytest.raises(SystemExit) as ended:
-                run(program, run_name="__main__")
+        with (
+            redirect_stdout(said),
+            warnings.catch_warnings(action="ignore"),
+            pytest.raises(SystemExit) as ended,
+        ):
+            run(program, run_name="__main__")
     finally:
         sys.argv, sys.path[:] = argv, path
     assert not ended.value.code, program
