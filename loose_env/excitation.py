@@ -9,8 +9,10 @@ answer is periodic too and nothing leaks out of the band.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from hashlib import sha256
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
@@ -158,7 +160,7 @@ class SeatDrive:
     """
 
     def __init__(self, linear: LinearArm, *, poses: int = 48) -> None:
-        key = (linear.digest(), poses)
+        key = (_digest(linear), poses)
         if key not in _DRIVES:
             while len(_DRIVES) >= _REMEMBERED:
                 del _DRIVES[next(iter(_DRIVES))]  # the oldest
@@ -203,6 +205,16 @@ _Powers = tuple[Array, Array, Array | None]
 _DRIVES: dict[tuple[bytes, int], _Powers] = {}
 """Powers by arm and number of poses: every environment and agent of an arm asks for them."""
 _REMEMBERED = 32
+
+
+def _digest(linear: LinearArm) -> bytes:
+    """Digest of all that the answers of a linear arm depend on: equal for equal arms."""
+    figures = {f.name: getattr(linear.arm, f.name) for f in fields(linear.arm)}
+    del figures["spec"], figures["rigid"]  # the one is in the model, the other not in the answers
+    model = np.empty(mujoco.mj_sizeModel(linear.model), dtype=np.uint8)
+    mujoco.mj_saveModel(linear.model, None, model)
+    words = repr((figures, linear.rotations, len(linear.frequency)))
+    return sha256(model.tobytes() + words.encode()).digest()
 
 
 def _seat_powers(linear: LinearArm, poses: int) -> _Powers:

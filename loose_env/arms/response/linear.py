@@ -11,9 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
-from hashlib import sha256
 
 import mujoco
 import numpy as np
@@ -183,15 +182,6 @@ class LinearArm:
         other.arm, other.model, other._cache = arm, self.model if model is None else model, {}
         other.frequency = np.linspace(*arm.band, len(self.frequency))
         return other
-
-    def digest(self) -> bytes:
-        """Digest of all that the answers depend on: equal for equal arms."""
-        figures = {f.name: getattr(self.arm, f.name) for f in fields(self.arm)}
-        del figures["spec"], figures["rigid"]  # they are in the model
-        model = np.empty(mujoco.mj_sizeModel(self.model), dtype=np.uint8)
-        mujoco.mj_saveModel(self.model, None, model)
-        words = repr((figures, self.rotations, len(self.frequency)))
-        return sha256(model.tobytes() + words.encode()).digest()
 
     @property
     def twist_dofs(self) -> NDArray[np.intp]:
