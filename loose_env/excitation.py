@@ -210,7 +210,7 @@ _REMEMBERED = 32
 def _digest(linear: LinearArm) -> bytes:
     """Digest of all that the answers of a linear arm depend on: equal for equal arms."""
     figures = {f.name: getattr(linear.arm, f.name) for f in fields(linear.arm)}
-    del figures["spec"], figures["rigid"]  # the one is in the model, the other not in the answers
+    del figures["spec"], figures["rigid"]  # compiled into the model; no part of the answers
     model = np.empty(mujoco.mj_sizeModel(linear.model), dtype=np.uint8)
     mujoco.mj_saveModel(linear.model, None, model)
     words = repr((figures, linear.rotations, len(linear.frequency)))
