@@ -51,7 +51,9 @@ def study_head(made_by: str, settings: Any, *, version: str, **more: Any) -> dic
     return read_back
 
 
-def write_study(path: Path, head: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
+def write_study(
+    path: Path, head: dict[str, Any], rows: Sequence[dict[str, Any]], *, digits: int = 4
+) -> None:
     """Write a study, a line for each row, beside its place first.
 
     Examples
@@ -65,7 +67,7 @@ def write_study(path: Path, head: dict[str, Any], rows: Sequence[dict[str, Any]]
     """
     beside = path.with_suffix(".part.json")
     start = json.dumps(head, indent=1).removesuffix("\n}")
-    lines = ",\n".join("  " + json.dumps(rounded(row)) for row in rows)
+    lines = ",\n".join("  " + json.dumps(rounded(row, digits)) for row in rows)
     beside.write_text(f'{start},\n "rows": [\n{lines}\n ]\n}}\n', encoding="utf-8")
     os.replace(beside, path)
 
@@ -79,13 +81,13 @@ def stored_rows(path: Path, head: dict[str, Any]) -> list[dict[str, Any]]:
     return list(stored["rows"]) if same else []
 
 
-def rounded(value: Any) -> Any:
-    """Round all numbers in it to four digits, which is more than they hold."""
+def rounded(value: Any, digits: int = 4) -> Any:
+    """Round all numbers in it; four digits are more than those of most studies hold."""
     if isinstance(value, dict):
-        return {key: rounded(part) for key, part in value.items()}
+        return {key: rounded(part, digits) for key, part in value.items()}
     if isinstance(value, (list, tuple)):
-        return [rounded(part) for part in value]
-    return float(f"{value:.4g}") if isinstance(value, float) else value
+        return [rounded(part, digits) for part in value]
+    return float(f"{value:.{digits}g}") if isinstance(value, float) else value
 
 
 INK, MUTED, FAINT = "#1b2128", "#66717d", "#c9d0d7"

@@ -20,10 +20,10 @@ import gymnasium
 import numpy as np
 from loose_agents.core.base import Problem
 from loose_agents.evaluation.env_arguments import diagnosis_env
+from loose_agents.execution.command import OneLineParser
 from loose_agents.execution.script_errors import errors_in_one_line
 from loose_agents.rl.hyperparameters import ALGORITHMS, key_values
 from loose_agents.rl.learned_policy import CONFIGURATION, LearnedAgent
-from loose_agents.rl.training_options import OneLineParser
 
 from loose_env.envs import Action, DiagnosisEnv
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName

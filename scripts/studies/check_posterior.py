@@ -11,19 +11,20 @@ The episodes come from the ranges that the particles are drawn from, so the part
 probabilities must be calibrated, and on average nobody's log score can be better than that of
 the exact posterior given what was measured.
 
-What the particles say is stored after every episode; a check that was interrupted goes on where
-it stopped, and one that asks for more episodes adds them. The fast posteriors are asked anew.
+The particles' probabilities are stored after every episode; a check that asks for more episodes
+adds them. The fast posteriors are evaluated anew.
 
 With --cases, hundreds of cases are drawn from the prior in one record's pose and excitation, and
-weighed with the same particles: whether the particles' own probabilities are right.
+scored with the same particles: whether the particles' own probabilities are calibrated.
 
 Usage: python scripts/studies/check_posterior.py --episodes 60 --particles 200
 """
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,8 @@ from loose_agents.core.base import Problem
 from loose_agents.core.belief_tracker import Posterior, analytic_posterior
 from loose_agents.core.shipped_weights import WEIGHTS, setting_name
 from loose_agents.evaluation.evaluate import check_training_seed
-from loose_agents.execution.progress import ProgressLine
+from loose_agents.execution.command import option
+from loose_agents.execution.study import Row, Study, StudyRun
 from loose_agents.research.particle_calibration import CalibrationCases, calibration_cases
 from loose_agents.research.particle_check import (
     CHECK_SEED,
@@ -46,15 +48,66 @@ from loose_agents.research.particle_check import (
     probabilities_of,
 )
 
-import loose_env
-from loose_env.arms import planar, six_axis, vera
 from loose_env.diagnosis import AmortisedPosterior, ParticleSettings, RecordStatistics
 from loose_env.envs import DiagnosisSettings, EpisodeBatch, difficulty_named
-from loose_env.report import rounded, stored_rows, study_head, write_study
+from scripts.study_parts.arms import arm_named
 
-ROOT = Path(__file__).resolve().parents[2]
-ARMS = {"vera": vera, "planar2": lambda: planar(2), "planar3": lambda: planar(3)}
-ARMS |= {"six_axis": six_axis}
+ARMS = ("vera", "planar2", "planar3", "six_axis")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Settings of the check."""
+
+    arm: str = option("vera", "arm under test", choices=ARMS)
+    difficulty: str = option("default", "ranges of the faults")
+    particles: int = option(240, "particles of a run")
+    moves: int = option(1, "moves after a step of the ladder")
+    share: float = option(0.3, "share of the particles that a step leaves")
+    repeated: int = option(40, "particles repeated to see how their summaries scatter")
+    most_records: int = option(3, "most records of an episode", "--records")
+    seed: int = option(CHECK_SEED, "seed of the episodes")
+
+    def __post_init__(self) -> None:
+        """Check the seed."""
+        check_training_seed(self.seed)
+
+    @property
+    def rules(self) -> DiagnosisSettings:
+        """Rules of the episodes."""
+        return DiagnosisSettings(difficulty=self.difficulty, engine="reduced")
+
+    @property
+    def sampling(self) -> ParticleSettings:
+        """Settings of the particles."""
+        return ParticleSettings(
+            particles=self.particles, moves=self.moves, share=self.share, repeated=self.repeated
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run(StudyRun):
+    """Run of the check."""
+
+    episodes: int = option(100, "episodes of random actions")
+    cases: int = option(
+        0, "instead: this many cases drawn from the prior, in the first record of --episode"
+    )
+    episode: int = option(0, "see --cases")
+    learned: Path | None = option(None, "folder of the trained posterior")
+
+
+@cache
+def bench(settings: Settings) -> tuple[Problem, EpisodeBatch]:
+    """Problem and episodes of the check."""
+    problem = Problem.of(arm_named(settings.arm), settings.rules)
+    return problem, EpisodeBatch(problem.arm, settings.rules, num=1, threads=1)
+
+
+@cache
+def played(settings: Settings, number: int, most: int) -> Played:
+    """One episode."""
+    return play(*bench(settings), seed=settings.seed, number=number, most=most)
 
 
 def learned_posterior(problem: Problem, folder: Path) -> AmortisedPosterior:
@@ -75,7 +128,7 @@ def print_table(
     truth: np.ndarray,
     particles: int,
 ) -> None:
-    """Print how each posterior does, by number of records and over all."""
+    """Print the scores of each posterior, by number of records and over all."""
     weighed = Weighed.of(rows)
     mean = weighed.probabilities
     count = np.array([row["records"] for row in rows])
@@ -118,12 +171,12 @@ def print_table(
 
 
 def print_calibration(found: CalibrationCases, record: RecordStatistics) -> None:
-    """Print how posteriors do on cases drawn from the particles' own prior."""
+    """Print the scores of posteriors on cases drawn from the particles' own prior."""
     torque = ", ".join(f"{t:.3g}" for t in record.torque)
     print(
         f"\n{len(found.truth)} cases from the prior, one record of {record.duration:.1f} s with "
         f"torques {torque}\n{'posterior':<9} {'log score':>9} {'success':>7} {'P(truth)':>8} "
-        f"{'promised':>8} {'calibration error':>20} {'distance':>8}  log score less the particles'"
+        f"{'expected':>8} {'calibration error':>20} {'distance':>8}  log score less the particles'"
     )
     particles = found.probabilities["particles"]
     for label, values in found.probabilities.items():
@@ -136,114 +189,86 @@ def print_calibration(found: CalibrationCases, record: RecordStatistics) -> None
         )
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the check, print its table, write its picture."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--arm", choices=list(ARMS), default="vera")
-    parser.add_argument("--difficulty", default="default")
-    parser.add_argument("--episodes", type=int, default=100)
-    parser.add_argument("--particles", type=int, default=240)
-    parser.add_argument("--moves", type=int, default=1, help="moves after a step of the ladder")
-    parser.add_argument("--share", type=float, default=0.3, help="share of them that it leaves")
-    parser.add_argument(
-        "--repeated",
-        type=int,
-        default=40,
-        help="particles repeated to see how their summaries scatter",
-    )
-    parser.add_argument("--records", type=int, default=3, help="most records of an episode")
-    parser.add_argument(
-        "--cases",
-        type=int,
-        default=0,
-        help="instead: this many cases drawn from the prior, in the first record of --episode",
-    )
-    parser.add_argument("--episode", type=int, default=0, help="see --cases")
-    parser.add_argument("--seed", type=int, default=CHECK_SEED)
-    parser.add_argument("--learned", type=Path, help="folder of the trained posterior")
-    parser.add_argument("--afresh", action="store_true", help="weigh again what is stored")
-    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "figures")
-    chosen = parser.parse_args(arguments)
-    check_training_seed(chosen.seed)
-    rules = DiagnosisSettings(difficulty=chosen.difficulty, engine="reduced")
-    problem = Problem.of(ARMS[chosen.arm](), rules)  # type: ignore[no-untyped-call]
-    settings = ParticleSettings(
-        particles=chosen.particles,
-        moves=chosen.moves,
-        share=chosen.share,
-        repeated=chosen.repeated,
-    )
-    batch = EpisodeBatch(problem.arm, rules, num=1, threads=1)
+def posteriors_of(problem: Problem, given: Path | None) -> dict[str, Posterior]:
+    """The analytic posterior, and the learned one where it has been trained."""
     posteriors: dict[str, Posterior] = {"analytic": analytic_posterior(problem)}
-    folder = chosen.learned or WEIGHTS / f"posterior-{setting_name(problem)}"
-    if chosen.learned is not None or folder.is_dir():
+    folder = given or WEIGHTS / f"posterior-{setting_name(problem)}"
+    if given is not None or folder.is_dir():
         posteriors["learned"] = learned_posterior(problem, folder)
     else:
         print(f"no trained posterior in {folder}: checking the analytic one alone")
+    return posteriors
 
-    if chosen.cases:
-        one = play(problem, batch, seed=chosen.seed, number=chosen.episode, most=1)
-        found = calibration_cases(
-            problem,
-            batch.sampler,
-            one.statistics[0],
-            posteriors,
-            seed=chosen.seed,
-            cases=chosen.cases,
-        )
-        print_calibration(found, one.statistics[0])
+
+def work(number: int, *, settings: Settings, run: Run, say: Callable[[str], None]) -> list[Row]:
+    """Weigh the particles of one episode."""
+    problem, batch = bench(settings)
+    one = played(settings, number, settings.most_records)
+    sampled = settings.sampling
+    seed = settings.seed
+    return [particle_row(problem, sampled, batch.sampler, one, seed=seed, number=number)]
+
+
+def head(settings: Settings) -> Mapping[str, Any]:
+    """What the rows rest on."""
+    named = ("arm", "difficulty", "seed", "most_records")
+    return {"settings": settings.sampling, **{name: getattr(settings, name) for name in named}}
+
+
+def show(rows: list[Row], settings: Settings, path: Path, run: Run) -> None:
+    """Ask the fast posteriors, print the table, draw the picture beside the rows."""
+    if run.cases:
+        calibrate(settings, run)
         return
-    chosen.out.mkdir(parents=True, exist_ok=True)
-    path = chosen.out / "particle_check.json"
-    head = study_head(
-        "scripts/studies/check_posterior.py",
-        settings,
-        version=loose_env.__version__,
-        arm=chosen.arm,
-        difficulty=chosen.difficulty,
-        seed=chosen.seed,
-        most_records=chosen.records,
-    )
-    rows = [] if chosen.afresh else stored_rows(path, head)
-    known = {row["episode"]: row for row in rows}
-    played: list[Played] = []
-    with ProgressLine(chosen.episodes, done=0, unit="episodes") as line:
-        for number in range(chosen.episodes):
-            one = play(problem, batch, seed=chosen.seed, number=number, most=chosen.records)
-            played.append(one)
-            if number not in known:
-                known[number] = rounded(
-                    particle_row(
-                        problem, settings, batch.sampler, one, seed=chosen.seed, number=number
-                    )
-                )
-                write_study(path, head, [known[k] for k in sorted(known)])
-            line.advance(1)
+    problem, _ = bench(settings)
+    found = [played(settings, row["episode"], settings.most_records) for row in rows]
     # An episode whose first records were lost says nothing of anybody.
-    kept = [k for k in range(chosen.episodes) if played[k].records]
-    truth = np.array([played[k].truth for k in kept], dtype=np.intp)
-    rows = [known[k] for k in kept]
+    kept = [(row, one) for row, one in zip(rows, found, strict=True) if one.records]
+    truth = np.array([one.truth for _, one in kept], dtype=np.intp)
     others = {
-        name: np.array([probabilities_of(problem, posterior, played[k]) for k in kept])
-        for name, posterior in posteriors.items()
+        name: np.array([probabilities_of(problem, posterior, one) for _, one in kept])
+        for name, posterior in posteriors_of(problem, run.learned).items()
     }
-    weighed = Weighed.of(rows)
-    picture = path.with_suffix(".png")
+    weighed = Weighed.of([row for row, _ in kept])
     draw_check(
         others,
         weighed.probabilities,
         weighed.standard_error,
         truth,
-        picture,
-        caption=f"Arm {chosen.arm}, {len(kept)} episodes of random actions, 1 to {chosen.records} "
-        f"records; {chosen.particles} particles, mean of two runs.\n"
+        path.with_suffix(".png"),
+        caption=f"Arm {settings.arm}, {len(kept)} episodes of random actions, 1 to "
+        f"{settings.most_records} records; {settings.particles} particles, mean of two runs.\n"
         "Bars: standard error by the two runs.",
     )
-    print_table(rows, others, truth, settings.particles)
-    print(f"\npicture: {picture}")
+    print_table([row for row, _ in kept], others, truth, settings.particles)
 
+
+def calibrate(settings: Settings, run: Run) -> None:
+    """Print the calibration on cases from the prior."""
+    problem, batch = bench(settings)
+    record = played(settings, run.episode, 1).statistics[0]
+    posteriors = posteriors_of(problem, run.learned)
+    found = calibration_cases(
+        problem, batch.sampler, record, posteriors, seed=settings.seed, cases=run.cases
+    )
+    print_calibration(found, record)
+
+
+STUDY = Study(
+    script=__file__,
+    about=__doc__,
+    settings=Settings,
+    run=Run,
+    quick={"particles": 120},
+    file="particle_check.json",
+    unit="episodes",
+    cases=lambda settings, run: range(0 if run.cases else run.episodes),
+    work=work,
+    case_of=lambda row: row["episode"],
+    head=head,
+    show=show,
+)
+main = STUDY.main
 
 if __name__ == "__main__":
     main()

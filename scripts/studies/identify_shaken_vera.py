@@ -1,6 +1,6 @@
-"""Identify the figures of VERA on its shaker that the thesis does not print.
+"""Identify the parameters of VERA on its shaker that the thesis does not print.
 
-One set of figures must explain the directions of lowest correlation and the maximum correlations
+One set of parameters must explain the directions of lowest correlation and the maximum correlations
 that were printed for the healthy arm in five poses (ten numbers). The arm's closed-form answer to
 white force is compared with them; differential evolution searches within stated bounds. Nothing
 is tuned pose by pose. The result goes by hand into `ShakenVeraFigures`.
@@ -10,11 +10,12 @@ Usage: python scripts/studies/identify_shaken_vera.py [--seed 0] [--generations 
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from loose_agents.execution.command import command, option
+from loose_agents.execution.progress import ProgressLine
 from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
@@ -22,7 +23,7 @@ from loose_env.arms import ShakenArm
 from loose_env.statistics import axial_difference
 from loose_env.thesis import PROXIMAL, ShakenVeraFigures, printed_healthy, shaken_vera
 
-# Figure, lowest and highest value, and whether to search on a logarithmic scale.
+# Parameter, lowest and highest value, and whether to search on a logarithmic scale.
 BOUNDS = (
     ("pin_stiffness", 5e3, 5e5, True),
     ("pin_damping", 3.0, 60.0, True),
@@ -44,7 +45,7 @@ APART = 0.03
 
 
 def figures_of(x: NDArray[np.float64]) -> ShakenVeraFigures:
-    """Turn a point of the search into figures."""
+    """Turn a point of the search into parameters."""
     values = {
         name: float(np.exp(v)) if log else float(v)
         for (name, _, _, log), v in zip(BOUNDS, x, strict=True)
@@ -69,7 +70,7 @@ def healthy_cases(figures: ShakenVeraFigures, points: int = 200) -> NDArray[np.f
 
 
 def misfit(x: NDArray[np.float64]) -> float:
-    """Mean square difference from the printed figures, in the units above."""
+    """Mean square difference from the printed values, in the units above."""
     figures = figures_of(x)
     found = healthy_cases(figures)
     total = 0.0
@@ -80,28 +81,30 @@ def misfit(x: NDArray[np.float64]) -> float:
     return (total + apart**2) / len(found)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Search, and print the figures with the cases they give."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--generations", type=int, default=40)
-    options = parser.parse_args(arguments)
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Settings of the search."""
 
-    def progress(intermediate_result: object) -> None:
-        print(f"\rmisfit {intermediate_result.fun:.3f}", end="", file=sys.stderr, flush=True)  # type: ignore[attr-defined]
+    seed: int = option(0, "seed of the search")
+    generations: int = option(40, "generations of differential evolution")
 
-    result = differential_evolution(
-        misfit,
-        [(np.log(a), np.log(b)) if log else (a, b) for _, a, b, log in BOUNDS],
-        maxiter=options.generations,
-        popsize=8,
-        rng=np.random.default_rng(options.seed),
-        polish=False,
-        callback=progress,
-    )
-    print(file=sys.stderr)
+
+def identify(settings: Settings) -> None:
+    """Search, and print the parameters with the cases they give."""
+    with ProgressLine(settings.generations, unit="generations") as line:
+
+        def progress(intermediate_result: object) -> None:
+            line.advance(1, f"misfit {intermediate_result.fun:.3f}")  # type: ignore[attr-defined]
+
+        result = differential_evolution(
+            misfit,
+            [(np.log(a), np.log(b)) if log else (a, b) for _, a, b, log in BOUNDS],
+            maxiter=settings.generations,
+            popsize=8,
+            rng=np.random.default_rng(settings.seed),
+            polish=False,
+            callback=progress,
+        )
     figures = figures_of(result.x)
     for name, _, _, _ in BOUNDS:
         print(f"{name:22s} {getattr(figures, name):.3g}")
@@ -116,6 +119,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
             f"{np.degrees(theta2):4.0f}   {shown[0]:12.0f} {shown[1]:12.0f}   {c:20.2f}"
             f" {magnitude:6.2f}"
         )
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Identify, with errors in one line."""
+    command("identify_shaken_vera", __doc__, Settings, identify, arguments)
 
 
 if __name__ == "__main__":

@@ -1,25 +1,25 @@
-"""How many poses it takes to find the loose link: 4.31 against predicted images.
+"""Poses needed to find the loose link: 4.31 against predicted images.
 
 Part (a) gives every method directions with a known scatter, without simulation. Part (b) takes
 them from simulated records of open seats: structural looseness with little friction, the default
 sensors and mismatch, the nominal model as reference, all joints excited at the top level. Cases
-whose seat does not open in the first poses that are tried are counted and left out. The bound is
-the share that guessing among links which no move can tell apart would leave right.
+whose seat does not open in the first poses are counted and left out. The bound is the accuracy of
+guessing among links that no move can tell apart.
 
 Usage: python scripts/studies/links.py [--cases 300] [--arm six_axis ...] [--file arm.xml] [--quick]
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from loose_agents.execution.command import option
+from loose_agents.execution.study import Row, Study, StudyRun
 
-from loose_env.arms import Arm, LinearArm, Mismatch, arm_from_file, planar, scara, six_axis
+from loose_env.arms import Arm, LinearArm, Mismatch, arm_from_file
 from loose_env.diagnosis import (
     ChangeModel,
     ChangeSighting,
@@ -44,17 +44,30 @@ from loose_env.excitation import at_levels
 from loose_env.faults import StructuralLooseness
 from loose_env.rig import Job, SimulatedRig
 from loose_env.typing import Array
+from scripts.study_parts.arms import arm_named
 
-ARMS: dict[str, Callable[[], Arm]] = {
-    "six_axis": six_axis,
-    "scara": scara,
-    "planar4": lambda: planar(4),
-    "planar6": lambda: planar(6),
-}
+ARMS = ("six_axis", "scara", "planar4", "planar6")
 METHODS = ("4.31 outward", "4.31 bisection", "images one", "images all")
 MOVES = np.radians(np.arange(-90.0, 91.0, 15.0))
 SEEN = 1.8
 """Change over what errors leave from which a record counts as one of an open seat."""
+
+
+SCATTERS = (2.0, 5.0, 10.0, 20.0)
+"""Scatter of the directions of part (a) [deg]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Settings of the study."""
+
+    arm: tuple[str, ...] = option(ARMS, "arms", choices=ARMS, nargs="*")
+    file: tuple[str, ...] = option((), "more arms, MJCF or URDF files", nargs="*")
+    cases: int = option(300, "cases a scatter in part (a); 0: none")
+    records: int = option(96, "arms in part (b); 0: none")
+    poses: int = option(6, "poses, the first included")
+    tries: int = option(6, "first poses until the seat opens")
+    seed: int = option(0, "root of all draws")
 
 
 @dataclass
@@ -282,7 +295,7 @@ def visible(seen: ChangeSighting) -> bool:
 
 
 def by_simulation(
-    arm: Arm, cases: int, poses: int, tries: int, seed: int
+    arm: Arm, cases: int, poses: int, tries: int, seed: int, say: Callable[[str], None]
 ) -> tuple[Array, float, float]:
     """Share of right links (methods, poses), share of seats that opened, median error [deg]."""
     bench = Bench(arm, cases, seed)
@@ -305,7 +318,7 @@ def by_simulation(
                     if visible(seen):
                         errors.append(np.arccos(min(1.0, abs(float(true @ seen.direction)))))
             right[m, t] = np.mean([c.guess(method) == bench.links[k] for k, c in active.items()])
-            _say(f"{arm.name}: {method}, pose {t + 1} of {poses}")
+            say(f"{arm.name}: {method}, pose {t + 1} of {poses}")
     return right, len(first) / cases, float(np.degrees(np.median(errors)))
 
 
@@ -321,48 +334,73 @@ def bound(frames: ToolFrames, draws: int, seed: int) -> float:
     return float(np.mean(shares))
 
 
-def _say(text: str) -> None:
-    print(f"\r{text:<60}", end="", file=sys.stderr, flush=True)
+def work(
+    case: tuple[str, str, float],
+    *,
+    settings: Settings,
+    run: StudyRun,
+    say: Callable[[str], None],
+) -> list[Row]:
+    """Accuracy by method and pose of one part, or its bound."""
+    name, part, scatter = case
+    arm = arm_from_file(Path(name)) if name in settings.file else arm_named(name)
+    frames, seed = ToolFrames(arm), settings.seed
+    row: Row = {"name": arm.name}
+    if part == "bound":
+        row |= {"bound": bound(frames, 120, seed)}
+    elif part == "scatter":
+        right = by_scatter(frames, np.radians(scatter), settings.cases, settings.poses, seed)
+        row |= {"right": right.tolist()}
+    else:
+        number = [*settings.arm, *settings.file].index(name)
+        right, opened, error = by_simulation(
+            arm, settings.records, settings.poses, settings.tries, seed + number, say
+        )
+        row |= {"right": right.tolist(), "opened": opened, "error": error}
+    return [{"arm": name, "part": part, "scatter": scatter} | row]
 
 
-def _table(title: str, right: Array) -> None:
-    print(f"\r{title:<60}")
-    print("  poses              " + "".join(f"{t + 1:>6}" for t in range(right.shape[1])))
-    for method, row in zip(METHODS, right, strict=True):
-        print(f"  {method:<18} " + "".join(f"{100 * share:6.0f}" for share in row))
+def cases_of(settings: Settings, run: StudyRun) -> list[tuple[str, str, float]]:
+    """For each arm its bound, part (a) by scatter, and part (b)."""
+    parts = [("bound", 0.0)]
+    parts += [("scatter", sd) for sd in SCATTERS if settings.cases]
+    parts += [("simulated", 0.0)] if settings.records else []
+    return [(name, *part) for name in (*settings.arm, *settings.file) for part in parts]
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run both parts and print a table for each arm."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--arm", nargs="*", default=[*ARMS], choices=[*ARMS], help="arms")
-    parser.add_argument("--file", nargs="*", default=[], help="more arms, MJCF or URDF files")
-    parser.add_argument("--cases", type=int, default=300, help="cases a scatter in part (a)")
-    parser.add_argument("--records", type=int, default=96, help="arms in part (b); 0 leaves it")
-    parser.add_argument("--poses", type=int, default=6, help="poses, the first included")
-    parser.add_argument("--tries", type=int, default=6, help="first poses until the seat opens")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--quick", action="store_true", help="a smoke test of both parts")
-    options = parser.parse_args(arguments)
-    if options.quick:
-        options.cases, options.records, options.poses, options.tries = 4, 4, 3, 2
-    arms = [ARMS[name]() for name in options.arm]
-    arms += [arm_from_file(Path(path)) for path in options.file]
-    for number, arm in enumerate(arms):
-        name = arm.name
-        frames = ToolFrames(arm)
-        print(f"{name}: at best {100 * bound(frames, 120, options.seed):.0f} % right by direction")
-        for sd in (2.0, 5.0, 10.0, 20.0) if options.cases else ():
-            _say(f"{name}: scatter {sd:g} degrees")
-            right = by_scatter(frames, np.radians(sd), options.cases, options.poses, options.seed)
-            _table(f" (a) scatter {sd:g} degrees, {options.cases} cases; right in %", right)
-        if options.records:
-            right, opened, error = by_simulation(
-                arm, options.records, options.poses, options.tries, options.seed + number
+def show(rows: list[Row], settings: Settings, path: Path, run: StudyRun) -> None:
+    """Print a table for each arm and part."""
+    for row in rows:
+        if row["part"] == "bound":
+            print(f"{row['name']}: at best {100 * row['bound']:.0f} % right by direction")
+            continue
+        title = f" (a) scatter {row['scatter']:g} degrees, {settings.cases} cases; right in %"
+        if row["part"] == "simulated":
+            title = (
+                f" (b) simulated, {100 * row['opened']:.0f} % of {settings.records} seats opened, "
+                f"median error {row['error']:.1f} degrees; right in %"
             )
-            title = f" (b) simulated, {100 * opened:.0f} % of {options.records} seats opened, "
-            _table(title + f"median error {error:.1f} degrees; right in %", right)
+        print(title)
+        print("  poses              " + "".join(f"{t + 1:>6}" for t in range(settings.poses)))
+        for method, shares in zip(METHODS, row["right"], strict=True):
+            print(f"  {method:<18} " + "".join(f"{100 * share:6.0f}" for share in shares))
 
+
+STUDY = Study(
+    script=__file__,
+    about=__doc__,
+    settings=Settings,
+    run=StudyRun,
+    quick={"cases": 4, "records": 4, "poses": 3, "tries": 2},
+    folder="out",
+    unit="parts",
+    cases=cases_of,
+    work=work,
+    case_of=lambda row: (row["arm"], row["part"], row["scatter"]),
+    show=show,
+    digits=8,
+)
+main = STUDY.main
 
 if __name__ == "__main__":
     main()

@@ -1,10 +1,10 @@
-"""Compare ways to choose the poses of a set: how often the loose link is named, pose by pose.
+"""Compare selection rules for pose sets: accuracy of the loose link, pose by pose.
 
 Two levels. "directions": every pose gives the direction of looseness with a stated scatter, and
 the posterior over links is exact; the limit that no choice of poses can pass is drawn in.
 "records": simulated records of arms with hidden faults, one analytic posterior and one excitation
-for all strategies. Rows are stored block by block, so that a run that was cut short goes on where
-it stopped; they are the same for any backend and number of workers.
+for all strategies. Rows are stored block by block; they are the same for any backend and number of
+workers.
 
 Usage: python scripts/studies/pose_sets.py [--level directions|records] [--quick]
            [--engine mujoco|reduced] [--learned AGENT ...] [--workers N] [--out FOLDER]
@@ -13,23 +13,18 @@ Usage: python scripts/studies/pose_sets.py [--level directions|records] [--quick
 
 from __future__ import annotations
 
-import argparse
-import functools
 import json
-import os
 import sys
-from collections.abc import Sequence
-from contextlib import closing
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from loose_agents.core.base import Problem
-from loose_agents.execution.backends import BackendSettings, add_backend_options
-from loose_agents.execution.progress import ProgressLine
-from loose_agents.execution.script_errors import errors_in_one_line
-from loose_agents.execution.shards import map_shards
+from loose_agents.execution.command import command, option
+from loose_agents.execution.study import ClusterRun, Row, Study, write_between
 from loose_agents.registry import make_agent
 from loose_agents.research.pose_set_trials import (
     ARMS,
@@ -43,30 +38,37 @@ from loose_agents.research.pose_set_trials import (
     records_block,
 )
 
-import loose_env
 from loose_env.diagnosis import PLANNED, one_by_one_share
 from loose_env.errors import LooseEnvError
 from loose_env.evaluation import wilson
+from loose_env.io import written_beside
 from loose_env.report import AGENTS as PALETTE
-from loose_env.report import (
-    FAINT,
-    INK,
-    MUTED,
-    pyplot,
-    rounded,
-    save_figure,
-    stored_rows,
-    study_head,
-    write_study,
-)
+from loose_env.report import FAINT, INK, MUTED, pyplot, save_figure
 from loose_env.typing import Array
-
-Row = dict[str, Any]
 
 ROOT = Path(__file__).resolve().parents[2]
 STRATEGIES = (*PLANNED, GREEDY)
 COLOURS = dict(zip(STRATEGIES, (6, 1, 3, 4, 5, 0, 2), strict=True))
-BEGIN, END = "<!-- tables: begin -->", "<!-- tables: end -->"
+LEVELS = ("directions", "records")
+_LIMITS = Task(arm="", strategy=LIMIT, first=0, cases=0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(ClusterRun):
+    """Settings of both levels."""
+
+    level: tuple[str, ...] = option(
+        LEVELS, "directions, records; none: draw what is stored", choices=LEVELS, nargs="*"
+    )
+    arm: tuple[str, ...] = option(tuple(ARMS), "arms", choices=tuple(ARMS), nargs="*")
+    cases: int | None = option(None, "cases for each arm, scatter and strategy")
+    engine: str = option("mujoco", "engine of the simulation: mujoco or reduced")
+    excited: Literal["all", "first"] = option("all", "excited joints")
+    difficulty: str = option("default", "easy, default or hard")
+    learned: tuple[str, ...] = option(
+        ("ppo",), "agents of the registry; skipped if untrained", nargs="*"
+    )
+    seed: int = option(0, "root of all draws")
 
 
 def playable(settings: Records) -> dict[str, list[str]]:
@@ -84,70 +86,60 @@ def playable(settings: Records) -> dict[str, list[str]]:
     return found
 
 
-# Running, storing
-
-
-def tasks_of(settings: Directions | Records, further: dict[str, list[str]]) -> list[Task]:
+def tasks_of(settings: Directions | Records, run: ClusterRun) -> list[Task]:
     """All blocks, in an order in which a run cut short has a little of everything."""
-    return [
+    further = playable(settings) if isinstance(settings, Records) else {}
+    blocks = [
         Task(arm=arm, strategy=s, first=k, cases=min(settings.block, settings.cases - k))
         for k in range(0, settings.cases, settings.block)
         for arm in settings.arms
         for s in (*STRATEGIES, *further.get(arm, []))
     ]
+    return blocks if isinstance(settings, Records) else [_LIMITS, *blocks]
 
 
-def study(
-    path: Path,
-    settings: Directions | Records,
+def work(
+    task: Task,
     *,
-    backend: BackendSettings | None = None,
-    afresh: bool = False,
-) -> list[Row]:
-    """Get the rows of one level: those stored, and the missing ones, stored as they come.
+    settings: Directions | Records,
+    run: ClusterRun,
+    say: Callable[[str], None],
+) -> Sequence[Row]:
+    """Rows of one block, or the limits of all directions."""
+    if isinstance(settings, Records):
+        return records_block(task, settings)
+    return limit_rows(settings) if task == _LIMITS else directions_block(task, settings)
 
-    Parameters
-    ----------
-    path : Path
-        File of the rows.
-    settings : Directions or Records
-        The level.
-    backend : BackendSettings, optional
-        Where the work runs; no row depends on it.
-    afresh : bool
-        Whether stored rows are left aside.
-    """
-    head = study_head("scripts/studies/pose_sets.py", settings, version=loose_env.__version__)
-    rows = [] if afresh else stored_rows(path, head)
-    directions = isinstance(settings, Directions)
-    further = {} if isinstance(settings, Directions) else playable(settings)
-    tasks = tasks_of(settings, further)
-    if isinstance(settings, Directions) and not any(r["strategy"] == LIMIT for r in rows):
-        rows += rounded(limit_rows(settings))
-    done = {(r["arm"], r["strategy"], r.get("first")) for r in rows}
-    missing = [task for task in tasks if (task.arm, task.strategy, task.first) not in done]
-    work = (
-        functools.partial(directions_block, settings=settings)  # type: ignore[arg-type]
-        if directions
-        else functools.partial(records_block, settings=settings)  # type: ignore[arg-type]
+
+def task_of(settings: Directions | Records, row: Row) -> Task:
+    """Block of a row."""
+    if row["strategy"] == LIMIT:
+        return _LIMITS
+    first = row["first"]
+    cases = min(settings.block, settings.cases - first)
+    return Task(arm=row["arm"], strategy=row["strategy"], first=first, cases=cases)
+
+
+def study_of(settings: Directions | Records) -> Study[Any, ClusterRun]:
+    """Study of one level."""
+    return Study(
+        script=__file__,
+        about=__doc__,
+        settings=type(settings),
+        run=ClusterRun,
+        file=f"pose_sets_{type(settings).__name__.lower()}.json",
+        unit="blocks",
+        cases=tasks_of,
+        work=work,
+        case_of=partial(task_of, settings),
+        show=lambda rows, settings, path, run: None,
+        order=lambda row: (
+            list(ARMS).index(row["arm"]),
+            row["strategy"],
+            row.get("sd", 0.0),
+            row.get("first", 0),
+        ),
     )
-    arms = list(ARMS)
-
-    def place(row: Row) -> tuple[Any, ...]:
-        return arms.index(row["arm"]), row["strategy"], row.get("sd", 0.0), row.get("first", 0)
-
-    total, left = len(tasks), len(missing)
-    with (
-        ProgressLine(total, done=total - left, unit="blocks") as line,
-        closing(map_shards(work, missing, settings=backend)) as results,
-    ):
-        for _, found in results:
-            rows += rounded(found)
-            write_study(path, head, sorted(rows, key=place))
-            line.advance(1)
-    if not missing:
-        write_study(path, head, sorted(rows, key=place))
-    return sorted(rows, key=place)
 
 
 def summed(rows: Sequence[Row]) -> dict[tuple[str, float, str], Row]:
@@ -268,11 +260,11 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     low = 0.62 / figure.get_figheight()
     figure.text(0.008, 0.08 / figure.get_figheight(), _caption(sds), fontsize=8, color=MUTED)
     figure.tight_layout(rect=(0, low, 1, 1 - 0.5 / figure.get_figheight()))
-    beside = path.with_suffix(".part.svg")
     # The same file for the same rows.
     with plt.rc_context({"svg.hashsalt": "pose sets"}):
-        figure.savefig(beside, metadata={"Date": None})
-    os.replace(beside, path.with_suffix(".svg"))
+        written_beside(
+            path.with_suffix(".svg"), lambda beside: figure.savefig(beside, metadata={"Date": None})
+        )
     save_figure(plt, figure, path.with_suffix(".png"))
 
 
@@ -319,80 +311,46 @@ def _panel(panel: Any, whole: dict[Any, Row], arm: str, sd: float, colours: dict
     panel.grid(axis="y", color=FAINT, lw=0.5)
 
 
-def write_docs(page: Path, text: str) -> None:
-    """Put the tables between their marks on a page."""
-    old = page.read_text(encoding="utf-8")
-    before, rest = old.split(BEGIN)
-    page.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{rest.split(END)[1]}", encoding="utf-8")
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the levels asked for, print the tables, write the figure and the page's tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    levels = ("directions", "records")
-    parser.add_argument(
-        "--level",
-        nargs="*",
-        default=[*levels],
-        help="directions, records; none: draw what is stored",
-    )
-    parser.add_argument("--arm", nargs="*", default=[*ARMS], choices=[*ARMS], help="arms")
-    parser.add_argument("--cases", type=int, help="cases for each arm, scatter and strategy")
-    parser.add_argument("--engine", default="mujoco", help="what simulates: mujoco or reduced")
-    parser.add_argument("--excited", default="all", choices=("all", "first"), help="joints shaken")
-    parser.add_argument("--difficulty", default="default", help="easy, default or hard")
-    parser.add_argument(
-        "--learned", nargs="*", default=["ppo"], help="agents of the registry; skipped if untrained"
-    )
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--quick", action="store_true", help="a rough look in a minute")
-    parser.add_argument("--afresh", action="store_true", help="work out what is stored already")
-    parser.add_argument("--out", type=Path, help="folder; default docs/figures, quick: out/")
-    add_backend_options(parser)
-    chosen = parser.parse_args(arguments)
-    if unknown := set(chosen.level) - set(levels):
-        parser.error(f"levels are {', '.join(levels)}; got {', '.join(sorted(unknown))}")
-    going_on = "the same command goes on from what was worked out"
-    with errors_in_one_line("pose_sets", interrupted=going_on):
-        evaluate(chosen, levels)
-
-
-def evaluate(chosen: argparse.Namespace, levels: Sequence[str]) -> None:
-    """Run the levels, print the tables, write the figure."""
-    folder: Path = chosen.out or ROOT / ("out" if chosen.quick else "docs/figures")
-    folder.mkdir(parents=True, exist_ok=True)
-    directions = Directions(arms=tuple(chosen.arm), seed=chosen.seed)
+def evaluate(chosen: Options) -> None:
+    """Run the levels, print the tables, write the figure and the tables of the page."""
+    directions = Directions(arms=chosen.arm, seed=chosen.seed)
     records = Records(
-        arms=tuple(chosen.arm),
+        arms=chosen.arm,
         difficulty=chosen.difficulty,
         engine=chosen.engine,
         excited=chosen.excited,
-        learned=tuple(chosen.learned),
+        learned=chosen.learned,
         seed=chosen.seed,
     )
     if chosen.quick:
         directions = replace(directions, cases=40, block=20, poses=4, samples=4000)
         records = replace(records, cases=12, block=12, poses=3)
     if chosen.cases is not None:
-        directions, records = (replace(s, cases=chosen.cases) for s in (directions, records))  # type: ignore[assignment]
-    backend = BackendSettings.of(chosen)
+        directions = replace(directions, cases=chosen.cases)
+        records = replace(records, cases=chosen.cases)
     rows: list[Row] = []
-    for level, settings in zip(levels, (directions, records), strict=True):
-        path = folder / f"pose_sets_{level}.json"
-        if level in chosen.level:
-            rows += study(path, settings, backend=backend, afresh=chosen.afresh)  # type: ignore[arg-type]
+    both: tuple[Directions | Records, ...] = (directions, records)
+    for level, settings in zip(LEVELS, both, strict=True):
+        study = study_of(settings)
+        path = study.path(settings, chosen)
+        if level in chosen.level and chosen.show is None:
+            rows += study.rows(path, settings, chosen)
         elif path.exists():  # drawn and printed as it was stored
             rows += json.loads(path.read_text(encoding="utf-8"))["rows"]
     if not rows:
-        print(f"no rows lie in {folder}: name a --level", file=sys.stderr)
+        print(f"no rows lie in {path.parent}: name a --level", file=sys.stderr)
         return
-    draw(rows, folder / "pose_sets.png")
+    draw(rows, path.parent / "pose_sets.png")
     print(tables(rows))
-    if folder == ROOT / "docs/figures":
-        write_docs(ROOT / "docs/pose_sets.md", tables(rows))
-    print(f"\npicture: {folder / 'pose_sets.png'}", file=sys.stderr)
+    if path.parent == study.root / "docs/figures":
+        write_between(study.root / "docs/pose_sets.md", tables(rows))
+    print(f"\npicture: {path.parent / 'pose_sets.png'}", file=sys.stderr)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the levels asked for, with errors in one line."""
+    interrupted = "the same command goes on"
+    command("pose_sets", __doc__, Options, evaluate, arguments, interrupted=interrupted)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
-"""Settings of the execution backends and their command-line options."""
+"""Settings of the execution backends."""
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import Field, dataclass, field, fields
-from typing import Any
+from dataclasses import dataclass
 
+from loose_agents.execution.command import add_options, option, options_of
 from loose_env.errors import InvalidSetting, UnknownName
 
 __all__ = ["BACKENDS", "BackendSettings", "add_backend_options"]
@@ -20,16 +20,9 @@ BACKENDS = {
 """Name of each backend, and where it runs the work."""
 
 
-def _option(default: Any, kind: type, words: str) -> Any:
-    """Dataclass field that is also a command-line option."""
-    return field(default=default, metadata={"type": kind, "help": words})
-
-
 @dataclass(frozen=True, kw_only=True)
 class BackendSettings:
-    """Execution and retry settings of shards; results do not depend on them.
-
-    The help of a field is the help of its option.
+    """Execution and retry of shards; no result depends on it.
 
     Raises
     ------
@@ -44,28 +37,28 @@ class BackendSettings:
     2
     """
 
-    backend: str = _option(
-        "loky", str, "where the work runs: " + "; ".join(f"{n}, {w}" for n, w in BACKENDS.items())
+    backend: str = option(
+        "loky",
+        "where the work runs: " + "; ".join(f"{n}, {w}" for n, w in BACKENDS.items()),
+        choices=tuple(BACKENDS),
     )
-    workers: int | None = _option(
-        None, int, "shards run side by side; default: every core, for slurm 100 jobs"
+    workers: int | None = option(
+        None, "shards run side by side; default: every core, for slurm 100 jobs"
     )
-    retries: int = _option(2, int, "times a shard is run again after its worker died")
-    ray_address: str | None = _option(
-        None, str, "running Ray cluster, as in 'auto'; default: one on this machine"
+    retries: int = option(2, "times a shard is run again after its worker died")
+    ray_address: str | None = option(
+        None, "running Ray cluster, as in 'auto'; default: one on this machine"
     )
-    dask_scheduler: str | None = _option(
-        None, str, "running Dask scheduler, as in tcp://host:8786; default: one on this machine"
+    dask_scheduler: str | None = option(
+        None, "running Dask scheduler, as in tcp://host:8786; default: one on this machine"
     )
-    slurm_cluster: str = _option(
-        "slurm", str, "submitit's kind of cluster: slurm; local or debug to try without one"
+    slurm_cluster: str = option(
+        "slurm", "submitit's kind of cluster: slurm; local or debug to try without one"
     )
-    slurm_partition: str | None = _option(None, str, "partition; default: the cluster's own")
-    slurm_time: int = _option(60, int, "time limit of a job [min]")
-    slurm_memory: float | None = _option(
-        None, float, "memory of a job [GB]; default: the cluster's own"
-    )
-    slurm_folder: str = _option("runs/slurm", str, "folder of the jobs' logs, seen by every node")
+    slurm_partition: str | None = option(None, "partition; default: the cluster's own")
+    slurm_time: int = option(60, "time limit of a job [min]")
+    slurm_memory: float | None = option(None, "memory of a job [GB]; default: the cluster's own")
+    slurm_folder: str = option("runs/slurm", "folder of the jobs' logs, seen by every node")
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -85,9 +78,9 @@ class BackendSettings:
             raise InvalidSetting(f"slurm_memory is {self.slurm_memory} GB; it must be above 0")
 
     @classmethod
-    def of(cls, options: argparse.Namespace) -> BackendSettings:
+    def of(cls, given: argparse.Namespace) -> BackendSettings:
         """Build settings from options parsed after `add_backend_options`."""
-        return cls(**{f.name: getattr(options, f.name) for f in fields(cls)})
+        return options_of(cls, given)
 
 
 def add_backend_options(parser: argparse.ArgumentParser) -> None:
@@ -107,20 +100,4 @@ def add_backend_options(parser: argparse.ArgumentParser) -> None:
     >>> settings.backend, settings.workers, settings.slurm_time
     ('ray', 8, 60)
     """
-    group = parser.add_argument_group("where the work runs (no result depends on it)")
-    for each in fields(BackendSettings):
-        _add_option(group, each)
-
-
-def _add_option(group: argparse._ArgumentGroup, each: Field[Any]) -> None:
-    words = each.metadata["help"]
-    if each.default is not None and "default" not in words:
-        words += f"; default: {each.default}"
-    group.add_argument(
-        "--" + each.name.replace("_", "-"),
-        type=each.metadata["type"],
-        default=each.default,
-        choices=tuple(BACKENDS) if each.name == "backend" else None,
-        metavar=None if each.name == "backend" else each.metadata["type"].__name__.upper(),
-        help=words.replace("%", "%%"),
-    )
+    add_options(parser, BackendSettings)

@@ -64,6 +64,10 @@ class ProgressLine(tqdm):  # type: ignore[misc]
         if not self.update(units) and self.n >= self.total:
             self.refresh()  # the last line of a log, where tenths do not divide the work
 
+    def say(self, words: str) -> None:
+        """Show how the work on a unit stands."""
+        self.set_postfix_str(words)
+
 
 class _Lines:
     """File that turns the writing over one line into lines."""

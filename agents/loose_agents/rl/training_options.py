@@ -4,23 +4,15 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 
 from loose_agents.core.estimators import ESTIMATORS
+from loose_agents.execution.command import OneLineParser
 from loose_agents.rl.hyperparameters import ALGORITHMS
 from loose_env.errors import InvalidSetting
 
-__all__ = ["OneLineParser", "check_training", "training_parser"]
-
-
-class OneLineParser(argparse.ArgumentParser):
-    """Argument parser with one-line error messages."""
-
-    def error(self, message: str) -> NoReturn:
-        """Exit with the message."""
-        self.exit(2, f"{self.prog.removesuffix('.py')}: {message}; --help lists the options\n")
+__all__ = ["check_training", "training_parser"]
 
 
 def training_parser(description: str | None = None) -> OneLineParser:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from loose_agents.execution.backends import BackendSettings
+from loose_agents.execution.study import BEGIN, END, ClusterRun, write_between
 from loose_agents.research.pose_set_trials import LIMIT, Directions, Records, Task, records_block
 
 from scripts.studies import pose_sets as script
@@ -15,13 +15,14 @@ from scripts.studies import pose_sets as script
 SMALL = Directions(arms=("planar2", "planar3"), sds=(10.0,), cases=6, block=3, poses=3, samples=500)
 
 
-def backend(workers: int) -> BackendSettings:
-    return BackendSettings(backend="threading", workers=workers)
+def worked_out(path: Path, settings: Directions, workers: int = 1) -> list[dict[str, Any]]:
+    run = ClusterRun(backend="threading", workers=workers)
+    return script.study_of(settings).rows(path, settings, run)
 
 
 def test_rows_are_the_same_for_any_number_of_workers(tmp_path: Path) -> None:
-    one = script.study(tmp_path / "one.json", SMALL, backend=backend(1))
-    two = script.study(tmp_path / "two.json", SMALL, backend=backend(2))
+    one = worked_out(tmp_path / "one.json", SMALL, 1)
+    two = worked_out(tmp_path / "two.json", SMALL, 2)
     assert one == two
     assert (tmp_path / "one.json").read_bytes() == (tmp_path / "two.json").read_bytes()
 
@@ -30,7 +31,7 @@ def test_a_run_cut_short_goes_on_where_it_stopped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "rows.json"
-    whole = script.study(path, SMALL, backend=backend(1))
+    whole = worked_out(path, SMALL, 1)
     stored = json.loads(path.read_text(encoding="utf-8"))
     stored["rows"] = [r for r in stored["rows"] if r["strategy"] != "one joint"]
     path.write_text(json.dumps(stored), encoding="utf-8")
@@ -42,7 +43,7 @@ def test_a_run_cut_short_goes_on_where_it_stopped(
         return block(task, settings)
 
     monkeypatch.setattr(script, "directions_block", watched)
-    assert script.study(path, SMALL, backend=backend(1)) == whole
+    assert worked_out(path, SMALL, 1) == whole
     assert {task.strategy for task in worked} == {"one joint"}
     assert len(worked) == 4
 
@@ -51,7 +52,7 @@ def test_the_limit_stands_in_the_rows_and_is_not_passed(tmp_path: Path) -> None:
     settings = Directions(
         arms=("planar4",), sds=(20.0,), cases=300, block=300, poses=3, samples=8000
     )
-    whole = script.summed(script.study(tmp_path / "rows.json", settings, backend=backend(1)))
+    whole = script.summed(worked_out(tmp_path / "rows.json", settings, 1))
     limit = script.limit_of(whole, "planar4", 20.0)
     assert limit[0] == pytest.approx(0.25)
     for (_, _, name), row in whole.items():
@@ -91,8 +92,6 @@ def test_rows_of_an_unknown_engine_are_refused() -> None:
 
 def test_tables_go_between_their_marks(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    page.write_text(f"before\n{script.BEGIN}\nold\n{script.END}\nafter\n", encoding="utf-8")
-    script.write_docs(page, "new")
-    assert page.read_text(encoding="utf-8") == (
-        f"before\n{script.BEGIN}\n\nnew\n\n{script.END}\nafter\n"
-    )
+    page.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n", encoding="utf-8")
+    write_between(page, "new")
+    assert page.read_text(encoding="utf-8") == (f"before\n{BEGIN}\n\nnew\n\n{END}\nafter\n")

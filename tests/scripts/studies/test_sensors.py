@@ -19,7 +19,7 @@ def study() -> ModuleType:
 
 
 def test_the_smallest_gap_lies_where_the_rising_share_crosses(study: ModuleType) -> None:
-    gaps = 1e3 * study.GAPS
+    gaps = 1e3 * np.array(study.GAPS)
     share = np.zeros(len(gaps))
     share[4:] = 1.0
     assert study.smallest_gap(share, 0.5) == pytest.approx(np.sqrt(gaps[3] * gaps[4]))
@@ -54,11 +54,8 @@ def test_a_small_study_writes_its_rows_settings_and_picture(
 ) -> None:
     pytest.importorskip("matplotlib")
     out = tmp_path / "picture.png"
-    study.GAPS, whole = np.array([5e-5, 2e-4]), study.GAPS
-    try:
-        study.main(["--arms", "vera", "--cases", "2", "--duration", "0.2", "--out", str(out)])
-    finally:
-        study.GAPS = whole
+    words = ["--arms", "vera", "--cases", "2", "--duration", "0.2", "--gaps", "5e-5", "2e-4"]
+    study.main([*words, "--out", str(out)])
     printed = capsys.readouterr().out
     assert "tool + links 1, 2" in printed
     found = json.loads(out.with_suffix(".json").read_text())
@@ -73,3 +70,5 @@ def test_a_small_study_writes_its_rows_settings_and_picture(
             assert 0 <= row["within_two_sd"] <= 1
     assert out.stat().st_size > 10_000
     assert sorted(path.name for path in tmp_path.iterdir()) == ["picture.json", "picture.png"]
+    study.main(["--show", str(out.with_suffix(".json"))])
+    assert capsys.readouterr().out.count("tool + links 1, 2") == 1
