@@ -31,7 +31,7 @@ from loose_env.envs import DiagnosisEnv, DiagnosisSettings
 from loose_env.errors import InvalidData
 from loose_env.faults import UNSURE
 from loose_env.gap import GapResult, read_result
-from scripts.study_parts.corrected_tables import MODELS, show
+from scripts.study_parts.corrected_tables import MODELS, draw, show
 from scripts.study_parts.three_axis_arm import NOMINAL, Settings, record, spring_of, true_xml
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -173,6 +173,7 @@ STUDY = Study(
     work=work,
     case_of=lambda row: (row["mode_hz"], row.get("model", "gap")),
     show=show,
+    draw=draw,
 )
 main = STUDY.main
 

@@ -53,7 +53,7 @@ from loose_env.sensors import LinkAccelerometers, SensorSuite
 from loose_env.statistics import axial_angle_between
 from loose_env.typing import Array
 from scripts.study_parts.arms import arm_named
-from scripts.study_parts.sensor_tables import REFERENCES, show
+from scripts.study_parts.sensor_tables import REFERENCES, draw, show
 
 Records = Sequence[StackedRecord] | None
 Score = tuple[float, bool, float, bool, float]
@@ -382,6 +382,7 @@ STUDY = Study(
     case_of=lambda row: row["arm"],
     head=head,
     show=show,
+    draw=draw,
 )
 main = STUDY.main
 

@@ -274,7 +274,7 @@ def head(settings: Settings) -> Mapping[str, Any]:
 
 
 def show(rows: list[Row], settings: Settings, path: Path, run: StudyRun) -> None:
-    """Print quantiles of z by arm, step and statistic; draw them beside the rows."""
+    """Print quantiles of z by arm, step and statistic."""
     print(
         f"{'arm':<9} {'faults for':>10} {'step':>8} {'statistic':<27}"
         f" {'50 %':>6} {'90 %':>6} {'95 %':>6} {'max':>6} {'z < 1':>7}"
@@ -289,10 +289,9 @@ def show(rows: list[Row], settings: Settings, path: Path, run: StudyRun) -> None
                 f" {label:<27} {quantiles} {100 * z['below_1']:5.0f} %"
                 f" {100 * row['diverged']:7.1f} % {100 * row['softened']:7.0f} %"
             )
-    draw_figure(rows, settings, path.with_suffix(".png"))
 
 
-def draw_figure(rows: Sequence[Row], settings: Settings, path: Path) -> None:
+def draw(rows: list[Row], settings: Settings, path: Path) -> None:
     """Draw z against the step, a panel for every arm."""
     plt = pyplot()
     colours = {
@@ -393,6 +392,7 @@ STUDY = Study(
     case_of=lambda row: (row["arm"], row["candidate"]),
     head=head,
     show=show,
+    draw=draw,
 )
 main = STUDY.main
 

@@ -13,16 +13,15 @@ from loose_env.faults import UNSURE
 from loose_env.report import INK, MUTED, pyplot, save_figure
 from scripts.study_parts.three_axis_arm import Settings
 
-__all__ = ["MODELS", "mean_of", "row_of", "show"]
+__all__ = ["MODELS", "draw", "mean_of", "row_of", "show"]
 
 MODELS = {"nominal": "nominal model", "corrected": "corrected by loose gap", "true": "true model"}
 COLOURS = {"nominal": "#d0451b", "corrected": "#0072b2", "true": "#4a8f5c"}
 
 
 def show(rows: list[Row], settings: Settings, path: Path, run: StudyRun) -> None:
-    """Print the tables and draw the picture beside the rows."""
+    """Print the tables."""
     print_tables(rows)
-    draw(rows, settings, path.with_suffix(".png"))
 
 
 def row_of(rows: Sequence[Row], mode: float | None, model: str) -> Row | None:
@@ -87,7 +86,7 @@ def print_tables(rows: Sequence[Row]) -> None:
         print(line)
 
 
-def draw(rows: Sequence[Row], settings: Settings, path: Path) -> None:
+def draw(rows: list[Row], settings: Settings, path: Path) -> None:
     """Draw accuracy and return against the mode of the spring, a line for each model."""
     plt = pyplot()
     figure, panels = plt.subplots(1, 2, figsize=(8.6, 3.7), sharex=True)

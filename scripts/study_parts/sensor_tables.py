@@ -10,7 +10,7 @@ from loose_agents.execution.study import Row, StudyRun
 
 from loose_env.report import FAINT, INK, MUTED, pyplot, save_figure
 
-__all__ = ["REFERENCES", "show"]
+__all__ = ["REFERENCES", "draw", "show"]
 
 REFERENCES = ("healthy", "nominal", "nominal, rigid")
 """References of the records: those of the same arm when it was healthy, or the nominal arm; and the
@@ -18,10 +18,9 @@ nominal arm again where healthy arms have rigid seats."""
 
 
 def show(rows: list[Row], settings: Any, path: Path, run: StudyRun) -> None:
-    """Print the table and draw the picture beside the rows."""
+    """Print the table."""
     gaps = (1e3 * settings.gaps[0], 1e3 * settings.gaps[-1])
     print_table(rows, gaps)
-    draw_figure(rows, gaps, path.with_suffix(".png"))
 
 
 def print_table(rows: Sequence[Row], ends: tuple[float, float]) -> None:
@@ -75,8 +74,9 @@ FAMILIES = {
 """Words, colour, marker and line of each family of sensor sets."""
 
 
-def draw_figure(rows: Sequence[Row], ends: tuple[float, float], path: Path) -> None:
+def draw(rows: list[Row], settings: Any, path: Path) -> None:
     """Draw accuracy of the link, direction error and smallest gap against the number of axes."""
+    ends = (1e3 * settings.gaps[0], 1e3 * settings.gaps[-1])
     plt = pyplot()
     arms = list(dict.fromkeys(row["arm"] for row in rows))
     errors = [row["direction_error"] for row in rows]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -39,8 +40,8 @@ class StudyRun:
     quick: bool = option(False, "a rough look with few cases")
     afresh: bool = option(False, "work out again what is stored")
     show: str | None = option(
-        None, "print and draw what is stored, here or in a file", nargs="?", const="",
-        metavar="FILE",
+        None, "print what is stored, here or in a file; a file is drawn where --out is given",
+        nargs="?", const="", metavar="FILE",
     )  # fmt: skip
 
 
@@ -74,7 +75,7 @@ class Study(Generic[S, O]):
     case_of : callable
         Case to which a row belongs.
     show : callable
-        Prints and draws the rows, from rows, settings, the path of the rows, and the run.
+        Prints the rows, from rows, settings, the path of the rows, and the run.
     run : type
         `StudyRun`, or a dataclass with more options; of `ClusterRun` for work side by side.
     quick : mapping
@@ -91,6 +92,8 @@ class Study(Generic[S, O]):
         Settings changed by options of the run.
     order : callable, optional
         Key by which stored rows are sorted; the order of the cases by default.
+    draw : callable, optional
+        Draws the rows, from rows, settings and the path of the picture.
     digits : int
         Significant digits of the rows.
     """
@@ -110,6 +113,7 @@ class Study(Generic[S, O]):
     head: Callable[[S], Mapping[str, Any]] | None = None
     adapt: Callable[[S, O], S] | None = None
     order: Callable[[Row], Any] | None = None
+    draw: Callable[[list[Row], S, Path], None] | None = None
     digits: int = 4
 
     @property
@@ -140,9 +144,12 @@ class Study(Generic[S, O]):
                 path = Path(run.show or path)
                 rows, settings = self.stored(path)
             self.show(rows, settings, path, run)
-            for kind, beside in (("picture", path.with_suffix(".png")), ("rows", path)):
-                if beside.exists():
-                    print(f"{kind}: {beside}")
+            if self.draw is not None and not (run.show and run.out is None):
+                picture = (self.path(settings, run) if run.show else path).with_suffix(".png")
+                picture.parent.mkdir(parents=True, exist_ok=True)
+                self.draw(rows, settings, picture)
+                print(f"picture: {picture}", file=sys.stderr)
+            print(f"rows: {path}", file=sys.stderr)
 
     def path(self, settings: S, run: O) -> Path:
         """File of the rows of a run."""

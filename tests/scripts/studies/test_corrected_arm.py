@@ -102,7 +102,7 @@ def test_it_goes_on_where_it_stopped_and_prints_and_draws(
     path = tmp_path / "rows.json"
     path.write_text(json.dumps(whole | {"rows": rows[:-1]}))
     assert corrected_arm.STUDY.rows(path, SMALL, StudyRun(out=folder)) == rows
-    corrected_arm.main(["--show", str(path)])
+    corrected_arm.main(["--show", str(path), "--out", str(path.with_suffix(".png"))])
     said = capsys.readouterr().out
     assert "joint_compliance@shoulder" in said and "corrected" in said
     assert path.with_suffix(".png").stat().st_size > 10_000
