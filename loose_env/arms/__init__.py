@@ -15,12 +15,14 @@ from loose_env.arms.engine_warnings import (
 from loose_env.arms.files.load import (
     DESK_ARM,
     arm_from_file,
+    arm_of_model_file,
     describe_file,
 )
 from loose_env.arms.files.model_reader import (
     ModelFile,
     compile_spec,
     load_spec,
+    model_file,
     read_model_file,
     require_numbers,
 )
@@ -120,6 +122,7 @@ __all__ = [
     "Shaker",
     "add_shaker",
     "arm_from_file",
+    "arm_of_model_file",
     "compile_spec",
     "describe_file",
     "files_of",
@@ -130,6 +133,7 @@ __all__ = [
     "inertance_rate",
     "link_site",
     "load_spec",
+    "model_file",
     "new_spec",
     "place_shaker",
     "planar",

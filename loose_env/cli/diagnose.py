@@ -24,9 +24,9 @@ from loose_env.instrument import (
     HEALTHY,
     DiagnoseSettings,
     Diagnosis,
-    Machine,
     NextSettings,
     diagnose,
+    read_recorded_arm,
     session_beside,
 )
 from loose_env.recording import read_recording
@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> None:
     try:
         from loose_env.report import write_page
 
-        arm = Machine(recording.model_path).shown
+        arm = read_recorded_arm(recording.model_path).shown
         name = options.recording.resolve().name
         written.append(write_page(folder.path / "report.html", found, arm, recording=name))
     except (MissingExtra, InvalidData) as error:  # what was found is written all the same

@@ -70,7 +70,7 @@ def run(options: argparse.Namespace) -> None:
         choice=settings_of(options, NextSettings),
         own=settings_of(options, PlanSettings),
     )
-    files = PlanFiles(options.out, made.machine.recordable.xml)
+    files = PlanFiles(options.out, made.arm.recording_model.xml)
     runs = files.next_names(len(made.signals))
     written = write_plan(files, made, known="" if options.known is None else str(options.known))
     from loose_env.report import summary

@@ -11,11 +11,10 @@ from loose_env.instrument.inspect import (
 from loose_env.instrument.model.actuators import (
     JointDrive,
 )
-from loose_env.instrument.model.planned_arm import (
-    load_model_arm,
-)
-from loose_env.instrument.model.recorded_arm import (
-    Machine,
+from loose_env.instrument.model.instrumented_arm import (
+    InstrumentedArm,
+    read_arm,
+    read_recorded_arm,
 )
 from loose_env.instrument.pipeline import (
     diagnose,
@@ -78,9 +77,9 @@ __all__ = [
     "DiagnoseSettings",
     "Diagnosis",
     "Fault",
+    "InstrumentedArm",
     "JointDrive",
     "Loop",
-    "Machine",
     "ModelSettings",
     "NextMeasurement",
     "NextSettings",
@@ -93,13 +92,14 @@ __all__ = [
     "diagnose",
     "find_fault",
     "inspect_model",
-    "load_model_arm",
     "next_for",
     "option_words",
     "path_word",
     "plan",
     "plan_json",
+    "read_arm",
     "read_diagnosis",
+    "read_recorded_arm",
     "run_columns",
     "screen",
     "session_beside",

@@ -20,11 +20,10 @@ import numpy as np
 from loose_env.arms import LinearArm
 from loose_env.diagnosis import Proposal, holding_modes
 from loose_env.instrument.model.clearance import Ground
-from loose_env.instrument.model.planned_arm import ModelArm
+from loose_env.instrument.model.instrumented_arm import InstrumentedArm, read_arm
 from loose_env.instrument.planning.candidate_poses import candidate_poses
 from loose_env.instrument.planning.detectability import Findable, best_seen, findable_faults
 from loose_env.instrument.planning.excitation import limited, proposed, torque_of
-from loose_env.instrument.planning.plan import load
 from loose_env.instrument.settings.arm_and_plan import ModelSettings
 from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.io import json_text
@@ -66,7 +65,7 @@ class JointSeen:
 class Inspection:
     """Result of an inspection."""
 
-    machine: ModelArm
+    arm: InstrumentedArm
     """The arm."""
     joints: tuple[JointSeen, ...]
     """Base first."""
@@ -94,17 +93,17 @@ class Inspection:
 
     def to_json(self) -> str:
         """Serialise to the format ``loose-inspection/1``."""
-        found = self.machine.report
+        found = self.arm.report
         whole = {
             "format": FORMAT,
-            "model": self.machine.path.name,
+            "model": self.arm.path.name,
             "tool": {
                 "name": found.tool,
                 "found": found.tool_origin,
-                "site": self.machine.recordable.site,
-                "accelerometer": self.machine.recordable.accelerometer,
+                "site": self.arm.recording_model.site,
+                "accelerometer": self.arm.recording_model.accelerometer,
             },
-            "held_by": self.machine.held_by,
+            "held_by": self.arm.held_by,
             "links": [
                 {"name": name, "mass_kg": mass}
                 for name, mass in zip(found.links, found.link_masses, strict=True)
@@ -157,12 +156,12 @@ def inspect_model(
     'backlash@turn'
     """
     rules = NextSettings() if settings is None else settings
-    machine = load(path, arm)
-    own, linear = limited(machine.arm, LinearArm(machine.arm), rules)
+    instrumented = read_arm(path, arm)
+    own, linear = limited(instrumented.nominal, instrumented.linear, rules)
     ground = Ground.of(own, rules.ground_m)
 
     def allowed(pose: Array) -> bool:
-        return ground.clear(pose) and not machine.collisions.touch(pose)
+        return ground.clear(pose) and not instrumented.collisions.touch(pose)
 
     where = candidate_poses(
         own,
@@ -170,25 +169,29 @@ def inspect_model(
         count=rules.poses,
         margin=rules.margin,
         rng=np.random.default_rng(rules.seed),
-        here=machine.home,
+        here=instrumented.home,
         allowed=allowed,
     )
-    shakable = [j for j, drive in enumerate(machine.drives) if drive is not None]
+    shakable = [j for j, drive in enumerate(instrumented.drives) if drive is not None]
     found = best_seen(linear, where, rules, shakable)
     shown = proposed(own, where[0], rules)
     none = np.zeros(own.n, dtype=bool)
     return Inspection(
-        machine=machine,
-        joints=_joints(machine, linear, where[0], shown, rules),
-        pose=machine.pose(where[0]),
+        arm=instrumented,
+        joints=_joints(instrumented, linear, where[0], shown, rules),
+        pose=instrumented.by_joint(where[0]),
         modes_hz=tuple(float(f) for f in holding_modes(linear.at(where[0]), none)),
         band_hz=(float(shown.band[0]), float(shown.band[1])),
         noise_rms=found.noise,
         seconds=rules.seconds,
         seconds_needed=found.seconds(rules),
-        faults=findable_faults(machine, found),
+        faults=findable_faults(instrumented, found),
         poses=len(where),
-        warnings=tuple(dict.fromkeys((*_telling(machine.named(shown.warnings)), *machine.notes))),
+        warnings=tuple(
+            dict.fromkeys(
+                (*_telling(instrumented.with_joint_names(shown.warnings)), *instrumented.notes)
+            )
+        ),
         settings={**asdict(arm or ModelSettings()), **asdict(rules)},
     )
 
@@ -199,21 +202,21 @@ def _telling(notes: Sequence[str]) -> list[str]:
 
 
 def _joints(
-    machine: ModelArm, linear: LinearArm, pose: Array, shown: Proposal, rules: NextSettings
+    arm: InstrumentedArm, linear: LinearArm, pose: Array, shown: Proposal, rules: NextSettings
 ) -> tuple[JointSeen, ...]:
-    arm, at = machine.arm, linear.at(pose)
+    nominal, at = arm.nominal, linear.at(pose)
     made = []
-    for j, found in enumerate(machine.report.joints):
+    for j, found in enumerate(arm.report.joints):
         torque = float(torque_of(shown, j, rules)[j])
         answer = at.response(np.arange(arm.n) == j).joint[:, j, 0]
         made.append(
             JointSeen(
                 name=found.name,
-                link=machine.links[j],
+                link=arm.links[j],
                 kind=found.kind,
                 range=found.range,
-                torque_limit=arm.torque_limits[j],
-                drive=_drive_words(machine, j),
+                torque_limit=nominal.torque_limits[j],
+                drive=_drive_words(arm, j),
                 level_tool=min(float(shown.levels[j]), rules.most_tool),
                 level_joint=torque * float(np.sqrt(np.mean(np.abs(answer) ** 2))),
                 torque_rms=torque,
@@ -222,14 +225,14 @@ def _joints(
     return tuple(made)
 
 
-def _drive_words(machine: ModelArm, j: int) -> str:
-    drive = machine.drives[j]
+def _drive_words(arm: InstrumentedArm, j: int) -> str:
+    drive = arm.drives[j]
     if drive is None:
         return "none that can be told in figures"
     if drive.servo:
-        unit = "N/m" if machine.arm.sliding[j] else "N·m/rad"
+        unit = "N/m" if arm.nominal.sliding[j] else "N·m/rad"
         return f"position servo {drive.actuator}, {drive.stiffness:.4g} {unit}"
-    unit = "N" if machine.arm.sliding[j] else "N·m"
+    unit = "N" if arm.nominal.sliding[j] else "N·m"
     return f"torque motor {drive.actuator}, {drive.gain:.3g} {unit} per unit"
 
 
@@ -238,8 +241,8 @@ _WIDTH = 100
 
 def screen(found: Inspection) -> str:
     """Format an inspection for a terminal."""
-    machine = found.machine
-    report = machine.report
+    arm = found.arm
+    report = arm.report
     lines = [f"{report.file} ({report.format}): {len(found.joints)} joints", ""]
     rows: list[tuple[str, ...]] = [("joint", "moves", "mass", "range", "torque", "driven by")]
     rows += [
@@ -259,7 +262,7 @@ def screen(found: Inspection) -> str:
         f"payload: {branch.body} on {branch.link}, {branch.mass:.3g} kg"
         for branch in report.payload
     ]
-    lines.append(f"held by: {machine.held_by}")
+    lines.append(f"held by: {arm.held_by}")
     pose = ", ".join(
         f"{value * 1e3:.0f} mm" if joint.kind == "slide" else f"{np.degrees(value):.0f}°"
         for joint, value in zip(found.joints, found.pose.values(), strict=True)

@@ -18,10 +18,9 @@ from loose_env.instrument.inference.direction_cones import cone, seen_in_tool
 from loose_env.instrument.inference.free_travel import Travel, travel_of
 from loose_env.instrument.inference.frequency_response import with_leakage
 from loose_env.instrument.inference.posterior import Judged, judge
-from loose_env.instrument.inference.uncertain_linear_arm import UncertainMachine
+from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.inference.warnings import warnings_of
-from loose_env.instrument.model.planned_arm import ModelArm, load_model_arm
-from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.model.instrumented_arm import InstrumentedArm, read_recorded_arm
 from loose_env.instrument.planning.plan import next_for
 from loose_env.instrument.result import (
     HEALTHY,
@@ -53,7 +52,7 @@ class _Taken:
 
 
 class Workbench:
-    """A machine and its runs, which may become more.
+    """An arm and its runs, which may become more.
 
     Parameters
     ----------
@@ -70,9 +69,8 @@ class Workbench:
 
     def __init__(self, model: Path, settings: DiagnoseSettings) -> None:
         self.settings = settings
-        self.machine = Machine(model)
-        self.uncertain = UncertainMachine(self.machine, settings.tolerances)
-        self._arm: ModelArm | None = None
+        self.arm = read_recorded_arm(model)
+        self.uncertain = UncertainArm(self.arm, settings.tolerances)
         self._taken: list[_Taken] = []
         self._told: dict[tuple[int, ...], Mapping[str, float]] = {}
 
@@ -94,13 +92,13 @@ class Workbench:
         InvalidData
             If nothing in the run can be read at all.
         """
-        run, pauses = unbroken(run, columns_in(self.machine, run))
-        held = held_in(self.machine, run)
+        run, pauses = unbroken(run, columns_in(self.arm, run))
+        held = held_in(self.arm, run)
         # Runs are told apart by their numbers: two may have one name.
         number = sum(taken.lines is not None for taken in self._taken)
-        lines = lines_of(self.machine, run, held.pose, held.excited, number=number)
+        lines = lines_of(self.arm, run, held.pose, held.excited, number=number)
         lines = with_leakage(self.uncertain.at(held.pose), lines)
-        notes = (*pauses, *held.notes, *readings_in(self.machine, run)[1])
+        notes = (*pauses, *held.notes, *readings_in(self.arm, run)[1])
         self._taken.append(_Taken(run=run, held=held, lines=lines, notes=notes))
 
     def leave_out(self, run: Run, why: str) -> None:
@@ -120,7 +118,7 @@ class Workbench:
             Told what goes on, line by line.
         """
         lines = [t.lines for t in self._taken if t.lines is not None]
-        say(f"weighing {len(self.machine.hypotheses)} hypotheses by {len(lines)} runs")
+        say(f"weighing {len(self.arm.hypotheses)} hypotheses by {len(lines)} runs")
         judged = judge(self.uncertain, lines, sound=self.settings.sound)
         self._told[tuple(one.number for one in lines)] = judged.posterior
         best = judged.best
@@ -128,7 +126,7 @@ class Workbench:
         if best != HEALTHY and self.suspect:
             say(f"following the seat of {best}")
             travel = travel_of(judged, best, self._whole())
-        fault = _fault(self.machine, judged, travel)
+        fault = _fault(self.arm, judged, travel)
         say("following the probabilities from run to run")
         records = self._records(judged)
         found = Diagnosis(
@@ -136,10 +134,10 @@ class Workbench:
             probability=judged.posterior[best],
             posterior=judged.posterior,
             warnings=warnings_of(
-                self.machine, judged, [n for t in self._taken for n in t.notes], travel
+                self.arm, judged, [n for t in self._taken for n in t.notes], travel
             ),
             records=records,
-            model=self.machine.path.name,
+            model=self.arm.path.name,
             settings=asdict(self.settings),
             directions=_directions(judged),
             settled=judged.posterior[best] > self.settings.sure
@@ -163,23 +161,20 @@ class Workbench:
                 continue
             held = taken.held
             lines = lines_of(
-                self.machine, taken.run, held.pose, held.excited,
+                self.arm, taken.run, held.pose, held.excited,
                 number=taken.lines.number, whole=True,
             )  # fmt: skip
             found.append(with_leakage(self.uncertain.at(held.pose), lines))
         return found
 
     def _next(self, found: Diagnosis) -> NextMeasurement:
-        if self._arm is None:
-            self._arm = load_model_arm(self.machine.path)
         recorded = 1 / self.suspect[-1].period if self.suspect else None
-        return next_for(self._arm, found, self.settings.choice(recorded))
+        return next_for(self.arm, found, self.settings.choice(recorded))
 
     def _blind(self) -> tuple[str, ...]:
         """What is not known of collisions where a pose was chosen."""
-        assert self._arm is not None
-        look = self._arm.collisions
-        lacking = look.unseen if look.known else self.machine.links
+        look = self.arm.collisions
+        lacking = look.unseen if look.known else self.arm.links
         if not lacking:
             return ()
         return (
@@ -210,14 +205,14 @@ class Workbench:
                 probabilities = dict(self._posterior([so_far[k] for k in sorted(so_far)]))
                 direction, angle = seen_in_tool(self.uncertain, judged, taken.lines)
             pose = (
-                {j: q for j, q in (taken.run.pose or {}).items() if j in self.machine.joints}
+                {j: q for j, q in (taken.run.pose or {}).items() if j in self.arm.joints}
                 if taken.held is None
-                else taken.held.shown(self.machine, taken.run.pose)
+                else taken.held.shown(self.arm, taken.run.pose)
             )
             excited = (
                 tuple(taken.run.excited)
                 if taken.held is None
-                else tuple(self.machine.joints[j] for j in taken.held.excited)
+                else tuple(self.arm.joints[j] for j in taken.held.excited)
             )
             found.append(
                 RecordSeen(
@@ -311,7 +306,7 @@ def _directions(judged: Judged) -> dict[str, SlideDirection]:
     return found
 
 
-def _fault(machine: Machine, judged: Judged, travel: Travel | None) -> Fault:
+def _fault(arm: InstrumentedArm, judged: Judged, travel: Travel | None) -> Fault:
     best = judged.best
     if best == HEALTHY:
         return Fault(kind="healthy")

@@ -1,6 +1,6 @@
-"""A session at the machine as a Python loop: what to measure, the measurement, what it says.
+"""A session at the arm as a Python loop: what to measure, the measurement, what it says.
 
-Any object with ``measure(pose, excitation)`` is a machine. It takes the arm to the pose, plays the
+Any object with ``measure(pose, excitation)`` is a rig. It takes the arm to the pose, plays the
 excitation, and returns what was recorded: a `loose_env.recording.Run` with the columns of the
 recording format, or a `loose_env.rig.Measurement`.
 """
@@ -16,7 +16,7 @@ import numpy as np
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import Excitation
-from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.pipeline import Workbench
 from loose_env.instrument.result import Diagnosis, NextMeasurement
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
@@ -24,10 +24,10 @@ from loose_env.recording import Run
 from loose_env.rig import Measurement
 from loose_env.typing import Array
 
-__all__ = ["Found", "Machinery", "Session", "find_fault", "run_of"]
+__all__ = ["Found", "RecordingRig", "Session", "find_fault", "run_of"]
 
 
-class Machinery(Protocol):
+class RecordingRig(Protocol):
     """Something that measures: a robot with its recorder, a simulation, a recording."""
 
     def measure(self, pose: Array, excitation: Excitation) -> Run | Measurement:
@@ -58,14 +58,14 @@ class Session:
         self._count = 0
 
     @property
-    def machine(self) -> Machine:
-        """The machine of the model."""
-        return self._bench.machine
+    def arm(self) -> InstrumentedArm:
+        """The arm of the model."""
+        return self._bench.arm
 
     @property
     def joints(self) -> tuple[str, ...]:
         """Joints in the order of poses and excitations, base first."""
-        return self._bench.machine.joints
+        return self._bench.arm.joints
 
     def next(self) -> NextMeasurement | None:
         """Say what to measure next; None where the fault has been named, or no pose will do."""
@@ -86,7 +86,7 @@ class Session:
         self._count += 1
         run = measurement
         if isinstance(measurement, Measurement):
-            run = run_of(self._bench.machine, measurement, f"run-{self._count:02d}")
+            run = run_of(self._bench.arm, measurement, f"run-{self._count:02d}")
         assert isinstance(run, Run)
         run = replace(run, name=self._named(run.name))
         self._bench.add(run)
@@ -129,7 +129,7 @@ class Found:
 
 
 def find_fault(
-    machinery: Machinery,
+    rig: RecordingRig,
     model: str | Path,
     settings: DiagnoseSettings | None = None,
     *,
@@ -140,7 +140,7 @@ def find_fault(
 
     Parameters
     ----------
-    machinery : Machinery
+    rig : RecordingRig
         What measures.
     model : str or Path
         MJCF file of the nominal model.
@@ -169,7 +169,7 @@ def find_fault(
     found, count = None, 0
     while wanted is not None and count < most:
         for joint in wanted.joints:
-            run = machinery.measure(session.pose(wanted), session.excitation(wanted, joint))
+            run = rig.measure(session.pose(wanted), session.excitation(wanted, joint))
             found, count = session.add(run), count + 1
             say(found)
             if found.next is None or count >= most:
@@ -181,24 +181,24 @@ def find_fault(
     return Found(diagnosis=found, measurements=count, named=found.settled)
 
 
-def run_of(machine: Machine, measurement: Measurement, name: str) -> Run:
+def run_of(arm: InstrumentedArm, measurement: Measurement, name: str) -> Run:
     """A measurement of a rig as a run of a recording.
 
     Raises
     ------
     InvalidData
-        If it failed, does not fit the machine, or its tool has not three axes.
+        If it failed, does not fit the arm, or its tool has not three axes.
     """
     if measurement.failure is not None:
         raise InvalidData(f"{name}: the measurement failed: {measurement.failure}")
-    if len(measurement.pose) != machine.n or len(measurement.tool) != 3:
+    if len(measurement.pose) != arm.n or len(measurement.tool) != 3:
         raise InvalidData(
-            f"{name}: the model has {machine.n} joints and an accelerometer of three axes; the "
+            f"{name}: the model has {arm.n} joints and an accelerometer of three axes; the "
             f"measurement has {len(measurement.pose)} and {len(measurement.tool)}"
         )
-    tool = next(r.sensor for r in machine.readings if r.kind == "acceleration" and r.at == 0)
+    tool = next(r.sensor for r in arm.readings if r.kind == "acceleration" and r.at == 0)
     sensors: dict[str, Array] = {tool: measurement.tool.T}
-    for reading in machine.readings:
+    for reading in arm.readings:
         if reading.kind == "position":
             sensors[reading.sensor] = measurement.encoder[reading.at, 1:-1]
     samples = measurement.tool.shape[1]
@@ -207,7 +207,7 @@ def run_of(machine: Machine, measurement: Measurement, name: str) -> Run:
         name=name,
         time=np.arange(samples) / measurement.rate,
         sensors=sensors,
-        torques={machine.joints[j]: measurement.command[j] for j in on},
-        excited=tuple(machine.joints[j] for j in on),
-        pose=machine.named(measurement.pose),
+        torques={arm.joints[j]: measurement.command[j] for j in on},
+        excited=tuple(arm.joints[j] for j in on),
+        pose=arm.by_joint(measurement.pose),
     )

@@ -10,7 +10,7 @@ import pytest
 
 from loose_env.cli.main import main
 from loose_env.instrument import Diagnosis, Fault, NextSettings, next_for
-from loose_env.instrument.planning.plan import load
+from loose_env.instrument.model.instrumented_arm import read_arm
 from tests.instrument.arms.plan_arms import MOTORS, written
 
 
@@ -46,7 +46,7 @@ def test_options_count_with_what_is_known_and_those_left_out_are_the_diagnosis_o
     tmp_path: Path,
 ) -> None:
     model = written(tmp_path, MOTORS)
-    machine = load(model)
+    machine = read_arm(model)
     chosen = NextSettings(poses=2, seconds=1.4, seed=3)
     posterior = dict.fromkeys(machine.hypotheses, 1 / len(machine.hypotheses))
     wanted = next_for(machine, settings=chosen)
@@ -125,7 +125,7 @@ def test_settings_of_a_result_that_make_no_sense_are_refused_with_file_and_field
     tmp_path: Path, capsys: pytest.CaptureFixture[str], changed: dict[str, object], words: str
 ) -> None:
     model = written(tmp_path, MOTORS)
-    machine = load(model)
+    machine = read_arm(model)
     posterior = dict.fromkeys(machine.hypotheses, 1 / len(machine.hypotheses))
     found = Diagnosis(
         fault=Fault(kind="healthy"), probability=posterior["healthy"], posterior=posterior,

@@ -11,9 +11,9 @@ import pytest
 from loose_env.arms import LinearArm
 from loose_env.errors import InvalidSetting
 from loose_env.instrument.inspect import Inspection, inspect_model, screen
+from loose_env.instrument.model.instrumented_arm import read_arm
 from loose_env.instrument.planning.excitation import SEEN, sensitivity
 from loose_env.instrument.planning.next_measurement import NextSettings, seat_features
-from loose_env.instrument.planning.plan import load
 from loose_env.instrument.settings.arm_and_plan import ModelSettings
 from tests.instrument.arms.plan_arms import MOTORS, SERVOED, written
 
@@ -31,7 +31,7 @@ def seen(servoed: Path) -> Inspection:
 
 
 def test_every_fault_of_a_diagnosis_is_judged(seen: Inspection) -> None:
-    assert tuple(f.hypothesis for f in seen.faults) == seen.machine.hypotheses[1:]
+    assert tuple(f.hypothesis for f in seen.faults) == seen.arm.hypotheses[1:]
     assert {f.verdict for f in seen.faults} <= {"yes", "mostly", "hardly", "no"}
 
 
@@ -70,8 +70,8 @@ def test_a_smaller_gap_shows_with_a_healthy_reference_than_without(seen: Inspect
 
 
 def test_more_noise_hides_larger_gaps(servoed: Path) -> None:
-    machine = load(servoed)
-    linear, pose = LinearArm(machine.arm), np.array([0.3, -0.5, 1.0])
+    machine = read_arm(servoed)
+    linear, pose = LinearArm(machine.nominal), np.array([0.3, -0.5, 1.0])
     torque = np.array([5.0, 0.0, 0.0])
     quiet, loud = (
         sensitivity(seat_features(linear, NextSettings(noise_ug=noise)), pose, torque, 1.2)
@@ -82,8 +82,8 @@ def test_more_noise_hides_larger_gaps(servoed: Path) -> None:
 
 
 def test_a_gap_as_large_as_the_smallest_that_shows_is_just_seen(servoed: Path) -> None:
-    machine = load(servoed)
-    linear, pose = LinearArm(machine.arm), np.array([0.3, -0.5, 1.0])
+    machine = read_arm(servoed)
+    linear, pose = LinearArm(machine.nominal), np.array([0.3, -0.5, 1.0])
     found = sensitivity(seat_features(linear, FEW), pose, np.array([5.0, 0.0, 0.0]), 1.2)
     smallest = found.smallest_gap(reference=False)
     shows = np.isfinite(smallest)
@@ -93,8 +93,8 @@ def test_a_gap_as_large_as_the_smallest_that_shows_is_just_seen(servoed: Path) -
 
 
 def test_levels_and_modes_are_those_of_the_servos(seen: Inspection) -> None:
-    assert seen.machine.held_by == "the model's position servos"
-    inertia = LinearArm(seen.machine.arm).at(np.zeros(3)).inertia
+    assert seen.arm.held_by == "the model's position servos"
+    inertia = LinearArm(seen.arm.nominal).at(np.zeros(3)).inertia
     slowest = np.sqrt(800 / inertia[0, 0]) / (2 * np.pi)
     assert 0.3 * slowest < seen.modes_hz[0] < 3 * slowest
     for joint, limit in zip(seen.joints, (80.0, 90.0, 50.0), strict=True):
@@ -104,10 +104,10 @@ def test_levels_and_modes_are_those_of_the_servos(seen: Inspection) -> None:
 
 def test_the_models_own_accelerometer_says_where_the_tool_is(tmp_path: Path) -> None:
     found = inspect_model(written(tmp_path, MOTORS), NextSettings(poses=2))
-    made = found.machine.recordable
+    made = found.arm.recording_model
     assert (made.site, made.accelerometer) == ("tip", "vibration")
     assert made.positions == ("lift_position", "q2")
-    assert "torque alone" in found.machine.held_by
+    assert "torque alone" in found.arm.held_by
 
 
 def test_the_screen_names_joints_tool_band_and_faults(seen: Inspection) -> None:
@@ -120,11 +120,11 @@ def test_the_screen_names_joints_tool_band_and_faults(seen: Inspection) -> None:
 def test_the_file_holds_the_same(seen: Inspection) -> None:
     whole = json.loads(seen.to_json())
     assert whole["format"] == "loose-inspection/1"
-    assert [f["hypothesis"] for f in whole["faults"]] == list(seen.machine.hypotheses[1:])
+    assert [f["hypothesis"] for f in whole["faults"]] == list(seen.arm.hypotheses[1:])
     assert whole["settings"]["poses"] == 6
 
 
 def test_a_tool_can_be_named(servoed: Path) -> None:
     found = inspect_model(servoed, NextSettings(poses=2), ModelSettings(tool="fore"))
-    assert (found.machine.report.tool, found.joints[-1].name) == ("fore", "elbow")
+    assert (found.arm.report.tool, found.joints[-1].name) == ("fore", "elbow")
     assert found.joints[-1].level_tool == 0  # it turns about the tool

@@ -54,8 +54,6 @@ def test_no_number_is_taken_that_is_none(kind: Any) -> None:
     for each in dataclasses.fields(kind):
         if isinstance(each.default, float):
             for wrong in (float("nan"), float("inf"), 10**400):
-                if (kind, each.name) == (ModelSettings, "payload_kg") and wrong != 10**400:
-                    continue  # looked at with the model
                 with pytest.raises(InvalidSetting, match=each.name):
                     kind(**{each.name: wrong})
 

@@ -29,7 +29,7 @@ from loose_env.instrument import (
     plan_json,
     screen,
 )
-from loose_env.instrument.planning.plan import load
+from loose_env.instrument.model.instrumented_arm import read_arm
 from loose_env.recording import Run, read_recording, write_recording
 from tests.trust.test_properties import chains
 
@@ -83,7 +83,7 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     for name, make in ARMS.items():
         path = tmp_path_factory.mktemp(name) / f"{name}.xml"
         path.write_text(make().spec.to_xml(), "utf-8")
-        path.write_text(load(path).recordable.xml, "utf-8")
+        path.write_text(read_arm(path).recording_model.xml, "utf-8")
         found[name] = path
     return found
 
@@ -124,7 +124,7 @@ def planned(model: Path, choice: NextSettings, own: PlanSettings, stand: ModelSe
     for one in made.signals:
         assert all(np.isfinite(u).all() for u in one.commands.values())
         assert one.tool_rms <= 1.2 * choice.most_tool
-        limits = choice.torque_share * np.array(made.machine.arm.torque_limits)
+        limits = choice.torque_share * np.array(made.arm.nominal.torque_limits)
         assert (one.torque_peaks <= limits * 1.01).all()
 
 
@@ -177,8 +177,8 @@ def records(draw: st.DrawFn) -> dict[str, Any]:
 
 def run_of(model: Path, number: int, how: dict[str, Any]) -> Run:
     """A run of noise: no arm made it, but a recorder could have written it."""
-    machine = load(model)
-    made = machine.recordable
+    machine = read_arm(model)
+    made = machine.recording_model
     rng = np.random.default_rng(how["seed"])
     count = how["samples"]
     time = (np.arange(count) + how["jitter"] * rng.uniform(-1, 1, count)) / how["rate"]

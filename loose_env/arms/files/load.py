@@ -21,7 +21,7 @@ from loose_env.arms.files.drive_limits import (
     stable_timestep,
 )
 from loose_env.arms.files.joint_springs import with_file_springs
-from loose_env.arms.files.model_reader import read_model_file
+from loose_env.arms.files.model_reader import ModelFile, read_model_file
 from loose_env.arms.files.report import FileReport, FoundJoint, Payload, report
 from loose_env.arms.files.serial_chain import Chain, find_chain
 from loose_env.arms.holding.compliance import held
@@ -29,7 +29,15 @@ from loose_env.arms.holding.gears import proposed_gears
 from loose_env.arms.spec_parts import holdings
 from loose_env.errors import InvalidSetting, UnknownName
 
-__all__ = ["DESK_ARM", "FileReport", "FoundJoint", "Payload", "arm_from_file", "describe_file"]
+__all__ = [
+    "DESK_ARM",
+    "FileReport",
+    "FoundJoint",
+    "Payload",
+    "arm_from_file",
+    "arm_of_model_file",
+    "describe_file",
+]
 
 DESK_ARM = Path(__file__).parents[1] / "models" / "desk_arm.xml"
 """A small arm of six joints with a gripper, to try things on."""
@@ -128,9 +136,19 @@ def arm_from_file(
     >>> arm.joints, arm.torque_limits
     (('turn',), (5.0,))
     """
+    return arm_of_model_file(read_model_file(path), tool=tool, joints=joints, hold=hold)
+
+
+def arm_of_model_file(
+    file: ModelFile,
+    *,
+    tool: str | None = None,
+    joints: Sequence[str] | None = None,
+    hold: HoldKind = "brake",
+) -> Arm:
+    """Build an arm from a model file that has been read; see `arm_from_file`."""
     if hold not in get_args(HoldKind):
         raise UnknownName(f"unknown hold {hold!r}; known are {list(get_args(HoldKind))}")
-    file = read_model_file(path)
     chain = find_chain(file, tool, joints)
     found = report(file, chain)
     if chain.springs and hold == "compliant":
@@ -155,7 +173,7 @@ def arm_from_file(
         limits = [float(p) if g is None else g for g, p in zip(given, proposed, strict=True)]
     assumed = _assumed(found, limits, file.model, chain)
     if assumed:
-        python_warnings.warn(f"{found.file}: {'; '.join(assumed)}", UserWarning, stacklevel=2)
+        python_warnings.warn(f"{found.file}: {'; '.join(assumed)}", UserWarning, stacklevel=3)
     brake, servo, centring = holdings(spec, names, poses=poses)
     arm = Arm(
         name=file.name,

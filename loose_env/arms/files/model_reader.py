@@ -20,6 +20,7 @@ __all__ = [
     "Tie",
     "compile_spec",
     "load_spec",
+    "model_file",
     "read_model_file",
     "require_numbers",
 ]
@@ -56,6 +57,8 @@ class ModelFile:
     path: Path
     format: Literal["MJCF", "URDF"]
     name: str
+    spec: mujoco.MjSpec
+    """All that the file holds, not compiled. Treated as read-only: copy it before editing."""
     model: mujoco.MjModel
     """Bodies, joints and sites, compiled; everything else of the file is left out."""
     drives: tuple[Drive, ...]
@@ -152,8 +155,29 @@ def read_model_file(path: str | Path) -> ModelFile:
         If it is no MJCF or URDF, refers to anything outside its folder, or cannot be built.
     """
     file, root, spec = load_spec(path)
+    return model_file(spec, file, "URDF" if root == "robot" else "MJCF")
+
+
+def model_file(spec: mujoco.MjSpec, file: Path, form: Literal["MJCF", "URDF"]) -> ModelFile:
+    """Reduce the specification of a file to what matters to an arm; see `read_model_file`.
+
+    Parameters
+    ----------
+    spec : mujoco.MjSpec
+        As `load_spec` read it; bodies, joints and sites without a name get one.
+    file : Path
+        Its file, for messages and for meshes.
+    form : {"MJCF", "URDF"}
+        Format of the file.
+
+    Raises
+    ------
+    InvalidData
+        If it cannot be built.
+    """
+    _name_all(spec)  # before it is copied: a copy drops what refers to a name that is not there
+    whole, spec = spec, spec.copy()
     spec.compiler.fusestatic = False  # a tool may be named after a link that is fixed to the last
-    _name_all(spec)
     drives, ties, warnings = _drives(spec), *_ties(spec)
     if any(np.ravel(t.stiffness)[0] > 0 for t in spec.tendons):
         warnings.append("springs along tendons are left out")
@@ -162,8 +186,9 @@ def read_model_file(path: str | Path) -> ModelFile:
     require_numbers(model, drives, file)
     return ModelFile(
         path=file,
-        format="URDF" if root == "robot" else "MJCF",
+        format=form,
         name=file.stem,
+        spec=whole,
         model=model,
         drives=drives,
         ties=ties,

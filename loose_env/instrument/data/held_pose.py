@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from loose_env.errors import InvalidData
-from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.recording import Run
 from loose_env.typing import Array
 
@@ -36,16 +36,16 @@ class Held:
     notes: tuple[str, ...]
     """What had to be derived."""
 
-    def shown(self, machine: Machine, noted: Mapping[str, float] | None) -> dict[str, float]:
+    def shown(self, arm: InstrumentedArm, noted: Mapping[str, float] | None) -> dict[str, float]:
         """Pose by joint: the recorded one where it agrees with the measured pose."""
-        found = machine.named(self.pose)
+        found = arm.by_joint(self.pose)
         for joint, q in (noted or {}).items():
             if joint in found and abs(found[joint] - q) <= _OFF:
                 found[joint] = float(q)
         return found
 
 
-def held_in(machine: Machine, run: Run) -> Held:
+def held_in(arm: InstrumentedArm, run: Run) -> Held:
     """Determine the pose and the excited joints of a run.
 
     Raises
@@ -53,12 +53,12 @@ def held_in(machine: Machine, run: Run) -> Held:
     InvalidData
         If the run does not say and its data do not either, or if it moves through poses.
     """
-    measured = _positions(machine, run)
+    measured = _positions(arm, run)
     noted = run.pose
     notes = []
     missing = [
         joint
-        for joint, q in zip(machine.joints, measured, strict=True)
+        for joint, q in zip(arm.joints, measured, strict=True)
         if q is None and (noted is None or joint not in noted)
     ]
     if missing:
@@ -70,11 +70,11 @@ def held_in(machine: Machine, run: Run) -> Held:
         )
     if noted is None:
         notes.append(f"{run.name}: no 'pose' is noted; taken from the joints' positions")
-    base = machine.pose_of({} if noted is None else noted)
+    base = arm.pose_of({} if noted is None else noted)
     pose = np.array(
         [b if q is None else float(np.nanmean(q)) for b, q in zip(base, measured, strict=True)]
     )
-    for joint, q in zip(machine.joints, measured, strict=True):
+    for joint, q in zip(arm.joints, measured, strict=True):
         if q is not None and float(np.nanstd(q)) > _STILL:
             raise InvalidData(
                 f"{run.name}: joint {joint} moves by {float(np.nanstd(q)):.2g} rms; a diagnosis "
@@ -84,7 +84,7 @@ def held_in(machine: Machine, run: Run) -> Held:
     if noted is not None:
         off = [
             f"{joint} by {q - b:.3g}"
-            for joint, q, b in zip(machine.joints, pose, base, strict=True)
+            for joint, q, b in zip(arm.joints, pose, base, strict=True)
             if joint in noted and abs(q - b) > _OFF
         ]
         if off:
@@ -92,48 +92,48 @@ def held_in(machine: Machine, run: Run) -> Held:
                 f"{run.name}: the noted pose is not the measured one ({', '.join(off)}); the "
                 "measured one is used"
             )
-    known = [joint for joint in run.excited if joint in machine.joints]
+    known = [joint for joint in run.excited if joint in arm.joints]
     if run.excited and not known:
         raise InvalidData(
             f"{run.name}: excited are {list(run.excited)}, none of which lies between base and "
-            f"tool; those are {list(machine.joints)}"
+            f"tool; those are {list(arm.joints)}"
         )
     if not known:
-        known = _shaken(machine, run)
+        known = _shaken(arm, run)
         notes.append(f"{run.name}: no 'excited' is noted; taken from the commands: {known}")
-    excited = np.array(sorted(machine.joints.index(joint) for joint in known), dtype=np.intp)
+    excited = np.array(sorted(arm.joints.index(joint) for joint in known), dtype=np.intp)
     return Held(pose=pose, excited=excited, notes=tuple(notes))
 
 
-def _positions(machine: Machine, run: Run) -> list[Array | None]:
-    found: list[Array | None] = [None] * machine.n
-    for reading in machine.readings:
+def _positions(arm: InstrumentedArm, run: Run) -> list[Array | None]:
+    found: list[Array | None] = [None] * arm.n
+    for reading in arm.readings:
         if reading.kind == "position" and reading.sensor in run.sensors:
             found[reading.at] = run.sensors[reading.sensor]
     return found
 
 
-def _shaken(machine: Machine, run: Run) -> list[str]:
+def _shaken(arm: InstrumentedArm, run: Run) -> list[str]:
     """Joints whose actuators are excited with noise."""
-    power = np.zeros(machine.n)
-    drives = machine.drives
+    power = np.zeros(arm.n)
+    drives = arm.actuators
     for a, name in enumerate(drives.names):
         if name in run.controls:
-            j = machine.driven_joint(name)
+            j = arm.actuators.driven_joint(name)
             power[j] += float(drives.force[j, a]) ** 2 * _wobble(run.controls[name])
     if not power.any():
-        for j, joint in enumerate(machine.joints):
+        for j, joint in enumerate(arm.joints):
             if joint in run.torques:
                 power[j] = _wobble(run.torques[joint])
     if not power.any():
-        for j, q in enumerate(_positions(machine, run)):
+        for j, q in enumerate(_positions(arm, run)):
             power[j] = 0.0 if q is None else _wobble(q)
     if not power.any():
         raise InvalidData(
             f'{run.name}: nothing says which joint was excited: note "excited" in '
             "recording.json, or record the commands"
         )
-    return [machine.joints[j] for j in np.flatnonzero(power > _SHARE * power.max())]
+    return [arm.joints[j] for j in np.flatnonzero(power > _SHARE * power.max())]
 
 
 def _wobble(values: Array) -> float:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.instrument.model.recorded_arm import Reading
+from loose_env.instrument.model.readings import Reading
 from loose_env.typing import Array
 
 __all__ = ["sensor_noise"]
@@ -83,7 +83,7 @@ def sensor_noise(
     heard = levels[sites].sum(axis=0) if sites else None
     ends: dict[str, tuple[float, float]] = {}
     for k, (r, _) in enumerate(rows):
-        beside = None if r.kind in ("acceleration", "turning") else heard
+        beside = None if r.on_site else heard
         own = _end(levels[k], centres, inside, edge, beside)
         ends[r.sensor] = min(own, ends.get(r.sensor, (np.inf, np.inf)))
     noise, read = np.zeros_like(power), np.ones(power.shape, dtype=bool)

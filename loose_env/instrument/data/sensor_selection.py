@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
-from loose_env.instrument.model.recorded_arm import Machine, Reading
+from loose_env.instrument.model.instrumented_arm import InstrumentedArm
+from loose_env.instrument.model.readings import Reading
 from loose_env.recording import Run
 
 __all__ = ["columns_in", "readings_in"]
@@ -15,8 +16,8 @@ _MOST_READ = 1e6
 """Largest reading that is taken for one [m/s², rad/s, rad, m]."""
 
 
-def readings_in(machine: Machine, run: Run) -> tuple[tuple[Reading, ...], tuple[str, ...]]:
-    """Usable sensors of a run in `Machine.readings` order, and notes on the rest.
+def readings_in(arm: InstrumentedArm, run: Run) -> tuple[tuple[Reading, ...], tuple[str, ...]]:
+    """Usable sensors of a run in `InstrumentedArm.readings` order, and notes on the rest.
 
     A sensor that never changes tells nothing; missing samples (NaN) of one that does are no reason
     to leave it out.
@@ -34,14 +35,14 @@ def readings_in(machine: Machine, run: Run) -> tuple[tuple[Reading, ...], tuple[
         If a sensor shows numbers that no arm makes.
     """
     used, notes = [], []
-    for reading in machine.readings:
+    for reading in arm.readings:
         if reading.sensor not in run.sensors:
             continue
         if why := _dead(run, reading.sensor):
             notes.append(f"{run.name}: sensor {reading.sensor} is not used: {why}")
         else:
             used.append(reading)
-    known = {reading.sensor for reading in machine.readings}
+    known = {reading.sensor for reading in arm.readings}
     others = [name for name in run.sensors if name not in known]
     if others:
         notes.append(
@@ -51,15 +52,15 @@ def readings_in(machine: Machine, run: Run) -> tuple[tuple[Reading, ...], tuple[
     return tuple(used), tuple(notes)
 
 
-def columns_in(machine: Machine, run: Run) -> dict[str, NDArray[np.float64]]:
+def columns_in(arm: InstrumentedArm, run: Run) -> dict[str, NDArray[np.float64]]:
     """Usable columns (T,) of a run, by the names in its file."""
     found: dict[str, NDArray[np.float64]] = {}
-    for reading in readings_in(machine, run)[0]:
+    for reading in readings_in(arm, run)[0]:
         values = np.atleast_2d(run.sensors[reading.sensor].T)
         axes = [f".{axis}" for axis in "xyz"] if len(values) == 3 else [""]
         found |= {f"sensor.{reading.sensor}{a}": v for a, v in zip(axes, values, strict=True)}
-    found |= {f"ctrl.{a}": run.controls[a] for a in machine.drives.names if a in run.controls}
-    found |= {f"torque.{j}": run.torques[j] for j in machine.joints if j in run.torques}
+    found |= {f"ctrl.{a}": run.controls[a] for a in arm.actuators.names if a in run.controls}
+    found |= {f"torque.{j}": run.torques[j] for j in arm.joints if j in run.torques}
     return found
 
 

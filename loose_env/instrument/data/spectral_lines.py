@@ -16,7 +16,8 @@ from scipy import signal
 from loose_env.errors import InvalidData
 from loose_env.instrument.data.sensor_noise import sensor_noise
 from loose_env.instrument.data.sensor_selection import readings_in
-from loose_env.instrument.model.recorded_arm import Machine, Reading
+from loose_env.instrument.model.instrumented_arm import InstrumentedArm
+from loose_env.instrument.model.readings import Reading
 from loose_env.recording import Run
 from loose_env.typing import Array, ComplexArray
 
@@ -156,7 +157,7 @@ def uniform(time: Array, values: Array) -> tuple[float, Array]:
 
 
 def lines_of(
-    machine: Machine,
+    arm: InstrumentedArm,
     run: Run,
     pose: Array,
     excited: NDArray[np.intp],
@@ -168,8 +169,8 @@ def lines_of(
 
     Parameters
     ----------
-    machine : Machine
-        The machine.
+    arm : InstrumentedArm
+        The arm.
     run : Run
         The run, without pauses, with commands or joint torques.
     pose : ndarray (n,)
@@ -190,19 +191,19 @@ def lines_of(
     InvalidData
         If the run has no accelerometer of the arm, or nothing in it that moves.
     """
-    rows = tuple((r, axis) for r in readings_in(machine, run)[0] for axis in range(r.axes))
+    rows = tuple((r, axis) for r in readings_in(arm, run)[0] for axis in range(r.axes))
     if not any(r.kind == "acceleration" for r, _ in rows):
-        names = [r.sensor for r in machine.readings if r.kind == "acceleration"]
+        names = [r.sensor for r in arm.readings if r.kind == "acceleration"]
         raise InvalidData(
             f"{run.name}: no accelerometer of the arm was recorded, or it stands still; the model "
             f"has {names}: record 'sensor.{names[0]}.x', '.y' and '.z'"
         )
-    drives, n = machine.drives, machine.n
+    drives, n = arm.actuators, arm.n
     columns = [
         run.sensors[r.sensor] if r.axes == 1 else run.sensors[r.sensor][:, axis] for r, axis in rows
     ]
     commands = [run.controls.get(a, np.zeros(run.samples)) for a in drives.names]
-    forces = [run.torques.get(j, np.zeros(run.samples)) for j in machine.joints]
+    forces = [run.torques.get(j, np.zeros(run.samples)) for j in arm.joints]
     rate, even = uniform(run.time, np.stack([*columns, *commands, *forces], axis=1))
     c, a = len(rows), len(commands)
     if not np.abs(even[:, c:]).max(initial=0.0) < _MOST_PLAYED:
@@ -210,8 +211,8 @@ def lines_of(
     driven = np.zeros(n, dtype=bool)
     for name in drives.names:
         if name in run.controls:
-            driven[machine.driven_joint(name)] = True
-    recorded = np.array([j in run.torques for j in machine.joints])
+            driven[arm.actuators.driven_joint(name)] = True
+    recorded = np.array([j in run.torques for j in arm.joints])
     measured = recorded & ~driven
     has_servo = drives.stiffness > 0
     # A joint without a command on record is held by its servo, if it has one and rests.
@@ -219,13 +220,13 @@ def lines_of(
     resting[excited] = False
     blind = ~driven & ~measured & ~resting
     return _lines(
-        machine, run, rate, even, rows, c, a,
+        arm, run, rate, even, rows, c, a,
         number=number, pose=pose, excited=excited, measured=measured, blind=blind, whole=whole,
     )  # fmt: skip
 
 
 def _lines(
-    machine: Machine,
+    arm: InstrumentedArm,
     run: Run,
     rate: float,
     even: Array,

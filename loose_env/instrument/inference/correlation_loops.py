@@ -9,7 +9,7 @@ import numpy as np
 from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.frequency_response import respond
 from loose_env.instrument.inference.posterior import Judged
-from loose_env.instrument.inference.uncertain_linear_arm import UncertainMachine
+from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.result import HEALTHY, Loop
 from loose_env.typing import ComplexArray
 
@@ -24,7 +24,7 @@ _PLANES: dict[Literal["xy", "xz", "yz"], tuple[int, int]] = {
 }
 
 
-def loops_of(machine: UncertainMachine, judged: Judged, lines: Lines) -> tuple[Loop, ...]:
+def loops_of(uncertain: UncertainArm, judged: Judged, lines: Lines) -> tuple[Loop, ...]:
     """Correlation loops of a run in the tool-frame plane of largest motion.
 
     The correlation along u is that of u . a with the acceleration of the excited joint, over the
@@ -35,7 +35,7 @@ def loops_of(machine: UncertainMachine, judged: Judged, lines: Lines) -> tuple[L
     if len(site) != 3:
         return ()
     errors = judged.fits[HEALTHY].errors
-    response = respond(machine.at(lines.pose), lines, errors)
+    response = respond(uncertain.at(lines.pose), lines, errors)
     measured, expected = lines.readings[:, site], response.mean[:, site]
     power = np.sum(np.abs(measured) ** 2, axis=0)
     plane = max(_PLANES, key=lambda name: float(power[list(_PLANES[name])].sum()))
@@ -51,7 +51,7 @@ def loops_of(machine: UncertainMachine, judged: Judged, lines: Lines) -> tuple[L
             continue
         found.append(
             Loop(
-                joint=machine.machine.joints[joint],
+                joint=uncertain.arm.joints[joint],
                 plane=plane,
                 angle_deg=tuple(float(a) for a in _ANGLES),
                 correlation=_correlation(x, measured @ u.T),

@@ -8,7 +8,7 @@ from loose_env.diagnosis import ToolFrames
 from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.laplace_fit import Fit
 from loose_env.instrument.inference.posterior import Judged
-from loose_env.instrument.inference.uncertain_linear_arm import UncertainMachine
+from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.result import HEALTHY, Vector
 from loose_env.typing import Array
 
@@ -36,19 +36,19 @@ def cone(fit: Fit) -> tuple[Vector | None, float | None]:
 
 
 def seen_in_tool(
-    machine: UncertainMachine, judged: Judged, lines: Lines
+    uncertain: UncertainArm, judged: Judged, lines: Lines
 ) -> tuple[Vector | None, float | None]:
     """Tool-frame direction of the most likely fault in a run, with cone [degrees]."""
     loose = {name: p for name, p in judged.posterior.items() if name != HEALTHY}
     best = max(loose, key=lambda name: loose[name])
     if judged.posterior[HEALTHY] > 0.5:
         return None, None
-    fit, arm = judged.fits[best], machine.machine.arm
-    frames, where = ToolFrames(arm), machine.machine.hypotheses.index(best) - 1
+    fit, nominal = judged.fits[best], uncertain.arm.nominal
+    frames, where = ToolFrames(nominal), uncertain.arm.hypotheses.index(best) - 1
     pose = lines.pose[None]
-    if where >= arm.n:
+    if where >= nominal.n:
         line = np.zeros(3)
-        line[list(arm.axes)] = frames.unit_lines(pose)[0, where - arm.n]
+        line[list(nominal.axes)] = frames.unit_lines(pose)[0, where - nominal.n]
         return (_vector(_signed(line)), 3.0) if np.linalg.norm(line) > 0.5 else (None, None)
     direction, angle = cone(fit)
     if direction is None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.frequency_response import Response, respond
 from loose_env.instrument.inference.opening_probability import open_probability
-from loose_env.instrument.inference.uncertain_linear_arm import UncertainMachine
+from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
 from loose_env.typing import Array, ComplexArray
 
 __all__ = [
@@ -95,8 +95,8 @@ class Evidence:
 
     Parameters
     ----------
-    machine : UncertainMachine
-        The machine.
+    uncertain : UncertainArm
+        The arm and its nuisance parameters.
     lines : sequence of Lines
         Pieces of all runs.
     correlation : float
@@ -104,16 +104,16 @@ class Evidence:
         count together as one.
     """
 
-    machine: UncertainMachine
+    uncertain: UncertainArm
     lines: Sequence[Lines]
     correlation: float = 4.0
     _drive: list[Array] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         """Scale the drive-force errors by the drive forces of the nominal arm."""
-        none = np.zeros(len(self.machine.names))
+        none = np.zeros(len(self.uncertain.names))
         for one in self.lines:
-            force = respond(self.machine.at(one.pose), one, none).drive_force()
+            force = respond(self.uncertain.at(one.pose), one, none).drive_force()
             power = np.abs(force) ** 2
             width = max(1, round(3.0 / one.spacing))
             kernel = np.ones(width) / width
@@ -124,13 +124,13 @@ class Evidence:
     @property
     def count(self) -> int:
         """Number of nuisance parameters: of the arm, and delays of every run."""
-        return self.machine.count(1 + max((one.number for one in self.lines), default=-1))
+        return self.uncertain.count(1 + max((one.number for one in self.lines), default=-1))
 
     def pieces(self, errors: Array, model_error: float) -> list[Piece]:
         """Responses and weights for given nuisance parameters."""
         found = []
         for one, drive in zip(self.lines, self._drive, strict=True):
-            response = respond(self.machine.at(one.pose), one, errors)
+            response = respond(self.uncertain.at(one.pose), one, errors)
             # Readings of what is faster than the samples fold back; more of it the higher the line.
             folded = one.folded * (one.frequency * one.period / _FOLDS) ** 2
             allowed = model_error * (1 + folded)[:, None]
@@ -260,7 +260,7 @@ def seat_powers(response: Response, share: Array, floating: Array) -> tuple[Arra
     Parameters
     ----------
     response : Response
-        The machine's answer to a run.
+        The arm's answer to a run.
     share : ndarray
         Of a floating seat's motion; its shape goes with that of ``floating``.
     floating : ndarray (..., K)

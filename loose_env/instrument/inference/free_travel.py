@@ -66,9 +66,9 @@ def travel_of(judged: Judged, hypothesis: str, lines: Sequence[Lines]) -> Travel
         Runs under test with all their lines, those that were not excited too: between its stops a
         seat drifts slowly, and strikes them fast.
     """
-    machine = judged.evidence.machine
-    evidence = Evidence(machine=machine, lines=[judged.as_sampled(one) for one in lines])
-    seat = seats_of(machine.machine.hypotheses, machine.machine.n)[hypothesis]
+    uncertain = judged.evidence.uncertain
+    evidence = Evidence(uncertain=uncertain, lines=[judged.as_sampled(one) for one in lines])
+    seat = seats_of(uncertain.arm.hypotheses, uncertain.arm.n)[hypothesis]
     fit = judged.fits[hypothesis]
     assert isinstance(seat, Seat)
     assert fit.axis is not None

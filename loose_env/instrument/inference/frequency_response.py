@@ -51,14 +51,14 @@ class Response:
 
     def joint_columns(self) -> ComplexArray:
         """Frequency response from joint forces to the channels (K, c, n)."""
-        n = self.at.of.machine.n
+        n = self.at.of.arm.n
         return np.asarray(self.rows @ self.compliance[:, :, :n])
 
     def drive_force(self) -> ComplexArray:
         """Force of each joint's drive on the healthy arm (K, n)."""
-        n = self.at.of.machine.n
+        n = self.at.of.arm.n
         s = 2j * np.pi * self.lines.frequency[:, None]
-        drives = self.at.of.machine.drives
+        drives = self.at.of.arm.actuators
         servo = drives.stiffness + s * drives.damping
         return np.asarray(self.force[:, :n] - servo * self.motion[:, :n])
 
@@ -94,8 +94,8 @@ class Response:
             Accelerations of the seats.
         """
         at, lines, of = self.at, self.lines, self.at.of
-        machine, t = of.machine, of.tolerances
-        n, m = machine.n, at.size
+        arm, t = of.arm, of.tolerances
+        n, m = arm.n, at.size
         omega = 2 * np.pi * lines.frequency
         s = 1j * omega
         motion = self.motion + np.einsum("kms,ks->km", self.by_seat, seat)
@@ -116,7 +116,7 @@ class Response:
                 slopes[:, k, of.bodies] += sampled * (self.jump @ along[:, :m].T)
                 own = sensing.get(reading.sensor, np.eye(3))[axis] @ jacobian[reading.at, :, :m]
                 slopes[:, k, of.bodies] += stepped @ own
-        drives = machine.drives
+        drives = arm.actuators
         of_drive = ~(lines.measured | lines.blind)
         kept = [
             -s[:, None] * _own_damping(at, n) * motion[:, :n] * t.damping,
@@ -148,10 +148,10 @@ class Response:
         delays = of.delays(lines.number)
         slopes[:, :, delays.start] = t.command_delay * late
         readings = self.mean + np.einsum("kcs,ks->kc", self.columns, seat)
-        on_sites = np.array([r.kind in ("acceleration", "turning") for r, _ in lines.row])
+        on_sites = np.array([r.on_site for r, _ in lines.row])
         slopes[:, on_sites, delays.start + 1] = -t.sensor_delay * s[:, None] * readings[:, on_sites]
         for at_sensor, k in enumerate(of.sensors):
-            sensor = machine.readings[k].sensor
+            sensor = arm.readings[k].sensor
             own = [i for i, (r, _) in enumerate(lines.row) if r.sensor == sensor]
             if len(own) != 3:
                 continue
@@ -166,13 +166,13 @@ class Response:
 def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
     """Frequency response for given nuisance parameters, in standard deviations (P,)."""
     of = at.of
-    machine, t = of.machine, of.tolerances
-    n, m = machine.n, at.size
+    arm, t = of.arm, of.tolerances
+    n, m = arm.n, at.size
     omega = 2 * np.pi * lines.frequency
     s = np.asarray(1j * omega, dtype=complex)
     inertia, jacobian = at.parts(errors)
     stiffness, damping = at.springs(errors)
-    drives = machine.drives
+    drives = arm.actuators
     held, slow = np.split(errors[of.springs], 3)[1:]
     free = lines.measured | lines.blind
     stiffness[:n] -= np.where(free, drives.stiffness * (1 + t.figures * held), 0.0)
@@ -226,7 +226,7 @@ def _late(at: PoseModel, lines: Lines, errors: Array) -> tuple[ComplexArray, Com
     """Delay factors of a run's commands, and of its accelerometers (K,) each."""
     of, t = at.of, at.of.tolerances
     own = errors[of.delays(lines.number)]
-    command, sensor = own if len(own) else (0.0, 0.0)  # errors may be those of the machine alone
+    command, sensor = own if len(own) else (0.0, 0.0)  # errors may be those of the arm alone
     s = 2j * np.pi * lines.frequency
     return np.exp(-s * t.command_delay * command), np.exp(-s * t.sensor_delay * sensor)
 
@@ -306,7 +306,7 @@ def _rows(
     at: PoseModel, lines: Lines, jacobian: Array, s: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray]:
     """Channels per displacement (K, c, m), feedthrough of the seats (K, c, s)."""
-    n, m = at.of.machine.n, at.size
+    n, m = at.of.arm.n, at.size
     seats = at.nominal.inertia.shape[0] - m
     rows = np.zeros((len(s), len(lines.row), m), dtype=complex)
     own = np.zeros((len(s), len(lines.row), seats), dtype=complex)
@@ -333,7 +333,7 @@ def _sensing(response: Response) -> dict[str, Array]:
     found = {}
     rows = [r.sensor for r, _ in response.lines.row]
     for at_sensor, k in enumerate(of.sensors):
-        sensor = of.machine.readings[k].sensor
+        sensor = of.arm.readings[k].sensor
         if rows.count(sensor) != 3:
             continue
         start = of.sensing.start + 9 * at_sensor
@@ -345,7 +345,7 @@ def _sensing(response: Response) -> dict[str, Array]:
 
 def _own_damping(at: PoseModel, n: int) -> Array:
     """Passive joint damping (n,)."""
-    return np.asarray(at.of.machine.linear.springs[1][at.of.moving][:n])
+    return np.asarray(at.of.arm.linear.springs[1][at.of.moving][:n])
 
 
 def _gain_error(at: PoseModel) -> Array:
@@ -353,5 +353,5 @@ def _gain_error(at: PoseModel) -> Array:
 
     A position servo's command and stiffness share one gain; a quarter of its tolerance is left.
     """
-    drives, t = at.of.machine.drives, at.of.tolerances
+    drives, t = at.of.arm.actuators, at.of.tolerances
     return np.asarray(np.where(drives.stiffness > 0, 0.25, 1.0) * t.figures)

@@ -45,7 +45,7 @@ class Fit:
     """Log-likelihood with everything unknown summed out."""
     errors: Array
     """Errors of the model and of the runs' delays in standard deviations, as
-    `UncertainMachine.count` has them."""
+    `UncertainArm.count` has them."""
     model_error: float
     """What remains beside them, relative."""
     axis: Array | None
@@ -55,7 +55,7 @@ class Fit:
 
 
 def seats_of(hypotheses: Sequence[str], joints: int) -> dict[str, Seat | None]:
-    """Seat of each hypothesis, in the order of `Machine.hypotheses`."""
+    """Seat of each hypothesis, in the order of `InstrumentedArm.hypotheses`."""
     found: dict[str, Seat | None] = {hypotheses[0]: None}
     for k in range(joints):
         name = hypotheses[1 + k]

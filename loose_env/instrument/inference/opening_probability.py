@@ -40,6 +40,6 @@ def open_probability(response: Response, seats: NDArray[np.intp], axes: Array) -
 
 def _turns(response: Response, seats: NDArray[np.intp]) -> bool:
     """True for the play of a revolute joint."""
-    machine = response.at.of.machine
-    joint = int(seats[0]) - 3 * machine.n  # the slides of all links come first
-    return joint >= 0 and not bool(machine.arm.sliding[joint])
+    arm = response.at.of.arm
+    joint = int(seats[0]) - 3 * arm.n  # the slides of all links come first
+    return joint >= 0 and not bool(arm.nominal.sliding[joint])

@@ -10,7 +10,7 @@ import numpy as np
 from loose_env.instrument.data.spectral_lines import Lines, thinned
 from loose_env.instrument.inference.evidence import Evidence, Seat
 from loose_env.instrument.inference.laplace_fit import Fit, fit_hypothesis, seats_of
-from loose_env.instrument.inference.uncertain_linear_arm import UncertainMachine
+from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.result import HEALTHY
 from loose_env.instrument.settings.diagnosis import ELSE
 
@@ -53,21 +53,21 @@ class Judged:
         return max(self.posterior, key=lambda name: self.posterior[name])
 
 
-def judge(machine: UncertainMachine, lines: Sequence[Lines], *, sound: float) -> Judged:
+def judge(uncertain: UncertainArm, lines: Sequence[Lines], *, sound: float) -> Judged:
     """Compute the posterior over all hypotheses.
 
     Parameters
     ----------
-    machine : UncertainMachine
-        The machine.
+    uncertain : UncertainArm
+        The arm and its nuisance parameters.
     lines : sequence of Lines
         All runs; none for what is known beforehand.
     sound : float
         Prior probability that nothing is loose.
     """
-    hypotheses = machine.machine.hypotheses
-    seats = seats_of(hypotheses, machine.machine.n)
-    coarse, fits = _first_look(machine, lines, seats)
+    hypotheses = uncertain.arm.hypotheses
+    seats = seats_of(hypotheses, uncertain.arm.n)
+    coarse, fits = _first_look(uncertain, lines, seats)
     top = max(fit.evidence for fit in fits.values())
     order = sorted(fits, key=lambda name: -fits[name].evidence)
     likely = [name for name in order if fits[name].evidence > top - _BEHIND][:_MOST]
@@ -75,7 +75,7 @@ def judge(machine: UncertainMachine, lines: Sequence[Lines], *, sound: float) ->
         replace(one, sampled=few.sampled, folded=few.folded)
         for one, few in zip(lines, coarse.lines, strict=True)
     ]
-    fine = Evidence(machine=machine, lines=[thinned(one, _FINE) for one in whole])
+    fine = Evidence(uncertain=uncertain, lines=[thinned(one, _FINE) for one in whole])
     values = {name: fit.evidence for name, fit in fits.items()}
     if len(lines):
         again = {name: fit_hypothesis(fine, name, seats[name], start=fits[name]) for name in likely}
@@ -94,14 +94,14 @@ def judge(machine: UncertainMachine, lines: Sequence[Lines], *, sound: float) ->
 
 
 def _first_look(
-    machine: UncertainMachine, lines: Sequence[Lines], seats: Mapping[str, Seat | None]
+    uncertain: UncertainArm, lines: Sequence[Lines], seats: Mapping[str, Seat | None]
 ) -> tuple[Evidence, dict[str, Fit]]:
     """Fit all hypotheses to few lines and identify the sensor sampling."""
     few = [thinned(one, _COARSE) for one in lines]
 
     def of(sampled: float, folded: float) -> Evidence:
         taken = [replace(one, sampled=sampled, folded=folded) for one in few]
-        return Evidence(machine=machine, lines=taken)
+        return Evidence(uncertain=uncertain, lines=taken)
 
     def fit(evidence: Evidence, name: str) -> Fit:
         return fit_hypothesis(evidence, name, seats[name], steps=4)

@@ -19,11 +19,11 @@ import mujoco
 import numpy as np
 
 from loose_env.arms import LinearArm, MismatchDraw
-from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.settings.tolerances import Tolerances
 from loose_env.typing import Array
 
-__all__ = ["DELAYS", "PoseModel", "UncertainMachine"]
+__all__ = ["DELAYS", "PoseModel", "UncertainArm"]
 
 
 DELAYS = ("command_delay", "sensor_delay")
@@ -49,57 +49,55 @@ class _Bodies:
     """Generalised force against gravity (m + s,)."""
 
 
-class UncertainMachine:
+class UncertainArm:
     """Arm with nuisance parameters, scaled by their standard deviations.
 
     Parameters
     ----------
-    machine : Machine
-        The machine.
+    arm : InstrumentedArm
+        The arm.
     tolerances : Tolerances
         Standard deviations.
     """
 
-    def __init__(self, machine: Machine, tolerances: Tolerances) -> None:
-        self.machine, self.tolerances = machine, tolerances
-        linear, arm, n = machine.linear, machine.arm, machine.n
+    def __init__(self, arm: InstrumentedArm, tolerances: Tolerances) -> None:
+        self.arm, self.tolerances = arm, tolerances
+        linear, nominal, n = arm.linear, arm.nominal, arm.n
         self.moving = np.concatenate([linear.joint_dofs, linear.flexible_dofs])
-        self.seats = _seat_columns(machine)
-        none = MismatchDraw.none(arm)
+        self.seats = _seat_columns(arm)
+        none = MismatchDraw.none(nominal)
         names: list[str] = []
         self._changed: list[LinearArm] = []
         t = tolerances
         for field, size in (("length", t.length), ("mass", t.figures), ("inertia", t.figures)):
             for link in range(n):
                 factor = getattr(none, field).copy()
-                factor[_bodies_of(machine, link)] += size
-                self._changed.append(_changed(machine, replace(none, **{field: factor})))
-                names.append(f"{field}@{machine.links[link]}")
+                factor[_bodies_of(arm, link)] += size
+                self._changed.append(_changed(arm, replace(none, **{field: factor})))
+                names.append(f"{field}@{arm.links[link]}")
         for link in range(n):
             # Mass goes over the seat: what of a link is bolted to the motor's side is a guess.
-            own, flange = _bodies_of(machine, link)
-            moved = t.motor_side * arm.model.body_mass[own]
+            own, flange = _bodies_of(arm, link)
+            moved = t.motor_side * nominal.model.body_mass[own]
             factor = none.mass.copy()
             factor[own] -= t.motor_side
-            factor[flange] += moved / max(arm.model.body_mass[flange], 1e-12)
-            self._changed.append(_changed(machine, replace(none, mass=factor)))
-            names.append(f"motor_side@{machine.links[link]}")
+            factor[flange] += moved / max(nominal.model.body_mass[flange], 1e-12)
+            self._changed.append(_changed(arm, replace(none, mass=factor)))
+            names.append(f"motor_side@{arm.links[link]}")
         self._zeros = t.joint_zero * np.eye(n)
-        names += [f"zero@{joint}" for joint in machine.joints]
-        names += [f"rotor@{joint}" for joint in machine.joints]
+        names += [f"zero@{joint}" for joint in arm.joints]
+        names += [f"rotor@{joint}" for joint in arm.joints]
         self.bodies = slice(0, len(names))
-        joints = machine.joints
+        joints = arm.joints
         names += [f"damping@{joint}" for joint in joints]
         names += [f"servo_stiffness@{joint}" for joint in joints]
         names += [f"servo_damping@{joint}" for joint in joints]
         self.springs = slice(self.bodies.stop, len(names))
         names += [f"drive_gain@{joint}" for joint in joints]
         self.gains = slice(self.springs.stop, len(names))
-        self.sensors = tuple(
-            k for k, r in enumerate(machine.readings) if r.kind in ("acceleration", "turning")
-        )
+        self.sensors = tuple(k for k, r in enumerate(arm.readings) if r.on_site)
         for k in self.sensors:
-            names += [f"{machine.readings[k].sensor}[{i}{j}]" for i in "xyz" for j in "xyz"]
+            names += [f"{arm.readings[k].sensor}[{i}{j}]" for i in "xyz" for j in "xyz"]
         self.sensing = slice(self.gains.stop, len(names))
         self.names = tuple(names)
         """Name of each error that all runs share (P,)."""
@@ -122,7 +120,7 @@ class UncertainMachine:
         return self._remembered[key]
 
     def _at(self, pose: Array) -> PoseModel:
-        linear, n = self.machine.linear, self.machine.n
+        linear, n = self.arm.linear, self.arm.n
         nominal = self._bodies(linear, pose)
         moved = [self._bodies(one, pose) for one in self._changed]
         moved += [self._bodies(linear, pose + zero) for zero in self._zeros]
@@ -179,27 +177,27 @@ class UncertainMachine:
         )
 
 
-def _bodies_of(machine: Machine, link: int) -> list[int]:
+def _bodies_of(arm: InstrumentedArm, link: int) -> list[int]:
     """Link and flange bodies in the arm's own model."""
-    model = machine.arm.model
-    own = int(model.body(machine.arm.seat_bodies[link]).id)
+    model = arm.nominal.model
+    own = int(model.body(arm.nominal.seat_bodies[link]).id)
     return [own, int(model.body_parentid[own])]
 
 
-def _changed(machine: Machine, draw: MismatchDraw) -> LinearArm:
+def _changed(arm: InstrumentedArm, draw: MismatchDraw) -> LinearArm:
     """Copy of the linear arm with changed bodies."""
-    linear = machine.linear
+    linear = arm.linear
     other = copy.copy(linear)
     other.model = copy.copy(linear.model)
     other._data = mujoco.MjData(other.model)
     other._cache = {}
-    draw.apply(other.model, machine.arm, other._data)
+    draw.apply(other.model, arm.nominal, other._data)
     return other
 
 
-def _seat_columns(machine: Machine) -> Array:
+def _seat_columns(arm: InstrumentedArm) -> Array:
     """Seat motions in the linear arm's coordinates (nv, 4 n): slides, then play."""
-    linear, n = machine.linear, machine.n
+    linear, n = arm.linear, arm.n
     nv = linear.model.nv
     columns = np.zeros((nv, 4 * n))
     for link in range(n):
@@ -208,7 +206,7 @@ def _seat_columns(machine: Machine) -> Array:
         if dof < nv:
             columns[dof, 3 * n + link] = 1.0
         else:  # play of a sliding joint is made of the link's slides
-            axis = machine.arm.model.joint(machine.arm.joints[link]).axis
+            axis = arm.nominal.model.joint(arm.nominal.joints[link]).axis
             columns[linear.slide_dofs[link], 3 * n + link] = axis
     return columns
 
@@ -217,10 +215,10 @@ def _seat_columns(machine: Machine) -> Array:
 class PoseModel:
     """Uncertain arm linearised about one pose.
 
-    Errors come in the order of `UncertainMachine.names`, those of the runs' delays after them.
+    Errors come in the order of `UncertainArm.names`, those of the runs' delays after them.
     """
 
-    of: UncertainMachine
+    of: UncertainArm
     pose: Array
     nominal: _Bodies
     inertia: Array
@@ -251,9 +249,9 @@ class PoseModel:
 
     def springs(self, errors: Array) -> tuple[Array, Array]:
         """Coordinate stiffness and damping for given nuisance parameters (m,)."""
-        machine, t = self.of.machine, self.of.tolerances
-        n, drives = machine.n, machine.drives
-        stiffness, damping = (v[self.of.moving] for v in machine.linear.springs)
+        arm, t = self.of.arm, self.of.tolerances
+        n, drives = arm.n, arm.actuators
+        stiffness, damping = (v[self.of.moving] for v in arm.linear.springs)
         stiffness, damping = stiffness.copy(), damping.copy()
         own, held, slow = np.split(errors[self.of.springs], 3)
         damping[:n] *= 1 + t.damping * own

@@ -12,7 +12,7 @@ from loose_env.instrument.inference.free_travel import Travel
 from loose_env.instrument.inference.laplace_fit import seats_of
 from loose_env.instrument.inference.opening_probability import open_probability, seat_forces
 from loose_env.instrument.inference.posterior import Judged
-from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.result import HEALTHY
 from loose_env.statistics import axes_grid
 
@@ -30,13 +30,13 @@ _STRAINED = 2.2
 
 
 def warnings_of(
-    machine: Machine, judged: Judged, notes: Sequence[str], travel: Travel | None
+    arm: InstrumentedArm, judged: Judged, notes: Sequence[str], travel: Travel | None
 ) -> tuple[str, ...]:
     """Collect the warnings, most severe first."""
     said: list[str] = []
     suspect = [one for one in judged.evidence.lines if not one.healthy]
     said += _of_model(judged)
-    said += _of_seats(machine, judged, suspect)
+    said += _of_seats(arm, judged, suspect)
     if travel is not None and travel.linear:
         said.append(
             "the force across the seat is as well that of a spring without free travel: it may be "
@@ -44,14 +44,14 @@ def warnings_of(
             "not press on it tells them apart"
         )
     for one in suspect:
-        said += _of_run(machine, one)
+        said += _of_run(arm, one)
     if any(one.folded > 0 for one in judged.lines):
         said.append(
             "the sensors seem to be sampled without a filter: what is faster than half the rate "
             "is folded into the band, whose upper part is trusted less; switch on the recorder's "
             "filter"
         )
-    unknown = machine.drives.unknown
+    unknown = arm.actuators.unknown
     if unknown:
         said.append(
             f"the law of actuator {', '.join(unknown)} is not a force linear in command, position "
@@ -74,13 +74,13 @@ def _of_model(judged: Judged) -> list[str]:
     ]
 
 
-def _of_seats(machine: Machine, judged: Judged, suspect: Sequence[Lines]) -> list[str]:
+def _of_seats(arm: InstrumentedArm, judged: Judged, suspect: Sequence[Lines]) -> list[str]:
     """Warnings about seats that no run could open."""
     grid = axes_grid(24)
     never: list[str] = []
     pressed: list[str] = []
     pieces = judged.evidence.pieces(judged.fits[judged.best].errors, 0.05)
-    for name, seat in seats_of(machine.hypotheses, machine.n).items():
+    for name, seat in seats_of(arm.hypotheses, arm.n).items():
         if not isinstance(seat, Seat):
             continue
         axes = grid if seat.slides else np.ones((1, 1))
@@ -110,7 +110,7 @@ def _of_seats(machine: Machine, judged: Judged, suspect: Sequence[Lines]) -> lis
     return said
 
 
-def _of_run(machine: Machine, one: Lines) -> list[str]:
+def _of_run(arm: InstrumentedArm, one: Lines) -> list[str]:
     said = []
     if one.seconds < _SHORT:
         said.append(f"{one.run}: {one.seconds:.2g} s is short; take {_SHORT:g} s or more")
@@ -130,7 +130,7 @@ def _of_run(machine: Machine, one: Lines) -> list[str]:
             for k, (r, _) in enumerate(one.row)
             if r.kind in ("position", "velocity") and r.at == joint
         ]
-        name = machine.joints[joint]
+        name = arm.joints[joint]
         if not own:
             said.append(f"{one.run}: no sensor of the excited joint {name} was recorded")
         elif max(float(signal[k] / noise[k]) for k in own) < 4:
@@ -140,7 +140,7 @@ def _of_run(machine: Machine, one: Lines) -> list[str]:
             )
     driven = [j for j in one.excited if one.blind[j]]
     if driven:
-        names = ", ".join(machine.joints[j] for j in driven)
+        names = ", ".join(arm.joints[j] for j in driven)
         said.append(
             f"{one.run}: neither command nor torque of the excited joint {names} is on record; its "
             "motion alone is used"

@@ -1,5 +1,5 @@
-"""The arm's model as recordings and plans need it: actuators, tool site, clearance.
+"""The arm's model as recordings and plans need it: actuators, sensors, tool site, clearance.
 
-Data flow: actuators -> clearance -> tool_site -> recorded_arm -> recording_model -> planned_arm
+Data flow: actuators -> clearance -> tool_site -> recording_model -> readings -> instrumented_arm
 -> holding_commands.
 """

@@ -12,11 +12,20 @@ from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from loose_env.arms import Arm, Holding
 from loose_env.typing import Array
 
-__all__ = ["JointDrive", "PassedOver", "actuators_on", "drives_of", "held_by_drives"]
+__all__ = [
+    "ActuatorForces",
+    "JointDrive",
+    "PassedOver",
+    "actuator_forces",
+    "actuators_on",
+    "drives_of",
+    "held_by_drives",
+]
 
 
 _JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
@@ -128,6 +137,50 @@ def actuators_on(
     return tuple(found), tuple(passed)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ActuatorForces:
+    """Forces of A actuators on n joints, linear in command, position and velocity."""
+
+    names: tuple[str, ...]
+    """Actuators of the joints (A,)."""
+    joint: NDArray[np.intp]
+    """Index of the joint that each drives (A,)."""
+    force: Array
+    """Force on each joint per command of each actuator (n, A)."""
+    stiffness: Array
+    """Force against each joint's displacement (n,) [N·m/rad or N/m]."""
+    damping: Array
+    """Force against each joint's velocity (n,) [N·m·s/rad or N·s/m]."""
+    lag: Array
+    """Time constant of each actuator's filter (A,) [s]; 0 for none."""
+    unknown: tuple[str, ...]
+    """Actuators whose law is not of this kind: their joints' forces are taken as unknown."""
+
+    def driven_joint(self, actuator: str) -> int:
+        """Index of the joint that an actuator drives."""
+        return int(self.joint[self.names.index(actuator)])
+
+
+def actuator_forces(model: mujoco.MjModel, joints: Sequence[str]) -> ActuatorForces:
+    """Collect the forces of all actuators on joints, by `actuators_on`."""
+    drives, passed = actuators_on(model, joints)
+    n, driven = len(joints), [joints.index(drive.joint) for drive in drives]
+    force, stiffness, damping = np.zeros((n, len(drives))), np.zeros(n), np.zeros(n)
+    for a, (drive, j) in enumerate(zip(drives, driven, strict=True)):
+        force[j, a] = drive.gain
+        stiffness[j] += drive.stiffness
+        damping[j] += drive.damping
+    return ActuatorForces(
+        names=tuple(drive.actuator for drive in drives),
+        joint=np.array(driven, dtype=np.intp),
+        force=force,
+        stiffness=stiffness,
+        damping=damping,
+        lag=np.array([drive.lag for drive in drives]),
+        unknown=tuple(other.actuator for other in passed),
+    )
+
+
 def drives_of(
     model: mujoco.MjModel, joints: Sequence[str]
 ) -> tuple[tuple[JointDrive | None, ...], tuple[str, ...]]:
@@ -215,23 +268,15 @@ def held_by_drives(arm: Arm, model: mujoco.MjModel, joints: Sequence[str]) -> Ar
     >>> arm.hold, arm.centring.stiffness[0], arm.holding.stiffness
     ('servo', 900.0, (0.0, 0.0))
     """
-    soft = arm.centring
-    spring, damper = dict.fromkeys(joints, 0.0), dict.fromkeys(joints, 0.0)
-    for drive in actuators_on(model, joints)[0]:
-        spring[drive.joint] += drive.stiffness
-        damper[drive.joint] += drive.damping
-    held = [spring[joint] > 0 for joint in joints]
-    stiffness = tuple(
-        spring[j] if h else s for j, h, s in zip(joints, held, soft.stiffness, strict=True)
-    )
-    damping = tuple(
-        damper[j] + (0.0 if h else s) for j, h, s in zip(joints, held, soft.damping, strict=True)
-    )
+    soft, own = arm.centring, actuator_forces(model, joints)
+    held = own.stiffness > 0
+    stiffness = np.where(held, own.stiffness, soft.stiffness)
+    damping = own.damping + np.where(held, 0.0, soft.damping)
     none = (0.0,) * arm.n
     return replace(
         arm,
         hold="servo",
-        centring=Holding(stiffness=stiffness, damping=damping),
+        centring=Holding(stiffness=tuple(stiffness.tolist()), damping=tuple(damping.tolist())),
         servo=Holding(stiffness=none, damping=none),
     )
 

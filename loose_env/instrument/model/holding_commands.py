@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 
 from loose_env.instrument.model.actuators import actuators_on, drives_of
-from loose_env.instrument.model.planned_arm import ModelArm
+from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.typing import Array
 
 __all__ = ["holding_commands", "starting_commands", "why_not_held"]
 
 
-def holding_commands(machine: ModelArm, pose: Array) -> tuple[dict[str, float], Array]:
+def holding_commands(arm: InstrumentedArm, pose: Array) -> tuple[dict[str, float], Array]:
     """Commands and torques that balance gravity in a pose.
 
     Of several actuators on a joint one carries the load, as
@@ -22,7 +22,7 @@ def holding_commands(machine: ModelArm, pose: Array) -> tuple[dict[str, float], 
 
     Parameters
     ----------
-    machine : ModelArm
+    arm : InstrumentedArm
         The arm.
     pose : ndarray (n,)
         Joint positions [rad or m].
@@ -34,7 +34,7 @@ def holding_commands(machine: ModelArm, pose: Array) -> tuple[dict[str, float], 
     ndarray (n,)
         Torque of each driven joint [N·m, N].
     """
-    model, data = machine.recordable.model, _standing(machine, pose)
+    model, data = arm.recording_model.model, _standing(arm, pose)
     load = data.qfrc_bias - data.qfrc_passive
     commands = {model.actuator(a).name: 0.0 for a in range(model.nu)}
     joints = _joints(model)
@@ -52,11 +52,11 @@ def holding_commands(machine: ModelArm, pose: Array) -> tuple[dict[str, float], 
         needed[drive.joint] -= drive.torque(commands[drive.actuator], q)
     for drive in chosen:
         commands[drive.actuator] = float(drive.command(needed[drive.joint], place[drive.joint]))
-    dofs = [int(model.joint(name).dofadr[0]) for name in machine.joints]
+    dofs = [int(model.joint(name).dofadr[0]) for name in arm.joints]
     return commands, np.asarray(load[dofs])
 
 
-def starting_commands(machine: ModelArm, pose: Array) -> dict[str, float]:
+def starting_commands(arm: InstrumentedArm, pose: Array) -> dict[str, float]:
     """Commands that move the arm to a pose: the pose itself for position servos.
 
     Under them the arm hangs from the pose by as much as its servos give way. Motors hold it as
@@ -64,7 +64,7 @@ def starting_commands(machine: ModelArm, pose: Array) -> dict[str, float]:
 
     Parameters
     ----------
-    machine : ModelArm
+    arm : InstrumentedArm
         The arm.
     pose : ndarray (n,)
         Joint positions [rad or m].
@@ -74,22 +74,22 @@ def starting_commands(machine: ModelArm, pose: Array) -> dict[str, float]:
     dict
         Actuator -> command in its own unit.
     """
-    return _at_the_start(machine, pose, holding_commands(machine, pose)[0])
+    return _at_the_start(arm, pose, holding_commands(arm, pose)[0])
 
 
-def why_not_held(machine: ModelArm, pose: Array) -> str:
+def why_not_held(arm: InstrumentedArm, pose: Array) -> str:
     """Reason why the actuators cannot servo a pose; "" if they can.
 
     Parameters
     ----------
-    machine : ModelArm
+    arm : InstrumentedArm
         The arm.
     pose : ndarray (n,)
         Joint positions [rad or m].
     """
-    holding = holding_commands(machine, pose)[0]
-    told = (holding, _at_the_start(machine, pose, holding))
-    for drive in machine.drives:
+    holding = holding_commands(arm, pose)[0]
+    told = (holding, _at_the_start(arm, pose, holding))
+    for drive in arm.drives:
         if drive is None:
             continue
         low, high = drive.command_range
@@ -104,9 +104,9 @@ def why_not_held(machine: ModelArm, pose: Array) -> str:
     return ""
 
 
-def _at_the_start(machine: ModelArm, pose: Array, holding: dict[str, float]) -> dict[str, float]:
+def _at_the_start(arm: InstrumentedArm, pose: Array, holding: dict[str, float]) -> dict[str, float]:
     """Static commands (actuator -> command), the pose itself for servos."""
-    model, data, commands = machine.recordable.model, _standing(machine, pose), dict(holding)
+    model, data, commands = arm.recording_model.model, _standing(arm, pose), dict(holding)
     for drive in drives_of(model, _joints(model))[0]:
         if drive is not None and drive.servo:
             q = float(data.joint(drive.joint).qpos[0])
@@ -114,11 +114,11 @@ def _at_the_start(machine: ModelArm, pose: Array, holding: dict[str, float]) -> 
     return commands
 
 
-def _standing(machine: ModelArm, pose: Array) -> mujoco.MjData:
+def _standing(arm: InstrumentedArm, pose: Array) -> mujoco.MjData:
     """Recordable model at rest in a pose."""
-    model = machine.recordable.model
+    model = arm.recording_model.model
     data = mujoco.MjData(model)
-    for name, q in zip(machine.joints, pose, strict=True):
+    for name, q in zip(arm.joints, pose, strict=True):
         data.joint(name).qpos[0] = q
     mujoco.mj_fwdPosition(model, data)
     mujoco.mj_fwdVelocity(model, data)

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from loose_env.arms import Chain, ModelFile, compile_spec, load_spec
+from loose_env.arms import Chain, ModelFile, compile_spec
 from loose_env.instrument.model.tool_site import mark_tool
 
-__all__ = ["ACCELEROMETER", "Recordable", "recordable"]
+__all__ = ["ACCELEROMETER", "RecordingModel", "recording_model"]
 
 ACCELEROMETER = "tool_accelerometer"
 """Name of the accelerometer that is added where the model has none at its tool."""
@@ -19,7 +19,7 @@ _TOOL = "tool"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Recordable:
+class RecordingModel:
     """Model as ``recording.json`` needs it: every actuator and sensor has a name."""
 
     xml: str
@@ -36,13 +36,13 @@ class Recordable:
     """What was added, in sentences."""
 
 
-def recordable(
+def recording_model(
     file: ModelFile,
     chain: Chain,
     *,
     payload_kg: float = 0.0,
     payload_at_m: tuple[float, ...] = (0.0, 0.0, 0.0),
-) -> Recordable:
+) -> RecordingModel:
     """Make a self-contained model that recordings can be validated against.
 
     Shapes from files go, inertias found from them are written out. A site, an accelerometer and
@@ -63,7 +63,7 @@ def recordable(
     InvalidData
         If the file does not compile.
     """
-    _, _, spec = load_spec(file.path)
+    spec = file.spec.copy()
     spec.compiler.fusestatic = False
     _name(spec)
     _write_out(spec, file.model)
@@ -81,7 +81,7 @@ def recordable(
         for key in list(spec.keys):  # their commands would be too few
             spec.delete(key)
     model = compile_spec(spec, file.path)
-    return Recordable(
+    return RecordingModel(
         xml=spec.to_xml(),
         model=model,
         site=site,

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import mujoco
+import numpy as np
 
-__all__ = ["mark_tool", "sensed_sites", "tool_site"]
+from loose_env.arms import Chain, ModelFile
 
+__all__ = ["body_beyond", "mark_tool", "sensed_sites", "tool_site"]
+
+_APART = 1e-3
+"""Distance from the last link's frame at which a fixed body counts as farther out [m]."""
 _MARK = "loose_env_tool"
 """Name of the custom text in which a model says which site is the tool's."""
 
@@ -63,3 +68,19 @@ def _depth(spec: mujoco.MjSpec, site: str) -> int:
         depth += len(body.joints)
         body = body.parent
     return depth
+
+
+def body_beyond(file: ModelFile, chain: Chain) -> str | None:
+    """Outermost body fixed to the last link, such as a URDF flange, where no site is the tool."""
+    m, last = file.model, chain.links[-1]
+    if chain.tool_site is not None or chain.tool_body != last:
+        return None
+    data = mujoco.MjData(m)
+    mujoco.mj_kinematics(m, data)
+    fixed = [b for b in range(last + 1, m.nbody) if m.body_weldid[b] == last]
+    away = [float(np.linalg.norm(data.xpos[b] - data.xpos[last])) for b in fixed]
+    if not fixed or max(away) < _APART:
+        return None
+    # Of equals the one that comes last: tool0 rather than the flange it lies on.
+    far = max(range(len(fixed)), key=lambda k: (round(away[k], 6), k))
+    return str(m.body(fixed[far]).name)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms import LinearArm
 from loose_env.diagnosis import ToolFrames, look_alikes, places
-from loose_env.instrument.model.planned_arm import ModelArm
+from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.planning.excitation import (
     SEEN,
     proposed,
@@ -138,16 +138,16 @@ def best_seen(
     >>> bool((found.opens == 1).all())  # nothing weighs on a seat in the horizontal plane
     True
     """
-    arm = linear.arm
+    nominal = linear.arm
     features = seat_features(linear, rules, directions=_DIRECTIONS)
     count = features.places
-    slides = count - arm.n
+    slides = count - nominal.n
     gap = rules.gap_mm * 1e-3
     gaps = np.full(count, gap)
     levers = np.array([np.linalg.norm(linear.at(q).kinematic, axis=0) for q in where])
     lever = np.median(levers, axis=0)
-    turn = gap / max(arm.reach, 1e-6)
-    gaps[slides:] = np.where(arm.sliding, gap, turn)
+    turn = gap / max(nominal.reach, 1e-6)
+    gaps[slides:] = np.where(nominal.sliding, gap, turn)
     best = {
         "opens": np.zeros(count),
         "seen": np.zeros(count),
@@ -157,8 +157,8 @@ def best_seen(
     }
     joint = np.zeros(count, dtype=np.intp)
     for q in where:
-        proposal = proposed(arm, q, rules)
-        for j in range(arm.n) if joints is None else joints:
+        proposal = proposed(nominal, q, rules)
+        for j in range(nominal.n) if joints is None else joints:
             torque = torque_of(proposal, j, rules)
             if not torque.any():
                 continue
@@ -176,28 +176,28 @@ def best_seen(
         joint=joint,
         levers=lever,
         noise=tool_noise(features),
-        band=arm.band,
+        band=nominal.band,
         **best,
     )
 
 
-def findable_faults(machine: ModelArm, found: BestSeen) -> tuple[Findable, ...]:
+def findable_faults(arm: InstrumentedArm, found: BestSeen) -> tuple[Findable, ...]:
     """Judge every fault by what the best record would show of it.
 
     Parameters
     ----------
-    machine : ModelArm
+    arm : InstrumentedArm
         The arm.
     found : BestSeen
         From `best_seen`.
     """
-    arm = machine.arm
-    frames = ToolFrames(arm)
-    own = dict(zip(places(arm), machine.hypotheses[1:], strict=True))
+    nominal = arm.nominal
+    frames = ToolFrames(nominal)
+    own = dict(zip(places(nominal), arm.hypotheses[1:], strict=True))
     count = len(found.directions)
     made = []
     for k, (place, name) in enumerate(own.items()):
-        if k < arm.n:
+        if k < nominal.n:
             rows = slice(k * count, (k + 1) * count)
             seen = found.seen[rows] >= SEEN
             opens = found.opens[rows]
@@ -211,14 +211,14 @@ def findable_faults(machine: ModelArm, found: BestSeen) -> tuple[Findable, ...]:
             why = _why_link(share, float(np.mean(opens < _OPEN)), shut)
             at_tool = gap_model
         else:
-            place_row = arm.n * count + k - arm.n
+            place_row = nominal.n * count + k - nominal.n
             rows = slice(place_row, place_row + 1)
             share = float(found.seen[place_row] >= SEEN)
             shut = None
             gap, gap_model = _middle(found.gap[rows]), _middle(found.gap_model[rows])
             others = look_alikes(frames, place, tolerance=np.radians(3.0))
             alike = tuple(own[other] for other in others if other != place)
-            lever = float(found.levers[k - arm.n])
+            lever = float(found.levers[k - nominal.n])
             at_tool = None if gap_model is None else gap_model * lever
             why = _why_joint(share, lever, float(found.opens[place_row]), gap_model)
         verdict: Verdict = "yes" if share >= _MOST else "mostly" if share >= _SOME else "hardly"
@@ -233,7 +233,7 @@ def findable_faults(machine: ModelArm, found: BestSeen) -> tuple[Findable, ...]:
                 smallest_gap=gap,
                 smallest_gap_model=gap_model,
                 at_tool_m=at_tool,
-                best_joint=machine.joints[int(np.bincount(found.joint[rows]).argmax())],
+                best_joint=arm.joints[int(np.bincount(found.joint[rows]).argmax())],
                 alike=alike,
                 why=why,
             )

@@ -8,7 +8,7 @@ import numpy as np
 
 from loose_env.arms import Arm, LinearArm
 from loose_env.diagnosis import ToolFrames
-from loose_env.instrument.model.planned_arm import ModelArm
+from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.planning.excitation import sensitivity
 from loose_env.instrument.planning.next_measurement import seat_features
 from loose_env.instrument.planning.prior_knowledge import Known
@@ -36,7 +36,7 @@ class Expected:
 
 
 def expected_of(
-    machine: ModelArm,
+    arm: InstrumentedArm,
     linear: LinearArm,
     known: Known | None,
     chosen: NextMeasurement,
@@ -46,7 +46,7 @@ def expected_of(
 
     Parameters
     ----------
-    machine : ModelArm
+    arm : InstrumentedArm
         The arm.
     linear : LinearArm
         The same, linear.
@@ -62,39 +62,39 @@ def expected_of(
     dict
         By the names of the hypotheses.
     """
-    arm = machine.arm
-    names = machine.hypotheses
+    nominal = arm.nominal
+    names = arm.hypotheses
     so_far = Known() if known is None else known
-    pose = np.array([chosen.pose[name] for name in machine.joints])
-    banded = replace(arm, band=chosen.band_hz)
+    pose = np.array([chosen.pose[name] for name in arm.joints])
+    banded = replace(nominal, band=chosen.band_hz)
     features = seat_features(linear.variant(banded), choice)
-    torque = np.zeros(arm.n)
-    torque[machine.joints.index(chosen.joints[0])] = chosen.torques[0]
+    torque = np.zeros(nominal.n)
+    torque[arm.joints.index(chosen.joints[0])] = chosen.torques[0]
     found = sensitivity(features, pose, torque, chosen.seconds)
-    reach = max(arm.reach, 1e-6)
+    reach = max(nominal.reach, 1e-6)
     gap = choice.gap_mm * 1e-3
     # Play of a joint: the turn that moves the tool as far as the gap at full reach.
-    hinge = np.where(arm.sliding, gap, gap / reach)
-    slides = len(found.opens) - arm.n
+    hinge = np.where(nominal.sliding, gap, gap / reach)
+    slides = len(found.opens) - nominal.n
     lost = found.lost(np.concatenate([np.full(slides, gap), hinge]))
     seen = lost * found.by_model
-    directions = expected_directions(arm, so_far, pose, machine.links, machine.joints)
+    directions = expected_directions(nominal, so_far, pose, arm.links, arm.joints)
     images = features.directions
     shown: dict[str, Expected] = {}
-    even = {names[0]: 1 / 3} | dict.fromkeys(names[1:], 1 / (3 * arm.n))
+    even = {names[0]: 1 / 3} | dict.fromkeys(names[1:], 1 / (3 * nominal.n))
     for k, name in enumerate(names):
         direction = directions[name]
         if k == 0:
             share, size = 0.0, 0.0
-        elif k <= arm.n:
+        elif k <= nominal.n:
             rows = slice((k - 1) * len(images), k * len(images))
             near = np.ones(len(images))
             if direction is not None:
-                near = _near(arm, pose, k - 1, images, direction)
+                near = _near(nominal, pose, k - 1, images, direction)
             share = float(near @ lost[rows] / near.sum())
             size = float(near @ seen[rows] / near.sum())
         else:
-            place = slides + k - 1 - arm.n
+            place = slides + k - 1 - nominal.n
             share, size = float(lost[place]), float(seen[place])
         shown[name] = Expected(
             probability=float((so_far.probabilities or even)[name]),
@@ -105,8 +105,8 @@ def expected_of(
     return shown
 
 
-def _near(arm: Arm, pose: Array, link: int, grid: Array, direction: Array) -> Array:
+def _near(nominal: Arm, pose: Array, link: int, grid: Array, direction: Array) -> Array:
     """Weight of each direction of a link's grid: near the one that is expected."""
-    image = ToolFrames(arm).images(pose)[0, link]
+    image = ToolFrames(nominal).images(pose)[0, link]
     own = image.T @ direction
     return np.asarray(np.exp(-0.5 * ((1 - np.abs(grid @ own)) / 0.02) ** 2) + 1e-12)

@@ -1,4 +1,4 @@
-"""The next step of a session at the machine: the pose, the joint and the signal to play.
+"""The next step of a session at the arm: the pose, the joint and the signal to play.
 
 `plan` takes a model and what is known so far, a `loose_env.instrument.result.Diagnosis` or
 nothing, and says what to measure next and what to expect. Where the diagnosis says already what
@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from loose_env.arms import LinearArm
 from loose_env.diagnosis import propose_excitation
 from loose_env.errors import InvalidSetting
 from loose_env.instrument.model.clearance import Ground
 from loose_env.instrument.model.holding_commands import why_not_held
-from loose_env.instrument.model.planned_arm import ModelArm, load_model_arm
+from loose_env.instrument.model.instrumented_arm import InstrumentedArm, read_arm
 from loose_env.instrument.planning.candidate_poses import pose_range
 from loose_env.instrument.planning.expected_observations import Expected, expected_of
 from loose_env.instrument.planning.next_measurement import next_measurement
@@ -32,7 +31,7 @@ from loose_env.instrument.settings.command_line import unlike
 from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.typing import Array
 
-__all__ = ["Plan", "load", "next_for", "plan"]
+__all__ = ["Plan", "next_for", "plan"]
 
 
 _ONCE = ("joint", "pose_deg", "from_deg")
@@ -45,7 +44,7 @@ _SAGS = np.array([np.radians(0.1), 1e-4])
 class Plan:
     """What to do next."""
 
-    machine: ModelArm
+    arm: InstrumentedArm
     """The arm."""
     next: NextMeasurement
     """Pose, joints, band, levels, length and why."""
@@ -63,23 +62,11 @@ class Plan:
     @property
     def pose(self) -> Array:
         """Joint positions, base first [rad or m] (n,)."""
-        return np.array([self.next.pose[name] for name in self.machine.joints])
-
-
-def load(path: str | Path, settings: ModelSettings | None = None) -> ModelArm:
-    """Read a model with settings; see `load_model_arm`."""
-    given = ModelSettings() if settings is None else settings
-    return load_model_arm(
-        path,
-        tool=given.tool,
-        hold=given.hold,
-        payload_kg=given.payload_kg,
-        payload_at_m=given.payload_at_m,
-    )
+        return np.array([self.next.pose[name] for name in self.arm.joints])
 
 
 def next_for(
-    machine: ModelArm,
+    arm: InstrumentedArm,
     known: Diagnosis | Known | None = None,
     settings: NextSettings | None = None,
     own: PlanSettings | None = None,
@@ -90,8 +77,8 @@ def next_for(
 
     Parameters
     ----------
-    machine : ModelArm
-        From `load_model_arm`.
+    arm : InstrumentedArm
+        From `read_arm`.
     known : Diagnosis or Known, optional
         What is known; nothing by default. `Diagnosis.next` is not looked at.
     settings : NextSettings, optional
@@ -111,47 +98,45 @@ def next_for(
     Examples
     --------
     >>> from loose_env.arms import DESK_ARM
-    >>> desk = load_model_arm(DESK_ARM)
+    >>> desk = read_arm(DESK_ARM)
     >>> first = next_for(desk, settings=NextSettings(poses=2))
     >>> set(first.pose) == set(desk.joints)
     True
     """
     rules = NextSettings() if settings is None else settings
     own = PlanSettings() if own is None else own
-    arm = machine.arm
-    so_far = (
-        known_of(known, machine.links, machine.joints) if isinstance(known, Diagnosis) else known
-    )
-    ground = Ground.of(arm, rules.ground_m)
+    nominal = arm.nominal
+    so_far = known_of(known, arm.links, arm.joints) if isinstance(known, Diagnosis) else known
+    ground = Ground.of(nominal, rules.ground_m)
     # A pose that somebody has decided on is looked at with a warning alone.
     stays_above = not own.pose_deg
 
     def allowed(pose: Array) -> bool:
-        if not ground.clear(pose) or machine.collisions.touch(pose):
+        if not ground.clear(pose) or arm.collisions.touch(pose):
             return False
-        return not why_not_held(machine, pose)
+        return not why_not_held(arm, pose)
 
     def reachable(here: Array, pose: Array) -> bool:
-        if machine.collisions.touch_between(here, pose):
+        if arm.collisions.touch_between(here, pose):
             return False
         return not stays_above or ground.clear_between(here, pose)
 
-    start = _typed(machine, "from_deg", own.from_deg)
+    start = _typed(arm, "from_deg", own.from_deg)
     if start is None and not (so_far and so_far.records):
-        start = machine.home
+        start = arm.home
     return next_measurement(
-        arm,
-        LinearArm(arm),
+        nominal,
+        arm.linear,
         so_far,
         rules,
-        links=machine.links,
-        joints=machine.joints,
+        links=arm.links,
+        joints=arm.joints,
         allowed=allowed,
         reachable=reachable,
         start=start,
-        shakable=[d.joint for d in machine.drives if d is not None],
+        shakable=[d.joint for d in arm.drives if d is not None],
         only=own.joint,
-        pose=_typed(machine, "pose_deg", own.pose_deg),
+        pose=_typed(arm, "pose_deg", own.pose_deg),
     )
 
 
@@ -199,20 +184,20 @@ def plan(
     if choice is None:
         choice = NextSettings() if known is None else known.choice
     own = PlanSettings() if own is None else own
-    machine = load(model, arm)
-    so_far = None if known is None else known_of(known, machine.links, machine.joints)
+    instrumented = read_arm(model, arm)
+    so_far = None if known is None else known_of(known, instrumented.links, instrumented.joints)
     asked = None if known is None else known.next
     chosen, anew = asked, ""
     if asked is not None:
-        anew = _why_anew(machine, so_far, asked, choice, own)
+        anew = _why_anew(instrumented, so_far, asked, choice, own)
     if chosen is None or anew:
-        chosen = next_for(machine, so_far, choice, own)
-    linear = LinearArm(machine.arm)
-    pose = np.array([chosen.pose[name] for name in machine.joints])
+        chosen = next_for(instrumented, so_far, choice, own)
+    linear = instrumented.linear
+    pose = np.array([chosen.pose[name] for name in instrumented.joints])
     seed = np.random.SeedSequence([choice.seed, 0 if so_far is None else len(so_far.records), 1])
     signals = tuple(
         make_signal(
-            machine,
+            instrumented,
             linear,
             pose,
             joint,
@@ -235,13 +220,13 @@ def plan(
         torques=tuple(signal.torque_rms for signal in signals),
     )
     return Plan(
-        machine=machine,
+        arm=instrumented,
         next=chosen,
         signals=signals,
-        expected=expected_of(machine, linear, so_far, chosen, choice),
+        expected=expected_of(instrumented, linear, so_far, chosen, choice),
         warnings=(
             *([f"not what the diagnosis asks for next: {anew}"] if anew else ()),
-            *_warnings(machine, known, chosen, signals, choice),
+            *_warnings(instrumented, known, chosen, signals, choice),
         ),
         settings={**asdict(arm or ModelSettings()), **asdict(choice), **asdict(own)},
         again={
@@ -253,7 +238,7 @@ def plan(
 
 
 def _why_anew(
-    machine: ModelArm,
+    arm: InstrumentedArm,
     so_far: Known | None,
     asked: NextMeasurement,
     choice: NextSettings,
@@ -264,39 +249,39 @@ def _why_anew(
     given += other_settings(asked, choice)
     if given:
         return f"another {', '.join(given)} is given here"
-    here = so_far.records[-1].pose if so_far and so_far.records else machine.home
-    ground = Ground.of(machine.arm, choice.ground_m)
-    blocked = why_not_reached(machine, ground, here, asked)
+    here = so_far.records[-1].pose if so_far and so_far.records else arm.home
+    ground = Ground.of(arm.nominal, choice.ground_m)
+    blocked = why_not_reached(arm, ground, here, asked)
     return f"its pose is not taken, {blocked}" if blocked else ""
 
 
-def _typed(machine: ModelArm, name: str, given: tuple[float, ...]) -> Array | None:
+def _typed(arm: InstrumentedArm, name: str, given: tuple[float, ...]) -> Array | None:
     """A pose as it was typed in: degrees, and millimetres where a joint slides."""
     if not given:
         return None
-    arm = machine.arm
-    if len(given) != arm.n or not np.isfinite(given).all():
+    nominal = arm.nominal
+    if len(given) != nominal.n or not np.isfinite(given).all():
         raise InvalidSetting(
-            f"{name} has one finite number for each of {', '.join(machine.joints)}, got {given}"
+            f"{name} has one finite number for each of {', '.join(arm.joints)}, got {given}"
         )
-    pose = np.where(arm.sliding, np.array(given) * 1e-3, np.radians(given))
-    outside = np.flatnonzero(~arm.within_ranges(pose))
+    pose = np.where(nominal.sliding, np.array(given) * 1e-3, np.radians(given))
+    outside = np.flatnonzero(~nominal.within_ranges(pose))
     if len(outside):
         j = int(outside[0])
-        allowed = arm.joint_ranges[j]
+        allowed = nominal.joint_ranges[j]
         assert allowed is not None
         raise InvalidSetting(
-            f"{name}: joint {machine.joints[j]} at {given[j]:g} is outside its range "
-            f"{_shown(arm.sliding[j], allowed[0])} to {_shown(arm.sliding[j], allowed[1])}"
+            f"{name}: joint {arm.joints[j]} at {given[j]:g} is outside its range "
+            f"{_shown(nominal.sliding[j], allowed[0])} to {_shown(nominal.sliding[j], allowed[1])}"
         )
     return np.asarray(pose)
 
 
-def _giving_way(machine: ModelArm, signal: Signal) -> list[str]:
+def _giving_way(arm: InstrumentedArm, signal: Signal) -> list[str]:
     """What to know where servos give way under the weight of the arm."""
-    sliding = machine.arm.sliding
+    sliding = arm.nominal.sliding
     far = [
-        f"{machine.joints[j]} by {_shown(sliding[j], abs(float(signal.sags[j])))}"
+        f"{arm.joints[j]} by {_shown(sliding[j], abs(float(signal.sags[j])))}"
         for j in np.flatnonzero(np.abs(signal.sags) > _SAGS[sliding.astype(int)])
     ]
     if not far:
@@ -313,39 +298,39 @@ def _shown(slides: np.bool_, value: float) -> str:
 
 
 def _warnings(
-    machine: ModelArm,
+    arm: InstrumentedArm,
     known: Diagnosis | None,
     chosen: NextMeasurement,
     signals: tuple[Signal, ...],
     choice: NextSettings,
 ) -> tuple[str, ...]:
     said: list[str] = []
-    pose = np.array([chosen.pose[name] for name in machine.joints])
+    pose = np.array([chosen.pose[name] for name in arm.joints])
     if known is not None and known.settled:
         said.append(
             f"the diagnosis is settled: {known.fault.hypothesis} with {known.probability:.1%}; "
             "this measurement would only confirm it"
         )
-    unseen = machine.collisions.unseen
+    unseen = arm.collisions.unseen
     if unseen:
         said.append(
             f"the model has no shapes of {', '.join(unseen)}: what they touch is not known; look "
             "before the arm moves"
         )
-    if not machine.collisions.known:
+    if not arm.collisions.known:
         said.append(
             "the model has no shapes that collide: nothing is known about collisions; look before "
             "the arm moves, and take another pose with --pose-deg if it would touch anything"
         )
-    touching = machine.collisions.touch(pose)
+    touching = arm.collisions.touch(pose)
     if touching:
         said.append(f"in this pose the model's bodies touch: {', '.join(touching)}")
-    if not Ground.of(machine.arm, choice.ground_m).clear(pose):
+    if not Ground.of(arm.nominal, choice.ground_m).clear(pose):
         said.append("in this pose a part of the arm is below its base or the ground given")
-    low, high = pose_range(machine.arm, 0.0)
+    low, high = pose_range(arm.nominal, 0.0)
     for j in np.flatnonzero((pose < low + 1e-3) | (pose > high - 1e-3)):
-        said.append(f"joint {machine.joints[j]} is at the end of its range")
-    said += _giving_way(machine, signals[0])
+        said.append(f"joint {arm.joints[j]} is at the end of its range")
+    said += _giving_way(arm, signals[0])
     for signal in signals:
         if signal.scale < 0.99:
             said.append(
@@ -353,12 +338,12 @@ def _warnings(
             )
     said += [
         note
-        for note in machine.named(propose_excitation(machine.arm, pose).warnings)
+        for note in arm.with_joint_names(propose_excitation(arm.nominal, pose).warnings)
         if not note.startswith("the lowest holding mode")  # above its modes an arm is free
     ]
-    if machine.hold != "model":
+    if arm.hold != "model":
         said.append(
-            f"joints are taken to be held by {machine.held_by}; 'loose diagnose' reckons with what "
+            f"joints are taken to be held by {arm.held_by}; 'loose diagnose' reckons with what "
             "the model's actuators do, so put such springs into the model"
         )
-    return tuple(dict.fromkeys((*said, *machine.notes)))
+    return tuple(dict.fromkeys((*said, *arm.notes)))

@@ -143,7 +143,7 @@ def write_plan(files: PlanFiles, plan: Plan, *, known: str = "") -> list[Path]:
         if Path(old).stem not in stems:
             (files.folder / old).unlink(missing_ok=True)
     # First: a run cut short is known by it as one of ours.
-    write_text(files.recording / _MODEL, plan.machine.recordable.xml)
+    write_text(files.recording / _MODEL, plan.arm.recording_model.xml)
     entries = [_entry(entry) for entry in files.measured]
     entries += [
         {"file": run, "excited": [signal.joint], "pose": dict(plan.next.pose)}
@@ -174,7 +174,7 @@ def signal_columns(signal: Signal) -> dict[str, Array]:
 
 def run_columns(plan: Plan) -> tuple[str, ...]:
     """Columns that a measured run should have."""
-    made = plan.machine.recordable
+    made = plan.arm.recording_model
     return (
         "time",
         *(f"ctrl.{name}" for name in plan.signals[0].commands),
@@ -185,15 +185,15 @@ def run_columns(plan: Plan) -> tuple[str, ...]:
 
 def plan_json(plan: Plan, runs: Sequence[str], known: str = "") -> dict[str, Any]:
     """Content of ``plan.json``, as JSON has it."""
-    machine, chosen = plan.machine, plan.next
+    arm, chosen = plan.arm, plan.next
     units = {
         name: ("N", "m") if slides else ("N·m", "rad")
-        for name, slides in zip(machine.joints, machine.arm.sliding, strict=True)
+        for name, slides in zip(arm.joints, arm.nominal.sliding, strict=True)
     }
     signals = []
     for signal, run, stem in zip(plan.signals, runs, signal_stems(plan.signals), strict=True):
-        j = machine.joints.index(signal.joint)
-        drive = machine.drives[j]
+        j = arm.joints.index(signal.joint)
+        drive = arm.drives[j]
         assert drive is not None
         signals.append(
             {
@@ -204,11 +204,11 @@ def plan_json(plan: Plan, runs: Sequence[str], known: str = "") -> dict[str, Any
                 "parquet": f"{stem}.parquet",
                 "steady_s": list(signal.steady_s),
                 "start_commands": dict(signal.start),
-                "sags": machine.pose(signal.sags),
+                "sags": arm.by_joint(signal.sags),
                 "torque_rms": signal.drive_rms,
                 "command_torque_rms": signal.torque_rms,
-                "torque_peaks": machine.pose(signal.torque_peaks),
-                "torque_limits": machine.pose(np.array(machine.arm.torque_limits)),
+                "torque_peaks": arm.by_joint(signal.torque_peaks),
+                "torque_limits": arm.by_joint(np.array(arm.nominal.torque_limits)),
                 "torque_unit": units[signal.joint][0],
                 "joint_acceleration_rms": signal.joint_rms,
                 "tool_acceleration_rms": signal.tool_rms,
@@ -220,7 +220,7 @@ def plan_json(plan: Plan, runs: Sequence[str], known: str = "") -> dict[str, Any
         )
     whole = {
         "format": FORMAT,
-        "model": machine.path.name,
+        "model": arm.path.name,
         "known": known,
         "pose": dict(chosen.pose),
         "joints": list(chosen.joints),
@@ -232,8 +232,8 @@ def plan_json(plan: Plan, runs: Sequence[str], known: str = "") -> dict[str, Any
         "seed": plan.settings.get("seed", 0),
         "reason": chosen.reason,
         "gain_bits": chosen.gain,
-        "held_by": machine.held_by,
-        "tool": machine.recordable.site,
+        "held_by": arm.held_by,
+        "tool": arm.recording_model.site,
         "signals": signals,
         "expected": {name: asdict(one) for name, one in plan.expected.items()},
         "recording": RECORDING,

@@ -20,7 +20,7 @@ from loose_env.arms import Arm
 from loose_env.diagnosis import DirectionSighting, ToolFrames, link_posterior, precision_of
 from loose_env.errors import InvalidData
 from loose_env.instrument.model.clearance import Ground
-from loose_env.instrument.model.planned_arm import ModelArm
+from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.planning.prior_knowledge import Known, names_of
 from loose_env.instrument.result import HEALTHY, NextMeasurement
 from loose_env.instrument.settings.measurement import NextSettings
@@ -34,7 +34,7 @@ _IN_QUESTION = 0.02
 
 
 def expected_directions(
-    arm: Arm, known: Known, pose: Array, links: Sequence[str], joints: Sequence[str]
+    nominal: Arm, known: Known, pose: Array, links: Sequence[str], joints: Sequence[str]
 ) -> Mapping[str, Array | None]:
     """Direction in the tool frame that each hypothesis expects to see in a pose.
 
@@ -55,17 +55,17 @@ def expected_directions(
         Hypothesis -> unit vector, axial (d,); None where any direction is possible, or nothing
         is to be seen.
     """
-    frames = ToolFrames(arm)
+    frames = ToolFrames(nominal)
     names = names_of(links, joints)
     found: dict[str, Array | None] = dict.fromkeys(names)
     lines = frames.unit_lines(pose)[0]
-    for name, line in zip(names[arm.n + 1 :], lines, strict=True):
+    for name, line in zip(names[nominal.n + 1 :], lines, strict=True):
         found[name] = line if line.any() else None
     images = frames.images(pose)[0]
     sightings = []
     for record in known.records:
         if record.direction is not None:
-            seen = record.direction[list(arm.axes)]
+            seen = record.direction[list(nominal.axes)]
             if np.linalg.norm(seen) > 1e-6:
                 seen = seen / np.linalg.norm(seen)
                 sightings.append(
@@ -77,7 +77,7 @@ def expected_directions(
                 )
     if sightings:
         directions = link_posterior(frames, sightings).directions
-        for k, name in enumerate(names[1 : arm.n + 1]):
+        for k, name in enumerate(names[1 : nominal.n + 1]):
             found[name] = images[k] @ directions[k]
     for link, axis in known.directions.items():
         if link in links:
@@ -87,7 +87,7 @@ def expected_directions(
 
 
 def reason(
-    arm: Arm,
+    nominal: Arm,
     known: Known,
     pose: Array,
     links: Sequence[str],
@@ -100,7 +100,7 @@ def reason(
             "nothing is known yet: of the poses weighed, this one is expected to tell most about "
             "whether anything is loose and where"
         )
-    seen = expected_directions(arm, known, pose, links, joints)
+    seen = expected_directions(nominal, known, pose, links, joints)
     ranked = sorted(known.probabilities.items(), key=lambda item: -item[1])
     # Play in a joint on whose axis the tool lies shows nothing, here or anywhere near.
     unseen = [n for n, p in ranked if p > _IN_QUESTION and "backlash" in n and seen[n] is None]
@@ -122,7 +122,7 @@ def reason(
         now = _apart(first, second)
         said += f": the directions that they expect at the tool lie {now:.0f}° apart here"
         if here is not None and np.abs(here - pose).max() > 1e-3:
-            before = expected_directions(arm, known, here, links, joints)
+            before = expected_directions(nominal, known, here, links, joints)
             one_before, other_before = before[one], before[other]
             if one_before is not None and other_before is not None:
                 said += f", {_apart(one_before, other_before):.0f}° in the pose before"
@@ -161,13 +161,13 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def why_not_reached(
-    machine: ModelArm, ground: Ground, here: Array | None, chosen: NextMeasurement
+    arm: InstrumentedArm, ground: Ground, here: Array | None, chosen: NextMeasurement
 ) -> str:
     """Say what is in the way of a measurement, by the arm's own model; "" if nothing is.
 
     Parameters
     ----------
-    machine : ModelArm
+    arm : InstrumentedArm
         The arm, with its shapes.
     ground : Ground
         What it stays above.
@@ -181,15 +181,15 @@ def why_not_reached(
     InvalidData
         If the measurement is of another model.
     """
-    pose = _pose_in(machine, chosen)
-    touching = machine.collisions.touch(pose)
+    pose = _pose_in(arm, chosen)
+    touching = arm.collisions.touch(pose)
     if touching:
         return f"in it the model's bodies touch: {', '.join(touching)}"
     if not ground.clear(pose):
         return "a part of the arm is below its base or the ground given"
     if here is None:
         return ""
-    touching = machine.collisions.touch_between(here, pose)
+    touching = arm.collisions.touch_between(here, pose)
     if touching:
         return f"on the way there the model's bodies touch: {', '.join(touching)}"
     if not ground.clear_between(here, pose):
@@ -197,19 +197,19 @@ def why_not_reached(
     return ""
 
 
-def _pose_in(machine: ModelArm, chosen: NextMeasurement) -> Array:
+def _pose_in(arm: InstrumentedArm, chosen: NextMeasurement) -> Array:
     """The pose (n,) [rad or m], if the measurement fits the model."""
-    lacking = [name for name in machine.joints if name not in chosen.pose]
-    foreign = [name for name in (*chosen.joints, *chosen.pose) if name not in machine.joints]
+    lacking = [name for name in arm.joints if name not in chosen.pose]
+    foreign = [name for name in (*chosen.joints, *chosen.pose) if name not in arm.joints]
     if lacking or foreign:
         raise InvalidData(
             f"the next measurement of the diagnosis is of another model: it has the joints "
-            f"{', '.join(chosen.pose)}, the model {', '.join(machine.joints)}"
+            f"{', '.join(chosen.pose)}, the model {', '.join(arm.joints)}"
         )
-    pose = np.array([chosen.pose[name] for name in machine.joints])
-    if not machine.arm.within_ranges(pose).all():
+    pose = np.array([chosen.pose[name] for name in arm.joints])
+    if not arm.nominal.within_ranges(pose).all():
         raise InvalidData(
             f"the pose of the diagnosis, {dict(chosen.pose)}, is outside the ranges of the model's "
-            f"joints: {machine.arm.joint_ranges}"
+            f"joints: {arm.nominal.joint_ranges}"
         )
     return pose

@@ -20,7 +20,7 @@ from loose_env.instrument.model.holding_commands import (
     starting_commands,
     why_not_held,
 )
-from loose_env.instrument.model.planned_arm import ModelArm
+from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.typing import Array, ComplexArray
 
 __all__ = ["Signal", "holding_commands", "make_signal"]
@@ -71,7 +71,7 @@ class Signal:
 
 
 def make_signal(
-    machine: ModelArm,
+    arm: InstrumentedArm,
     linear: LinearArm,
     pose: Array,
     joint: str,
@@ -89,7 +89,7 @@ def make_signal(
 
     Parameters
     ----------
-    machine : ModelArm
+    arm : InstrumentedArm
         The arm and its actuators.
     linear : LinearArm
         Its linear form, held as it will be.
@@ -124,28 +124,28 @@ def make_signal(
     InvalidData
         If the pose cannot be held within the limits, or the joint has no usable actuator.
     """
-    if joint not in machine.joints:
+    if joint not in arm.joints:
         raise InvalidSetting(
-            f"there is no driven joint {joint!r}; the model has {', '.join(machine.joints)}"
+            f"there is no driven joint {joint!r}; the model has {', '.join(arm.joints)}"
         )
     if not rate > 2.5 * band[1] * (1 - 1e-9):
         raise InvalidSetting(
             f"a rate of {rate:g} Hz is too low for a band up to {band[1]:g} Hz; take "
             f"{np.ceil(2.5 * band[1]) + 1:g} Hz or more, or a lower band"
         )
-    j = machine.joints.index(joint)
-    drive = machine.drives[j]
+    j = arm.joints.index(joint)
+    drive = arm.drives[j]
     if drive is None:
         raise InvalidData(
             f"joint {joint!r} has no actuator that can be given in figures, so no command for it "
-            f"can be worked out: {'; '.join(machine.notes)}"
+            f"can be worked out: {'; '.join(arm.notes)}"
         )
-    unheld = why_not_held(machine, pose)
+    unheld = why_not_held(arm, pose)
     if unheld:
         raise InvalidData(f"the pose cannot be held: {unheld}; take one farther from the end")
-    holding, load = holding_commands(machine, pose)
-    start_at = starting_commands(machine, pose)
-    noise = np.zeros(machine.arm.n)
+    holding, load = holding_commands(arm, pose)
+    start_at = starting_commands(arm, pose)
+    noise = np.zeros(arm.nominal.n)
     noise[j] = torque_rms
     excitation = Excitation(torque_rms=tuple(noise), duration=seconds, band=band)
     draws = [
@@ -155,10 +155,8 @@ def make_signal(
     # The expected rms is asked for; this draw shall have it itself.
     draws = [x * torque_rms / np.sqrt(np.mean(x**2)) for x in draws]
     period = min(draws, key=lambda x: float(np.abs(x).max()))
-    answer = _Answer(machine, linear, pose, j, period, rate)
-    scale, limited_by = _scale(
-        machine, pose, j, load, holding[drive.actuator], answer, torque_share
-    )
+    answer = _Answer(arm, linear, pose, j, period, rate)
+    scale, limited_by = _scale(arm, pose, j, load, holding[drive.actuator], answer, torque_share)
     if scale <= 0:
         raise InvalidData(f"the pose leaves nothing to shake joint {joint!r} with: {limited_by}")
 
@@ -193,7 +191,7 @@ def make_signal(
                 0.0
                 if d is None or not d.servo
                 else (holding[d.actuator] - start_at[d.actuator]) * d.gain / d.stiffness
-                for d in machine.drives
+                for d in arm.drives
             ]
         ),
         steady_s=(start, start + count / rate),
@@ -223,21 +221,21 @@ class _Answer:
 
     def __init__(
         self,
-        machine: ModelArm,
+        arm: InstrumentedArm,
         linear: LinearArm,
         pose: Array,
         j: int,
         period: Array,
         rate: float,
     ) -> None:
-        arm = machine.arm
+        nominal = arm.nominal
         self.count = len(period)
         spectrum = np.asarray(fft.rfft(period))
         self._lines = np.flatnonzero(np.abs(spectrum) > 1e-9 * np.abs(spectrum).max())
         frequency = self._lines * rate / self.count
         fine = linear.variant(linear.arm)
         fine.frequency = frequency
-        excited = np.arange(arm.n) == j
+        excited = np.arange(nominal.n) == j
         answer = fine.at(pose).response(excited)
         self.s = 2j * np.pi * frequency
         self.torque = spectrum[self._lines]
@@ -245,8 +243,8 @@ class _Answer:
         self.tool = (answer.tool[:, :, 0] * self.torque[:, None]).T  # (d, K)
         moved = self.joints / self.s**2
         self.positions = self.in_time(moved, _OVERSAMPLED)
-        spring = np.array([0.0 if d is None else d.stiffness for d in machine.drives])
-        damper = np.array([0.0 if d is None else d.damping for d in machine.drives])
+        spring = np.array([0.0 if d is None else d.stiffness for d in arm.drives])
+        damper = np.array([0.0 if d is None else d.damping for d in arm.drives])
         own = -(spring[:, None] + damper[:, None] * self.s) * moved
         own[j] += self.torque
         self.drive_torques = self.in_time(own, _OVERSAMPLED)
@@ -263,7 +261,7 @@ class _Answer:
 
 
 def _scale(
-    machine: ModelArm,
+    arm: InstrumentedArm,
     pose: Array,
     j: int,
     load: Array,
@@ -272,32 +270,32 @@ def _scale(
     share: float,
 ) -> tuple[float, str]:
     """Share of the noise that every limit allows, and the limit that decides."""
-    arm = machine.arm
+    nominal = arm.nominal
     scale, why = 1.0, ""
     peaks = np.abs(answer.drive_torques).max(axis=1)
-    for i, name in enumerate(machine.joints):
-        drive = machine.drives[i]
+    for i, name in enumerate(arm.joints):
+        drive = arm.drives[i]
         if i != j and not (drive is not None and drive.servo):
             continue  # held by a brake
-        most = arm.torque_limits[i]
+        most = nominal.torque_limits[i]
         most = most if drive is None else min(most, drive.limit)
         spare = share * most - abs(float(load[i]))
         if spare < scale * peaks[i]:
             scale = max(spare, 0.0) / peaks[i]
-            unit = "N" if arm.sliding[i] else "N·m"
+            unit = "N" if nominal.sliding[i] else "N·m"
             why = (
                 f"{share:.0%} of the {most:g} {unit} of {name}'s drive are used at most, and "
                 f"{abs(float(load[i])):.3g} {unit} of them hold the pose"
             )
     travel = np.abs(answer.positions).max(axis=1)
-    for i, allowed in enumerate(arm.joint_ranges):
+    for i, allowed in enumerate(nominal.joint_ranges):
         if allowed is None:
             continue
         spare = min(pose[i] - allowed[0], allowed[1] - pose[i])
         if spare < scale * travel[i]:
             scale = max(float(spare), 0.0) / travel[i]
-            why = f"{machine.joints[i]} goes from {allowed[0]:g} to {allowed[1]:g}"
-    drive = machine.drives[j]
+            why = f"{arm.joints[i]} goes from {allowed[0]:g} to {allowed[1]:g}"
+    drive = arm.drives[j]
     assert drive is not None
     ahead = answer.in_time(answer.torque * (1 + answer.s * drive.lag), _OVERSAMPLED) / drive.gain
     low, high = drive.command_range

@@ -1,4 +1,4 @@
-"""What a user says about the arm at the machine and about the signal, besides the model file."""
+"""What a user says about the arm and about the signal, besides the model file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Hold = Literal["model", "brake", "servo", "compliant"]
 
 @dataclass(frozen=True, kw_only=True)
 class ModelSettings:
-    """What the model file does not say about the arm at the machine."""
+    """What the model file does not say about the arm."""
 
     tool: str | None = None
     """Site or body that carries the accelerometer; by default where the model's own accelerometer
@@ -38,9 +38,18 @@ class ModelSettings:
         Raises
         ------
         InvalidSetting
-            If a value is of another type.
+            If a value is of another type, or the payload makes no sense.
         """
         check_types(self)
+        if not np.isfinite(self.payload_kg) or self.payload_kg < 0:
+            raise InvalidSetting(
+                f"payload_kg is a mass of zero or more kg, got {self.payload_kg!r}"
+            )
+        if len(self.payload_at_m) != 3 or not np.isfinite(self.payload_at_m).all():
+            raise InvalidSetting(
+                "payload_at_m is three finite numbers in the tool frame [m], got "
+                f"{self.payload_at_m!r}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,7 +24,7 @@ _AS_ASKED = 0.98
 
 @dataclass(frozen=True, kw_only=True)
 class DiagnoseSettings(NextSettings):
-    """What is known of the machine beforehand, and how the next measurement is chosen.
+    """What is known of the arm beforehand, and how the next measurement is chosen.
 
     Examples
     --------

@@ -79,7 +79,7 @@ def plan_page(
     model: str | Path | None = None,
 ) -> str:
     """Return the page that `write_plan_page` writes."""
-    arm, chosen, plain = plan.machine.arm, plan.next, plain_names(plan)
+    nominal, chosen, plain = plan.arm.nominal, plan.next, plain_names(plan)
     joints = " and ".join(chosen.joints)
     groups = [
         group(
@@ -94,7 +94,7 @@ def plan_page(
     ]
     page: str = template("loose_env.report/diagnosis_page.html").render(
         title=f"Next: shake {joints}",
-        kicker=f"{plan.machine.path.name} · the next measurement",
+        kicker=f"{plan.arm.path.name} · the next measurement",
         questions=[
             ("Why this", [sentence(with_plain_names(chosen.reason, plain))]),
             (
@@ -105,23 +105,22 @@ def plan_page(
                     f"tool is shaken by {_rms(plan.signals)} m/s² rms."
                 ],
             ),
-            ("How the joints are held", [sentence(plan.machine.held_by)]),
+            ("How the joints are held", [sentence(plan.arm.held_by)]),
         ],
         warnings=[sentence(with_plain_names(warning, plain)) for warning in plan.warnings],
         groups=[each for each in groups if each],
         notes=[
-            f"The accelerometer is taken to sit at {plan.machine.report.tool} "
-            f"({plan.machine.report.tool_origin}). The arm is {arm.name}, {arm.n} joints."
+            f"The accelerometer is taken to sit at {plan.arm.report.tool} "
+            f"({plan.arm.report.tool_origin}). The arm is {nominal.name}, {nominal.n} joints."
         ],
     )
     return page
 
 
 def _pose_group(plan: Plan) -> dict[str, Any]:
-    own = [plan.machine.arm.joints[plan.machine.joints.index(j)] for j in plan.next.joints]
+    own = [plan.arm.nominal.joints[plan.arm.joints.index(j)] for j in plan.next.joints]
     pose = {
-        a: plan.next.pose[j]
-        for a, j in zip(plan.machine.arm.joints, plan.machine.joints, strict=True)
+        a: plan.next.pose[j] for a, j in zip(plan.arm.nominal.joints, plan.arm.joints, strict=True)
     }
     return group(
         "The pose",
@@ -129,7 +128,7 @@ def _pose_group(plan: Plan) -> dict[str, Any]:
         cards=[
             FigureCard(
                 title="Where to hold the arm",
-                image=arm_figure(plan.machine.arm, pose, excited=own),
+                image=arm_figure(plan.arm.nominal, pose, excited=own),
                 caption="The joint in yellow is shaken, the others are held.",
             )
         ],
@@ -150,15 +149,15 @@ def _pose_group(plan: Plan) -> dict[str, Any]:
 def _signal_group(plan: Plan) -> dict[str, Any]:
     rows = []
     for signal in plan.signals:
-        j = plan.machine.joints.index(signal.joint)
-        slides = bool(plan.machine.arm.sliding[j])
+        j = plan.arm.joints.index(signal.joint)
+        slides = bool(plan.arm.nominal.sliding[j])
         unit, turn = ("N", "m") if slides else ("N·m", "rad")
         rows.append(
             {
                 "Joint": signal.joint,
                 "Noise torque, rms": f"{signal.drive_rms:.3g} {unit}",
                 "Peak with what holds the pose": f"{signal.torque_peaks[j]:.3g} {unit}",
-                "Drive's limit": f"{plan.machine.arm.torque_limits[j]:g} {unit}",
+                "Drive's limit": f"{plan.arm.nominal.torque_limits[j]:g} {unit}",
                 "Joint, rms": f"{signal.joint_rms:.3g} {turn}/s²",
                 "Tool, rms": f"{signal.tool_rms:.3g} m/s²",
                 "Joint moves by": f"{signal.travel[j] * 1e3:.2g} m{turn}",
@@ -187,8 +186,8 @@ def _signal_group(plan: Plan) -> dict[str, Any]:
 
 
 def _figure(plan: Plan, signal: Signal) -> Figure:
-    j = plan.machine.joints.index(signal.joint)
-    drive = plan.machine.drives[j]
+    j = plan.arm.joints.index(signal.joint)
+    drive = plan.arm.drives[j]
     assert drive is not None
     figure = new_figure(4.2)
     above, below = figure.subplots(2, 1, height_ratios=(3, 2))

@@ -29,8 +29,8 @@ _LISTED = 0.02
 def pose_rows(plan: Plan) -> list[tuple[str, str]]:
     """Joint and where to hold it, base first."""
     return [
-        (name, place_value(plan.machine.arm, own, plan.next.pose[name]))
-        for name, own in zip(plan.machine.joints, plan.machine.arm.joints, strict=True)
+        (name, place_value(plan.arm.nominal, own, plan.next.pose[name]))
+        for name, own in zip(plan.arm.joints, plan.arm.nominal.joints, strict=True)
     ]
 
 
@@ -39,7 +39,7 @@ def starts(plan: Plan) -> list[str]:
     first = plan.signals[0].start
     return [
         "–" if drive is None else f"{first[drive.actuator]:.4f}".replace("-", "−")
-        for drive in plan.machine.drives
+        for drive in plan.arm.drives
     ]
 
 
@@ -62,7 +62,7 @@ def commands_after(
     chosen_with = {n: v for n, v in plan.again.items() if n in asdict(NextSettings())}
     return [
         f"loose diagnose {path_word(place / RECORDING)} --out {found}{option_words(chosen_with)}",
-        f"loose plan {path_word(model or plan.machine.path)} --out {path_word(place)} "
+        f"loose plan {path_word(model or plan.arm.path)} --out {path_word(place)} "
         f"--known {found}{option_words(plan.again)}",
     ]
 
@@ -77,8 +77,8 @@ def steps(plan: Plan, runs: tuple[str, ...]) -> list[str]:
     runs : tuple of str
         File of each signal's run.
     """
-    machine, chosen = plan.machine, plan.next
-    made = machine.recordable
+    arm, chosen = plan.arm, plan.next
+    made = arm.recording_model
     said = [
         "Move the arm to the pose: "
         + ", ".join(f"{name} {value}" for name, value in pose_rows(plan))
@@ -86,10 +86,10 @@ def steps(plan: Plan, runs: tuple[str, ...]) -> list[str]:
     ]
     rate = f"{chosen.rate_hz:g} times a second"
     for signal, run, stem in zip(plan.signals, runs, signal_stems(plan.signals), strict=True):
-        j = machine.joints.index(signal.joint)
-        drive = machine.drives[j]
+        j = arm.joints.index(signal.joint)
+        drive = arm.drives[j]
         assert drive is not None
-        what = _unit_words(drive, bool(machine.arm.sliding[j]))
+        what = _unit_words(drive, bool(arm.nominal.sliding[j]))
         others = (
             "The other columns hold the arm."
             if drive.servo
@@ -140,14 +140,14 @@ def _starts(signal: Signal) -> str:
 
 def summary(plan: Plan) -> str:
     """A plan in a few lines, for a terminal."""
-    machine, chosen = plan.machine, plan.next
-    arm = machine.arm
-    width = max(len(name) for name in machine.joints)
+    arm, chosen = plan.arm, plan.next
+    nominal = arm.nominal
+    width = max(len(name) for name in arm.joints)
     lines = [f"why: {chosen.reason}", "pose"]
     lines += [f"  {name.ljust(width)}  {value:>10}" for name, value in pose_rows(plan)]
     for signal in plan.signals:
-        j = machine.joints.index(signal.joint)
-        unit, turn = ("N", "m/s²") if arm.sliding[j] else ("N·m", "rad/s²")
+        j = arm.joints.index(signal.joint)
+        unit, turn = ("N", "m/s²") if nominal.sliding[j] else ("N·m", "rad/s²")
         lines.append(f"shake {signal.joint}")
         lines.append(
             f"  noise from {chosen.band_hz[0]:g} to {chosen.band_hz[1]:g} Hz for "
@@ -155,11 +155,11 @@ def summary(plan: Plan) -> str:
         )
         lines.append(
             f"  joint {signal.joint_rms:.3g} {turn} rms, tool {signal.tool_rms:.3g} m/s² rms, "
-            f"moves up to {_small(signal.travel[j], bool(arm.sliding[j]))}"
+            f"moves up to {_small(signal.travel[j], bool(nominal.sliding[j]))}"
         )
         lines.append(
             f"  torque {signal.drive_rms:.3g} {unit} rms, peaks {signal.torque_peaks[j]:.3g} of "
-            f"{arm.torque_limits[j]:g} {unit} with what holds the pose"
+            f"{nominal.torque_limits[j]:g} {unit} with what holds the pose"
         )
     plain = plain_names(plan)
     known = sorted(plan.expected.items(), key=lambda item: -item[1].probability)
@@ -173,13 +173,13 @@ def summary(plan: Plan) -> str:
 
 def plain_names(plan: Plan) -> dict[str, str]:
     """Each hypothesis of a plan in a few words."""
-    machine = plan.machine
+    arm = plan.arm
     found = {}
     for name in plan.expected:
         kind, _, where = name.partition("@")
         if kind == "backlash":  # the arm has a name of its own in the place of a reserved one
-            where = machine.arm.joints[machine.joints.index(where)]
-        found[name] = short_name(machine.arm, f"{kind}@{where}" if where else kind)
+            where = arm.nominal.joints[arm.joints.index(where)]
+        found[name] = short_name(arm.nominal, f"{kind}@{where}" if where else kind)
     return found
 
 

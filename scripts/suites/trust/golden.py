@@ -137,9 +137,9 @@ def instrument() -> dict[str, Any]:
         DiagnoseSettings,
         NextSettings,
         diagnose,
-        load_model_arm,
         next_for,
         plan,
+        read_arm,
     )
     from loose_env.recording import read_recording
     from scripts.suites.trust.kills.commands import make_shaken_recording
@@ -150,7 +150,7 @@ def instrument() -> dict[str, Any]:
         choice = NextSettings(poses=4, seconds=1.0)
         found = diagnose(recording, DiagnoseSettings(poses=4, seconds=1.0))
         # Two runs settle it, and then a diagnosis asks for nothing more: a plan does.
-        following = next_for(load_model_arm(recording.model_path), found, choice)
+        following = next_for(read_arm(recording.model_path), found, choice)
         first = plan(recording.model_path, choice=choice)
     signal = first.signals[0]
     return {

@@ -33,8 +33,8 @@ class Played:
 
 def play(plan: Plan, *, step: float = 2e-4) -> Played:
     """Play the first signal; joints with motors are on the soft controller that is assumed."""
-    machine, signal = plan.machine, plan.signals[0]
-    spec = mujoco.MjSpec.from_string(machine.recordable.xml)
+    machine, signal = plan.arm, plan.signals[0]
+    spec = mujoco.MjSpec.from_string(machine.recording_model.xml)
     spec.option.timestep = step
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     m = spec.compile()
@@ -43,8 +43,8 @@ def play(plan: Plan, *, step: float = 2e-4) -> Played:
     dofs = [int(j.dofadr[0]) for j in joints]
     for k, drive in enumerate(machine.drives):
         if drive is None or not drive.servo:
-            m.jnt_stiffness[joints[k].id] += machine.arm.centring.stiffness[k]
-            m.dof_damping[dofs[k]] += machine.arm.centring.damping[k]
+            m.jnt_stiffness[joints[k].id] += machine.nominal.centring.stiffness[k]
+            m.dof_damping[dofs[k]] += machine.nominal.centring.damping[k]
             m.qpos_spring[at[k]] = plan.pose[k]
     data = mujoco.MjData(m)
     data.qpos[at] = plan.pose
@@ -57,7 +57,7 @@ def play(plan: Plan, *, step: float = 2e-4) -> Played:
     for _ in range(round(_SETTLE / step)):  # the arm stands under the signal's first commands
         mujoco.mj_step(m, data)
     data.time = 0.0
-    sensor = int(m.sensor(machine.recordable.accelerometer).adr[0])
+    sensor = int(m.sensor(machine.recording_model.accelerometer).adr[0])
     each = round(1 / (step * plan.next.rate_hz))
     tool, q, torque, qacc = [], [], [], []
     for t in range(len(u)):
@@ -78,9 +78,9 @@ def play(plan: Plan, *, step: float = 2e-4) -> Played:
     j = machine.joints.index(signal.joint)
     around = a[on] - a[on].mean(axis=0)
     columns = {"time": signal.time, **{f"ctrl.{n}": v for n, v in signal.commands.items()}}
-    name = machine.recordable.accelerometer
+    name = machine.recording_model.accelerometer
     columns |= {f"sensor.{name}.{axis}": a[:, k] for k, axis in enumerate("xyz")}
-    columns |= {f"sensor.{s}": angle[:, k] for k, s in enumerate(machine.recordable.positions)}
+    columns |= {f"sensor.{s}": angle[:, k] for k, s in enumerate(machine.recording_model.positions)}
     return Played(
         tool_rms=float(np.sqrt((around**2).sum(axis=1).mean())),
         joint_rms=float(np.array(qacc)[on][:, j].std()),

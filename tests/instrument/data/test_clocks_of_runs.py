@@ -13,8 +13,8 @@ from loose_env.instrument.data.spectral_lines import lines_of
 from loose_env.instrument.inference.evidence import Evidence
 from loose_env.instrument.inference.frequency_response import respond
 from loose_env.instrument.inference.laplace_fit import seats_of
-from loose_env.instrument.inference.uncertain_linear_arm import UncertainMachine
-from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
+from loose_env.instrument.model.instrumented_arm import read_recorded_arm
 from loose_env.instrument.pipeline import Workbench
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import Run
@@ -77,8 +77,8 @@ def test_slopes_of_a_runs_delays_are_those_of_its_answer(
     if noted == "torques":
         torques = {j: run.controls[f"motor{j[-1]}"] for j in run.excited}
         run = dataclasses.replace(run, controls={}, torques=torques)
-    machine = Machine(write_model(tmp_path))
-    uncertain = UncertainMachine(machine, SETTINGS.tolerances)
+    machine = read_recorded_arm(write_model(tmp_path))
+    uncertain = UncertainArm(machine, SETTINGS.tolerances)
     held = held_in(machine, run)
     lines = lines_of(machine, run, held.pose, held.excited, number=number)
     at = uncertain.at(held.pose)
@@ -104,9 +104,9 @@ def test_two_runs_of_one_name_are_two_runs(tmp_path: Path) -> None:
         bench = Workbench(write_model(tmp_path), SETTINGS)
         for run, name in zip(runs("slide"), names, strict=True):
             bench.add(dataclasses.replace(run, name=name))
-        seat = seats_of(bench.machine.hypotheses, bench.machine.n)["structural_looseness@link2"]
+        seat = seats_of(bench.arm.hypotheses, bench.arm.n)["structural_looseness@link2"]
         assert seat is not None
-        evidence = Evidence(machine=bench.uncertain, lines=bench.suspect)
+        evidence = Evidence(uncertain=bench.uncertain, lines=bench.suspect)
         pieces = evidence.pieces(np.zeros(len(bench.uncertain.names)), 0.05)
         terms.append(evidence.seat_terms(pieces, seat, np.eye(3)))
     np.testing.assert_allclose(*terms)

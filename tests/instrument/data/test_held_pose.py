@@ -9,7 +9,7 @@ import pytest
 
 from loose_env.errors import InvalidData
 from loose_env.instrument.data.held_pose import held_in
-from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.model.instrumented_arm import read_recorded_arm
 from loose_env.instrument.pipeline import Workbench
 from loose_env.instrument.planning.prior_knowledge import known_of
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
@@ -32,11 +32,11 @@ def test_actuators_that_are_named_like_joints_do_not_make_a_pose_known(tmp_path:
     named = {name.replace("motor", "joint"): u for name, u in run.controls.items()}
     run = dataclasses.replace(run, controls=named, pose=None)
     with pytest.raises(InvalidData, match="the pose is not known"):
-        held_in(Machine(path), run)
+        held_in(read_recorded_arm(path), run)
 
 
 def test_a_pose_that_leaves_out_a_joint_that_nothing_reads_is_refused(tmp_path: Path) -> None:
-    machine = Machine(write_model(tmp_path))
+    machine = read_recorded_arm(write_model(tmp_path))
     run = runs("healthy", 1)[0]
     assert run.pose is not None
     partial = {joint: q for joint, q in run.pose.items() if joint != "joint2"}
@@ -64,5 +64,5 @@ def test_a_run_that_could_not_be_used_has_no_pose_but_what_was_noted(tmp_path: P
     bench.add(runs("healthy", 1)[0])
     found = bench.diagnosis(plan=False)
     assert found.records[0].pose == {"joint1": 0.5}
-    known = known_of(found, bench.machine.links, bench.machine.joints)
+    known = known_of(found, bench.arm.links, bench.arm.joints)
     assert len(known.records) == 1

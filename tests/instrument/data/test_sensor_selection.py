@@ -14,7 +14,7 @@ from loose_env.importing.timing.resampling import resampled
 from loose_env.instrument.data.held_pose import held_in
 from loose_env.instrument.data.sensor_selection import readings_in
 from loose_env.instrument.data.spectral_lines import Lines, lines_of
-from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.model.instrumented_arm import read_recorded_arm
 from loose_env.instrument.pipeline import Workbench
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import Run
@@ -44,7 +44,7 @@ def slow_joints(run: Run, every: int, jitter: float = 0.0) -> Run:
 
 
 def lines(folder: Path, run: Run) -> Lines:
-    machine = Machine(write_model(folder))
+    machine = read_recorded_arm(write_model(folder))
     held = held_in(machine, run)
     return lines_of(machine, run, held.pose, held.excited)
 
@@ -116,7 +116,7 @@ def test_a_sensor_that_is_not_used_is_named(tmp_path: Path) -> None:
         return np.full_like(values, 0.25) if name == "joint2_vel" else values
 
     run = with_sensors(runs("healthy")[0], dead)
-    machine = Machine(write_model(tmp_path))
+    machine = read_recorded_arm(write_model(tmp_path))
     used, notes = readings_in(machine, run)
     assert "joint2_vel" not in [reading.sensor for reading in used]
     assert any("joint2_vel is not used: it stands still" in note for note in notes)
@@ -129,4 +129,4 @@ def test_a_sensor_that_is_not_used_is_named(tmp_path: Path) -> None:
 def test_a_sensor_of_numbers_that_no_arm_makes_is_refused(tmp_path: Path) -> None:
     run = with_sensors(runs("healthy")[0], lambda _, values: values * 1e9)
     with pytest.raises(InvalidData, match="no arm does"):
-        readings_in(Machine(write_model(tmp_path)), run)
+        readings_in(read_recorded_arm(write_model(tmp_path)), run)

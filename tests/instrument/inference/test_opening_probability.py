@@ -17,8 +17,8 @@ def answer(force: float, *, sliding: tuple[bool, ...]) -> SimpleNamespace:
     """A response in which every seat transmits an rms force or torque, and gravity loads none."""
     lines = SimpleNamespace(spacing=1.0, seconds=1.0, period=1.0)
     across = np.full((1, 1), force / np.sqrt(2))
-    machine = SimpleNamespace(n=N, arm=SimpleNamespace(sliding=np.array(sliding)))
-    at = SimpleNamespace(of=SimpleNamespace(machine=machine), seat_load=lambda: np.zeros(4 * N))
+    arm = SimpleNamespace(n=N, nominal=SimpleNamespace(sliding=np.array(sliding)))
+    at = SimpleNamespace(of=SimpleNamespace(arm=arm), seat_load=lambda: np.zeros(4 * N))
     return SimpleNamespace(lines=lines, at=at, across=lambda seats, axes: across)
 
 

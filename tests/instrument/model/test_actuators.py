@@ -11,7 +11,7 @@ import pytest
 
 from loose_env.instrument.model.actuators import drives_of
 from loose_env.instrument.model.clearance import Collisions, Ground
-from loose_env.instrument.planning.plan import load
+from loose_env.instrument.model.instrumented_arm import read_arm
 from loose_env.instrument.planning.signals import holding_commands
 from tests.instrument.arms.plan_arms import SERVOED, written
 
@@ -43,10 +43,10 @@ def test_an_actuator_that_is_no_spring_and_gain_is_passed_over(actuator: str, wh
 
 
 def test_the_commands_hold_the_model_where_it_is_asked_to_be(tmp_path: Path) -> None:
-    machine = load(written(tmp_path, SERVOED))
+    machine = read_arm(written(tmp_path, SERVOED))
     pose = np.array([0.2, -0.4, 0.9])
     commands, load_torques = holding_commands(machine, pose)
-    model = machine.recordable.model
+    model = machine.recording_model.model
     data = mujoco.MjData(model)
     data.qpos[:] = pose
     for a in range(model.nu):
@@ -74,7 +74,7 @@ def test_a_way_through_the_floor_is_seen_between_two_poses_above_it() -> None:
 
 
 def test_a_way_below_the_ground_is_seen_between_two_poses_above_it(tmp_path: Path) -> None:
-    ground = Ground.of(load(written(tmp_path, SERVOED)).arm)
+    ground = Ground.of(read_arm(written(tmp_path, SERVOED)).nominal)
     up, down = np.array([0.0, -0.5, 0.3]), np.array([0.0, 1.3, 0.2])
     over, other = np.array([0.0, 0.0, -1.5]), np.array([0.0, 0.0, 4.7])  # the forearm up
     assert ground.clear(up)
@@ -102,6 +102,6 @@ def test_an_arm_that_hangs_has_no_ground(tmp_path: Path) -> None:
     hanging = SERVOED.replace(
         '<body name="post" pos="0 0 .25">', '<body name="post" pos="0 0 2" quat="0 1 0 0">'
     )
-    arm = load(written(tmp_path, hanging)).arm
+    arm = read_arm(written(tmp_path, hanging)).nominal
     assert Ground.of(arm).height == -float("inf")
     assert Ground.of(arm, 0.5).height == 0.5

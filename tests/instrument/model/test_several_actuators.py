@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from loose_env.instrument.model.actuators import drives_of
-from loose_env.instrument.model.recorded_arm import Machine
+from loose_env.instrument.model.instrumented_arm import read_arm, read_recorded_arm
 from loose_env.instrument.planning.next_measurement import NextSettings
-from loose_env.instrument.planning.plan import load, plan
+from loose_env.instrument.planning.plan import plan
 from loose_env.instrument.planning.signals import holding_commands
 from loose_env.instrument.settings.arm_and_plan import PlanSettings
 from tests.instrument.arms.plan_arms import doubled, written
@@ -30,9 +30,9 @@ POSE = np.array([0.2, -0.4, 0.9])
 def test_all_together_hold_the_pose_and_none_is_sent_to_zero(
     tmp_path: Path, further: tuple[str, ...]
 ) -> None:
-    machine = load(written(tmp_path, doubled(*further)))
+    machine = read_arm(written(tmp_path, doubled(*further)))
     commands, load_torques = holding_commands(machine, POSE)
-    model = machine.recordable.model
+    model = machine.recording_model.model
     data = mujoco.MjData(model)
     data.qpos[:] = POSE
     for a in range(model.nu):
@@ -62,13 +62,13 @@ def test_a_servo_is_played_rather_than_a_motor_listed_before_it() -> None:
 
 def test_plan_and_diagnosis_reckon_with_the_same_springs(tmp_path: Path) -> None:
     path = written(tmp_path, doubled(MOTOR, SECOND, TACHO, STIFF))
-    made = load(path)
+    made = read_arm(path)
     model = tmp_path / "model.xml"
-    model.write_text(made.recordable.xml, encoding="utf-8")
-    drives = Machine(model).drives
+    model.write_text(made.recording_model.xml, encoding="utf-8")
+    drives = read_recorded_arm(model).actuators
     lift = made.joints.index("lift")
-    assert made.arm.centring.stiffness[lift] == drives.stiffness[lift] == 900 + 300 + 50
-    assert made.arm.centring.damping[lift] == drives.damping[lift] == 30 + 10 + 7
+    assert made.nominal.centring.stiffness[lift] == drives.stiffness[lift] == 900 + 300 + 50
+    assert made.nominal.centring.damping[lift] == drives.damping[lift] == 30 + 10 + 7
 
 
 def test_what_is_played_does_what_the_plan_says(tmp_path: Path) -> None:
@@ -82,8 +82,8 @@ def test_what_is_played_does_what_the_plan_says(tmp_path: Path) -> None:
 
 def test_the_joint_of_an_actuator_without_gain_is_known(tmp_path: Path) -> None:
     passive = STIFF.replace("lift", "elbow")
-    made = load(written(tmp_path, doubled(passive)))
+    made = read_arm(written(tmp_path, doubled(passive)))
     model = tmp_path / "model.xml"
-    model.write_text(made.recordable.xml, encoding="utf-8")
-    machine = Machine(model)
-    assert machine.joints[machine.driven_joint("elbow_spring")] == "elbow"
+    model.write_text(made.recording_model.xml, encoding="utf-8")
+    machine = read_recorded_arm(model)
+    assert machine.joints[machine.actuators.driven_joint("elbow_spring")] == "elbow"

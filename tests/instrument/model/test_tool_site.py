@@ -7,8 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loose_env.instrument.model.recorded_arm import Machine
-from loose_env.instrument.planning.plan import load
+from loose_env.instrument.model.instrumented_arm import (
+    InstrumentedArm,
+    read_arm,
+    read_recorded_arm,
+)
 from loose_env.instrument.settings.arm_and_plan import ModelSettings
 from tests.instrument.arms.plan_arms import SERVOED, written
 
@@ -17,9 +20,9 @@ _INNER = '<site name="mid" pos=".2 0 .03"/><body name="fore"'
 _TWIN = '<site name="tool" pos=".35 .03 0"/><site name="beside" pos=".3 0 0"/>'
 
 
-def machine_of(folder: Path, text: str, settings: ModelSettings) -> tuple[Machine, str]:
-    made = load(written(folder, text), settings).recordable
-    return Machine(written(folder, made.xml, "recorded.xml")), made.site
+def machine_of(folder: Path, text: str, settings: ModelSettings) -> tuple[InstrumentedArm, str]:
+    made = read_arm(written(folder, text), settings).recording_model
+    return read_recorded_arm(written(folder, made.xml, "recorded.xml")), made.site
 
 
 def test_a_tool_that_was_named_stays_the_tool_of_the_recording(tmp_path: Path) -> None:
@@ -44,7 +47,9 @@ def test_what_is_not_named_is_the_same_for_plan_and_diagnosis(tmp_path: Path) ->
     text = SERVOED.replace('<site name="tool" pos=".35 .03 0"/>', _TWIN).replace("</mujoco>", both)
     machine, site = machine_of(tmp_path, text, ModelSettings())
     assert machine.sites[0] == site == "beside"
-    assert Machine(tmp_path / "arm.xml").sites[0] == "beside"  # also of the model as it was given
+    assert (
+        read_recorded_arm(tmp_path / "arm.xml").sites[0] == "beside"
+    )  # also of the model as it was given
 
 
 @pytest.mark.parametrize(
@@ -60,5 +65,5 @@ def test_a_load_sits_in_the_tool_frame_however_the_file_writes_it(
 ) -> None:
     text = SERVOED.replace('<site name="tool" pos=".35 .03 0"/>', place)
     settings = ModelSettings(payload_kg=2.0, payload_at_m=(0.0, 0.0, 0.2))
-    model = load(written(tmp_path, text), settings).recordable.model
+    model = read_arm(written(tmp_path, text), settings).recording_model.model
     assert model.body("payload").pos == pytest.approx(np.array([0.5, 0.02, 0.0]), abs=1e-9)

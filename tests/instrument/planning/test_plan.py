@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.instrument.model.instrumented_arm import read_arm
 from loose_env.instrument.planning import plan_files
 from loose_env.instrument.planning.next_measurement import NextSettings
-from loose_env.instrument.planning.plan import Plan, load, next_for, plan
+from loose_env.instrument.planning.plan import Plan, next_for, plan
 from loose_env.instrument.planning.plan_files import PlanFiles, write_plan
 from loose_env.instrument.result import Diagnosis, Fault, RecordSeen
 from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettings
@@ -43,7 +44,7 @@ def first(servoed: Path) -> Plan:
 
 def known(made: Plan, **shares: float) -> Diagnosis:
     """A diagnosis that holds some hypotheses for probable, after one record in the plan's pose."""
-    names = made.machine.hypotheses
+    names = made.arm.hypotheses
     rest = (1 - sum(shares.values())) / (len(names) - len(shares))
     by_name = {name.partition("@")[2] + "_" + name[:1]: name for name in names}
     posterior = dict.fromkeys(names, rest)
@@ -72,7 +73,7 @@ def test_what_is_played_on_servos_does_what_the_plan_says(servoed: Path, joint: 
     signal, did = made.signals[0], play(made, step=5e-5)
     assert did.tool_rms == pytest.approx(signal.tool_rms, rel=0.05)
     assert did.joint_rms == pytest.approx(signal.joint_rms, rel=0.05)
-    allowed = FEW.torque_share * np.array(made.machine.arm.torque_limits)
+    allowed = FEW.torque_share * np.array(made.arm.nominal.torque_limits)
     assert (signal.torque_peaks <= allowed * 1.001).all()
     assert (did.torque_peaks <= allowed * 1.03).all()
     assert did.travel == pytest.approx(signal.travel, rel=0.15, abs=2e-5)
@@ -114,7 +115,7 @@ def test_motors_are_given_torque_that_holds_the_pose_too(motors: Path) -> None:
 
 def test_the_noise_swells_and_stays_in_its_band(first: Plan) -> None:
     signal = first.signals[0]
-    drive = first.machine.drives[first.machine.joints.index(signal.joint)]
+    drive = first.arm.drives[first.arm.joints.index(signal.joint)]
     assert drive is not None
     command = signal.commands[drive.actuator]
     start, end = signal.steady_s
@@ -143,14 +144,14 @@ def test_the_same_seed_gives_the_same_plan(servoed: Path, first: Plan) -> None:
 
 
 def test_no_pose_touches_the_ground_or_leaves_the_ranges(servoed: Path) -> None:
-    machine = load(servoed)
+    machine = read_arm(servoed)
     assert machine.collisions.known
     assert machine.collisions.touch([0.0, 1.2, 0.8])  # the tool through the floor
     for seed in range(4):
         chosen = next_for(machine, settings=replace(FEW, seed=seed, poses=4))
         pose = np.array([chosen.pose[name] for name in machine.joints])
         assert not machine.collisions.touch(pose)
-        assert machine.arm.within_ranges(pose).all()
+        assert machine.nominal.within_ranges(pose).all()
 
 
 def test_a_second_plan_moves_on_to_tell_two_links_apart(servoed: Path, first: Plan) -> None:
@@ -169,7 +170,7 @@ def test_a_second_plan_moves_on_to_tell_two_links_apart(servoed: Path, first: Pl
 
 def test_a_plan_takes_what_the_diagnosis_wants_next(servoed: Path, first: Plan) -> None:
     chosen = replace(FEW, seed=7, seconds=1.0)
-    wanted = next_for(first.machine, settings=chosen)
+    wanted = next_for(first.arm, settings=chosen)
     so_far = replace(known(first, fore_s=0.5), next=wanted)
     for choice in (None, chosen):
         made = plan(servoed, so_far, choice=choice)
@@ -195,10 +196,10 @@ def test_settings_that_are_given_count_beside_what_the_diagnosis_wants_next(
     servoed: Path, first: Plan, changed: dict[str, float], own: PlanSettings
 ) -> None:
     so_far = known(first, post_s=0.45, fore_s=0.45)
-    so_far = replace(so_far, next=next_for(first.machine, so_far, FEW))
+    so_far = replace(so_far, next=next_for(first.arm, so_far, FEW))
     choice = replace(FEW, **changed)  # type: ignore[arg-type]
     made = plan(servoed, so_far, choice=choice, own=own)
-    anew = next_for(first.machine, so_far, choice, own)
+    anew = next_for(first.arm, so_far, choice, own)
     assert made.next.pose == anew.pose
     assert made.next.joints == anew.joints
     assert made.next.seconds == choice.seconds
@@ -216,10 +217,10 @@ def test_what_a_diagnosis_wants_next_is_not_taken_through_the_floor(
     """The recording's model has no meshes, and knows of fewer collisions than the arm's own."""
     pose = {"pan": 0.0, "lift": 1.2, "elbow": 0.8}
     asked = replace(first.next, pose=pose)
-    assert first.machine.collisions.touch(list(pose.values()))
+    assert first.arm.collisions.touch(list(pose.values()))
     made = plan(servoed, replace(known(first, fore_s=0.5), next=asked), choice=FEW)
     assert made.next.pose != pose
-    assert not first.machine.collisions.touch(made.pose)
+    assert not first.arm.collisions.touch(made.pose)
     assert any("its pose is not taken" in warning for warning in made.warnings)
 
 
@@ -246,7 +247,7 @@ def test_the_next_command_has_the_options_that_the_session_began_with(servoed: P
 
 def test_the_diagnosis_and_the_plan_choose_alike(servoed: Path, first: Plan) -> None:
     so_far = known(first, post_s=0.45, fore_s=0.45)
-    assert next_for(first.machine, so_far, FEW).pose == plan(servoed, so_far, choice=FEW).next.pose
+    assert next_for(first.arm, so_far, FEW).pose == plan(servoed, so_far, choice=FEW).next.pose
 
 
 def test_what_a_settled_diagnosis_was_limited_to_still_holds(servoed: Path, first: Plan) -> None:
@@ -294,27 +295,27 @@ def test_what_cannot_be_planned_is_refused(
 
 def test_a_urdf_without_actuators_or_meshes_gets_motors_and_its_flange(tmp_path: Path) -> None:
     made = plan(written(tmp_path, URDF, "plain.urdf"), choice=FEW)
-    assert made.machine.report.tool == "flange"
+    assert made.arm.report.tool == "flange"
     assert set(made.signals[0].commands) == {"j1_motor", "j2_motor"}
     assert any("torque motors are added" in warning for warning in made.warnings)
 
 
 def test_a_payload_takes_torque_to_hold(servoed: Path) -> None:
-    bare, loaded = load(servoed), load(servoed, ModelSettings(payload_kg=2.0))
+    bare, loaded = read_arm(servoed), read_arm(servoed, ModelSettings(payload_kg=2.0))
     pose = [0.0, 0.0, 0.0]
     from loose_env.arms import LinearArm
 
     more = (
-        LinearArm(loaded.arm).at(pose).gravity_torque - LinearArm(bare.arm).at(pose).gravity_torque
+        LinearArm(loaded.nominal).at(pose).gravity_torque - LinearArm(bare.nominal).at(pose).gravity_torque
     )
     assert np.abs(more[1]) == pytest.approx(2.0 * 9.81 * 0.75, rel=1e-6)
     with pytest.raises(InvalidSetting, match="zero or more kg"):
-        load(servoed, ModelSettings(payload_kg=-1.0))
+        read_arm(servoed, ModelSettings(payload_kg=-1.0))
 
 
 class TestFiles:
     def test_a_measured_run_makes_the_folder_a_recording(self, first: Plan, tmp_path: Path) -> None:
-        files = PlanFiles(tmp_path / "session", first.machine.recordable.xml)
+        files = PlanFiles(tmp_path / "session", first.arm.recording_model.xml)
         write_plan(files, first)
         run = files.recording / files.next_names(1)[0]
         write_csv(run, play(first).columns)
@@ -323,19 +324,19 @@ class TestFiles:
         assert recording.runs[0].pose == pytest.approx(first.next.pose)
 
     def test_the_second_plan_keeps_the_runs_measured(self, first: Plan, tmp_path: Path) -> None:
-        files = PlanFiles(tmp_path, first.machine.recordable.xml)
+        files = PlanFiles(tmp_path, first.arm.recording_model.xml)
         write_plan(files, first)
-        write_plan(PlanFiles(tmp_path, first.machine.recordable.xml), first)  # nothing measured
+        write_plan(PlanFiles(tmp_path, first.arm.recording_model.xml), first)  # nothing measured
         listed = json.loads((files.recording / "recording.json").read_text("utf-8"))
         assert [run["file"] for run in listed["runs"]] == ["run-01.csv"]
         write_csv(files.recording / "run-01.csv", play(first).columns)
-        again = PlanFiles(tmp_path, first.machine.recordable.xml)
+        again = PlanFiles(tmp_path, first.arm.recording_model.xml)
         write_plan(again, first)
         listed = json.loads((files.recording / "recording.json").read_text("utf-8"))
         assert [run["file"] for run in listed["runs"]] == ["run-01.csv", "run-02.csv"]
 
     def test_both_tables_hold_the_same_signal(self, first: Plan, tmp_path: Path) -> None:
-        write_plan(PlanFiles(tmp_path, first.machine.recordable.xml), first)
+        write_plan(PlanFiles(tmp_path, first.arm.recording_model.xml), first)
         text = np.genfromtxt(tmp_path / "signal.csv", delimiter=",", names=True)
         table = read_parquet(tmp_path / "signal.parquet", "signal.parquet", lambda header: None)
         for name, values in table.columns.items():
@@ -348,47 +349,47 @@ class TestFiles:
         ]
 
     def test_the_plan_says_all_in_json(self, first: Plan, tmp_path: Path) -> None:
-        write_plan(PlanFiles(tmp_path, first.machine.recordable.xml), first)
+        write_plan(PlanFiles(tmp_path, first.arm.recording_model.xml), first)
         whole = json.loads((tmp_path / "plan.json").read_text("utf-8"))
         assert whole["format"] == "loose-plan/1"
         assert set(whole["pose"]) == {"pan", "lift", "elbow"}
         assert whole["signals"][0]["actuator"].endswith("_servo")
-        assert set(whole["expected"]) == set(first.machine.hypotheses)
+        assert set(whole["expected"]) == set(first.arm.hypotheses)
         assert whole["seed"] == 0
 
     def test_a_plan_cut_short_is_no_plan_and_is_written_anew(
         self, first: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        write_plan(PlanFiles(tmp_path, first.machine.recordable.xml), first)
+        write_plan(PlanFiles(tmp_path, first.arm.recording_model.xml), first)
 
         def full(path: Path, columns: object) -> None:
             raise OSError(28, "No space left on device")
 
         monkeypatch.setattr(plan_files, "write_parquet", full)
         with pytest.raises(OSError, match="No space"):
-            write_plan(PlanFiles(tmp_path, first.machine.recordable.xml), first)
+            write_plan(PlanFiles(tmp_path, first.arm.recording_model.xml), first)
         assert not (tmp_path / "plan.json").exists()  # nobody takes the halves for a plan
         monkeypatch.undo()
-        write_plan(PlanFiles(tmp_path, first.machine.recordable.xml), first)
+        write_plan(PlanFiles(tmp_path, first.arm.recording_model.xml), first)
         assert (tmp_path / "plan.json").exists()
 
     def test_files_of_others_are_not_overwritten(self, first: Plan, tmp_path: Path) -> None:
         (tmp_path / "signal.csv").write_text("mine", encoding="utf-8")
         with pytest.raises(InvalidSetting, match=r"signal\.csv"):
-            PlanFiles(tmp_path, first.machine.recordable.xml)
+            PlanFiles(tmp_path, first.arm.recording_model.xml)
         (tmp_path / "plan.json").write_text("{}", encoding="utf-8")
         with pytest.raises(InvalidSetting, match=r"plan\.json"):
-            PlanFiles(tmp_path, first.machine.recordable.xml)
+            PlanFiles(tmp_path, first.arm.recording_model.xml)
         file = tmp_path / "file"
         file.write_text("", encoding="utf-8")
         with pytest.raises(InvalidSetting, match="is a file"):
-            PlanFiles(file, first.machine.recordable.xml)
+            PlanFiles(file, first.arm.recording_model.xml)
 
     def test_only_signals_that_the_earlier_plan_lists_are_removed(
         self, servoed: Path, first: Plan, tmp_path: Path
     ) -> None:
         two = plan(servoed, choice=replace(FEW, in_turn=2))
-        xml = first.machine.recordable.xml
+        xml = first.arm.recording_model.xml
         write_plan(PlanFiles(tmp_path, xml), two)
         mine = [tmp_path / "signal-measured.csv", tmp_path / "signal-3.parquet"]
         for path in mine:
@@ -401,7 +402,7 @@ class TestFiles:
     def test_a_further_signal_does_not_overwrite_a_file_of_others(
         self, servoed: Path, first: Plan, tmp_path: Path
     ) -> None:
-        xml = first.machine.recordable.xml
+        xml = first.arm.recording_model.xml
         write_plan(PlanFiles(tmp_path, xml), first)
         before = (tmp_path / "plan.json").read_text("utf-8")
         (tmp_path / "signal-2.csv").write_text("mine", encoding="utf-8")
@@ -414,7 +415,7 @@ class TestFiles:
     def test_a_changed_plan_makes_no_other_file_be_removed(
         self, first: Plan, tmp_path: Path
     ) -> None:
-        xml = first.machine.recordable.xml
+        xml = first.arm.recording_model.xml
         out = tmp_path / "session"
         write_plan(PlanFiles(out, xml), first)
         others = [tmp_path / "precious.csv", out / "signal-x.csv"]
@@ -430,9 +431,9 @@ class TestFiles:
     def test_a_session_of_another_model_is_refused(
         self, first: Plan, motors: Path, tmp_path: Path
     ) -> None:
-        write_plan(PlanFiles(tmp_path, first.machine.recordable.xml), first)
+        write_plan(PlanFiles(tmp_path, first.arm.recording_model.xml), first)
         with pytest.raises(InvalidData, match="another model"):
-            PlanFiles(tmp_path, load(motors).recordable.xml)
+            PlanFiles(tmp_path, read_arm(motors).recording_model.xml)
 
 
 def test_a_slow_recorder_gets_a_lower_band(servoed: Path) -> None:

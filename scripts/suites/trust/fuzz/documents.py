@@ -185,7 +185,7 @@ def diagnosis_result() -> bytes:
     from loose_env.instrument import Diagnosis, Fault, RecordSeen, SlideDirection
 
     made = _planned()
-    names = made.machine.hypotheses
+    names = made.arm.hypotheses
     posterior = dict.fromkeys(names, 0.1 / (len(names) - 1)) | {"backlash@bend": 0.9}
     record = RecordSeen(
         file="run-01.csv",
