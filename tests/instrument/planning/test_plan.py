@@ -306,7 +306,8 @@ def test_a_payload_takes_torque_to_hold(servoed: Path) -> None:
     from loose_env.arms import LinearArm
 
     more = (
-        LinearArm(loaded.nominal).at(pose).gravity_torque - LinearArm(bare.nominal).at(pose).gravity_torque
+        LinearArm(loaded.nominal).at(pose).gravity_torque
+        - LinearArm(bare.nominal).at(pose).gravity_torque
     )
     assert np.abs(more[1]) == pytest.approx(2.0 * 9.81 * 0.75, rel=1e-6)
     with pytest.raises(InvalidSetting, match="zero or more kg"):
