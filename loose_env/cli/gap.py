@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 from loose_env.arms import files_of
@@ -26,12 +27,12 @@ from loose_env.gap import (
     Stages,
     find_gap,
     key_of,
-    outputs_of,
     quantity_words,
     read_effects,
+    write_gap,
 )
 from loose_env.recording import read_recording
-from loose_env.report import ranked_words, unsure, write_outputs
+from loose_env.report import ranked_words, unsure, write_gap_report
 
 _OWN = ("threads",)
 """Settings on which the result does not depend."""
@@ -69,7 +70,8 @@ def run(options: argparse.Namespace) -> None:
     # Known as this command's own even if it is cut short while it copies.
     home = recording.model_path.parent
     folder.note(folder.path / f.relative_to(home) for f in files_of(recording.model_path))
-    result, written = write_outputs(folder.path, outputs_of(found, recording, settings), say=say)
+    report = partial(write_gap_report, say=say)
+    result, written = write_gap(folder.path, found, report=report, say=say)
     folder.note(written)
     for warning in result.warnings:
         print(f"warning: {warning}", file=sys.stderr)

@@ -30,9 +30,6 @@ from loose_env.gap.diagnostics.residual_spectra import (
     series_of,
     spectrum,
 )
-from loose_env.gap.fitting.holdout_score import (
-    machine_part,
-)
 from loose_env.gap.model.effect import (
     Effect,
 )
@@ -74,20 +71,14 @@ from loose_env.gap.settings import (
     GapSettings,
     NamingSettings,
 )
+from loose_env.gap.workflow.evidence import Evidence, gather
 from loose_env.gap.workflow.explain import explain_gap
 from loose_env.gap.workflow.pipeline import (
-    GapFound,
+    GapSolution,
     find_gap,
 )
 from loose_env.gap.workflow.session import GapSession
-from loose_env.gap.workflow.summary import (
-    Evidence,
-    GapOutputs,
-    gather,
-    outputs_of,
-    result_of,
-    write_model_and_result,
-)
+from loose_env.gap.workflow.summary import result_of, write_gap
 
 __all__ = [
     "CLOSED",
@@ -95,11 +86,10 @@ __all__ = [
     "Effect",
     "Evidence",
     "Gap",
-    "GapFound",
-    "GapOutputs",
     "GapResult",
     "GapSession",
     "GapSettings",
+    "GapSolution",
     "Identifiability",
     "JointMotion",
     "NamedEffect",
@@ -120,9 +110,7 @@ __all__ = [
     "how_to_separate",
     "in_bands",
     "key_of",
-    "machine_part",
     "main_band",
-    "outputs_of",
     "quantity_words",
     "read_effects",
     "read_result",
@@ -132,6 +120,6 @@ __all__ = [
     "series_of",
     "spectrum",
     "strongest",
+    "write_gap",
     "write_model",
-    "write_model_and_result",
 ]

@@ -26,7 +26,7 @@ from loose_env.report.gap.text import (
     unsure,
 )
 from loose_env.report.gap.write import (
-    write_outputs,
+    write_gap_report,
 )
 from loose_env.report.pages.figure_card import (
     FigureCard,
@@ -94,7 +94,7 @@ __all__ = [
     "to_svg",
     "unsure",
     "write_comparison",
-    "write_outputs",
+    "write_gap_report",
     "write_page",
     "write_plan_page",
     "write_study",

@@ -26,7 +26,7 @@ from loose_env.report.gap.page import write_gap_page
 from loose_env.report.pages.figures import success_bars
 from tests.browser.chromium import Page
 from tests.browser.looks import WIDTHS, browser, fits_on_paper, is_in_order, pictures
-from tests.gap.cases.gap_case import outputs_for, record
+from tests.gap.cases.gap_case import record, solution_for
 from tests.instrument.arms.plan_arms import SERVOED, written
 from tests.report.diagnosis_case import CASES
 from tests.report.test_page import ROWS, Guesser
@@ -36,9 +36,9 @@ __all__ = ["browser"]
 
 
 def gap_page(folder: Path) -> Path:
-    outputs = outputs_for(record(folder / "arm"))
-    evidence = gather(outputs)
-    return write_gap_page(folder / "gap.html", outputs, evidence, result_of(outputs, evidence))
+    solution = solution_for(record(folder / "arm"))
+    evidence = gather(solution)
+    return write_gap_page(folder / "gap.html", solution, evidence, result_of(solution, evidence))
 
 
 def comparison_page(folder: Path) -> Path:

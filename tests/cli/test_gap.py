@@ -13,9 +13,9 @@ pytest.importorskip("matplotlib")
 from loose_env.cli import gap
 from loose_env.cli.main import main
 from loose_env.errors import InvalidData
-from loose_env.gap import Gap, GapOutputs, GapResult, GapSettings, NamedEffect, read_result
+from loose_env.gap import Gap, GapResult, GapSettings, GapSolution, NamedEffect, read_result
 from loose_env.recording import Recording
-from tests.gap.cases.gap_case import outputs_for, record
+from tests.gap.cases.gap_case import record, solution_for
 
 
 @pytest.fixture(scope="module")
@@ -24,26 +24,28 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 
 
 @pytest.fixture(scope="module")
-def outputs(recording: Recording) -> GapOutputs:
-    return outputs_for(recording)
+def solution(recording: Recording) -> GapSolution:
+    return solution_for(recording)
 
 
 class Search:
     """Stands for the search, which takes minutes: one stage, then what is known."""
 
-    def __init__(self) -> None:
+    def __init__(self, solution: GapSolution) -> None:
+        self.solution = solution
         self.settings: GapSettings | None = None
         self.made = 0
         self.ends: BaseException | None = None
 
     def __call__(
         self, recording: Recording, settings: GapSettings, *, say: Any, stages: Any
-    ) -> None:
+    ) -> GapSolution:
         self.settings = settings
         say("nominal model: 6.9 noise standard deviations")
         assert stages("base", self.make) == {"rms": 6.9}
         if self.ends is not None:
             raise self.ends
+        return self.solution
 
     def make(self) -> dict[str, float]:
         self.made += 1
@@ -51,10 +53,9 @@ class Search:
 
 
 @pytest.fixture
-def search(monkeypatch: pytest.MonkeyPatch, outputs: GapOutputs) -> Search:
-    found = Search()
+def search(monkeypatch: pytest.MonkeyPatch, solution: GapSolution) -> Search:
+    found = Search(solution)
     monkeypatch.setattr(gap, "find_gap", found)
-    monkeypatch.setattr(gap, "outputs_of", lambda *_: outputs)
     return found
 
 

@@ -6,6 +6,7 @@ import html
 import io
 import re
 from dataclasses import replace
+from functools import partial
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -20,8 +21,8 @@ from loose_env.errors import MissingExtra
 from loose_env.gap import (
     Evidence,
     Gap,
-    GapOutputs,
     GapResult,
+    GapSolution,
     Identifiability,
     NamedEffect,
     Place,
@@ -29,9 +30,11 @@ from loose_env.gap import (
     gather,
     how_to_separate,
     result_of,
+    write_gap,
 )
 from loose_env.gap.diagnostics.experiment_advice import identifiability_words
 from loose_env.gap.output.evidence_schema import Alike, Unseen
+from loose_env.gap.workflow import summary as gap_summary
 from loose_env.report.gap import write as gap_report
 from loose_env.report.gap.figures import channel_bars, residual_panels
 from loose_env.report.gap.page import render_gap_page, write_gap_page
@@ -42,8 +45,8 @@ from loose_env.report.gap.text import (
     next_steps,
     size_words,
 )
-from loose_env.report.gap.write import write_outputs
-from tests.gap.cases.gap_case import outputs_for, record
+from loose_env.report.gap.write import write_gap_report
+from tests.gap.cases.gap_case import record, solution_for
 
 
 class Balanced(HTMLParser):
@@ -72,18 +75,18 @@ class Balanced(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def outputs(tmp_path_factory: pytest.TempPathFactory) -> GapOutputs:
-    return outputs_for(record(tmp_path_factory.mktemp("page") / "arm <3>"))
+def solution(tmp_path_factory: pytest.TempPathFactory) -> GapSolution:
+    return solution_for(record(tmp_path_factory.mktemp("page") / "arm <3>"))
 
 
 @pytest.fixture(scope="module")
-def evidence(outputs: GapOutputs) -> Evidence:
-    return gather(outputs)
+def evidence(solution: GapSolution) -> Evidence:
+    return gather(solution)
 
 
 @pytest.fixture(scope="module")
-def page(outputs: GapOutputs, evidence: Evidence) -> str:
-    return render_gap_page(outputs, evidence, result_of(outputs, evidence))
+def page(solution: GapSolution, evidence: Evidence) -> str:
+    return render_gap_page(solution, evidence, result_of(solution, evidence))
 
 
 def test_the_page_is_whole_and_loads_nothing_from_elsewhere(page: str) -> None:
@@ -131,16 +134,16 @@ def test_the_code_and_the_motion_that_separates_stand_at_the_end(page: str) -> N
 
 
 def test_the_page_is_the_same_every_time(
-    page: str, outputs: GapOutputs, evidence: Evidence
+    page: str, solution: GapSolution, evidence: Evidence
 ) -> None:
-    assert render_gap_page(outputs, evidence, result_of(outputs, evidence)) == page
+    assert render_gap_page(solution, evidence, result_of(solution, evidence)) == page
 
 
 @pytest.mark.parametrize("verdict", ["no_gap", "unexplained"])
 def test_other_verdicts_have_their_page_too(
-    verdict: str, outputs: GapOutputs, evidence: Evidence, tmp_path: Path
+    verdict: str, solution: GapSolution, evidence: Evidence, tmp_path: Path
 ) -> None:
-    other = replace(outputs, verdict=verdict, effects=(), ranking=(), best=outputs.base)
+    other = replace(solution, verdict=verdict, effects=(), ranking=(), best=solution.base)
     result = result_of(other, evidence)
     file = write_gap_page(tmp_path / "report.html", other, evidence, result)
     text = file.read_text("utf-8")
@@ -148,21 +151,24 @@ def test_other_verdicts_have_their_page_too(
     assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
 
 
-def test_inverse_runs_have_a_page_without_horizons(outputs: GapOutputs, evidence: Evidence) -> None:
+def test_inverse_runs_have_a_page_without_horizons(
+    solution: GapSolution, evidence: Evidence
+) -> None:
     bare = replace(evidence, before=(), after=())
-    text = render_gap_page(outputs, bare, result_of(outputs, bare))
+    text = render_gap_page(solution, bare, result_of(solution, bare))
     assert "How far a prediction goes wrong" not in text and "Channel by channel" in text
 
 
 def test_without_the_extra_model_and_result_are_written_and_it_is_said(
-    outputs: GapOutputs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    solution: GapSolution, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object) -> None:
         raise MissingExtra("figures need matplotlib")
 
     monkeypatch.setattr(gap_report, "write_gap_page", refuse)
     said: list[str] = []
-    result, written = write_outputs(tmp_path, outputs, say=said.append)
+    report = partial(write_gap_report, say=said.append)
+    result, written = write_gap(tmp_path, solution, report=report, say=said.append)
     assert [path.name for path in written] == ["model.xml", "result.json"]
     assert any("no report.html" in line for line in said) and result.verdict == "named"
 
@@ -185,7 +191,7 @@ def test_a_name_with_dollar_signs_is_drawn_as_it_is(name: str) -> None:
 
 
 def test_a_page_that_fails_takes_neither_model_nor_result_along(
-    outputs: GapOutputs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    solution: GapSolution, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:
         raise ValueError("no such glyph")
@@ -193,29 +199,29 @@ def test_a_page_that_fails_takes_neither_model_nor_result_along(
     monkeypatch.setattr(gap_report, "write_gap_page", fail)
     (tmp_path / "report.html").write_text("of an earlier run")
     said: list[str] = []
-    _, written = write_outputs(tmp_path, outputs, say=said.append)
+    _, written = write_gap(tmp_path, solution, report=partial(write_gap_report, say=said.append))
     assert [path.name for path in written] == ["model.xml", "result.json"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["model.xml", "result.json"]
     assert "no report.html: ValueError: no such glyph" in said
 
 
 def test_an_earlier_result_stays_until_another_one_is_there(
-    outputs: GapOutputs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    solution: GapSolution, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object, **__: object) -> None:
         raise ValueError("no memory")
 
-    monkeypatch.setattr(gap_report, "gather", fail)
+    monkeypatch.setattr(gap_summary, "gather", fail)
     (tmp_path / "result.json").write_text("{}")
     with pytest.raises(ValueError, match="no memory"):
-        write_outputs(tmp_path, outputs)
+        write_gap(tmp_path, solution, report=write_gap_report)
     assert (tmp_path / "result.json").read_text() == "{}"
 
 
 def test_what_the_model_has_without_its_being_named_stands_on_the_page(
-    outputs: GapOutputs, evidence: Evidence
+    solution: GapSolution, evidence: Evidence
 ) -> None:
-    other = replace(outputs, verdict="unexplained", effects=(), ranking=())
+    other = replace(solution, verdict="unexplained", effects=(), ranking=())
     page = render_gap_page(other, evidence, result_of(other, evidence))
     told = page.index("without its being named: viscous_friction at joint2: damping 3")
     assert 0 < told < page.index("<svg")
@@ -286,15 +292,15 @@ def test_a_remainder_is_told_in_the_headline_and_in_words() -> None:
     assert any("sensor.q is up to 50 off." in step for step in next_steps(part))
 
 
-def test_the_page_says_what_is_left(outputs: GapOutputs, evidence: Evidence) -> None:
-    part = replace(result_of(outputs, evidence), left=("Much is left.", "It is in encoder1."))
-    page = render_gap_page(outputs, evidence, part)
+def test_the_page_says_what_is_left(solution: GapSolution, evidence: Evidence) -> None:
+    part = replace(result_of(solution, evidence), left=("Much is left.", "It is in encoder1."))
+    page = render_gap_page(solution, evidence, part)
     first = page.index("<svg")
     assert 0 < page.index("Much is left.") < page.index("It is in encoder1.") < first
 
 
 def test_what_was_not_shown_is_told_with_what_would_show_it(
-    outputs: GapOutputs, evidence: Evidence
+    solution: GapSolution, evidence: Evidence
 ) -> None:
     shown = Identifiability(
         unseen=(
@@ -315,8 +321,8 @@ def test_what_was_not_shown_is_told_with_what_would_show_it(
         "these motions do not tell actuator_lag at m1 from command_delay at m1; more of the same "
         "will not help: command a sweep"
     )
-    other = replace(result_of(outputs, evidence), identifiability=shown, warnings=tuple(words))
-    page = render_gap_page(outputs, evidence, other)
+    other = replace(result_of(solution, evidence), identifiability=shown, warnings=tuple(words))
+    page = render_gap_page(solution, evidence, other)
     part = page[page.index("What these motions can show") : page.index("Nominal figures")]
     assert "quadratic_drag at joint1" in part and "52 s" in part and "no help" in part
 
@@ -354,14 +360,14 @@ def test_what_was_not_tried_is_not_said_to_explain_less() -> None:
     ]
 
 
-def test_a_family_is_one_line_of_what_was_tried(outputs: GapOutputs, evidence: Evidence) -> None:
-    other = replace(outputs, ranking=(row("joint_spring", "joint1", "joint2", "joint3"),))
+def test_a_family_is_one_line_of_what_was_tried(solution: GapSolution, evidence: Evidence) -> None:
+    other = replace(solution, ranking=(row("joint_spring", "joint1", "joint2", "joint3"),))
     page = render_gap_page(other, evidence, result_of(other, evidence))
     assert "joint_spring at joint1, joint2, joint3" in page
 
 
 def test_a_part_that_was_found_by_its_blows_is_told_as_such(
-    outputs: GapOutputs, evidence: Evidence
+    solution: GapSolution, evidence: Evidence
 ) -> None:
     loose = NamedEffect(
         kind="structural_looseness", where="link2", parameters={"gap": 4e-4}, powers_explained=0.97
@@ -379,6 +385,6 @@ def test_a_part_that_was_found_by_its_blows_is_told_as_such(
     (alone,) = mistaken_words(part)
     assert "No play anywhere else strikes as this does" in alone
     assert not any("what else is missing" in step for step in next_steps(part))
-    struck = replace(outputs, effects=(loose,))
+    struck = replace(solution, effects=(loose,))
     left = result_of(struck, evidence).left
     assert not left or "blows fall at moments" in left[0]

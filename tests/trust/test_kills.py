@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -141,16 +143,17 @@ def test_no_old_result_stands_beside_a_new_model(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str, stays: bool
 ) -> None:
     """It goes with the first file that changes; until then it is that of the model beside it."""
-    import loose_env.report.gap.write as report
+    from loose_env.gap.workflow import summary
+    from loose_env.report.gap import write as report
 
     def killed(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     tmp_path.joinpath("result.json").write_text("of an earlier run")
-    for name in ("gather", "result_of"):
-        monkeypatch.setattr(report, name, lambda *_, **__: None)
-    monkeypatch.setattr(report, where, killed)
+    for module, name in ((summary, "gather"), (summary, "result_of"), (report, "write_gap_page")):
+        monkeypatch.setattr(module, name, killed if name == where else lambda *_, **__: None)
+    found: Any = SimpleNamespace(problem=None)
     with pytest.raises(KeyboardInterrupt):
-        report.write_outputs(tmp_path, None)  # type: ignore[arg-type]
+        summary.write_gap(tmp_path, found, report=report.write_gap_report)
     assert tmp_path.joinpath("result.json").exists() is stays
     assert not list(tmp_path.glob("*.part"))

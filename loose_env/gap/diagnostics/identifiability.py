@@ -16,14 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from loose_env.gap.fitting.gauss_newton import (
-    UNNAMED,
     Fit,
     cost_of,
-    hypothesis_of,
-    parameters_of,
-    prior_of,
-    slices_of,
 )
+from loose_env.gap.fitting.model_structure import prior_of
 from loose_env.gap.fitting.refit import refined
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.output.evidence_schema import Alike, Identifiability, Unseen
@@ -85,10 +81,10 @@ def identifiability(
     named = _of_named(short, base, unit)
     taken = {(each.effect.kind, each.effect.where) for each, _ in named}
     others = [c for c in candidates if (c.kind, c.where) not in taken and short.shows(c)]
-    figures = _Fitted.of(base, [k for k, e in enumerate(base.effects) if e.kind in UNNAMED], unit)
+    nuisance = _Fitted.of(base, slice(0, len(base.structure.nuisance.parameters)), unit)
     seen: dict[tuple[str, str], tuple[float, _Signature]] = {}
     for each in _of_candidates(short, base, others, unit):
-        length, key = figures.length(each.change), (each.effect.kind, each.effect.where)
+        length, key = nuisance.length(each.change), (each.effect.kind, each.effect.where)
         if key not in seen or length > seen[key][0]:
             seen[key] = length, each
     unseen = [
@@ -99,14 +95,14 @@ def identifiability(
                 p.name: float(v) for p, v in zip(each.effect.parameters, each.values, strict=True)
             },
             sureness=length,
-            more_s=figures.more(each.change, seconds),
+            more_s=nuisance.more(each.change, seconds),
         )
         for length, each in seen.values()
         if length < _NEEDED
     ]
     shown = [each for length, each in seen.values() if length >= _NEEDED]
     pairs = _with_named(short, named, shown, unit, seconds)
-    pairs += _among(figures, shown, seconds)
+    pairs += _among(nuisance, shown, seconds)
     return Identifiability(unseen=tuple(unseen), alike=tuple(pairs))
 
 
@@ -114,13 +110,12 @@ def _on(comparison: Comparison, short: Comparison, best: Fit) -> Fit:
     """The best fit on some windows, with sensitivities of its own."""
     if short is comparison:
         return refined(best, comparison)
-    kept = [k for k, effect in enumerate(best.effects) if effect.kind != "start"]
-    effects = tuple(best.effects[k] for k in kept)  # windows have other initial states
-    own = slices_of(best.effects)
-    free = np.concatenate([best.free[own[k]] for k in kept])
-    residual = short.residuals([hypothesis_of(effects, free)])[0]
-    cost = cost_of(residual, free, parameters_of(effects))
-    fitted = replace(best, effects=effects, free=free, residual=residual, cost=cost)
+    nuisance = best.structure.nuisance  # windows have other initial states
+    structure = replace(best.structure, nuisance=replace(nuisance, initial=None))
+    free = best.free[nuisance.initial_slice.stop :]
+    residual = short.residuals([structure.hypothesis(free)])[0]
+    cost = cost_of(residual, free, structure.parameters)
+    fitted = replace(best, structure=structure, free=free, residual=residual, cost=cost)
     return refined(fitted, short)
 
 
@@ -136,12 +131,10 @@ class _Fitted:
     """Squares and products of the jacobian's columns (P, P)."""
 
     @classmethod
-    def of(cls, base: Fit, effects: Sequence[int], unit: float) -> _Fitted:
-        """Those of some effects of a fit, by their indices."""
-        own = slices_of(base.effects)
-        kept = [k for e in effects for k in range(own[e].start, own[e].stop)]
-        jacobian = unit * base.jacobian[:, kept]
-        weights = prior_of(parameters_of([base.effects[e] for e in effects]))[1]
+    def of(cls, base: Fit, own: slice, unit: float) -> _Fitted:
+        """Those of a slice of a fit's parameter vector."""
+        jacobian = unit * base.jacobian[:, own]
+        weights = prior_of(base.structure.parameters[own])[1]
         return cls(jacobian, weights, jacobian.T @ jacobian)
 
     def size(self, change: Array, other: Array) -> float:
@@ -191,15 +184,13 @@ class _Fitted:
 
 def _of_named(short: Comparison, base: Fit, unit: float) -> list[tuple[_Signature, Fit]]:
     """Identified effects at fitted size, their signatures, and the fit without each."""
-    found, own = [], slices_of(base.effects)
-    for k, effect in enumerate(base.effects):
-        if effect.kind in UNNAMED:
-            continue
-        others = tuple(e for e in base.effects if e is not effect)
-        kept = np.delete(np.arange(len(base.free)), np.arange(own[k].start, own[k].stop))
-        residual = short.residuals([hypothesis_of(others, base.free[kept])])[0]
+    found = []
+    for effect, own in zip(base.effects, base.structure.slices, strict=True):
+        others = base.structure.with_effects([e for e in base.effects if e is not effect])
+        kept = np.delete(np.arange(len(base.free)), np.arange(own.start, own.stop))
+        residual = short.residuals([others.hypothesis(base.free[kept])])[0]
         without = replace(
-            base, effects=others, free=base.free[kept], residual=residual,
+            base, structure=others, free=base.free[kept], residual=residual,
             jacobian=base.jacobian[:, kept],
         )  # fmt: skip
         found.append((_Signature(effect, (), unit * (base.residual - residual)), without))
@@ -252,7 +243,7 @@ def _with_named(
     """Identified effects that another one could replace, the rest unchanged."""
     found = []
     for one, without in named:
-        fitted = _Fitted.of(without, range(len(without.effects)), unit)
+        fitted = _Fitted.of(without, slice(None), unit)
         pairs = [(_pair(fitted, one, other, seconds), other) for other in others]
         own = fitted.length(one.change)
         near = [k for k, (pair, _) in enumerate(pairs) if pair.sureness < _NEARLY * own]

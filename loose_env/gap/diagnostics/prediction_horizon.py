@@ -171,7 +171,7 @@ def _whole(simulator: Simulator, hypothesis: Hypothesis, trial: Trial) -> _Whole
     model = hypothesis.model(machine, trial.step, released=trial.form == "free")
     commanded = trial.controls
     clock: Array = np.arange(trial.steps, dtype=float) * trial.step
-    for effect, values in zip(hypothesis.effects, hypothesis.values, strict=True):
+    for effect, values in hypothesis.pairs:
         commanded = effect.command(clock, commanded, values)
     controls = np.zeros((1, trial.steps, model.nu))
     controls[0, :, : commanded.shape[1]] = commanded

@@ -87,12 +87,11 @@ def left_motions(
         None where that torque is not known: an effect adds motion that nothing measures, or says
         that the readings are not what they seem.
     """
-    pairs = list(zip(hypothesis.effects, hypothesis.values, strict=True))
+    pairs = hypothesis.pairs
     if any(effect.adds_motion or type(effect).read is not Effect.read for effect, _ in pairs):
         return None
     spec = machine.spec.copy()
-    for effect, values in pairs:
-        effect.edit(spec, values)
+    hypothesis.edit(spec)
     corrected = replace(machine, spec=spec)
     if corrected.model.nv != machine.model.nv:
         return None

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from loose_env.gap.fitting.gauss_newton import Fit, parameters_of, prior_of, slices_of
+from loose_env.gap.fitting.gauss_newton import Fit
+from loose_env.gap.fitting.model_structure import prior_of
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.residual_model import Comparison
@@ -77,7 +78,7 @@ def bootstrap(
     draws : int
         Number of draws.
     """
-    parameters = parameters_of(fitted.effects)
+    parameters = fitted.structure.parameters
     _, weights = prior_of(parameters)
     count, blocks = len(parameters), int(comparison.rows.block.max()) + 1
     curvatures, slopes = np.zeros((blocks, count, count)), np.zeros((blocks, count))
@@ -146,7 +147,7 @@ def widened(comparison: Comparison, fitted: Fit, intervals: Intervals) -> Interv
     runs = np.unique(comparison.rows.trial)
     if len(runs) < 2:
         return intervals
-    parameters = parameters_of(fitted.effects)
+    parameters = fitted.structure.parameters
     _, weights = prior_of(parameters)
     worth = 1 / intervals.misfit
     curvature = worth * fitted.jacobian.T @ fitted.jacobian + np.diag(weights**2 + 1e-9)
@@ -163,7 +164,7 @@ def widened(comparison: Comparison, fitted: Fit, intervals: Intervals) -> Interv
         for sides in (-room, room)
     ]
     low, high = np.minimum(intervals.low, ends[0]), np.maximum(intervals.high, ends[1])
-    for effect, own in zip(fitted.effects, slices_of(fitted.effects), strict=True):
+    for effect, own in zip(fitted.effects, fitted.structure.slices, strict=True):
         if effect.vanishes(low[own], high[own]):
             low[own], high[own] = _short_of_nothing(effect, intervals, own, low[own], high[own])
     return replace(intervals, low=low, high=high)
@@ -186,12 +187,15 @@ def joined(first: Intervals, second: Intervals) -> Intervals:
 
 def _no_surer(fitted: Fit, intervals: Intervals) -> Intervals:
     """Limit the precision of intervals to `_EXACT`, of a value or its size."""
-    parameters = parameters_of(fitted.effects)
+    parameters = fitted.structure.parameters
     values = values_of(parameters, fitted.free)
     nothing = np.concatenate(
         [
-            np.zeros(len(effect.parameters)) if effect.nothing is None else effect.nothing
-            for effect in fitted.effects
+            np.zeros(len(fitted.structure.nuisance.parameters)),
+            *(
+                np.zeros(len(effect.parameters)) if effect.nothing is None else effect.nothing
+                for effect in fitted.effects
+            ),
         ]
     )
     room = _EXACT * np.minimum(

@@ -8,38 +8,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from loose_env.gap.fitting.initial_state import StartState
-from loose_env.gap.model.effect import Effect
+from loose_env.gap.fitting.model_structure import ModelStructure, prior_of
+from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.parameter import Parameter, free_of, values_of
+from loose_env.gap.model.parameter import Parameter, free_of
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.typing import Array
 
 __all__ = [
     "BESIDE_STOPS",
-    "UNNAMED",
     "Fit",
     "FitSettings",
     "cost_of",
     "fit",
-    "how_to_fit",
-    "hypothesis_of",
-    "parameters_of",
-    "prior_of",
+    "fit_settings_for",
     "sensitivities",
-    "slices_of",
     "started",
-    "strikes",
 ]
 
-
-UNNAMED = ("nominal", "start")
-"""Kinds that are fitted with every hypothesis, stand first, and are never named."""
 
 _NONE, _NEW, _ALL = 0, 1, 2
 """Which sensitivities are worked out (anew): none, those not known beforehand, all."""
@@ -75,22 +65,17 @@ taken over longer steps, for a blow that is just missed makes short ones jump; f
 fresh ones are no better at the end than those from afar."""
 
 
-def strikes(effects: Sequence[Effect]) -> bool:
-    """Return whether any of some effects has stops."""
-    return any(effect.has_stops for effect in effects)
-
-
-def how_to_fit(effects: Sequence[Effect]) -> FitSettings:
-    """Return the fit settings for a hypothesis of these effects."""
-    return BESIDE_STOPS if strikes(effects) else FitSettings()
+def fit_settings_for(structure: ModelStructure) -> FitSettings:
+    """Return the fit settings for a model structure."""
+    return BESIDE_STOPS if have_stops(structure.effects) else FitSettings()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fit:
     """A hypothesis with its best-fit parameters."""
 
-    effects: tuple[Effect, ...]
-    """In the order of their parameters."""
+    structure: ModelStructure
+    """The unknown parameters."""
     free: Array
     """Free numbers (P,)."""
     residual: Array
@@ -103,12 +88,17 @@ class Fit:
     @property
     def hypothesis(self) -> Hypothesis:
         """The hypothesis at the fitted values."""
-        return hypothesis_of(self.effects, self.free)
+        return self.structure.hypothesis(self.free)
 
     @property
-    def named(self) -> tuple[Effect, ...]:
-        """Effects that may be identified: neither nominal parameters nor initial states."""
-        return tuple(effect for effect in self.effects if effect.kind not in UNNAMED)
+    def effects(self) -> tuple[Effect, ...]:
+        """Effects of the hypothesis, without the nuisance parameters."""
+        return self.structure.effects
+
+    @property
+    def own_free(self) -> tuple[Array, ...]:
+        """Free numbers of each effect."""
+        return tuple(self.free[own] for own in self.structure.slices)
 
     @property
     def rms(self) -> float:
@@ -116,44 +106,9 @@ class Fit:
         return float(np.sqrt(np.mean(self.residual**2)))
 
 
-def parameters_of(effects: Sequence[Effect]) -> tuple[Parameter, ...]:
-    """Concatenate the parameters of all effects."""
-    return tuple(p for effect in effects for p in effect.parameters)
-
-
-def hypothesis_of(effects: Sequence[Effect], free: Array) -> Hypothesis:
-    """Build a hypothesis of effects from free numbers (P,).
-
-    A `StartState` becomes the initial states of the runs.
-    """
-    kept, values, at = [], [], 0
-    position = speed = None
-    for effect in effects:
-        own = effect.parameters
-        found = values_of(own, free[at : at + len(own)])
-        at += len(own)
-        if isinstance(effect, StartState):
-            position, speed = effect.offsets(found)
-        else:
-            kept.append(effect)
-            values.append(found)
-    return Hypothesis(effects=tuple(kept), values=tuple(values), position=position, speed=speed)
-
-
-def slices_of(effects: Sequence[Effect]) -> tuple[slice, ...]:
-    """Slices of each effect's parameters in the parameter vector."""
-    ends = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
-    return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
-
-
-def slice_of(effects: Sequence[Effect], effect: Effect) -> slice:
-    """Slice of one effect's parameters in the parameter vector."""
-    return dict(zip(map(id, effects), slices_of(effects), strict=True))[id(effect)]
-
-
 def sensitivities(
     comparison: Comparison,
-    effects: Sequence[Effect],
+    structure: ModelStructure,
     free: Array,
     residual: Array,
     which: Sequence[int],
@@ -161,32 +116,22 @@ def sensitivities(
     difference: float = FitSettings.difference,
 ) -> Array:
     """Jacobian of the residual in some free numbers (N, len(which)); inward at bounds."""
-    known = _of_starts(comparison, effects, free, residual, which)
+    known = _of_initial_states(comparison, structure, free, residual, which)
     rest = [k for k in which if k not in known]
-    known |= _differences(comparison, effects, free, residual, rest, difference)
+    known |= _differences(comparison, structure, free, residual, rest, difference)
     return np.stack([known[k] for k in which], axis=1)
-
-
-def _nuisances(effects: Sequence[Effect]) -> set[int]:
-    """Indices of the free numbers that are nominal parameters."""
-    return {
-        k
-        for effect, own in zip(effects, slices_of(effects), strict=True)
-        if effect.kind == "nominal"
-        for k in range(own.start, own.stop)
-    }
 
 
 def _differences(
     comparison: Comparison,
-    effects: Sequence[Effect],
+    structure: ModelStructure,
     free: Array,
     residual: Array,
     which: Sequence[int],
     difference: float,
 ) -> dict[int, Array]:
     """Derivatives of the residual (N,) by free number; finite differences in bounds."""
-    parameters = parameters_of(effects)
+    parameters = structure.parameters
     tried, steps = [], []
     for k in which:
         moved = free.copy()
@@ -194,37 +139,27 @@ def _differences(
         step = difference if moved[k] + difference <= high else -difference
         moved[k] = np.clip(moved[k] + step, low, high)
         steps.append(moved[k] - free[k])
-        tried.append(hypothesis_of(effects, moved))
+        tried.append(structure.hypothesis(moved))
     if not tried:
         return {}
     found = comparison.residuals(tried)
     return dict(zip(which, (found - residual) / np.array(steps)[:, None], strict=True))
 
 
-def _of_starts(
+def _of_initial_states(
     comparison: Comparison,
-    effects: Sequence[Effect],
+    structure: ModelStructure,
     free: Array,
     residual: Array,
     which: Sequence[int],
 ) -> dict[int, Array]:
     """Derivatives of the residual in the parameters of initial states (N,), by index."""
-    found, at = {}, 0
-    for effect in effects:
-        own = range(at, at + len(effect.parameters))
-        if isinstance(effect, StartState) and any(k in own for k in which):
-            hypothesis = hypothesis_of(effects, free)
-            columns = effect.sensitivities(comparison, hypothesis, residual)
-            found.update({k: columns[:, k - at] for k in which if k in own})
-        at = own.stop
-    return found
-
-
-def prior_of(parameters: Sequence[Parameter]) -> tuple[Array, Array]:
-    """Prior means and weights of the free numbers (P,), weight 0 without a prior."""
-    centres = [0.0 if p.centre is None else p.free(p.centre) for p in parameters]
-    weights = [0.0 if p.spread is None else 1.0 / p.spread for p in parameters]
-    return np.array(centres), np.array(weights)
+    initial = structure.nuisance.initial
+    own = [k for k in which if k < structure.nuisance.initial_slice.stop]
+    if initial is None or not own:
+        return {}
+    columns = initial.sensitivities(comparison, structure.hypothesis(free), residual)
+    return {k: columns[:, k] for k in own}
 
 
 def cost_of(residual: Array, free: Array, parameters: Sequence[Parameter]) -> float:
@@ -235,7 +170,7 @@ def cost_of(residual: Array, free: Array, parameters: Sequence[Parameter]) -> fl
 
 def fit(
     comparison: Comparison,
-    effects: Sequence[Effect],
+    structure: ModelStructure,
     start: Array,
     *,
     settings: FitSettings | None = None,
@@ -248,30 +183,30 @@ def fit(
     ----------
     comparison : Comparison
         Comparison of the runs.
-    effects : sequence of Effect
-        The hypothesis; those whose sensitivities are known come first.
+    structure : ModelStructure
+        The unknown parameters; those whose sensitivities are known come first.
     start : ndarray (P,)
         Initial free numbers.
     settings : FitSettings, optional
-        Settings of the fit; those of `how_to_fit` if not given.
+        Settings of the fit; those of `fit_settings_for` if not given.
     known : ndarray (N, K), optional
         Sensitivities of the first K free numbers from a fit nearby, recomputed where they
         are inaccurate.
     residual : ndarray (N,), optional
         Residual at the start.
     """
-    settings = settings or how_to_fit(effects)
-    parameters = parameters_of(effects)
+    settings = settings or fit_settings_for(structure)
+    parameters = structure.parameters
     low, high = np.array([p.bounds for p in parameters]).T.reshape(2, -1)
     free = np.clip(start, low, high)
     if residual is None:
-        residual = comparison.residuals([hypothesis_of(effects, free)])[0]
+        residual = comparison.residuals([structure.hypothesis(free)])[0]
     cost = cost_of(residual, free, parameters)
     held = 0 if known is None else known.shape[1]
     # Nominal parameters move within their tolerance only: known sensitivities of these are not
     # recomputed.
-    kept = _nuisances(effects) if held else set()
-    again = [k for k in range(len(parameters)) if k not in kept]
+    kept = structure.nuisance.nominal_slice if held else slice(0, 0)
+    again = [k for k in range(len(parameters)) if not kept.start <= k < kept.stop]
     jacobian = np.zeros((len(residual), len(parameters)))
     if known is not None:
         jacobian[:, :held] = known
@@ -284,19 +219,19 @@ def fit(
             seen_at = cost
         if which:
             jacobian[:, which] = sensitivities(
-                comparison, effects, free, residual, which, difference=settings.difference
+                comparison, structure, free, residual, which, difference=settings.difference
             )
         steps = [step_of(jacobian, residual, free, parameters, d) for d in settings.dampings]
-        step, left, after = _best_of(comparison, effects, free, parameters, steps[:1])
+        step, left, after = _best_of(comparison, structure, free, steps[:1])
         hoped = cost - cost_of(residual + jacobian @ step, free + step, parameters)
         if cost - after < settings.trusted * hoped and hoped >= settings.enough * cost:
-            damped = _best_of(comparison, effects, free, parameters, steps[1:])
+            damped = _best_of(comparison, structure, free, steps[1:])
             step, left, after = min((step, left, after), damped, key=lambda found: found[2])
             hoped = cost - cost_of(residual + jacobian @ step, free + step, parameters)
         if which and cost - after < settings.enough * cost <= hoped:
             # far from the optimum the gradient gives the direction and not the distance
             short = [share * long for long in steps[1:] for share in settings.shorter]
-            shortened = _best_of(comparison, effects, free, parameters, short)
+            shortened = _best_of(comparison, structure, free, short)
             step, left, after = min((step, left, after), shortened, key=lambda found: found[2])
         gained = cost - after
         if gained > 0:
@@ -312,19 +247,18 @@ def fit(
             renew = _ALL if which else first or _ALL  # the old sensitivities are inaccurate
         else:
             renew = _NONE
-    return Fit(effects=tuple(effects), free=free, residual=residual, jacobian=jacobian, cost=cost)
+    return Fit(structure=structure, free=free, residual=residual, jacobian=jacobian, cost=cost)
 
 
 def _best_of(
     comparison: Comparison,
-    effects: Sequence[Effect],
+    structure: ModelStructure,
     free: Array,
-    parameters: Sequence[Parameter],
     steps: Sequence[Array],
 ) -> tuple[Array, Array, float]:
     """Return the best of some steps, with its residual and cost."""
-    found = comparison.residuals([hypothesis_of(effects, free + step) for step in steps])
-    costs = [cost_of(r, free + s, parameters) for r, s in zip(found, steps, strict=True)]
+    found = comparison.residuals([structure.hypothesis(free + step) for step in steps])
+    costs = [cost_of(r, free + s, structure.parameters) for r, s in zip(found, steps, strict=True)]
     best = int(np.argmin(costs))
     return steps[best], found[best], costs[best]
 

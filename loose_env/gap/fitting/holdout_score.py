@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from loose_env.gap.fitting.gauss_newton import Fit, parameters_of
-from loose_env.gap.fitting.initial_state import StartState
-from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.fitting.gauss_newton import Fit
+from loose_env.gap.fitting.initial_state import InitialStates
 from loose_env.gap.residuals.autocorrelation import Structure, largest
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.typing import Array
 
-__all__ = ["Judge", "Judged", "Lead", "lead_of", "machine_part", "share_of", "sureness_of"]
+__all__ = ["Judge", "Judged", "Lead", "lead_of", "share_of", "sureness_of"]
 
 
 _LOUD = 1.25
@@ -58,7 +57,7 @@ class Judged:
     @property
     def free_count(self) -> int:
         """Number of free numbers."""
-        return len(parameters_of(self.fitted.effects))
+        return len(self.fitted.free)
 
     @property
     def total(self) -> float:
@@ -141,7 +140,7 @@ class Judge:
     def __init__(self, comparison: Comparison, held_out: Comparison) -> None:
         self.comparison, self.held_out = comparison, held_out
         # Initial states of held-out runs are fitted separately, and credited to no hypothesis.
-        self._start = StartState(held_out.machine, held_out.trials, held_out.channels)
+        self._start = InitialStates(held_out.machine, held_out.trials, held_out.channels)
         self._fitted, self._held = Structure(comparison.rows), Structure(held_out.rows)
 
     def judge(self, fitted: Fit) -> Judged:
@@ -168,7 +167,7 @@ def lead_of(ahead: Judged, behind: Judged, *, strikes: bool = False) -> Lead:
     Blocks also count by rank (`sureness_of`) where an effect with stops is in one of the two only,
     or where ``strikes`` says that the two differ by such an effect.
     """
-    one, other = ({e.key: e for e in j.fitted.named} for j in (ahead, behind))
+    one, other = ({e.key: e for e in j.fitted.effects} for j in (ahead, behind))
     strikes = strikes or any((one | other)[key].has_stops for key in one.keys() ^ other.keys())
     return Lead(
         held=sureness_of(behind.held_blocks, ahead.held_blocks, strikes=strikes),
@@ -186,17 +185,6 @@ def share_of(ahead: Judged, behind: Judged) -> float:
     if behind.blows:
         return 1.0 - ahead.excess / behind.excess
     return 1.0 - ahead.structure / behind.structure if behind.structure > 0 else 0.0
-
-
-def machine_part(judged: Judged) -> Hypothesis:
-    """Return a fit without the initial states of runs."""
-    whole = judged.fitted.hypothesis
-    kept = [
-        (effect, values)
-        for effect, values in zip(whole.effects, whole.values, strict=True)
-        if not isinstance(effect, StartState)
-    ]
-    return Hypothesis(effects=tuple(e for e, _ in kept), values=tuple(v for _, v in kept))
 
 
 def sureness_of(behind: Array, ahead: Array, *, strikes: bool = False) -> float:

@@ -18,7 +18,6 @@ import numpy as np
 
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.noise_floor import noise_floor
-from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
     from loose_env.gap.model.hypothesis import Hypothesis
     from loose_env.gap.residuals.residual_model import Comparison
 
-__all__ = ["StartState"]
+__all__ = ["InitialStates"]
 
 
 _LINE = 0.05
@@ -36,7 +35,7 @@ _FURTHEST = 30.0
 """How far a start may be off, in standard deviations."""
 
 
-class StartState(Effect):
+class InitialStates:
     """Offsets of the measured initial position and speed, for the joints of each run.
 
     Parameters
@@ -49,19 +48,11 @@ class StartState(Effect):
         Their columns.
     """
 
-    kind = "start"
-
     def __init__(
         self, machine: Machine, trials: Sequence[Trial], channels: tuple[Channel, ...]
     ) -> None:
-        super().__init__(machine, "all")
+        self.machine = machine
         self.trials, self.channels = tuple(trials), channels
-        self.nothing = (0.0,) * len(self.parameters)  # type: ignore[misc]
-
-    @classmethod
-    def places(cls, machine: Machine) -> tuple[str, ...]:
-        """Locations: the whole model."""
-        return ("all",)
 
     @cached_property
     def moving(self) -> tuple[int, ...]:
@@ -95,11 +86,6 @@ class StartState(Effect):
                         )
                     )  # fmt: skip
         return tuple(found)
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starting values: the measured initial state."""
-        return ((0.0,) * len(self.parameters),)
 
     def offsets(self, values: Array) -> tuple[Array, Array]:
         """Offsets of the measured initial positions and speeds (trials, joints) each."""

@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from loose_env.gap.fitting.confidence_intervals import Intervals
-from loose_env.gap.fitting.gauss_newton import Fit, hypothesis_of, slice_of, strikes
+from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.fitting.holdout_score import sureness_of
 from loose_env.gap.fitting.refit import fit_without
-from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.settings import NamingSettings
@@ -49,7 +49,7 @@ def short_of_limit(
     """
     if not effect.limit:
         return intervals
-    own = slice_of(fitted.effects, effect)
+    own = fitted.structure.slice_of(effect)
     here = fitted.free[own]
     limit = free_of(effect.parameters, effect.at_limit(values_of(effect.parameters, here)))
     tried = []
@@ -57,7 +57,7 @@ def short_of_limit(
         free = fitted.free.copy()
         free[own] = here + share * (limit - here)
         tried.append(free)
-    residuals = comparison.residuals([hypothesis_of(fitted.effects, free) for free in tried])
+    residuals = comparison.residuals([fitted.structure.hypothesis(free) for free in tried])
     blocks = comparison.by_block(fitted.residual**2)
     leads = [
         sureness_of(comparison.by_block(r**2), blocks, strikes=effect.has_stops) for r in residuals
@@ -91,13 +91,13 @@ def short_of_nothing(
         One of its effects; nothing is changed if no part with stops is there, if it is zero only
         in a limit, or if that is not refuted.
     """
-    if effect.nothing is None or not strikes(fitted.effects):
+    if effect.nothing is None or not have_stops(fitted.effects):
         return intervals
     without = fit_without(comparison, fitted, effect).residual
     lead = sureness_of(comparison.by_block(without**2), comparison.by_block(fitted.residual**2))
     if not lead >= _SURE:
         return intervals
-    own = slice_of(fitted.effects, effect)
+    own = fitted.structure.slice_of(effect)
     here, nothing = fitted.free[own], free_of(effect.parameters, np.array(effect.nothing))
     scatter = np.sqrt(np.maximum(np.diag(intervals.covariance)[own], 1e-30))
     furthest = int(np.argmax(np.abs(here - nothing) / scatter))

@@ -9,10 +9,8 @@ from loose_env.gap.fitting.gauss_newton import (
     Fit,
     FitSettings,
     fit,
-    how_to_fit,
-    parameters_of,
+    fit_settings_for,
     sensitivities,
-    slice_of,
 )
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.residuals.residual_model import Comparison
@@ -22,9 +20,9 @@ __all__ = ["fit_without", "fitted_on", "polished", "refined", "settled"]
 
 def fit_without(comparison: Comparison, fitted: Fit, effect: Effect) -> Fit:
     """Drop one effect of a fit and refit the others."""
-    own = slice_of(fitted.effects, effect)
+    own = fitted.structure.slice_of(effect)
     kept = [k for k in range(len(fitted.free)) if not own.start <= k < own.stop]
-    others = [e for e in fitted.effects if e is not effect]
+    others = fitted.structure.with_effects([e for e in fitted.effects if e is not effect])
     return fit(comparison, others, fitted.free[kept], known=fitted.jacobian[:, kept])
 
 
@@ -32,7 +30,7 @@ def fitted_on(comparison: Comparison, fitted: Fit) -> Fit:
     """Continue a fit with its existing sensitivities."""
     return fit(
         comparison,
-        fitted.effects,
+        fitted.structure,
         fitted.free,
         known=fitted.jacobian,
         residual=fitted.residual,
@@ -46,14 +44,13 @@ def polished(comparison: Comparison, fitted: Fit) -> Fit:
 
 def refined(fitted: Fit, comparison: Comparison) -> Fit:
     """Recompute all sensitivities of a fit."""
-    count = len(parameters_of(fitted.effects))
     jacobian = sensitivities(
         comparison,
-        fitted.effects,
+        fitted.structure,
         fitted.free,
         fitted.residual,
-        range(count),
-        difference=how_to_fit(fitted.effects).difference,
+        range(len(fitted.free)),
+        difference=fit_settings_for(fitted.structure).difference,
     )
     return replace(fitted, jacobian=jacobian)
 
@@ -65,5 +62,5 @@ def settled(comparison: Comparison, fitted: Fit) -> Fit:
     convergence short ones are more accurate.
     """
     short = replace(BESIDE_STOPS, difference=FitSettings.difference)
-    found = fit(comparison, fitted.effects, fitted.free, settings=short, residual=fitted.residual)
+    found = fit(comparison, fitted.structure, fitted.free, settings=short, residual=fitted.residual)
     return refined(found, comparison) if found.cost < fitted.cost else fitted

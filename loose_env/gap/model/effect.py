@@ -31,6 +31,7 @@ A new effect is one small class in one file:
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -42,7 +43,7 @@ from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = ["Effect", "Readings", "ResidualAccelerations"]
+__all__ = ["Effect", "Readings", "ResidualAccelerations", "have_stops"]
 
 
 _AT_BOUND = 1.02
@@ -358,3 +359,8 @@ class ResidualAccelerations:
     """Site of the accelerometer (K,)."""
     accelerations: Array
     """Residual in the frame of the site (K, 3) [m/s²]."""
+
+
+def have_stops(effects: Iterable[Effect]) -> bool:
+    """Return whether any of some effects has stops."""
+    return any(effect.has_stops for effect in effects)

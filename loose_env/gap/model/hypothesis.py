@@ -1,14 +1,17 @@
-"""Hypothesis: the nominal model with added effects."""
+"""Hypothesis: the nominal model with its nuisance parameters and added effects."""
 
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import mujoco
+import numpy as np
 
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.nominal_model import Machine, set_step
+from loose_env.gap.model.nominal_parameters import NominalParameters
 from loose_env.typing import Array
 
 __all__ = ["Hypothesis", "compiled"]
@@ -21,16 +24,60 @@ _OFF = 30
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """Effects and their values, in the order in which they act; initial-state offsets."""
+    """Effects with their values, and values of the nuisance parameters.
 
-    effects: tuple[Effect, ...]
-    """Effects added to the nominal model."""
-    values: tuple[Array, ...]
+    Examples
+    --------
+    >>> Hypothesis().pairs  # the nominal model itself
+    ()
+    """
+
+    effects: tuple[Effect, ...] = ()
+    """Effects added to the nominal model, in the order in which they act."""
+    values: tuple[Array, ...] = ()
     """Parameter values of each effect."""
+    nominal: NominalParameters | None = None
+    """Uncertain parameters of the nominal model, applied before the effects; None: as they are."""
+    factors: Array = field(default_factory=lambda: np.empty(0))
+    """Values of the nominal parameters."""
     position: Array | None = None
     """Offsets of the measured initial positions [rad, m] (trials, joints)."""
     speed: Array | None = None
     """Offsets of the measured initial speeds [rad/s, m/s] (trials, joints)."""
+
+    @property
+    def pairs(self) -> tuple[tuple[Effect, Array], ...]:
+        """Effects with their values."""
+        return tuple(zip(self.effects, self.values, strict=True))
+
+    @property
+    def of_model(self) -> Hypothesis:
+        """The same without the initial states, which belong to the runs."""
+        return replace(self, position=None, speed=None)
+
+    @property
+    def nominal_factors(self) -> dict[str, float]:
+        """Factors on the nominal parameters, by name."""
+        return {} if self.nominal is None else self.nominal.by_name(self.factors)
+
+    def with_effects(self, pairs: Sequence[tuple[Effect, Array]]) -> Hypothesis:
+        """Copy with other effects and values, and the same nuisance parameters."""
+        effects, values = tuple(e for e, _ in pairs), tuple(v for _, v in pairs)
+        return replace(self, effects=effects, values=values)
+
+    def edit(self, spec: mujoco.MjSpec) -> None:
+        """Change a spec in place: nominal parameters first, then the effects."""
+        if self.nominal is not None:
+            self.nominal.edit(spec, self.factors)
+        for effect, values in self.pairs:
+            effect.edit(spec, values)
+
+    def export(self, spec: mujoco.MjSpec) -> None:
+        """Change the spec of the exported model in place, as `Effect.export`."""
+        if self.nominal is not None:
+            self.nominal.edit(spec, self.factors)
+        for effect, values in self.pairs:
+            effect.export(spec, values)
 
     def model(self, machine: Machine, step: float, *, released: bool = False) -> mujoco.MjModel:
         """Compile the model of the hypothesis, with its drives off for a free response.
@@ -39,8 +86,7 @@ class Hypothesis:
         """
         spec = machine.fresh()
         set_step(spec, step)
-        for effect, values in zip(self.effects, self.values, strict=True):
-            effect.edit(spec, values)
+        self.edit(spec)
         for name in machine.actuators:
             # after a Runge-Kutta step actuator_force is the force at its end
             spec.add_sensor(

@@ -27,7 +27,7 @@ Tree: TypeAlias = "bool | int | float | str | NDArray[Any] | list[Tree] | dict[s
 Stage: TypeAlias = Callable[[str, Callable[[], Any]], Any]
 """Called with a stage's name and what makes it; returns what it made, now or earlier."""
 
-_FORMAT = 2
+_FORMAT = 3
 """Of the stored files; raised when what a stage returns changes its meaning."""
 _ARRAY = "__array__"
 _NUMBER = "__number__"

@@ -17,7 +17,7 @@ import numpy as np
 from loose_env.arms import quiet
 from loose_env.gap.data.aligned_run import Trial
 from loose_env.gap.data.initial_rest import SETTLE
-from loose_env.gap.fitting.gauss_newton import strikes
+from loose_env.gap.model.effect import have_stops
 from loose_env.gap.model.hypothesis import Hypothesis, compiled
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.output.export_mjcf import corrected_spec
@@ -120,7 +120,7 @@ def exported(held: Comparison, hypothesis: Hypothesis, residual: Array) -> Expor
     found: list[tuple[float, Exported]] = []
     for parts in PARTS:
         step = longest / parts
-        spec = corrected_spec(held.machine, hypothesis.effects, hypothesis.values, step=step)
+        spec = corrected_spec(held.machine, hypothesis, step=step)
         tried = compared(held, residual, compiled(spec), trials)
         if tried is None:
             return Exported()
@@ -130,7 +130,7 @@ def exported(held: Comparison, hypothesis: Hypothesis, residual: Array) -> Expor
             break
     nearest = min(found, key=lambda each: each[0])
     chosen = nearest if nearest[0] < max(1.0, _BETTER * found[0][0]) else found[0]
-    if strikes(hypothesis.effects):
+    if have_stops(hypothesis.effects):
         # after an impact no two simulations agree, however fine their steps
         return replace(chosen[1], matters=False)
     return chosen[1]

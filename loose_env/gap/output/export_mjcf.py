@@ -18,6 +18,7 @@ import numpy as np
 from loose_env.arms import files_of
 from loose_env.errors import InvalidData
 from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import Machine, set_step
 from loose_env.gap.output.result import NamedEffect
 from loose_env.gap.simulation.time_step import step_with
@@ -30,8 +31,7 @@ __all__ = ["corrected_spec", "correction_code", "model_notes", "nameless_words",
 
 def corrected_spec(
     machine: Machine,
-    effects: Sequence[Effect],
-    values: Sequence[Array],
+    hypothesis: Hypothesis,
     *,
     step: float | None = None,
 ) -> mujoco.MjSpec:
@@ -44,10 +44,8 @@ def corrected_spec(
     ----------
     machine : Machine
         The nominal model.
-    effects : sequence of Effect
-        Its missing effects, fitted nominal parameters included, in the order in which they act.
-    values : sequence of ndarray (P,)
-        Parameter values of each.
+    hypothesis : Hypothesis
+        Nominal parameters and effects, with their values.
     step : float, optional
         Another step [s] (`loose_env.gap.output.export_check.exported` tells).
     """
@@ -55,11 +53,10 @@ def corrected_spec(
     if step is not None:
         set_step(spec, step)
     elif machine.step > 0:
-        set_step(spec, step_with(machine, effects))
+        set_step(spec, step_with(machine, hypothesis.effects))
     if machine.integrator is not None:
         spec.option.integrator = machine.integrator
-    for effect, own in zip(effects, values, strict=True):
-        effect.export(spec, own)
+    hypothesis.export(spec)
     _keep_keyframes(spec, machine)
     return spec
 
@@ -95,7 +92,7 @@ def _states_of_actuators(model: mujoco.MjModel, nominal: mujoco.MjModel, key: in
     return state
 
 
-def correction_code(effects: Sequence[Effect], values: Sequence[Array]) -> str:
+def correction_code(hypothesis: Hypothesis) -> str:
     """Python lines that apply effects which MJCF cannot express; "" if none.
 
     Terms on the torque are added before each step, and changes of readings after it. The lines work
@@ -104,17 +101,15 @@ def correction_code(effects: Sequence[Effect], values: Sequence[Array]) -> str:
 
     Parameters
     ----------
-    effects : sequence of Effect
-        In the order in which they act.
-    values : sequence of ndarray (P,)
-        Parameter values of each.
+    hypothesis : Hypothesis
+        The effects with their values.
     """
-    pairs = list(zip(effects, values, strict=True))
+    pairs = hypothesis.pairs
     terms = [line for effect, own in pairs if (line := effect.torque_code(own))]
     readings = [line for effect, own in pairs if (line := effect.code(own))]
     if not terms:
         return "\n".join(readings)
-    names = ", ".join(map(repr, effects[0].machine.joints))
+    names = ", ".join(map(repr, pairs[0][0].machine.joints))
     laid_out = (
         "# before every mj_step",
         "import numpy as np",
@@ -131,8 +126,7 @@ def correction_code(effects: Sequence[Effect], values: Sequence[Array]) -> str:
 def write_model(
     path: Path,
     machine: Machine,
-    effects: Sequence[Effect],
-    values: Sequence[Array],
+    hypothesis: Hypothesis,
     *,
     step: float | None = None,
     source: Path | None = None,
@@ -144,7 +138,7 @@ def write_model(
     ----------
     path : Path
         Path of the model file.
-    machine, effects, values, step
+    machine, hypothesis, step
         As in `corrected_spec`.
     source : Path, optional
         File of the nominal model; files it refers to are copied.
@@ -162,7 +156,7 @@ def write_model(
         If the model does not compile from the file, or a column of the recording would no longer
         name anything in it.
     """
-    text = corrected_spec(machine, effects, values, step=step)
+    text = corrected_spec(machine, hypothesis, step=step)
     try:
         text.compile()
         xml = text.to_xml()

@@ -16,7 +16,7 @@ import numpy as np
 
 from loose_env.gap.data.aligned_run import Channel, lay_out
 from loose_env.gap.data.noise_floor import channel_floor
-from loose_env.gap.fitting.gauss_newton import strikes
+from loose_env.gap.model.effect import have_stops
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.residuals.residual_model import Comparison
@@ -184,7 +184,7 @@ def corrected_step_words(held_out: Comparison, hypothesis: Hypothesis) -> list[s
     hypothesis : Hypothesis
         The added effects.
     """
-    if strikes(hypothesis.effects):
+    if have_stops(hypothesis.effects):
         return []  # after an impact no two simulations agree, however fine their steps
     machine, chosen = held_out.machine, windowed(held_out, _CHECKED)
     step = step_with(machine, hypothesis.effects)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import Recording, Run
 from loose_env.typing import Array
 
-__all__ = ["Prepared", "prepare"]
+__all__ = ["GapProblem", "prepare"]
 
 
 _FINEST = 1e-5
@@ -36,9 +37,11 @@ without noise is exacter, and no model of a machine is."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Prepared:
+class GapProblem:
     """A recording prepared for comparison with its model."""
 
+    settings: GapSettings
+    """Settings of the comparison."""
     machine: Machine
     """The nominal model, with the step, typical loads and speeds of the recording."""
     integration: Integration | None
@@ -53,8 +56,12 @@ class Prepared:
     """The held-out runs at full length."""
     warnings: tuple[str, ...] = ()
     """Notes for the reader."""
+    recording: str = ""
+    """Name of the recording, for the report."""
+    model_path: Path | None = None
+    """File of the nominal model; the meshes it refers to are copied with a corrected model."""
 
-    def louder(self, factors: Array) -> Prepared:
+    def louder(self, factors: Array) -> GapProblem:
         """Copy with the noise of every channel scaled by a factor (C,)."""
         known: dict[int, Comparison] = {}
 
@@ -73,7 +80,7 @@ class Prepared:
         )
 
 
-def prepare(recording: Recording, settings: GapSettings) -> Prepared:
+def prepare(recording: Recording, settings: GapSettings) -> GapProblem:
     """Align a recording with the model, choose the step, and estimate the noise.
 
     Raises
@@ -154,7 +161,10 @@ def prepare(recording: Recording, settings: GapSettings) -> Prepared:
                 "beside the steps in which it is read"
             )
     warnings += shortfalls(ahead, whole, NamingSettings())
-    return Prepared(
+    return GapProblem(
+        settings=settings,
+        recording=recording.folder.name,
+        model_path=recording.model_path,
         machine=kept,
         integration=integration,
         search=_windowed(ahead, settings.search_seconds),

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from loose_env.gap.fitting.gauss_newton import UNNAMED, fit, hypothesis_of, slices_of, strikes
+from loose_env.gap.fitting.gauss_newton import fit
 from loose_env.gap.fitting.holdout_score import Judge, Judged, Lead, lead_of
 from loose_env.gap.fitting.refit import fit_without, polished
-from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.selection.negligible import slight
@@ -122,10 +122,10 @@ class Acceptance:
         effect, fitted = judged.fitted.effects[-1], judged.fitted
         if not effect.limit or self._new(judged) > 1:
             return True
-        own = slices_of(fitted.effects)[-1]
+        own = fitted.structure.slices[-1]
         values = effect.at_limit(values_of(effect.parameters, fitted.free[own]))
         free = np.concatenate([self.before.fitted.free, free_of(effect.parameters, values)])
-        residual = self.comparison.residuals([hypothesis_of(fitted.effects, free)])[0]
+        residual = self.comparison.residuals([fitted.structure.hypothesis(free)])[0]
         rigid = self.judge.judge(replace(fitted, free=free, residual=residual))
         lead = lead_of(judged, rigid, strikes=effect.has_stops)
         before, after, limit = (
@@ -141,7 +141,7 @@ class Acceptance:
         later fit starts from one of them and may end at another; that optimum then fits equally
         well without the later effect.
         """
-        if not strikes(self.before.fitted.effects) or self._new(judged) > 1:
+        if not have_stops(self.before.fitted.effects) or self._new(judged) > 1:
             return True
         return self.believed(lead_of(judged, self._without(judged, judged.fitted.effects[-1])))
 
@@ -177,13 +177,12 @@ class Acceptance:
         best = self.judge.judge(polished(self.comparison, judged.fitted))
         best = self._pruned(best, self._new(judged))
         for effect in best.fitted.effects[: len(self.before.fitted.effects)]:
-            if effect.kind not in UNNAMED:
-                without = self._without(best, effect)
-                if not self.believed(lead_of(best, without)):
-                    rather = self.rather(best, effect)
-                    if rather is not None and rather.total < without.total:
-                        return rather, []
-                    return without, [effect]
+            without = self._without(best, effect)
+            if not self.believed(lead_of(best, without)):
+                rather = self.rather(best, effect)
+                if rather is not None and rather.total < without.total:
+                    return rather, []
+                return without, [effect]
         return best, []
 
     def rather(self, judged: Judged, effect: Effect) -> Judged | None:
@@ -197,15 +196,15 @@ class Acceptance:
         new = [
             (later, fitted.free[own])
             for later, own in zip(
-                fitted.effects[count:], slices_of(fitted.effects)[count:], strict=True
+                fitted.effects[count:], fitted.structure.slices[count:], strict=True
             )
         ]
         kept = [(e, v) for e, v in new if joint is None or joint_of(e) != joint]
         if not kept or len(kept) == len(new):
             return None
-        effects = (*fitted.effects[:count], *(e for e, _ in kept))
+        structure = fitted.structure.with_effects((*fitted.effects[:count], *(e for e, _ in kept)))
         start = np.concatenate([self.before.fitted.free, *(values for _, values in kept)])
-        return self.judge.judge(fit(self.comparison, effects, start))
+        return self.judge.judge(fit(self.comparison, structure, start))
 
     def _pruned(self, judged: Judged, new: int) -> Judged:
         """Drop those of several new effects that are insignificant by themselves."""
@@ -220,9 +219,10 @@ class Acceptance:
 
     def _change(self, judged: Judged) -> float:
         """Return the size of the new effects of a hypothesis, in the parameters' scales."""
-        effects, far = judged.fitted.effects, 0.0
+        structure, far = judged.fitted.structure, 0.0
+        effects = structure.effects
         first = len(effects) - max(self._new(judged), 0)
-        for effect, own in zip(effects[first:], slices_of(effects)[first:], strict=True):
+        for effect, own in zip(effects[first:], structure.slices[first:], strict=True):
             if effect.nothing is None:
                 return np.inf
             nothing = free_of(effect.parameters, np.array(effect.nothing))

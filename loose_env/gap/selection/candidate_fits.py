@@ -12,13 +12,11 @@ from loose_env.gap.fitting.gauss_newton import (
     Fit,
     cost_of,
     fit,
-    hypothesis_of,
-    parameters_of,
-    strikes,
 )
 from loose_env.gap.fitting.holdout_score import Judge, Judged, sureness_of
+from loose_env.gap.fitting.model_structure import ModelStructure
 from loose_env.gap.fitting.refit import refined
-from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effect import have_stops
 from loose_env.gap.model.effects.mjcf.sensor_columns import of_place_or_speed
 from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.residual_model import Comparison
@@ -98,7 +96,7 @@ class Trying:
     ) -> None:
         self.comparison, self.short, self.judge = comparison, short, judge
         self.before, self.settings = before.fitted, settings
-        self.beside_stops = strikes(before.fitted.effects)
+        self.beside_stops = have_stops(before.fitted.effects)
         """Whether a part with stops is there already, which makes everything take longer."""
         self._best: Fit | None = None
         """The best fit to the windows so far."""
@@ -107,7 +105,7 @@ class Trying:
     def short_before(self) -> Fit:
         """The current model on the windows, with sensitivities of its own."""
         residual = self.short.residuals([self.before.hypothesis])[0]
-        cost = cost_of(residual, self.before.free, parameters_of(self.before.effects))
+        cost = cost_of(residual, self.before.free, self.before.structure.parameters)
         return refined(replace(self.before, residual=residual, cost=cost), self.short)
 
     @cached_property
@@ -212,14 +210,16 @@ class Trying:
             The nominal model.
         """
         fitted, nominal = judged.fitted, len(base.free)
-        effects = (*base.effects, *fitted.effects[len(self.before.effects) :])
+        structure = base.structure.with_effects(
+            (*base.effects, *fitted.effects[len(self.before.effects) :])
+        )
         start = np.concatenate([base.free, fitted.free[len(self.before.free) :]])
         together = self.short.residuals([fitted.hypothesis])[0]
-        quick = fit(self.short, effects, start)
+        quick = fit(self.short, structure, start)
         if quick.residual @ quick.residual > _NEAR * float(together @ together):
             return None
         start = np.concatenate([base.free, quick.free[nominal:]])
-        return self.judge.judge(fit(self.comparison, effects, start, known=base.jacobian))
+        return self.judge.judge(fit(self.comparison, structure, start, known=base.jacobian))
 
     def in_place(self, screened: Sequence[Screened], rival: Fit) -> list[Judged]:
         """Fit candidates that may replace an effect of the model equally well, best first.
@@ -240,25 +240,25 @@ class Trying:
 
     def _to_windows(self, members: Sequence[Screened], *, both: bool = False) -> Fit:
         """Fit candidates jointly to the windows; a single candidate from both its starts."""
-        effects = (*self.before.effects, *(each.effect for each in members))
-        start, residual = self._start(effects, members)
+        structure = self.before.structure.plus(*(each.effect for each in members))
+        start, residual = self._start(structure, members)
         known = self.short_before.jacobian
-        found = fit(self.short, effects, start, known=known, residual=residual)
+        found = fit(self.short, structure, start, known=known, residual=residual)
         if both and members[0].second is not None:
             other = free_of(members[0].effect.parameters, np.array(members[0].second))
             other = np.concatenate([self.short_before.free, other])
-            again = fit(self.short, effects, other, known=self.short_before.jacobian)
+            again = fit(self.short, structure, other, known=self.short_before.jacobian)
             found = min((found, again), key=lambda f: f.cost)
         if len(members) == 1 and members[0].effect.shifts and self.slow is not None:
             # zero-order-hold commands make the accelerations' cost periodic in the delay, with one
             # local optimum per sample; positions and speeds have a single optimum
             known = self.short_before.jacobian * self.slow.weights[:, None]
-            first = fit(self.slow.comparison, effects, start, known=known)
-            again = fit(self.short, effects, first.free, known=self.short_before.jacobian)
+            first = fit(self.slow.comparison, structure, start, known=known)
+            again = fit(self.short, structure, first.free, known=self.short_before.jacobian)
             found = self._shifted(min((found, again), key=lambda f: f.cost))
         return found
 
-    def _start(self, effects: Sequence[Effect], members: Sequence[Screened]) -> tuple[Array, Array]:
+    def _start(self, structure: ModelStructure, members: Sequence[Screened]) -> tuple[Array, Array]:
         """Start from the screened values, or smaller ones if better: these are linearised."""
         at = [free_of(each.effect.parameters, np.array(each.values)) for each in members]
         none = [
@@ -275,10 +275,8 @@ class Trying:
             )
             for share in _NEARER
         ]
-        residuals = self.short.residuals([hypothesis_of(effects, free) for free in tried])
-        costs = [
-            cost_of(r, f, parameters_of(effects)) for r, f in zip(residuals, tried, strict=True)
-        ]
+        residuals = self.short.residuals([structure.hypothesis(free) for free in tried])
+        costs = [cost_of(r, f, structure.parameters) for r, f in zip(residuals, tried, strict=True)]
         best = int(np.nanargmin(np.nan_to_num(costs, nan=np.inf)))
         return tried[best], residuals[best]
 
@@ -293,15 +291,15 @@ class Trying:
         for shift in _SHIFTS:
             moved = parameter.clipped(value + shift / self.short.trials[0].rate)
             tried.append(np.append(fitted.free[:-1], free_of((parameter,), np.array([moved]))))
-        residuals = self.short.residuals([hypothesis_of(fitted.effects, free) for free in tried])
+        residuals = self.short.residuals([fitted.structure.hypothesis(free) for free in tried])
         best = int(np.argmin(np.sum(residuals**2, axis=1)))
         if np.sum(residuals[best] ** 2) >= fitted.residual @ fitted.residual:
             return fitted
-        again = fit(self.short, fitted.effects, tried[best], known=fitted.jacobian)
+        again = fit(self.short, fitted.structure, tried[best], known=fitted.jacobian)
         return min((fitted, again), key=lambda f: f.cost)
 
     def _to_all(self, each: Fit) -> Judged:
         """Fit the hypotheses that were fitted to the windows to all data."""
         start = np.concatenate([self.before.free, each.free[len(self.before.free) :]])
         known = self.before.jacobian
-        return self.judge.judge(fit(self.comparison, each.effects, start, known=known))
+        return self.judge.judge(fit(self.comparison, each.structure, start, known=known))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import fields, replace
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from loose_env.errors import UnknownName
 from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.fitting.holdout_score import Judged
+from loose_env.gap.fitting.model_structure import ModelStructure, Nuisance
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import Machine
@@ -24,11 +25,12 @@ def plain_judged(judged: Judged) -> dict[str, Any]:
     """Convert a scored fit to plain values, for `output.checkpoints.Stages`."""
     fitted = judged.fitted
     own = {each.name: getattr(fitted, each.name) for each in fields(fitted)}
+    del own["structure"]
     own["effects"] = [[e.kind, e.where, e.variant] for e in fitted.effects]
     return {each.name: getattr(judged, each.name) for each in fields(judged)} | {"fitted": own}
 
 
-def judged_of(kept: dict[str, Any], machine: Machine, given: Sequence[Effect]) -> Judged:
+def judged_of(kept: dict[str, Any], machine: Machine, nuisance: Nuisance) -> Judged:
     """Restore a scored fit.
 
     Parameters
@@ -37,16 +39,17 @@ def judged_of(kept: dict[str, Any], machine: Machine, given: Sequence[Effect]) -
         As of `plain_judged`.
     machine : Machine
         The nominal model.
-    given : sequence of Effect
-        Those not in the catalogue: the nominal parameters, the initial states of free runs.
+    nuisance : Nuisance
+        Nuisance parameters of the fit.
 
     Raises
     ------
     UnknownName
         If the catalogue no longer has an effect.
     """
-    effects = tuple(_effect(machine, given, *each) for each in kept["fitted"]["effects"])
-    fitted = Fit(**(kept["fitted"] | {"effects": effects}))
+    plain = dict(kept["fitted"])
+    effects = tuple(_effect(machine, *each) for each in plain.pop("effects"))
+    fitted = Fit(structure=ModelStructure(nuisance=nuisance, effects=effects), **plain)
     return Judged(**(kept | {"fitted": fitted}))
 
 
@@ -59,31 +62,31 @@ class KeepInFiles(Keep):
         The files.
     machine : Machine
         The nominal model.
-    given : sequence of Effect
-        As of `judged_of`.
+    nuisance : Nuisance
+        Nuisance parameters of the fits.
     prefix : str
         Prefix of the stage names, so that two searches do not share checkpoints.
     """
 
     def __init__(
-        self, stages: Stage, machine: Machine, given: Sequence[Effect], prefix: str = ""
+        self, stages: Stage, machine: Machine, nuisance: Nuisance, prefix: str = ""
     ) -> None:
-        self.stages, self.machine, self.given = stages, machine, tuple(given)
+        self.stages, self.machine, self.nuisance = stages, machine, nuisance
         self.prefix = prefix
 
     def judged(self, name: str, make: Callable[[], Judged]) -> Judged:
         """Return a scored fit, of this run or an earlier one."""
         kept = self.stages(self.prefix + name, lambda: plain_judged(make()))
-        return judged_of(kept, self.machine, self.given)
+        return judged_of(kept, self.machine, self.nuisance)
 
     def step(self, name: str, make: Callable[[], Step]) -> Step:
         """Return a step of the search, of this run or an earlier one."""
         kept = self.stages(self.prefix + name, lambda: _plain_step(make()))
         accepted = kept["accepted"]
         return Step(
-            rivals=[judged_of(each, self.machine, self.given) for each in kept["rivals"]],
-            accepted=None if accepted is None else judged_of(accepted, self.machine, self.given),
-            dropped=[_effect(self.machine, self.given, *each) for each in kept["dropped"]],
+            rivals=[judged_of(each, self.machine, self.nuisance) for each in kept["rivals"]],
+            accepted=None if accepted is None else judged_of(accepted, self.machine, self.nuisance),
+            dropped=[_effect(self.machine, *each) for each in kept["dropped"]],
         )
 
 
@@ -100,12 +103,7 @@ def _plain_step(step: Step) -> dict[str, Any]:
     }
 
 
-def _effect(
-    machine: Machine, given: Sequence[Effect], kind: str, where: str, variant: str
-) -> Effect:
-    for effect in given:
-        if effect.kind == kind:
-            return effect
+def _effect(machine: Machine, kind: str, where: str, variant: str) -> Effect:
     if kind not in CATALOGUE:
         raise UnknownName(f"unknown effect {kind!r}; the catalogue has {list(CATALOGUE)}")
     return CATALOGUE[kind](machine, where, variant)

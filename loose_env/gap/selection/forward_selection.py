@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-
-from loose_env.gap.fitting.gauss_newton import fit, strikes
+from loose_env.gap.fitting.gauss_newton import fit
 from loose_env.gap.fitting.holdout_score import Judge, Judged, Lead, lead_of
+from loose_env.gap.fitting.model_structure import ModelStructure, Nuisance
 from loose_env.gap.fitting.refit import fitted_on
-from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.parameter import free_of
+from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.residuals.windows import SHORTEST, windowed
 from loose_env.gap.selection.acceptance import Acceptance
@@ -77,7 +75,7 @@ class Keep:
 def name_effects(
     comparison: Comparison,
     held_out: Comparison,
-    given: Sequence[Effect],
+    nuisance: Nuisance,
     candidates: Sequence[Effect],
     *,
     settings: NamingSettings | None = None,
@@ -92,9 +90,8 @@ def name_effects(
     ----------
     comparison, held_out : Comparison
         The training runs and the held-out runs.
-    given : sequence of Effect
-        Effects fitted with every hypothesis: the nominal parameters, known within a tolerance, and
-        the initial states of free runs.
+    nuisance : Nuisance
+        Nuisance parameters, fitted with every hypothesis.
     candidates : sequence of Effect
         The catalogue at every location.
     settings : NamingSettings, optional
@@ -112,8 +109,10 @@ def name_effects(
     settings, keep = settings or NamingSettings(), keep or Keep()
     judge = Judge(comparison, held_out)
     if begun is None:
-        start = np.concatenate([free_of(e.parameters, np.array(e.starts[0])) for e in given])
-        base = keep.judged("nominal", lambda: judge.judge(fit(comparison, given, start)))
+        nominal = ModelStructure(nuisance=nuisance)
+        base = keep.judged(
+            "nominal", lambda: judge.judge(fit(comparison, nominal, nominal.nominal_start))
+        )
         found = Named(base=base)
         say(f"nominal model: {base.held_rms:.2f} noise standard deviations on held-out runs")
     else:
@@ -124,7 +123,7 @@ def name_effects(
     windows = SHORTEST * min(len(comparison.trials), settings.sorted_runs)
     short = windowed(comparison, max(settings.sorting, windows))
     for number in range(1, settings.most + 1):
-        if len(found.best.fitted.named) >= settings.most:
+        if len(found.best.fitted.effects) >= settings.most:
             break
         if found.best.structure_sureness < settings.structure and not found.best.loud:
             say("what is left does not hang together in time: nothing more to explain")
@@ -146,10 +145,10 @@ def name_effects(
             say(f"  {effect!r} is idle now and is left out")
         found.steps.append(step.accepted)
         found.dropped += step.dropped
-        if len(found.best.fitted.named) < settings.most and pause(found.best):
+        if len(found.best.fitted.effects) < settings.most and pause(found.best):
             found.unfinished = True
             return found
-    if 2 <= len(found.best.fitted.named) <= settings.exchanges:
+    if 2 <= len(found.best.fitted.effects) <= settings.exchanges:
         say("whether others do as well in the place of what was found")
         exchange = Exchange(comparison, short, judge, candidates, found.base, settings)
         better = keep.judged("exchanged", lambda: exchange.better_than(found.best, say))
@@ -181,7 +180,7 @@ def _step(
     for s in screened[:8]:
         say(f"  {s.effect!r}: promises {s.promise:.3f}, sureness {s.sureness:.1f}")
     much = best.structure > settings.much * found.base.structure or best.held_rms > settings.loud
-    much = much and not strikes(best.fitted.effects)  # each additional fit takes minutes there
+    much = much and not have_stops(best.fitted.effects)  # each additional fit takes minutes there
 
     def waves() -> Iterator[list[Judged]]:
         """Generate candidate fits in stages, until one is accepted."""
@@ -203,8 +202,8 @@ def _step(
         if much:
             say("  none of these will do: others that promised less")
             yield trying.singles(screened, further=True)
-        groups = frictions(screened, best.fitted.named)
-        if groups and best.held_rms > settings.mixed and not strikes(best.fitted.effects):
+        groups = frictions(screened, best.fitted.effects)
+        if groups and best.held_rms > settings.mixed and not have_stops(best.fitted.effects):
             say("  none of these will do: all frictions at one joint")
             yield trying.together(groups)
 
@@ -220,8 +219,8 @@ def _step(
                 say(f"  {judged.fitted.effects[-1]!r}: {doubt}")
                 continue
             accepted, dropped = acceptance.accept(judged)
-            earlier = list(best.fitted.named)
-            new = len(accepted.fitted.named) + len(dropped) - len(earlier)
+            earlier = list(best.fitted.effects)
+            new = len(accepted.fitted.effects) + len(dropped) - len(earlier)
             if any(judged is each for each in everywhere) and new < settings.several:
                 continue  # at one or two locations, adding them one at a time is better
             alone = trying.alone(judged, found.base.fitted) if earlier else None

@@ -45,7 +45,7 @@ def slight(hypothesis: Hypothesis, new: int) -> bool:
     >>> slight(both(0.002), 1), slight(both(0.2), 1)
     (True, False)
     """
-    pairs = list(zip(hypothesis.effects, hypothesis.values, strict=True))
+    pairs = list(hypothesis.pairs)
     earlier, added = pairs[:-new], pairs[-new:]
     return all(
         effect.immaterial(values)

@@ -12,12 +12,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from loose_env.gap.fitting.confidence_intervals import Intervals, bootstrap, widened
-from loose_env.gap.fitting.gauss_newton import slice_of
 from loose_env.gap.fitting.holdout_score import Judge, Judged, lead_of
 from loose_env.gap.fitting.profile_bounds import short_of_limit, short_of_nothing
 from loose_env.gap.fitting.refit import fit_without, polished, refined
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.preparation.prepare import Prepared
+from loose_env.gap.preparation.prepare import GapProblem
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.selection.acceptance import Acceptance
 from loose_env.gap.selection.candidate_fits import Trying
@@ -70,7 +69,7 @@ class Exchange:
         say : callable
             Receives progress messages, line by line.
         """
-        for effect in best.fitted.named:
+        for effect in best.fitted.effects:
             if not any(effect is each for each in best.fitted.effects):
                 continue  # an effect that a swap made insignificant
             if effect.has_stops and not self.settings.exchanges_stops:
@@ -78,7 +77,7 @@ class Exchange:
             better = self._in_place_of(effect, best)
             if better is not None:
                 before, after = (
-                    ", ".join(map(repr, judged.fitted.named)) for judged in (best, better)
+                    ", ".join(map(repr, judged.fitted.effects)) for judged in (best, better)
                 )
                 say(f"  {after} in the place of {before}")
                 best = better
@@ -110,7 +109,7 @@ class Exchange:
         self, judged: Judged, before: Judged, best: Judged, acceptance: Acceptance
     ) -> Judged:
         """Drop the effects of a hypothesis that its new one makes insignificant."""
-        for other in before.fitted.named:
+        for other in before.fitted.effects:
             without = self._without(judged, other)
             needed = acceptance.believed(lead_of(judged, without))
             if not needed and not acceptance.believed(lead_of(best, without)):
@@ -123,7 +122,7 @@ class Exchange:
 
 def sure_ones(
     best: Judged,
-    prepared: Prepared,
+    prepared: GapProblem,
     judge: Judge,
     seed: int,
     *,
@@ -135,7 +134,7 @@ def sure_ones(
     ----------
     best : Judged
         The hypothesis to improve.
-    prepared : Prepared
+    prepared : GapProblem
         The runs.
     judge : Judge
         Scores fits to ``prepared.fit``.
@@ -154,7 +153,7 @@ def sure_ones(
         rng = np.random.default_rng(seed)
         fitted = best.fitted
         found = bootstrap(prepared.fit, fitted, rng)
-        named = [(effect, slice_of(fitted.effects, effect)) for effect in fitted.named]
+        named = [(effect, fitted.structure.slice_of(effect)) for effect in fitted.effects]
         for effect, own in named:
             if found.may_be_nothing(effect, own):
                 found = short_of_limit(prepared.fit, fitted, found, effect)
@@ -168,6 +167,6 @@ def sure_ones(
         best = judged_without(doubtful[-1], best, prepared, judge)
 
 
-def judged_without(effect: Effect, judged: Judged, prepared: Prepared, judge: Judge) -> Judged:
+def judged_without(effect: Effect, judged: Judged, prepared: GapProblem, judge: Judge) -> Judged:
     """Refit to ``prepared.fit`` without one effect, with fresh sensitivities."""
     return judge.judge(refined(fit_without(prepared.fit, judged.fitted, effect), prepared.fit))

@@ -14,11 +14,12 @@ from itertools import chain, count
 
 import numpy as np
 
-from loose_env.gap.fitting.gauss_newton import cost_of, parameters_of, strikes
+from loose_env.gap.fitting.gauss_newton import cost_of
 from loose_env.gap.fitting.holdout_score import Judge, Judged
-from loose_env.gap.model.effect import Effect
+from loose_env.gap.fitting.model_structure import Nuisance
+from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.output.result import Ranked
-from loose_env.gap.preparation.prepare import Prepared
+from loose_env.gap.preparation.prepare import GapProblem
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.selection.forward_selection import Keep, Named, name_effects
 from loose_env.gap.selection.ranking import indistinct, ranking_of
@@ -37,9 +38,9 @@ what is slight and there shows in nearly every block of time, which what stands 
 class Searched:
     """Result of a search."""
 
-    prepared: Prepared
+    prepared: GapProblem
     """The runs."""
-    parts: tuple[tuple[Prepared, Named], ...]
+    parts: tuple[tuple[GapProblem, Named], ...]
     """The search and its continuations beside stops, each with the noise used."""
 
     @property
@@ -48,7 +49,7 @@ class Searched:
         return self.parts[-1][1]
 
     @property
-    def heard(self) -> Prepared:
+    def heard(self) -> GapProblem:
         """The runs with the noise used in the last part."""
         return self.parts[-1][0]
 
@@ -86,8 +87,8 @@ class Searched:
 
 
 def search(
-    prepared: Prepared,
-    given: Sequence[Effect],
+    prepared: GapProblem,
+    nuisance: Nuisance,
     sought: Sequence[Effect],
     *,
     settings: NamingSettings,
@@ -98,9 +99,9 @@ def search(
 
     Parameters
     ----------
-    prepared : Prepared
+    prepared : GapProblem
         The runs.
-    given, sought, settings, say
+    nuisance, sought, settings, say
         As of `loose_env.gap.selection.forward_selection.name_effects`, ``sought`` being its
         candidates.
     keep : callable
@@ -111,16 +112,16 @@ def search(
         return prepared.search.left_in_channels(judged.fitted.residual)
 
     def stops_leave(judged: Judged) -> bool:
-        return strikes(judged.fitted.named) and bool(left(judged).max() > settings.left)
+        return have_stops(judged.fitted.effects) and bool(left(judged).max() > settings.left)
 
     heard, own, pause, begun = prepared, settings, stops_leave, None
-    parts: list[tuple[Prepared, Named]] = []
+    parts: list[tuple[GapProblem, Named]] = []
     # terminates: each unfinished part either identifies one more effect or drops one for good
     for number in count(1):
         named = name_effects(
             heard.search,
             heard.held,
-            given,
+            nuisance,
             sought,
             settings=own,
             say=say,
@@ -169,7 +170,7 @@ def _judged_by(runs: Comparison, held: Comparison, own: Comparison, judged: Judg
             fitted,
             residual=residual,
             jacobian=fitted.jacobian * _times(own, runs)[:, None],
-            cost=cost_of(residual, fitted.free, parameters_of(fitted.effects)),
+            cost=cost_of(residual, fitted.free, fitted.structure.parameters),
         )
     )
 

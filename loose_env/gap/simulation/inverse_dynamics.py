@@ -226,7 +226,7 @@ class InverseDynamics:
             rigid = self._rigid(model, motions)
             extra = [self._dry(hypothesis, model, m) for m in motions]
             found = [r + e for r, e in zip(rigid, extra, strict=True)]
-        for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
+        for effect, own in hypothesis.pairs:
             if type(effect).sensed_torque is Effect.sensed_torque:
                 continue
             for torque in found:
@@ -262,7 +262,7 @@ class InverseDynamics:
         """Torques of dry friction, unmodelled drives and torque terms (E, joints)."""
         direction = np.tanh(motion.speed / np.maximum(motion.noise[1], 1e-12))
         found: Array = np.asarray(model.dof_frictionloss * direction)
-        for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
+        for effect, own in hypothesis.pairs:
             if type(effect).unseen_torque is not Effect.unseen_torque:
                 joint = self.machine.joint_number(effect.where)
                 found[:, joint] += effect.unseen_torque(
@@ -278,7 +278,7 @@ class InverseDynamics:
         """Motions, corrected for a hypothesis' sensor effects."""
         reading = [
             (effect, values)
-            for effect, values in zip(hypothesis.effects, hypothesis.values, strict=True)
+            for effect, values in hypothesis.pairs
             if type(effect).read is not Effect.read and self._motion_sensor(column_of(effect.where))
         ]
         if not reading:

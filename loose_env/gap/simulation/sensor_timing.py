@@ -55,7 +55,7 @@ def late_sensors(hypothesis: Hypothesis, channels: Sequence[Channel]) -> dict[st
     """Delayed sensors among the channels, each with its delay [s]."""
     shown = {channel.column for channel in channels}
     found: dict[str, float] = {}
-    for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
+    for effect, own in hypothesis.pairs:
         late = effect.lateness(own)
         if late is not None and late[1] > 0 and column_of(late[0]) in shown:
             found[late[0]] = found.get(late[0], 0.0) + late[1]
@@ -110,7 +110,7 @@ def commands_at(hypothesis: Hypothesis, clock: Array, controls: Array) -> Array:
     controls : ndarray (T, actuators)
         Input commands, held from their step to the next.
     """
-    for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
+    for effect, own in hypothesis.pairs:
         controls = effect.command_at(clock, controls, own)
     return controls
 

@@ -125,12 +125,12 @@ class Simulator:
     @staticmethod
     def _motion(hypothesis: Hypothesis) -> object:
         """Key of the motion: hypotheses that differ in readings alone share it."""
-        effects = zip(hypothesis.effects, hypothesis.values, strict=True)
         starts = (hypothesis.position, hypothesis.speed)
         return (
+            hypothesis.factors.tobytes(),
             *(
                 (id(effect), values.tobytes())
-                for effect, values in effects
+                for effect, values in hypothesis.pairs
                 if effect.moves or effect.lateness(values) is not None
             ),
             *(None if start is None else start.tobytes() for start in starts),
@@ -148,7 +148,7 @@ class Simulator:
         clock: Array = np.arange(steps, dtype=float) * first.step
         for k, slot in enumerate(slots):
             values, hypothesis = slot.trial.finer(parts).controls, slot.hypothesis
-            for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
+            for effect, own in hypothesis.pairs:
                 values = effect.command(clock, values, own)
             controls[k, :, : values.shape[1]] = values
         wild = np.zeros(len(slots), dtype=bool)
@@ -249,7 +249,7 @@ class Simulator:
             else:
                 forces = whole[:, model.nsensordata - len(self.machine.actuators) :]
                 readings[column] = forces @ self.machine.gears(name)
-        for effect, own in zip(hypothesis.effects, hypothesis.values, strict=True):
+        for effect, own in hypothesis.pairs:
             readings = effect.read(trial.time, readings, own)
         return np.stack(
             [

@@ -56,7 +56,7 @@ def torque_terms(hypothesis: Hypothesis, position: Array, speed: Array) -> Array
     """
     found = np.zeros(position.shape)
     with np.errstate(all="ignore"):  # a diverging simulation is detected from its state
-        for effect, values in zip(hypothesis.effects, hypothesis.values, strict=True):
+        for effect, values in hypothesis.pairs:
             if type(effect).torque is Effect.torque:
                 continue
             given = np.asarray(effect.torque(position, speed, values))

@@ -105,8 +105,7 @@ class Drive:
         machine = self.machine
         spec = machine.fresh()
         spec.option.timestep = step
-        for effect, values in zip(hypothesis.effects, hypothesis.values, strict=True):
-            effect.edit(spec, values)
+        hypothesis.edit(spec)
         for name in machine.actuators:
             actuator = spec.actuator(name)
             actuator.gainprm, actuator.biasprm = np.zeros(10), np.zeros(10)

@@ -8,8 +8,9 @@ from pathlib import Path
 from loose_env.gap.output.checkpoints import Stage, fresh
 from loose_env.gap.output.result import GapResult
 from loose_env.gap.settings import GapSettings
+from loose_env.gap.workflow.evidence import gather
 from loose_env.gap.workflow.pipeline import find_gap
-from loose_env.gap.workflow.summary import gather, outputs_of, result_of, write_model_and_result
+from loose_env.gap.workflow.summary import result_of, write_gap
 from loose_env.recording import Recording
 
 __all__ = ["explain_gap"]
@@ -63,10 +64,7 @@ def explain_gap(
     ... # doctest: +SKIP
     ('named', [('coulomb_friction', 'joint2')])
     """
-    settings = settings or GapSettings()
-    found = find_gap(recording, settings, say=say, stages=stages)
-    outputs = outputs_of(found, recording, settings)
-    result = result_of(outputs, gather(outputs, say=say))
+    solution = find_gap(recording, settings, say=say, stages=stages)
     if folder is not None:
-        write_model_and_result(Path(folder), outputs, result)
-    return result
+        return write_gap(folder, solution, say=say)[0]
+    return result_of(solution, gather(solution, say=say))

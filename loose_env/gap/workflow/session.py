@@ -16,25 +16,24 @@ from loose_env.arms import quiet
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.gap.diagnostics.residual_spectra import Series, series_of
 from loose_env.gap.fitting.confidence_intervals import bootstrap, widened
-from loose_env.gap.fitting.gauss_newton import UNNAMED, fit, slices_of
-from loose_env.gap.fitting.holdout_score import Judge, Judged, Lead, lead_of, machine_part
-from loose_env.gap.fitting.initial_state import StartState
+from loose_env.gap.fitting.gauss_newton import fit
+from loose_env.gap.fitting.holdout_score import Judge, Judged, Lead, lead_of
+from loose_env.gap.fitting.model_structure import ModelStructure, nuisance_of
 from loose_env.gap.fitting.refit import polished, refined
-from loose_env.gap.fitting.uncertain_parameters import NominalFigures
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import Machine
-from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.output.export_check import exported
 from loose_env.gap.output.export_mjcf import correction_code, write_model
 from loose_env.gap.output.result import NamedEffect, html_table
-from loose_env.gap.preparation.prepare import Prepared, prepare
+from loose_env.gap.preparation.prepare import GapProblem, prepare
 from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.selection.acceptance import Acceptance
 from loose_env.gap.selection.candidate_fits import Trying
 from loose_env.gap.selection.screening.data_driven_starts import missing_torque, proposals
 from loose_env.gap.selection.screening.screening import Screened, screen
 from loose_env.gap.settings import GapSettings, NamingSettings
+from loose_env.gap.workflow.pipeline import named_effects
 from loose_env.recording import Recording
 from loose_env.typing import Array
 
@@ -116,7 +115,7 @@ class GapSession:
 
     Attributes
     ----------
-    prepared : Prepared
+    prepared : GapProblem
         Aligned and split runs, the chosen step, the noise.
     nominal : Judged
         The nominal model, fitted within the tolerance.
@@ -170,16 +169,16 @@ class GapSession:
         say: Say = lambda _: None,
     ) -> None:
         self.settings, self.say = settings or GapSettings(), say
-        self._recording, self._naming = recording, NamingSettings()
+        self._naming = NamingSettings()
         with quiet():  # diverging simulations are part of a fit
-            self.prepared: Prepared = prepare(recording, self.settings)
+            self.prepared: GapProblem = prepare(recording, self.settings)
             search = self.prepared.search
-            start = StartState(self.machine, search.trials, search.channels)
-            nominal = NominalFigures(self.machine, tolerance=self.settings.tolerance)
-            given: list[Effect] = [start, nominal] if start.moving else [nominal]
-            free = [free_of(e.parameters, np.array(e.starts[0])) for e in given]
+            tolerance = self.settings.tolerance
+            nominal = ModelStructure(
+                nuisance=nuisance_of(search, self.machine, tolerance=tolerance)
+            )
             self._judge = Judge(search, self.prepared.whole_held)
-            self.nominal = self._judge.judge(fit(search, given, np.concatenate(free)))
+            self.nominal = self._judge.judge(fit(search, nominal, nominal.nominal_start))
         self.best = self.nominal
         say(f"nominal model: {self.nominal.held_rms:.2f} noise standard deviations held out")
 
@@ -191,7 +190,7 @@ class GapSession:
     @property
     def added(self) -> tuple[Effect, ...]:
         """Effects added so far."""
-        return self.best.fitted.named
+        return self.best.fitted.effects
 
     def try_effect(
         self,
@@ -293,30 +292,12 @@ class GapSession:
             fitted = refined(self.best.fitted, search)
             rng = np.random.default_rng(self.settings.seed)
             intervals = widened(search, fitted, bootstrap(search, fitted, rng))
-        found = []
-        for effect, own in zip(fitted.effects, slices_of(fitted.effects), strict=True):
-            if effect.kind in UNNAMED:
-                continue
-            names = [p.name for p in effect.parameters]
-            ends = zip(intervals.low[own].tolist(), intervals.high[own].tolist(), strict=True)
-            found.append(
-                NamedEffect(
-                    kind=effect.kind,
-                    where=effect.where,
-                    parameters=_by_name(effect, values_of(effect.parameters, fitted.free[own])),
-                    interval_95=dict(zip(names, ends, strict=True)),
-                    units={p.name: p.unit for p in effect.parameters},
-                    variant=effect.variant,
-                    in_model=effect.in_model,
-                )
-            )
-        return tuple(found)
+        return named_effects(fitted, intervals)
 
     @property
     def code(self) -> str:
         """Python lines that apply effects which MJCF cannot express; "" if none."""
-        machine = machine_part(self.best)
-        return correction_code(machine.effects, machine.values)
+        return correction_code(self.best.fitted.hypothesis)
 
     def write_model(self, path: str | Path) -> list[Path]:
         """Write the model with the added effects, and the files it needs beside it.
@@ -326,17 +307,16 @@ class GapSession:
         InvalidData
             If it does not compile.
         """
-        machine = machine_part(self.best)
-        own = exported(self.prepared.whole_held, machine, self.best.held_residual)
+        corrected = self.best.fitted.hypothesis.of_model
+        own = exported(self.prepared.whole_held, corrected, self.best.held_residual)
         for words in own.words():
             self.say(f"warning: {words}")
         return write_model(
             Path(path),
             self.machine,
-            machine.effects,
-            machine.values,
+            corrected,
             step=own.step,
-            source=self._recording.model_path,
+            source=self.prepared.model_path,
         )
 
     def _effects(self, effect: Effect | type[Effect] | str, where: str | None) -> list[Effect]:
@@ -370,18 +350,13 @@ class GapSession:
     def _tried(self, judged: Judged) -> Tried:
         fitted, search = judged.fitted, self.prepared.search
         acceptance = Acceptance(search, self._judge, self.nominal, self.best, self._naming)
-        effect, own = fitted.effects[-1], slices_of(fitted.effects)[-1]
+        effect, values = fitted.hypothesis.pairs[-1]
         return Tried(
             effect=effect,
-            parameters=_by_name(effect, values_of(effect.parameters, fitted.free[own])),
+            parameters={p.name: float(v) for p, v in zip(effect.parameters, values, strict=True)},
             held_out=judged.held_rms,
             before=self.best.held_rms,
             lead=lead_of(judged, self.best),
             believed=acceptance.worth_naming(judged) and not acceptance.doubt(judged),
             judged=judged,
         )
-
-
-def _by_name(effect: Effect, values: Array) -> dict[str, float]:
-    """Map the names of the parameters to values (P,)."""
-    return {p.name: float(v) for p, v in zip(effect.parameters, values, strict=True)}

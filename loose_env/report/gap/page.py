@@ -11,8 +11,8 @@ import numpy as np
 from loose_env.gap import (
     Dependence,
     Evidence,
-    GapOutputs,
     GapResult,
+    GapSolution,
     JointMotion,
     main_band,
     strongest,
@@ -53,7 +53,9 @@ _BARS = 24
 """Channels whose gap is drawn."""
 
 
-def write_gap_page(path: Path, outputs: GapOutputs, evidence: Evidence, result: GapResult) -> Path:
+def write_gap_page(
+    path: Path, solution: GapSolution, evidence: Evidence, result: GapResult
+) -> Path:
     """Write the page, beside its final name first.
 
     Raises
@@ -61,15 +63,15 @@ def write_gap_page(path: Path, outputs: GapOutputs, evidence: Evidence, result: 
     MissingExtra
         If jinja2 or matplotlib is not installed.
     """
-    return write_whole(path, render_gap_page(outputs, evidence, result))
+    return write_whole(path, render_gap_page(solution, evidence, result))
 
 
-def render_gap_page(outputs: GapOutputs, evidence: Evidence, result: GapResult) -> str:
+def render_gap_page(solution: GapSolution, evidence: Evidence, result: GapResult) -> str:
     """Return the page that `write_gap_page` writes."""
     groups = [
         _gap_group(evidence, result),
-        spectra_group(outputs, evidence, result),
-        _motion_group(outputs, evidence),
+        spectra_group(solution, evidence, result),
+        _motion_group(solution, evidence),
         _location_group(evidence),
         _ranking_group(result),
         _left_group(result),
@@ -80,7 +82,7 @@ def render_gap_page(outputs: GapOutputs, evidence: Evidence, result: GapResult) 
     page: str = template("loose_env.report/gap_page.html").render(
         title=headline(result),
         kicker=" · ".join(
-            filter(None, [outputs.recording, "where model and measurement disagree"])
+            filter(None, [solution.problem.recording, "where model and measurement disagree"])
         ),
         text=[],
         questions=_questions(result),
@@ -145,15 +147,15 @@ def _gap_group(evidence: Evidence, result: GapResult) -> dict[str, Any]:
     )
 
 
-def _motion_group(outputs: GapOutputs, evidence: Evidence) -> dict[str, Any]:
+def _motion_group(solution: GapSolution, evidence: Evidence) -> dict[str, Any]:
     """Residual against position, velocity and load, as torque where the motion allows it."""
     cards = []
-    for joint, number in _joints_to_show(outputs, evidence):
+    for joint, number in _joints_to_show(solution, evidence):
         motions = evidence.motions_held
         card = _torque_card(motions, joint, number)
         if card is not None:
             cards.append(card)
-    reading = _reading_card(outputs, evidence)
+    reading = _reading_card(solution, evidence)
     if reading is not None:
         cards.append(reading)
     return group(
@@ -164,10 +166,10 @@ def _motion_group(outputs: GapOutputs, evidence: Evidence) -> dict[str, Any]:
     )
 
 
-def _joints_to_show(outputs: GapOutputs, evidence: Evidence) -> list[tuple[str, int]]:
+def _joints_to_show(solution: GapSolution, evidence: Evidence) -> list[tuple[str, int]]:
     """Joints of the named effects, or the one with the largest torque unexplained."""
-    joints = outputs.machine.joints
-    named = [e.where for e in outputs.effects if e.where in joints]
+    joints = solution.problem.machine.joints
+    named = [e.where for e in solution.effects if e.where in joints]
     if not named:
         gaps = [g for g in evidence.location.joints if np.isfinite(g.missing / g.floor)]
         worst = max(gaps, key=lambda g: g.missing / max(g.floor, 1e-12), default=None)
@@ -199,10 +201,10 @@ def _torque_card(motions: Sequence[JointMotion], joint: str, number: int) -> Fig
     )
 
 
-def _reading_card(outputs: GapOutputs, evidence: Evidence) -> FigureCard | None:
+def _reading_card(solution: GapSolution, evidence: Evidence) -> FigureCard | None:
     """Residual of the worst channel, before and after."""
-    before = by_channel(outputs, outputs.base.held_residual)
-    after = by_channel(outputs, outputs.best.held_residual)
+    before = by_channel(solution, solution.base.held_residual)
+    after = by_channel(solution, solution.best.held_residual)
     gaps = {
         name: np.sqrt(np.mean(np.concatenate([s.residual for s in many]) ** 2))
         for name, many in before.items()
@@ -211,11 +213,11 @@ def _reading_card(outputs: GapOutputs, evidence: Evidence) -> FigureCard | None:
         return None
     channel = max(gaps, key=lambda name: float(gaps[name]))
     motions, many = evidence.motions_held, before[channel]
-    joint = _joint_of(evidence, channel, outputs)
+    joint = _joint_of(evidence, channel, solution)
     units = _UNITS[motions[0].units[joint]]
     panels = [
         (
-            f"{name} of {outputs.machine.joints[joint]} [{units[name]}]",
+            f"{name} of {solution.problem.machine.joints[joint]} [{units[name]}]",
             np.concatenate([motions[s.trial].at(name, joint, s.time) for s in many]),
         )
         for name in _PANELS
@@ -236,7 +238,7 @@ def _reading_card(outputs: GapOutputs, evidence: Evidence) -> FigureCard | None:
     )
 
 
-def _joint_of(evidence: Evidence, channel: str, outputs: GapOutputs) -> int:
+def _joint_of(evidence: Evidence, channel: str, solution: GapSolution) -> int:
     """Joint against whose motion a channel's residual is drawn."""
     own = [g for g in evidence.location.channels if g.channel == channel]
     found: Dependence | None = None
@@ -244,7 +246,7 @@ def _joint_of(evidence: Evidence, channel: str, outputs: GapOutputs) -> int:
         each = strongest(gap.depends)
         if each is not None and (found is None or each.share > found.share):
             found = each
-    return outputs.machine.joints.index(found.of) if found is not None else 0
+    return solution.problem.machine.joints.index(found.of) if found is not None else 0
 
 
 def _location_group(evidence: Evidence) -> dict[str, Any]:

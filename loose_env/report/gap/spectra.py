@@ -9,8 +9,8 @@ import numpy as np
 
 from loose_env.gap import (
     Evidence,
-    GapOutputs,
     GapResult,
+    GapSolution,
     Series,
     StruckChannel,
     in_bands,
@@ -29,19 +29,19 @@ _SPECTRA = 4
 """Channels whose spectra are drawn."""
 
 
-def by_channel(outputs: GapOutputs, residual: Array) -> dict[str, list[Series]]:
+def by_channel(solution: GapSolution, residual: Array) -> dict[str, list[Series]]:
     """Series of a residual on the held-out runs, those of each channel together."""
-    held = outputs.held
+    held = solution.problem.whole_held
     found: dict[str, list[Series]] = {}
     for series in series_of(residual, held.rows, held.trials, held.channels):
         found.setdefault(series.channel, []).append(series)
     return found
 
 
-def spectra_group(outputs: GapOutputs, evidence: Evidence, result: GapResult) -> dict[str, Any]:
+def spectra_group(solution: GapSolution, evidence: Evidence, result: GapResult) -> dict[str, Any]:
     """Section with the spectra of the channels that disagree most."""
-    before = _spectra(by_channel(outputs, outputs.base.held_residual), evidence.struck_before)
-    after = _spectra(by_channel(outputs, outputs.best.held_residual), evidence.struck_after)
+    before = _spectra(by_channel(solution, solution.base.held_residual), evidence.struck_before)
+    after = _spectra(by_channel(solution, solution.best.held_residual), evidence.struck_after)
     worst = sorted(result.gap.by_channel, key=lambda c: -result.gap.by_channel[c][0])
     cards = [
         FigureCard(

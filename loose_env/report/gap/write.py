@@ -1,4 +1,4 @@
-"""All that a comparison of model and measurement writes into its folder."""
+"""The report of a comparison of model and measurement, beside its other files."""
 
 from __future__ import annotations
 
@@ -6,53 +6,39 @@ from collections.abc import Callable
 from pathlib import Path
 
 from loose_env.errors import MissingExtra
-from loose_env.gap import GapOutputs, GapResult, gather, result_of, write_model_and_result
+from loose_env.gap import Evidence, GapResult, GapSolution
 from loose_env.report.gap.page import write_gap_page
 
-__all__ = ["write_outputs"]
+__all__ = ["write_gap_report"]
 
 
-def write_outputs(
-    folder: str | Path, outputs: GapOutputs, *, say: Callable[[str], None] = lambda _: None
-) -> tuple[GapResult, list[Path]]:
-    """Write ``model.xml``, ``report.html`` and ``result.json``, each whole, the result last.
+def write_gap_report(
+    folder: Path,
+    solution: GapSolution,
+    evidence: Evidence,
+    result: GapResult,
+    *,
+    say: Callable[[str], None] = lambda _: None,
+) -> Path | None:
+    """Write ``report.html``; None where it cannot be drawn or written.
 
-    Without jinja2 and matplotlib the page is left out, and so it is where it cannot be drawn or
-    written: a search may have taken hours, and its model and result are worth more.
+    A search may have taken hours, and its model and result are worth more than the page: whatever
+    it fails by is said, not raised, and an earlier page does not stay.
 
     Parameters
     ----------
-    folder : str or Path
-        Where they go; made where there is none.
-    outputs : GapOutputs
-        The finished comparison.
+    folder : Path
+        Where it goes.
+    solution, evidence, result
+        As of `loose_env.gap.write_gap`, whose ``report`` this is.
     say : callable
-        Told what goes on, line by line.
-
-    Returns
-    -------
-    tuple
-        The result, and the files written.
-
-    Raises
-    ------
-    InvalidData
-        If the corrected model does not compile.
+        Receives the reason why there is no page.
     """
-    place = Path(folder)
-    evidence = gather(outputs, say=say)
-    result = result_of(outputs, evidence)
-    # An earlier result must not stand beside a later model if this run is cut short.
-    place.joinpath("result.json").unlink(missing_ok=True)
-    say("writing the model, the result and the page")
-    pages = []
     try:
-        pages.append(write_gap_page(place / "report.html", outputs, evidence, result))
+        return write_gap_page(folder / "report.html", solution, evidence, result)
     except MissingExtra as error:
         say(f"no report.html: {error}")
     except Exception as error:  # whatever a page fails by, model and result do not need it
         say(f"no report.html: {type(error).__name__}: {error}")
-    if not pages:  # nor must an earlier page
-        place.joinpath("report.html").unlink(missing_ok=True)
-    *models, file = write_model_and_result(place, outputs, result)
-    return result, [*models, *pages, file]
+    folder.joinpath("report.html").unlink(missing_ok=True)
+    return None

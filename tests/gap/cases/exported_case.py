@@ -10,16 +10,15 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.fitting.holdout_score import Judge, Judged
-from loose_env.gap.fitting.uncertain_parameters import NominalFigures
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.preparation.prepare import Prepared, prepare
+from loose_env.gap.preparation.prepare import GapProblem, prepare
 from loose_env.gap.settings import GapSettings
 from loose_env.recording import Run, write_recording
 from tests.gap.cases.effect_arms import PLANAR
 from tests.gap.cases.gap_case import stated
 
 
-def prepared_arm(folder: Path, *, rate: float = 1000.0, first: float = 0.0) -> Prepared:
+def prepared_arm(folder: Path, *, rate: float = 1000.0, first: float = 0.0) -> GapProblem:
     """Runs that begin at rest under the first command, of an arm with friction of 3 N·m·s/rad.
 
     Parameters
@@ -60,9 +59,7 @@ def prepared_arm(folder: Path, *, rate: float = 1000.0, first: float = 0.0) -> P
     return prepare(recording, GapSettings(threads=1, kinds=("viscous_friction",)))
 
 
-def judged_with(prepared: Prepared, effect: Effect, values: Sequence[float]) -> Judged:
-    """The nominal figures with an effect, as if that had been fitted."""
-    nominal = NominalFigures(prepared.machine, tolerance=0.03)
-    ones = np.ones(len(nominal.parameters))
+def judged_with(prepared: GapProblem, effect: Effect, values: Sequence[float]) -> Judged:
+    """The nominal model with an effect, as if that had been fitted."""
     judge = Judge(prepared.fit, prepared.whole_held)
-    return judge.judge(stated(prepared.fit, [nominal, effect], [ones, np.array(values)]))
+    return judge.judge(stated(prepared.fit, [effect], [np.array(values)]))

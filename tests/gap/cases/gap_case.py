@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
@@ -11,14 +12,18 @@ from loose_env.gap.data.aligned_run import channels_of, lay_out
 from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.fitting.holdout_score import Judge
-from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.fitting.model_structure import ModelStructure, Nuisance
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.friction import ViscousFriction
 from loose_env.gap.model.effects.sensors import SensorGain
 from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_parameters import NominalParameters
+from loose_env.gap.model.parameter import free_of
 from loose_env.gap.output.result import NamedEffect, Place, Ranked
+from loose_env.gap.preparation.prepare import GapProblem
 from loose_env.gap.residuals.residual_model import Comparison
-from loose_env.gap.workflow.summary import GapOutputs
+from loose_env.gap.settings import GapSettings
+from loose_env.gap.workflow.pipeline import GapSolution
 from loose_env.recording import Recording, Run, write_recording
 from loose_env.typing import Array
 from tests.gap.cases.effect_arms import PLANAR
@@ -62,16 +67,20 @@ def record(folder: Path, *, runs: int = 3) -> Recording:
     return write_recording(folder, model_xml=MODEL, runs=found, file_format="csv")
 
 
-def stated(comparison: Comparison, effects: list[Effect], values: list[Array]) -> Fit:
-    """A fit that was stated and not searched for."""
-    parameters = [p for effect in effects for p in effect.parameters]
-    free = np.array([p.free(v) for p, v in zip(parameters, np.concatenate(values), strict=True)])
-    fitted = Fit(
-        effects=tuple(effects), free=free, residual=np.zeros(0), jacobian=np.zeros((0, 0)), cost=0.0
-    )
-    residual = comparison.residuals([fitted.hypothesis])[0]
+def nominal_structure(machine: Machine, *, tolerance: float = 0.03) -> ModelStructure:
+    """The nominal model with its uncertain parameters, without initial states."""
+    nominal = NominalParameters(machine, tolerance=tolerance)
+    return ModelStructure(nuisance=Nuisance(nominal=nominal))
+
+
+def stated(comparison: Comparison, effects: Sequence[Effect], values: Sequence[Array]) -> Fit:
+    """Effects beside the nominal parameters as they are, stated and not searched for."""
+    structure = nominal_structure(comparison.machine).with_effects(effects)
+    own = [free_of(e.parameters, v) for e, v in zip(effects, values, strict=True)]
+    free = np.concatenate([structure.nominal_start, *own])
+    residual = comparison.residuals([structure.hypothesis(free)])[0]
     return Fit(
-        effects=fitted.effects,
+        structure=structure,
         free=free,
         residual=residual,
         jacobian=np.zeros((len(residual), len(free))),
@@ -79,7 +88,7 @@ def stated(comparison: Comparison, effects: list[Effect], values: list[Array]) -
     )
 
 
-def outputs_for(recording: Recording) -> GapOutputs:
+def solution_for(recording: Recording) -> GapSolution:
     """The comparison as a search would have ended; the last run is held out."""
     machine = Machine(recording.spec(), step=STEP)
     channels = channels_of(list(recording.runs))
@@ -90,18 +99,16 @@ def outputs_for(recording: Recording) -> GapOutputs:
     fitted = Comparison(machine, trials[:-1], channels, floors, threads=1)
     held = Comparison(machine, trials[-1:], channels, floors, threads=1)
     judge = Judge(fitted, held)
-    nominal = NominalFigures(machine, tolerance=0.03)
-    ones = np.ones(len(nominal.parameters))
     friction, gain = ViscousFriction(machine, "joint2"), SensorGain(machine, "rate3")
-    values = [ones, np.array([DAMPING]), np.array([GAIN])]
-    base = judge.judge(stated(fitted, [nominal], values[:1]))
-    best = judge.judge(stated(fitted, [nominal, friction, gain], values))
-    return GapOutputs(
-        machine=machine,
-        fit=fitted,
-        held=held,
-        base=base,
-        best=best,
+    values = [np.array([DAMPING]), np.array([GAIN])]
+    return GapSolution(
+        problem=GapProblem(
+            settings=GapSettings(tolerance=0.03, seed=1, threads=1), machine=machine,
+            integration=None, search=fitted, fit=fitted, held=held, whole_held=held,
+            recording=recording.folder.name, model_path=recording.model_path,
+        ),
+        base=judge.judge(stated(fitted, [], [])),
+        best=judge.judge(stated(fitted, [friction, gain], values)),
         verdict="named",
         effects=(
             NamedEffect(
@@ -120,8 +127,4 @@ def outputs_for(recording: Recording) -> GapOutputs:
             Ranked(kind="sensor_gain", where="rate3", held_out=1.0, bic=-90.0, step=2, lead=9.0),
         ),
         warnings=("the step is coarse",),
-        settings={"tolerance": 0.03, "seed": 1},
-        model_path=recording.model_path,
-        recording=recording.folder.name,
-        threads=1,
     )  # fmt: skip

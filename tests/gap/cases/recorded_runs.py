@@ -10,9 +10,8 @@ from scipy.integrate import solve_ivp
 
 from loose_env.gap.data.aligned_run import channels_of, lay_out
 from loose_env.gap.data.noise_floor import noise_floor
-from loose_env.gap.fitting.gauss_newton import Fit, fit, hypothesis_of
-from loose_env.gap.fitting.initial_state import StartState
-from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.fitting.gauss_newton import Fit, fit
+from loose_env.gap.fitting.model_structure import ModelStructure, nuisance_of
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.model.parameter import free_of
@@ -153,18 +152,9 @@ def compared(machine: Machine, runs: Sequence[Run], step: float = 0.0025) -> Com
 def fitted(
     comparison: Comparison, effects: Sequence[Effect], *, start: int = 0, tolerance: float = 0.005
 ) -> tuple[Fit, list[Array]]:
-    """Fit effects beside the nominal figures and the starts; values of each of the effects."""
-    figures = NominalFigures(comparison.machine, tolerance=tolerance)
-    starts = StartState(comparison.machine, comparison.trials, comparison.channels)
-    everything = [starts, figures, *effects]
-    begin = [
-        starts.starts[0],
-        figures.starts[0],
-        *(e.starts[start % len(e.starts)] for e in effects),
-    ]
-    free = np.concatenate(
-        [free_of(e.parameters, np.array(s)) for e, s in zip(everything, begin, strict=True)]
-    )
-    found = fit(comparison, everything, free)
-    values = hypothesis_of(found.effects, found.free).values
-    return found, list(values[1:])
+    """Fit effects beside the nuisance parameters; values of each of the effects."""
+    nuisance = nuisance_of(comparison, comparison.machine, tolerance=tolerance)
+    structure = ModelStructure(nuisance=nuisance, effects=tuple(effects))
+    begin = [free_of(e.parameters, np.array(e.starts[start % len(e.starts)])) for e in effects]
+    found = fit(comparison, structure, np.concatenate([structure.nominal_start, *begin]))
+    return found, list(found.hypothesis.values)

@@ -8,8 +8,6 @@ import numpy as np
 from loose_env.gap.data.aligned_run import Channel, lay_out
 from loose_env.gap.diagnostics.experiment_advice import how_to_see, identifiability_words
 from loose_env.gap.diagnostics.identifiability import identifiability
-from loose_env.gap.fitting.gauss_newton import Fit
-from loose_env.gap.fitting.uncertain_parameters import NominalFigures
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.hypothesis import Hypothesis
@@ -57,11 +55,8 @@ def swings(seconds: float, size: float = 0.6, rate: float = 5.0) -> Array:
 def found_on(
     comparison: Comparison, effects: list[Effect], values: list[Array], kinds: list[str]
 ) -> Identifiability:
-    machine = comparison.machine
-    nominal = NominalFigures(machine, tolerance=0.03)
-    ones = np.ones(len(nominal.parameters))
-    fitted: Fit = stated(comparison, [nominal, *effects], [ones, *values])
-    return identifiability(comparison, fitted, candidates(machine, kinds))
+    fitted = stated(comparison, effects, values)
+    return identifiability(comparison, fitted, candidates(comparison.machine, kinds))
 
 
 def test_a_joint_that_turns_round_shows_its_friction_and_one_that_stands_does_not() -> None:

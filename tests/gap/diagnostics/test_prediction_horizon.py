@@ -43,7 +43,7 @@ def commanded(own: Machine) -> Trial:
 
 def hypothesis_of(effect: Effect | None, values: Array | None = None) -> Hypothesis:
     if effect is None:
-        return Hypothesis(effects=(), values=())
+        return Hypothesis()
     own = np.array(effect.starts[0]) if values is None else values
     return Hypothesis(effects=(effect,), values=(own,))
 

@@ -10,6 +10,8 @@ import pytest
 
 from loose_env.gap.fitting.confidence_intervals import Intervals, bootstrap, widened
 from loose_env.gap.fitting.gauss_newton import Fit
+from loose_env.gap.fitting.model_structure import ModelStructure
+from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.parameter import free_of
 from tests.gap.cases.effect_arms import machine_of
@@ -73,20 +75,25 @@ def test_an_interval_that_reaches_the_limit_of_an_effect_includes_nothing(
     assert effect.vanishes(low, high)
 
 
+def fit_of(effect: Effect, free: np.ndarray, residual: np.ndarray) -> Fit:
+    """A fit of one effect whose number changes every reading alike."""
+    return Fit(
+        structure=ModelStructure(effects=(effect,)), free=free, residual=residual,
+        jacobian=np.ones((len(residual), 1)), cost=0.0,
+    )  # fmt: skip
+
+
 def test_runs_that_disagree_widen_an_interval_and_never_to_nothing() -> None:
     machine = machine_of("planar")
     effect = CATALOGUE["coulomb_friction"](machine, "joint2")
     scale = effect.parameters[0].scale
     rng = np.random.default_rng(5)
     rows, runs = 300, 3
-    jacobian = np.ones((rows, 1))
     residual = rng.normal(0.0, 0.1, rows) + np.repeat([-1.5, 0.0, 1.5], rows // runs)
     comparison = SimpleNamespace(
         rows=SimpleNamespace(trial=np.repeat(np.arange(runs), rows // runs))
     )
-    fitted = SimpleNamespace(
-        effects=(effect,), free=np.array([1.0]), jacobian=jacobian, residual=residual
-    )
+    fitted = fit_of(effect, np.array([1.0]), residual)
     narrow = Intervals(
         low=np.array([0.9 * scale]),
         high=np.array([1.1 * scale]),
@@ -98,17 +105,15 @@ def test_runs_that_disagree_widen_an_interval_and_never_to_nothing() -> None:
     assert wide.high[0] > 1.5 * narrow.high[0]
     # data without a contradiction are still no surer than the law itself
     sharp = replace(narrow, low=np.array([scale]), high=np.array([scale]))
-    fitted.residual = np.zeros(rows)
-    least = widened(comparison, fitted, sharp)  # type: ignore[arg-type]
+    exact = replace(fitted, residual=np.zeros(rows))
+    least = widened(comparison, exact, sharp)  # type: ignore[arg-type]
     assert (least.low[0], least.high[0]) == pytest.approx((0.995 * scale, 1.005 * scale))
 
 
 def test_no_interval_comes_to_hold_nothing_because_no_law_is_exact() -> None:
     effect = CATALOGUE["sensor_gain"](machine_of("planar"), "encoder1")
     free = free_of(effect.parameters, np.array([1.003]))
-    fitted = SimpleNamespace(
-        effects=(effect,), free=free, jacobian=np.ones((9, 1)), residual=np.zeros(9)
-    )
+    fitted = fit_of(effect, free, np.zeros(9))
     narrow = Intervals(
         low=np.array([1.00299]), high=np.array([1.00301]), free=free, covariance=np.eye(1)
     )
@@ -121,9 +126,7 @@ def test_no_interval_comes_to_hold_nothing_because_no_law_is_exact() -> None:
 def test_a_gain_of_a_twentieth_is_known_to_half_a_percent_of_itself() -> None:
     effect = CATALOGUE["actuator_gain"](machine_of("planar"), "servo1")
     free = free_of(effect.parameters, np.array([0.05]))
-    fitted = SimpleNamespace(
-        effects=(effect,), free=free, jacobian=np.ones((9, 1)), residual=np.zeros(9)
-    )
+    fitted = fit_of(effect, free, np.zeros(9))
     value = np.full(1, 0.05)
     narrow = Intervals(low=value, high=value, free=free, covariance=np.eye(1))
     comparison = SimpleNamespace(rows=SimpleNamespace(trial=np.zeros(9, dtype=int)))
@@ -139,7 +142,7 @@ def test_what_the_data_do_not_answer_to_may_be_anything(first: float, nothing: b
     assert count == 2
     jacobian = np.stack([rng.normal(size=2000), np.zeros(2000)], axis=1)
     fitted = Fit(
-        effects=(effect,),
+        structure=ModelStructure(effects=(effect,)),
         free=np.array([first, 0.5]),  # nobody knows why the second one is not zero
         residual=rng.normal(size=2000),
         jacobian=jacobian,

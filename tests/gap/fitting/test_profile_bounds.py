@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from loose_env.gap.fitting.confidence_intervals import Intervals
-from loose_env.gap.fitting.gauss_newton import slices_of
 from loose_env.gap.fitting.holdout_score import Judged
 from loose_env.gap.fitting.profile_bounds import short_of_limit, short_of_nothing
 from loose_env.gap.model.effects.catalogue import CATALOGUE
@@ -27,10 +26,10 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
 def to_the_limit(judged: Judged) -> Intervals:
     """Intervals that say nothing of the last effect: each goes from bound to bound."""
     fitted = judged.fitted
-    parameters = [p for effect in fitted.effects for p in effect.parameters]
-    values = values_of(tuple(parameters), fitted.free)
+    parameters = fitted.structure.parameters
+    values = values_of(parameters, fitted.free)
     low, high = values.copy(), values.copy()
-    own = slices_of(fitted.effects)[-1]
+    own = fitted.structure.slices[-1]
     low[own], high[own] = np.transpose([(p.low, p.high) for p in parameters[own]])
     return Intervals(low=low, high=high, free=fitted.free, covariance=np.eye(len(low)))
 
@@ -48,7 +47,7 @@ def test_an_interval_ends_short_of_a_limit_that_is_refuted(
     named = [gain] if refuted else [gain, wet]
     judged = case.fitted([*named, case.effect("stribeck_friction", joint, given)])
     fitted, effect = judged.fitted, judged.fitted.effects[-1]
-    own, wide = slices_of(fitted.effects)[-1], to_the_limit(judged)
+    own, wide = fitted.structure.slices[-1], to_the_limit(judged)
     assert wide.may_be_nothing(effect, own)
     found = short_of_limit(case.comparison, fitted, wide, effect)
     assert found.may_be_nothing(effect, own) is not refuted
@@ -74,7 +73,7 @@ def test_beside_stops_an_interval_ends_short_of_nothing_where_that_is_refuted(ca
     for named, refuted in (([wet, gain], True), ([wet, gain, idle], False)):
         judged = case.fitted(named)
         fitted, effect = judged.fitted, judged.fitted.effects[-1]
-        own, wide = slices_of(fitted.effects)[-1], to_the_limit(judged)
+        own, wide = fitted.structure.slices[-1], to_the_limit(judged)
         found = short_of_nothing(case.comparison, fitted, wide, effect)
         assert wide.may_be_nothing(effect, own)
         assert found.may_be_nothing(effect, own) is not refuted

@@ -9,16 +9,14 @@ import numpy as np
 import pytest
 
 from loose_env.gap.data.aligned_run import Trial, channels_of, lay_out
-from loose_env.gap.fitting.gauss_newton import hypothesis_of
-from loose_env.gap.fitting.uncertain_parameters import NominalFigures
+from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import Machine
-from loose_env.gap.model.parameter import free_of
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.simulation.time_step import step_with
 from loose_env.recording import Recording
-from tests.gap.cases.gap_case import STEP, record
+from tests.gap.cases.gap_case import STEP, nominal_structure, record
 
 
 @pytest.fixture(scope="module")
@@ -38,15 +36,20 @@ def comparison_of(recording: Recording, *, parts: int, joined: int) -> Compariso
     return Comparison(machine, trials, channels, floors, threads=1)
 
 
+def beginning(effect: Effect) -> Hypothesis:
+    """The nominal model and an effect, as a fit begins."""
+    return Hypothesis().with_effects([(effect, np.array(effect.starts[0]))])
+
+
 @pytest.mark.parametrize("joined", [1, 2])
 def test_changes_by_the_cheaper_integrator_are_near_the_exact_ones(
     recording: Recording, joined: int
 ) -> None:
     comparison = comparison_of(recording, parts=2, joined=joined)
     assert comparison.lighter() is comparison.lighter()
-    figures = NominalFigures(comparison.machine, tolerance=0.03)
-    free = free_of(figures.parameters, np.array(figures.starts[0]))
-    tried = [hypothesis_of([figures], free + 0.05 * row) for row in (0 * free, *np.eye(len(free)))]
+    nominal = nominal_structure(comparison.machine)
+    free = nominal.nominal_start
+    tried = [nominal.hypothesis(free + 0.05 * row) for row in (0 * free, *np.eye(len(free)))]
     exact, cheap = (
         (found[1:] - found[0]) / 0.05
         for found in (comparison.residuals(tried), comparison.lighter().residuals(tried))
@@ -61,7 +64,7 @@ def test_changes_by_the_cheaper_integrator_are_near_the_exact_ones(
 
 def test_joined_steps_cost_half_and_show_the_same(recording: Recording) -> None:
     every, joined = (comparison_of(recording, parts=2, joined=count) for count in (1, 2))
-    nothing = Hypothesis(effects=(), values=())
+    nothing = Hypothesis()
     left = [each.residuals([nothing])[0] for each in (every, joined)]
     assert 0 < np.std(left[0] - left[1]) < 0.05  # noise standard deviations
     assert joined.simulated < 0.51 * every.simulated
@@ -70,11 +73,11 @@ def test_joined_steps_cost_half_and_show_the_same(recording: Recording) -> None:
 def test_a_spring_keeps_every_step(recording: Recording) -> None:
     every, joined = (comparison_of(recording, parts=2, joined=count) for count in (1, 2))
     spring = CATALOGUE["joint_compliance"](every.machine, "joint2")
-    hypothesis = hypothesis_of([spring], free_of(spring.parameters, np.array(spring.starts[0])))
+    hypothesis = beginning(spring)
     left = [each.residuals([hypothesis])[0] for each in (every, joined)]
     assert np.array_equal(left[0], left[1])
     stiff = joined.lighter(stiff=True)
-    stiff.residuals([Hypothesis(effects=(), values=())])
+    stiff.residuals([Hypothesis()])
     assert stiff.simulated == every.simulated
 
 
@@ -90,11 +93,9 @@ def test_steps_are_joined_where_no_sample_comes_between(recording: Recording) ->
 
 
 def test_where_the_cheaper_integrator_is_lost_it_is_not_used(recording: Recording) -> None:
-
     comparison = comparison_of(recording, parts=2, joined=2)
-    figures = NominalFigures(comparison.machine, tolerance=0.03)
-    free = free_of(figures.parameters, np.array(figures.starts[0]))
-    hypothesis = hypothesis_of([figures], free)
+    nominal = nominal_structure(comparison.machine)
+    hypothesis = nominal.hypothesis(nominal.nominal_start)
     residual = comparison.residuals([hypothesis])[0]
     used, left = comparison.lightly(hypothesis, residual)
     assert used is comparison.lighter() and len(left) == len(residual)
@@ -114,11 +115,10 @@ def test_what_is_sharp_takes_steps_half_as_long(recording: Recording, kind: str)
             machine, comparison.trials, comparison.channels, comparison.floors, threads=1
         )
         if effect is None:
-            return own.residuals([Hypothesis(effects=(), values=())])[0]
+            return own.residuals([Hypothesis()])[0]
         sharp = CATALOGUE[effect](machine, "joint2")
-        free = free_of(sharp.parameters, np.array(sharp.starts[0]))
         assert step_with(machine, [sharp]) == machine.step / (1 if "even" in settings else 2)
-        return own.residuals([hypothesis_of([sharp], free)])[0]
+        return own.residuals([beginning(sharp)])[0]
 
     assert np.array_equal(left(1, None, cut=2), left(1, None))
     cut, fine = left(1, kind, cut=2), left(2, kind, even=True)

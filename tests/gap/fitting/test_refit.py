@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from loose_env.gap.data.aligned_run import channels_of, lay_out
-from loose_env.gap.fitting.gauss_newton import fit, hypothesis_of
+from loose_env.gap.fitting.gauss_newton import fit
 from loose_env.gap.fitting.refit import polished
-from loose_env.gap.fitting.uncertain_parameters import NominalFigures
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.model.parameter import free_of
 from loose_env.gap.residuals.residual_model import Comparison
-from tests.gap.cases.gap_case import STEP, record
+from tests.gap.cases.gap_case import STEP, nominal_structure, record
 
 FLOORS = np.array([2e-7] * 3 + [2e-5] + [0.0005] * 3)
 """Fine sensors: a percent of a figure is thousands of noise standard deviations."""
@@ -31,19 +30,16 @@ def test_a_weak_servo_beside_figures_at_their_tolerance_is_fitted_to_the_noise(
     machine = Machine(recording.spec(), step=STEP, integrator=int(mujoco.mjtIntegrator.mjINT_RK4))
     channels = channels_of(list(recording.runs))
     trials = [lay_out(run, machine, channels, step=STEP) for run in recording.runs[:2]]
-    figures = NominalFigures(machine, tolerance=0.03)
     weak = CATALOGUE["actuator_gain"](machine, "servo2")
-    effects = [figures, weak]
-    factors = 1 + 0.03 * rng.choice([-1.0, 1.0], len(figures.parameters))
+    structure = nominal_structure(machine).plus(weak)
+    count = len(structure.nuisance.parameters)
+    factors = 1 + 0.03 * rng.choice([-1.0, 1.0], count)
 
     def free(factors: float | np.ndarray, gain: float) -> np.ndarray:
-        every = np.broadcast_to(factors, len(figures.parameters))
-        return np.concatenate(
-            [free_of(figures.parameters, every), free_of(weak.parameters, np.array([gain]))]
-        )
+        return free_of(structure.parameters, np.append(np.broadcast_to(factors, count), gain))
 
     shown = Comparison(machine, trials, channels, FLOORS, threads=1).predict(
-        [hypothesis_of(effects, free(factors, 0.4))]
+        [structure.hypothesis(free(factors, 0.4))]
     )[0]
     measured = [
         replace(trial, measured=values + rng.normal(0, FLOORS, values.shape))
@@ -51,7 +47,7 @@ def test_a_weak_servo_beside_figures_at_their_tolerance_is_fitted_to_the_noise(
     ]
     comparison = Comparison(machine, measured, channels, FLOORS, threads=1)
     start = free(1.0, 0.45)
-    found = fit(comparison, effects, start)
-    assert comparison.residuals([hypothesis_of(effects, start)])[0].std() > 50
+    found = fit(comparison, structure, start)
+    assert comparison.residuals([structure.hypothesis(start)])[0].std() > 50
     assert found.rms < 3
     assert polished(comparison, found).rms < 1.02

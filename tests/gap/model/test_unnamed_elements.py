@@ -6,13 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.gap.fitting.uncertain_parameters import NominalFigures
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.effects.link_inertia import Payload, payload_words
 from loose_env.gap.model.effects.mjcf.geometry import link_ends
 from loose_env.gap.model.effects.mjcf.inertia import make_explicit
 from loose_env.gap.model.element_names import naming_words
+from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_parameters import NominalParameters
 from loose_env.gap.output.export_mjcf import corrected_spec
 
 NAMED = """
@@ -145,7 +146,7 @@ def test_a_site_of_an_inner_link_is_the_tool_only_where_there_is_no_other_and_it
 
 def test_nominal_figures_reach_every_drive_and_link() -> None:
     nameless = machine(bare())
-    figures = NominalFigures(nameless, tolerance=0.03)
+    figures = NominalParameters(nameless, tolerance=0.03)
     spec = nameless.fresh()
     figures.edit(spec, np.full(len(figures.parameters), 1.01))
     model = spec.compile()
@@ -157,7 +158,7 @@ def test_nominal_figures_reach_every_drive_and_link() -> None:
 def test_the_model_that_is_written_carries_the_names() -> None:
     nameless = machine(bare())
     effect = CATALOGUE["link_mass"](nameless, "lift_link")
-    text = corrected_spec(nameless, [effect], [np.array([0.5])])
+    text = corrected_spec(nameless, Hypothesis().with_effects([(effect, np.array([0.5]))]))
     text.compile()
     model = mujoco.MjModel.from_xml_string(text.to_xml())
     assert model.body("lift_link").mass[0] == pytest.approx(1.7)
@@ -177,10 +178,10 @@ def test_a_factor_on_a_mass_is_that_whatever_the_compiler_makes_of_masses(option
     nominal, model = machine(text), mujoco.MjModel.from_xml_string(text)
     assert np.allclose(nominal.model.body_mass, model.body_mass)
     assert np.allclose(nominal.model.body_inertia, model.body_inertia)
-    figures = NominalFigures(nominal, tolerance=0.03)
+    figures = NominalParameters(nominal, tolerance=0.03)
     values = np.ones(len(figures.parameters))
     values[[p.name for p in figures.parameters].index("mass.second")] = 2.0
-    spec = corrected_spec(nominal, [figures], [values])
+    spec = corrected_spec(nominal, Hypothesis(nominal=figures, factors=values))
     factors = np.ones(model.nbody)
     factors[model.body("second").id] = 2.0
     for found in (spec.compile(), mujoco.MjModel.from_xml_string(spec.to_xml())):

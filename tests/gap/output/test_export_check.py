@@ -9,37 +9,38 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.gap.fitting.holdout_score import machine_part
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.actuators import ActuatorLag, CommandDelay
 from loose_env.gap.model.effects.friction import ViscousFriction
 from loose_env.gap.model.effects.sensors import SensorGain
+from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.output.export_check import Exported, exported, played
 from loose_env.gap.output.export_mjcf import corrected_spec
-from loose_env.gap.preparation.prepare import Prepared
+from loose_env.gap.preparation.prepare import GapProblem
 from loose_env.gap.residuals.residual_model import Comparison
 from tests.gap.cases.exported_case import judged_with, prepared_arm
 
 
 @pytest.fixture(scope="module")
-def prepared(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> GapProblem:
     return prepared_arm(tmp_path_factory.mktemp("exported") / "r")
 
 
-def export_of(prepared: Prepared, effect: Effect, values: list[float]) -> Exported:
+def export_of(prepared: GapProblem, effect: Effect, values: list[float]) -> Exported:
     best = judged_with(prepared, effect, values)
-    return exported(prepared.whole_held, machine_part(best), best.held_residual)
+    return exported(prepared.whole_held, best.fitted.hypothesis.of_model, best.held_residual)
 
 
-def test_what_acts_slowly_needs_no_finer_step(prepared: Prepared) -> None:
+def test_what_acts_slowly_needs_no_finer_step(prepared: GapProblem) -> None:
     found = export_of(prepared, ViscousFriction(prepared.machine, "joint2"), [3.0])
     assert found.parts == 1 and not found.matters and found.words() == []
     assert found.left == pytest.approx(found.fitted, rel=1e-3) and found.fitted < 1.1
 
 
-def export_as_fitted(prepared: Prepared, effect: Effect, value: float) -> Exported:
+def export_as_fitted(prepared: GapProblem, effect: Effect, value: float) -> Exported:
     """Held against a fit that is right: the readings are its own, and it leaves nothing."""
-    hypothesis, held = machine_part(judged_with(prepared, effect, [value])), prepared.whole_held
+    best, held = judged_with(prepared, effect, [value]), prepared.whole_held
+    hypothesis = best.fitted.hypothesis.of_model
     (shown,) = held.predict([hypothesis])
     measured = [trial.measured.copy() for trial in held.trials]
     try:
@@ -60,7 +61,7 @@ def export_as_fitted(prepared: Prepared, effect: Effect, value: float) -> Export
     ],
 )
 def test_what_is_shorter_than_a_step_is_written_with_a_finer_one(
-    kind: type[Effect], where: str, late: float, prepared: Prepared
+    kind: type[Effect], where: str, late: float, prepared: GapProblem
 ) -> None:
     found = export_as_fitted(prepared, kind(prepared.machine, where), late)
     assert not found.matters and found.apart < 0.3
@@ -90,28 +91,28 @@ def test_what_comes_late_begins_with_the_first_command(
     assert found.parts == 1 and found.apart < 0.1 and not found.words()
 
 
-def test_runs_that_show_nothing_by_then_are_not_tried(prepared: Prepared) -> None:
+def test_runs_that_show_nothing_by_then_are_not_tried(prepared: GapProblem) -> None:
     best = judged_with(prepared, ViscousFriction(prepared.machine, "joint2"), [3.0])
     held = prepared.whole_held
     unread = np.full_like(held.trials[0].measured, np.nan)
     late = [replace(held.trials[0], measured=unread), *held.trials]
     runs = Comparison(held.machine, late, held.channels, held.floors, threads=1)
     runs.trials[1] = replace(runs.trials[1], resting=False)
-    assert exported(runs, machine_part(best), np.zeros(len(runs))) == Exported()
+    assert exported(runs, best.fitted.hypothesis.of_model, np.zeros(len(runs))) == Exported()
 
 
-def test_a_filter_much_shorter_than_a_step_is_stable_in_plain_mujoco(prepared: Prepared) -> None:
+def test_a_filter_much_shorter_than_a_step_is_stable_in_plain_mujoco(prepared: GapProblem) -> None:
     machine, held = prepared.machine, prepared.whole_held
     assert machine.integrator == int(mujoco.mjtIntegrator.mjINT_RK4)
     lag = ActuatorLag(machine, "servo2")
-    model = corrected_spec(machine, [lag], [np.array([1e-5])]).compile()
-    nominal = corrected_spec(machine, [], []).compile()
+    late = Hypothesis().with_effects([(lag, np.array([1e-5]))])
+    model, nominal = (corrected_spec(machine, h).compile() for h in (late, Hypothesis()))
     with_lag, without = (played(held, m, held.trials[0]) for m in (model, nominal))
     assert np.abs(with_lag - without).max() < 0.01
 
 
 def test_a_file_that_lacks_what_was_fitted_is_found_out(
-    prepared: Prepared, monkeypatch: pytest.MonkeyPatch
+    prepared: GapProblem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ViscousFriction, "export", lambda *_: None)
     found = export_of(prepared, ViscousFriction(prepared.machine, "joint2"), [3.0])
@@ -120,6 +121,6 @@ def test_a_file_that_lacks_what_was_fitted_is_found_out(
     assert found.channel in words and "does not quite do what was fitted" in words
 
 
-def test_what_a_file_cannot_carry_is_not_tried(prepared: Prepared) -> None:
+def test_what_a_file_cannot_carry_is_not_tried(prepared: GapProblem) -> None:
     found = export_of(prepared, SensorGain(prepared.machine, "encoder1"), [1.1])
     assert found == Exported() and np.isnan(found.left) and found.words() == []

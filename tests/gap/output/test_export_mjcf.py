@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
@@ -9,13 +10,14 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData
-from loose_env.gap.fitting.uncertain_parameters import NominalFigures
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.effects.friction import CoulombFriction, ViscousFriction
 from loose_env.gap.model.effects.joint_elasticity import JointCompliance
 from loose_env.gap.model.effects.sensors import SensorBias, SensorGain
+from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_parameters import NominalParameters
 from loose_env.gap.output.export_mjcf import correction_code, write_model
 from loose_env.recording import ModelColumns
 from tests.gap.cases.effect_arms import (
@@ -37,6 +39,11 @@ def stepped(arm: str) -> Machine:
     return Machine(mujoco.MjSpec.from_string(ARMS[arm]), step=0.0005, integrator=RK4)
 
 
+def added(effect: Effect, values: Sequence[float]) -> Hypothesis:
+    """The nominal model and an effect."""
+    return Hypothesis().with_effects([(effect, np.array(values))])
+
+
 def one_of(machine: Machine, kind: str) -> Effect:
     """The effect of a kind at its last place."""
     return candidates(machine, [kind])[-1]
@@ -50,14 +57,14 @@ def test_the_file_compiles_keeps_its_names_and_does_what_was_fitted(
     machine = stepped(arm)
     effect = one_of(machine, kind)
     values = np.array(effect.starts[2 if effect.shifts else 0])  # several steps of time
-    written = write_model(tmp_path / "model.xml", machine, [effect], [values])
+    written = write_model(tmp_path / "model.xml", machine, added(effect, values))
     assert written == [tmp_path / "model.xml"] and list(tmp_path.iterdir()) == written
     model = mujoco.MjModel.from_xml_path(str(written[0]))
     before, after = ModelColumns.of(machine.model).known, ModelColumns.of(model).known
     assert all(after[column] == meaning for column, meaning in before.items())
     assert model.opt.timestep == 0.0005 and model.opt.integrator == RK4
     if not effect.in_model:
-        assert effect.where in correction_code([effect], [values])
+        assert effect.where in correction_code(added(effect, values))
         return
     fine = Machine(machine.spec, step=0.0005, integrator=RK4)
     fine.model.opt.timestep = 0.0005  # the step of the clock of the test's simulations
@@ -80,19 +87,18 @@ def test_the_file_compiles_keeps_its_names_and_does_what_was_fitted(
 
 def test_nominal_figures_and_several_effects_stand_in_one_file(tmp_path: Path) -> None:
     machine = stepped("planar")
-    nominal = NominalFigures(machine, tolerance=0.03)
+    nominal = NominalParameters(machine, tolerance=0.03)
     figures = np.linspace(0.98, 1.02, len(nominal.parameters))
-    effects = [
-        nominal,
-        ViscousFriction(machine, "joint1"),
-        JointCompliance(machine, "joint2"),
-        CoulombFriction(machine, "joint3"),
-    ]
-    values = [figures, np.array([1.5])] + [np.array(e.starts[0]) for e in effects[2:]]
-    file = write_model(tmp_path / "model.xml", machine, effects, values)[0]
+    wet = ViscousFriction(machine, "joint1"), np.array([1.5])
+    others = JointCompliance(machine, "joint2"), CoulombFriction(machine, "joint3")
+    corrected = Hypothesis(nominal=nominal, factors=figures).with_effects(
+        [wet, *((e, np.array(e.starts[0])) for e in others)]
+    )
+    file = write_model(tmp_path / "model.xml", machine, corrected)[0]
     model = mujoco.MjModel.from_xml_path(str(file))
     spec = machine.fresh()
-    for effect, own in zip(effects, values, strict=True):
+    nominal.edit(spec, figures)
+    for effect, own in corrected.pairs:
         effect.edit(spec, own)
     expected = spec.compile()
     assert np.allclose(model.body_mass, expected.body_mass, rtol=1e-5)
@@ -105,10 +111,8 @@ def test_nominal_figures_and_several_effects_stand_in_one_file(tmp_path: Path) -
 def test_what_readings_need_stands_in_the_code_and_runs() -> None:
     machine = machine_of("planar")
     gain, bias = SensorGain(machine, "encoder1"), SensorBias(machine, "shake")
-    lines = correction_code(
-        [ViscousFriction(machine, "joint1"), gain, bias],
-        [np.array([1.0]), np.array([1.25]), np.array([0.5, 0.0, -0.5])],
-    )
+    given = (ViscousFriction(machine, "joint1"), [1.0]), (gain, [1.25]), (bias, [0.5, 0.0, -0.5])
+    lines = correction_code(Hypothesis().with_effects([(e, np.array(v)) for e, v in given]))
     data = mujoco.MjData(machine.model)
     data.sensor("encoder1").data[:] = 2.0
     exec(lines, {"data": data})  # as a user would
@@ -123,16 +127,15 @@ def test_keyframes_keep_the_positions_of_the_joints_they_name(tmp_path: Path) ->
     )
     machine = Machine(mujoco.MjSpec.from_string(xml))
     effect = JointCompliance(machine, "joint1")
-    values = np.array(effect.starts[0])
-    file = write_model(tmp_path / "model.xml", machine, [effect], [values])[0]
+    file = write_model(tmp_path / "model.xml", machine, added(effect, effect.starts[0]))[0]
     model = mujoco.MjModel.from_xml_path(str(file))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
     for joint, position, speed in (("joint1", 0.1, 1), ("joint2", 0.2, 2), ("joint3", 0.3, 3)):
         assert data.joint(joint).qpos[0] == pytest.approx(position)
         assert data.joint(joint).qvel[0] == pytest.approx(speed)
-    added = next(n for k in range(model.njnt) if (n := model.joint(k).name) not in machine.joints)
-    assert data.joint(added).qpos[0] == 0.0
+    new = next(n for k in range(model.njnt) if (n := model.joint(k).name) not in machine.joints)
+    assert data.joint(new).qpos[0] == 0.0
 
 
 def test_meshes_and_files_that_are_included_are_taken_along(tmp_path: Path) -> None:
@@ -152,7 +155,7 @@ def test_meshes_and_files_that_are_included_are_taken_along(tmp_path: Path) -> N
     machine = Machine(mujoco.MjSpec.from_file(str(file)))
     effect = ViscousFriction(machine, "turn")
     written = write_model(
-        out / "model.xml", machine, [effect], [np.array([2.0])], source=file, notes=["a -- b"]
+        out / "model.xml", machine, added(effect, [2.0]), source=file, notes=["a -- b"]
     )
     assert [p.relative_to(out).as_posix() for p in written] == ["model.xml", "meshes/corner.obj"]
     for path in (home / "meshes" / "corner.obj", home / "motors.xml", file):
@@ -170,9 +173,7 @@ def test_an_effect_that_changes_a_name_is_refused_and_leaves_no_file(tmp_path: P
 
     machine = machine_of("planar")
     with pytest.raises(InvalidData, match=r"sensor\.encoder1"):
-        write_model(
-            tmp_path / "model.xml", machine, [Renaming(machine, "joint1")], [np.array([1.0])]
-        )
+        write_model(tmp_path / "model.xml", machine, added(Renaming(machine, "joint1"), [1.0]))
     assert not list(tmp_path.iterdir())
 
 
@@ -183,7 +184,7 @@ def test_keyframes_keep_the_state_of_each_actuator(tmp_path: Path) -> None:
     )
     machine = Machine(mujoco.MjSpec.from_string(xml))
     lag = CATALOGUE["actuator_lag"](machine, "servo1")
-    file = write_model(tmp_path / "model.xml", machine, [lag], [np.array([0.02])])[0]
+    file = write_model(tmp_path / "model.xml", machine, added(lag, [0.02]))[0]
     model = mujoco.MjModel.from_xml_path(str(file))
     # servo1's filter, which is new, begins at its command; servo2's keeps its state
     assert model.key_act[0] == pytest.approx([0.1, 0.7])

@@ -14,7 +14,6 @@ from loose_env.gap.data.aligned_run import channels_of, lay_out
 from loose_env.gap.diagnostics.feature_localisation import struck_channels
 from loose_env.gap.diagnostics.joint_torque_residual import joint_motion
 from loose_env.gap.fitting.holdout_score import Judge
-from loose_env.gap.fitting.uncertain_parameters import NominalFigures
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.effects.friction import ViscousFriction
 from loose_env.gap.model.effects.structural_looseness import StructuralLooseness
@@ -22,11 +21,13 @@ from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.preparation import chaotic_runs as parting
 from loose_env.gap.preparation.chaotic_runs import parting_runs
+from loose_env.gap.preparation.prepare import prepare
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.settings import GapSettings
-from loose_env.gap.workflow.pipeline import find_gap, prepare
-from loose_env.gap.workflow.summary import GapOutputs, gather, outputs_of, result_of
+from loose_env.gap.workflow.evidence import gather
+from loose_env.gap.workflow.pipeline import GapSolution, find_gap
+from loose_env.gap.workflow.summary import result_of
 from loose_env.recording import Recording, Run, write_recording
 from loose_env.report.gap.page import render_gap_page
 from tests.gap.cases.gap_case import stated
@@ -127,7 +128,7 @@ def test_features_are_weighed_by_the_noise_there_is_whatever_counts_as_noise(
     runs = prepared.search
     assert runs.rows.white.all()
     louder = prepared.louder(np.full(len(runs.channels), 30.0)).search
-    nothing = Hypothesis(effects=(), values=())
+    nothing = Hypothesis()
     assert np.array_equal(runs.residuals([nothing]), louder.residuals([nothing]))
     assert not runs.left_in_channels(np.ones(len(runs))).any()
 
@@ -161,11 +162,10 @@ def test_the_loose_link_is_named_by_features(struck: Recording) -> None:
     (effect,) = found.effects
     assert (effect.kind, effect.where) == ("structural_looseness", "link2")
     assert found.best.held_rms < 0.5 * found.base.held_rms
-    outputs = outputs_of(found, struck, settings)
-    result = result_of(outputs, gather(outputs))
+    result = result_of(found, gather(found))
     assert result.gap.after < 0.5 * result.gap.before
     assert result.effects[0].where == "link2"
-    names = {channel.name for channel in found.prepared.whole_held.channels}
+    names = {channel.name for channel in found.problem.whole_held.channels}
     assert set(result.gap.by_channel) == names
     before, after = result.gap.by_channel["sensor.shake.y"]
     assert before > 3 and after < 0.6 * before
@@ -174,23 +174,16 @@ def test_the_loose_link_is_named_by_features(struck: Recording) -> None:
 
 def test_where_a_run_of_struck_stops_disagrees_is_told_from_its_features(struck: Recording) -> None:
     prepared = prepare(struck, GapSettings(threads=1))
-    held = prepared.whole_held
-    machine = held.machine
-    judge = Judge(prepared.fit, held)
-    nominal = NominalFigures(machine, tolerance=0.03)
-    base = judge.judge(stated(prepared.fit, [nominal], [np.ones(len(nominal.parameters))]))
-    outputs = GapOutputs(
-        machine=machine, fit=prepared.fit, held=held, base=base, best=base, verdict="unexplained",
-        recording="struck", threads=1,
-    )  # fmt: skip
-    evidence = gather(outputs)
-    result = result_of(outputs, evidence)
+    base = Judge(prepared.fit, prepared.whole_held).judge(stated(prepared.fit, [], []))
+    solution = GapSolution(problem=prepared, base=base, best=base, verdict="unexplained")
+    evidence = gather(solution)
+    result = result_of(solution, evidence)
     assert {gap.run for gap in result.location.channels} == {run.name for run in struck.runs}
     assert result.where_it_lives and all(".parquet" in words for words in result.where_it_lives)
     assert any("Hz" in words for words in result.where_it_lives)
     assert any("sensor.shake" in words for words in result.left)
     assert result.left[0].startswith(f"{result.gap.after:.3g} noise standard deviations are left")
-    page = render_gap_page(outputs, evidence, result)
+    page = render_gap_page(solution, evidence, result)
     assert "Spectra before and after" in page and "By how much the power of sensor.shake" in page
     assert "by features" in page and not re.search(r"\bnan\b", page, re.IGNORECASE)
 
@@ -202,7 +195,7 @@ def test_a_right_model_of_struck_stops_disagrees_nowhere(struck: Recording) -> N
     looseness = StructuralLooseness(machine, "link2")
     right = Hypothesis(effects=(looseness,), values=(np.array([1.0, 2e-4, 1.0, 1e6, 0.03]),))
     motions = [joint_motion(machine, t, held.channels, held.floors) for t in held.trials]
-    nothing = Hypothesis(effects=(), values=())
+    nothing = Hypothesis()
     good, bad = (struck_channels(held, h, motions) for h in (right, nothing))
     for one, other in zip(good, bad, strict=True):
         assert one.gap.over_floor < 2.5

@@ -141,7 +141,7 @@ def test_a_corrected_model_that_needs_a_finer_step_is_warned_of(tmp_path: Path) 
     )
     prepared = prepare(recording, GapSettings(threads=1, kinds=("viscous_friction",)))
     held = prepared.whole_held
-    assert corrected_step_words(held, Hypothesis(effects=(), values=())) == []
+    assert corrected_step_words(held, Hypothesis()) == []
     gain = ActuatorGain(prepared.machine, "servo")
     corrected = Hypothesis(effects=(gain,), values=(np.array([10.0]),))
     (words,) = corrected_step_words(held, corrected)

@@ -17,7 +17,7 @@ from loose_env.recording import Run
 from tests.gap.cases.effect_arms import PLANAR, commands, simulate
 from tests.gap.cases.recorded_runs import compared, measurable, torque_run
 
-NOTHING = Hypothesis(effects=(), values=())
+NOTHING = Hypothesis()
 _OF_DRIVES = ("actuator_gain", "actuator_lag", "command_delay")
 
 

@@ -83,5 +83,5 @@ def test_long_inverse_runs_are_looked_at_in_windows() -> None:
     lengths = [float(trial.time[-1]) for trial in short.trials]
     assert lengths == pytest.approx([INVERSE * 6.0 / 3] * 3, abs=0.02)
     assert len(short) < 0.35 * len(whole)
-    residual = short.residuals([Hypothesis(effects=(), values=())])[0]
+    residual = short.residuals([Hypothesis()])[0]
     assert 0.6 < np.sqrt(np.mean(residual**2)) < 1.35

@@ -22,14 +22,14 @@ LEVELS = 2.5, 1.2
 def left(level: float, *, named: bool = False, quieter: float = 1.0) -> Judged:
     """A hypothesis that leaves the same noise as another, in one block of two by a factor less."""
     rng = np.random.default_rng(1)
-    effects = (NOMINAL, *LATE) if named else (NOMINAL,)
-    free = np.zeros(sum(len(e.parameters) for e in effects))
+    structure = NOMINAL.with_effects(LATE if named else ())
+    free = np.zeros(len(structure.parameters))
     own = np.where(COMPARED.rows.block % 2 == 0, quieter, 1.0)
     residual, held = level * own * rng.normal(size=(2, len(COMPARED)))
     blocks = [COMPARED.by_block(r**2) for r in (held, residual)]
     return Judged(
         fitted=Fit(
-            effects=effects, free=free, residual=residual,
+            structure=structure, free=free, residual=residual,
             jacobian=np.zeros((0, len(free))), cost=float(residual @ residual),
         ),
         held_residual=held, held_blocks=blocks[0], fitted_blocks=blocks[1],
@@ -70,7 +70,7 @@ def test_of_those_that_leave_the_same_the_one_that_changes_least_comes_first() -
         """With a mass or a rotor, so many times its scale."""
         effect, found = CATALOGUE[kind](MACHINE, where), left(level)
         free = np.append(found.fitted.free, times)
-        fitted = replace(found.fitted, effects=(*found.fitted.effects, effect), free=free)
+        fitted = replace(found.fitted, structure=found.fitted.structure.plus(effect), free=free)
         return replace(found, fitted=fitted)
 
     rotor = with_effect("rotor_inertia", "joint1", 1.5, 1.0)

@@ -10,9 +10,8 @@ import pytest
 
 from loose_env.gap.data.aligned_run import channels_of, lay_out
 from loose_env.gap.data.noise_floor import noise_floor
-from loose_env.gap.fitting.gauss_newton import FitSettings, fit, slices_of
+from loose_env.gap.fitting.gauss_newton import FitSettings, fit
 from loose_env.gap.fitting.holdout_score import Judge, Judged, lead_of
-from loose_env.gap.fitting.uncertain_parameters import NominalFigures
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.nominal_model import Machine
@@ -22,7 +21,7 @@ from loose_env.gap.selection.acceptance import Acceptance
 from loose_env.gap.selection.candidate_fits import Trying
 from loose_env.gap.selection.revision import Exchange
 from loose_env.gap.settings import NamingSettings
-from tests.gap.cases.gap_case import DAMPING, GAIN, STEP, record
+from tests.gap.cases.gap_case import DAMPING, GAIN, STEP, nominal_structure, record
 
 
 class Case:
@@ -38,12 +37,13 @@ class Case:
         self.judge = Judge(
             self.comparison, Comparison(self.machine, trials[-1:], channels, floors, threads=1)
         )
-        self.nominal = NominalFigures(self.machine, tolerance=0.03)
+        self.nominal = nominal_structure(self.machine)
 
     def fitted(self, named: list[tuple[Effect, list[float]]]) -> Judged:
-        given = [(self.nominal, list(self.nominal.starts[0])), *named]
-        start = np.concatenate([free_of(e.parameters, np.array(v)) for e, v in given])
-        return self.judge.judge(fit(self.comparison, [e for e, _ in given], start))
+        own = [free_of(e.parameters, np.array(v)) for e, v in named]
+        start = np.concatenate([self.nominal.nominal_start, *own])
+        structure = self.nominal.with_effects([e for e, _ in named])
+        return self.judge.judge(fit(self.comparison, structure, start))
 
     def effect(self, kind: str, where: str, values: list[float]) -> tuple[Effect, list[float]]:
         return CATALOGUE[kind](self.machine, where), values
@@ -65,7 +65,7 @@ def test_a_stand_in_is_not_needed_beside_what_it_stood_for(case: Case) -> None:
     both = case.fitted([gain, dry, wet])
     alone = case.alone(case.fitted([gain]), case.fitted([gain, dry]), both)
     assert alone is not None
-    assert [e.kind for e in alone.fitted.effects] == ["nominal", "sensor_gain", "viscous_friction"]
+    assert [e.kind for e in alone.fitted.effects] == ["sensor_gain", "viscous_friction"]
     lead = lead_of(both, alone)
     assert min(lead.held, lead.fitted) < NamingSettings().held
 
@@ -84,19 +84,19 @@ def test_what_made_an_effect_idle_may_be_the_one_too_many(case: Case) -> None:
     dry = case.effect("coulomb_friction", "joint2", [1.5])
     gain = case.effect("sensor_gain", "rate3", [GAIN])
     base, before = case.fitted([]), case.fitted([wet])
-    together = [*before.fitted.effects, dry[0], gain[0]]
-    own = slices_of(together)
+    together = before.fitted.structure.plus(dry[0], gain[0])
+    own = together.slices[0]
     new = [free_of(effect.parameters, np.array(values)) for effect, values in (dry, gain)]
     free = np.concatenate([before.fitted.free, *new])
-    free[own[1]] = free_of(wet[0].parameters, np.array([0.1]))
+    free[own] = free_of(wet[0].parameters, np.array([0.1]))
     as_is = FitSettings(iterations=0)
     stuck = case.judge.judge(fit(case.comparison, together, free, settings=as_is))
     acceptance = Acceptance(case.comparison, case.judge, base, before, NamingSettings())
     rather = acceptance.rather(stuck, wet[0])
     assert rather is not None
-    assert [e.kind for e in rather.fitted.effects] == ["nominal", "viscous_friction", "sensor_gain"]
+    assert [e.kind for e in rather.fitted.effects] == ["viscous_friction", "sensor_gain"]
     assert rather.total < 0.5 * stuck.total
-    kept = values_of(wet[0].parameters, rather.fitted.free[own[1]])
+    kept = values_of(wet[0].parameters, rather.fitted.free[own])
     assert kept[0] == pytest.approx(DAMPING, rel=0.1)
     assert acceptance.rather(case.fitted([wet, gain]), wet[0]) is None  # nothing new at its joint
 
@@ -135,7 +135,7 @@ def test_what_was_named_for_a_mixture_is_exchanged_when_the_other_is_there(case:
     drag = case.effect("quadratic_drag", "joint2", [1.0])
     base, mistaken = case.fitted([]), case.fitted([drag, gain])
     found = exchange(case, base, mistaken)
-    assert [e.kind for e in found.fitted.effects] == ["nominal", "sensor_gain", "viscous_friction"]
+    assert [e.kind for e in found.fitted.effects] == ["sensor_gain", "viscous_friction"]
     assert found.fitted.effects[-1].where == "joint2"
     assert found.total < mistaken.total
 
@@ -145,7 +145,7 @@ def test_two_that_stood_in_for_one_go_together(case: Case) -> None:
     drag = case.effect("quadratic_drag", "joint2", [1.0])
     soft = case.effect("actuator_gain", "servo2", [0.9])
     found = exchange(case, case.fitted([]), case.fitted([drag, soft, gain]))
-    assert [e.kind for e in found.fitted.effects] == ["nominal", "sensor_gain", "viscous_friction"]
+    assert [e.kind for e in found.fitted.effects] == ["sensor_gain", "viscous_friction"]
 
 
 def test_what_is_right_stays(case: Case) -> None:

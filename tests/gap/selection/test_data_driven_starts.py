@@ -27,7 +27,7 @@ SERVO = (
     '<general name="servo2" joint="joint2" gainprm="1000" biastype="affine" '
     'biasprm="0 -1000 -40" dyntype="{}"/>'
 )
-NOTHING = Hypothesis(effects=(), values=())
+NOTHING = Hypothesis()
 
 
 def compared(recording: Recording) -> Comparison:

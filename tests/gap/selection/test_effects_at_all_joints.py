@@ -11,13 +11,15 @@ import pytest
 
 from loose_env.gap.model.effects.friction import make_it_stick
 from loose_env.gap.settings import GapSettings
-from loose_env.gap.workflow.pipeline import GapFound, find_gap
+from loose_env.gap.workflow.pipeline import GapSolution, find_gap
 from tests.gap.workflow.test_pipeline import STEP, record
 
 SERVOS = ("servo1", "servo2", "servo3")
 
 
-def find_gains(folder: Path, *, softer: float, servos: Sequence[str], friction: float) -> GapFound:
+def find_gains(
+    folder: Path, *, softer: float, servos: Sequence[str], friction: float
+) -> GapSolution:
     """Search for gains alone where servos are softer and a joint has a friction as well [N·m]."""
 
     def edit(spec: mujoco.MjSpec) -> None:
@@ -43,7 +45,7 @@ def test_large_effects_stay_where_something_else_is_left(tmp_path: Path) -> None
     assert found.best.held_rms > 20
 
 
-def explained(found: GapFound) -> float:
+def explained(found: GapSolution) -> float:
     """Share of what hung together in time that the best hypothesis explains."""
     return 1 - found.best.structure / found.base.structure
 

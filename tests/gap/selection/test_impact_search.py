@@ -11,13 +11,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.gap.fitting.uncertain_parameters import NominalFigures
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.effects.structural_looseness import StructuralLooseness
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_parameters import NominalParameters
 from loose_env.gap.preparation.integrator_choice import corrected_step_words
-from loose_env.gap.preparation.prepare import Prepared, prepare
+from loose_env.gap.preparation.prepare import GapProblem, prepare
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.selection.impacts import impact_search as striking
 from loose_env.gap.selection.impacts.impact_power import Blows
@@ -31,7 +31,7 @@ TRUE = np.array([1.0, 4e-4, 3.0, 3e5, 0.1])
 """Angle, gap, friction, stiffness and damping ratio."""
 
 
-def prepared_arm(folder: Path, *, loose: bool = False, friction: float = 0.0) -> Prepared:
+def prepared_arm(folder: Path, *, loose: bool = False, friction: float = 0.0) -> GapProblem:
     """Runs of moving commands, with a loose second link or with dry friction."""
     spec = mujoco.MjSpec.from_string(LEVEL)
     spec.option.timestep = FINE
@@ -46,29 +46,29 @@ def prepared_arm(folder: Path, *, loose: bool = False, friction: float = 0.0) ->
 
 
 @pytest.fixture(scope="module")
-def loose(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
+def loose(tmp_path_factory: pytest.TempPathFactory) -> GapProblem:
     return prepared_arm(tmp_path_factory.mktemp("loose") / "r", loose=True)
 
 
-def known(prepared: Prepared) -> Hypothesis:
+def known(prepared: GapProblem) -> Hypothesis:
     """The nominal model."""
-    figures = NominalFigures(prepared.machine, tolerance=0.03)
-    return Hypothesis(effects=(figures,), values=(np.ones(len(figures.parameters)),))
+    nominal = NominalParameters(prepared.machine, tolerance=0.03)
+    return Hypothesis(nominal=nominal, factors=np.ones(len(nominal.parameters)))
 
 
-def with_trace(prepared: Prepared) -> Hypothesis:
+def with_trace(prepared: GapProblem) -> Hypothesis:
     """The nominal model and an effect that is of no use."""
-    trace, nominal = CATALOGUE["viscous_friction"](prepared.machine, "joint3"), known(prepared)
-    return Hypothesis(effects=(*nominal.effects, trace), values=(*nominal.values, np.array([1e-3])))
+    trace = CATALOGUE["viscous_friction"](prepared.machine, "joint3"), np.array([1e-3])
+    return known(prepared).with_effects([trace])
 
 
-def slide(prepared: Prepared, link: str, values: np.ndarray) -> Hypothesis:
+def slide(prepared: GapProblem, link: str, values: np.ndarray) -> Hypothesis:
     effect = CATALOGUE["structural_looseness"](prepared.machine, link)
     return Hypothesis(effects=(effect,), values=(values,))
 
 
 def search(
-    prepared: Prepared, kind: str, say: Callable[[str], None] = lambda _: None
+    prepared: GapProblem, kind: str, say: Callable[[str], None] = lambda _: None
 ) -> Struck | None:
     return find_striking(
         prepared,
@@ -80,13 +80,11 @@ def search(
     )
 
 
-def test_powers_tell_a_slide_that_no_trajectory_follows(loose: Prepared) -> None:
-    nominal, nothing = known(loose), Hypothesis(effects=(), values=())
+def test_powers_tell_a_slide_that_no_trajectory_follows(loose: GapProblem) -> None:
+    nominal, nothing = known(loose), Hypothesis()
     # a little off in what nobody knows exactly: when stops are struck is another matter then
     near = slide(loose, "link2", TRUE * [1.0, 1.05, 1.1, 0.8, 1.2])
-    whole = Hypothesis(
-        effects=(*nominal.effects, *near.effects), values=(*nominal.values, *near.values)
-    )
+    whole = nominal.with_effects(near.pairs)
     blows = Blows(loose.held, nominal)
     assert np.allclose(blows.residuals([nothing])[0], blows.measured, atol=1e-9)
     before, after, other = (
@@ -97,7 +95,7 @@ def test_powers_tell_a_slide_that_no_trajectory_follows(loose: Prepared) -> None
     assert by_sample[1] > 0.2 * by_sample[0]
 
 
-def test_the_loose_link_is_found_with_its_direction(loose: Prepared) -> None:
+def test_the_loose_link_is_found_with_its_direction(loose: GapProblem) -> None:
     found = search(loose, "structural_looseness")
     assert found is not None and found.effect.where == "link2"
     assert found.share > 0.85 and "link2 strikes its stops" in found.words
@@ -115,7 +113,7 @@ def test_what_needs_no_gap_is_no_play(tmp_path: Path, monkeypatch: pytest.Monkey
     assert any("without any gap" in line for line in said)
 
 
-def test_only_runs_with_commands_are_compared_by_powers(loose: Prepared) -> None:
+def test_only_runs_with_commands_are_compared_by_powers(loose: GapProblem) -> None:
     assert Blows.worth_while(loose.held)
     (trial,) = loose.held.trials
     freed, struck = copy(loose.held), copy(loose.held)
@@ -125,7 +123,7 @@ def test_only_runs_with_commands_are_compared_by_powers(loose: Prepared) -> None
     assert not Blows.worth_while(struck)
 
 
-def test_readings_that_were_lost_cost_stretches_only_where_they_are_many(loose: Prepared) -> None:
+def test_readings_that_were_lost_cost_stretches_only_where_they_are_many(loose: GapProblem) -> None:
     held, rng = loose.held, np.random.default_rng(3)
     whole = len(Blows(held, known(loose)))
     lost = [
@@ -136,9 +134,9 @@ def test_readings_that_were_lost_cost_stretches_only_where_they_are_many(loose: 
     few = Comparison(held.machine, [*lost, brief], held.channels, held.floors, threads=1)
     blows = Blows(few, known(loose))
     assert len(blows) == whole and len(blows.trials) == len(lost)
-    nothing = Hypothesis(effects=(), values=())
+    nothing = Hypothesis()
     assert np.isfinite(blows.residuals([nothing])).all()
 
 
-def test_no_step_is_blamed_for_blows(loose: Prepared) -> None:
+def test_no_step_is_blamed_for_blows(loose: GapProblem) -> None:
     assert corrected_step_words(loose.whole_held, slide(loose, "link2", TRUE)) == []

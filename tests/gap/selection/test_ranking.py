@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.fitting.holdout_score import Judged, lead_of
-from loose_env.gap.fitting.uncertain_parameters import NominalFigures
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import Machine
@@ -20,9 +19,10 @@ from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.selection.forward_selection import Named
 from loose_env.gap.selection.ranking import bic, indistinct, ranking_of
 from tests.gap.cases.effect_arms import PLANAR
+from tests.gap.cases.gap_case import nominal_structure
 
 MACHINE = Machine(mujoco.MjSpec.from_string(PLANAR))
-NOMINAL = NominalFigures(MACHINE, tolerance=0.03)
+NOMINAL = nominal_structure(MACHINE)
 COUNT, RATE = 4000, 100.0
 
 
@@ -46,11 +46,11 @@ COMPARED = comparison()
 def judged(effects: list[Effect], level: float, seed: int) -> Judged:
     """A hypothesis that leaves white noise of this size."""
     rng = np.random.default_rng(seed)
-    whole = [NOMINAL, *effects]
+    structure = NOMINAL.with_effects(effects)
     residual, held = level * rng.normal(size=(2, len(COMPARED)))
-    free = np.zeros(sum(len(e.parameters) for e in whole))
+    free = np.zeros(len(structure.parameters))
     fitted = Fit(
-        effects=tuple(whole), free=free, residual=residual,
+        structure=structure, free=free, residual=residual,
         jacobian=np.zeros((0, len(free))), cost=float(residual @ residual),
     )  # fmt: skip
     blocks = [COMPARED.by_block(r**2) for r in (held, residual)]

@@ -9,14 +9,12 @@ import pytest
 
 from loose_env.gap.data.aligned_run import channels_of, lay_out
 from loose_env.gap.fitting.gauss_newton import fit
-from loose_env.gap.fitting.uncertain_parameters import NominalFigures
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import Machine
-from loose_env.gap.model.parameter import free_of
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.selection.screening.screening import Screened, screen
-from tests.gap.cases.gap_case import STEP, record
+from tests.gap.cases.gap_case import STEP, nominal_structure, record
 
 FLOORS = np.array([2e-5] * 3 + [2e-3] + [0.02] * 3)
 
@@ -28,7 +26,7 @@ def screened(folder: object, bias: tuple[float, float, float]) -> dict[str, Scre
     channels = channels_of(list(recording.runs))
     trials = [lay_out(run, machine, channels, step=STEP) for run in recording.runs]
     whole = Comparison(machine, trials, channels, FLOORS, threads=1)
-    shown = whole.predict([Hypothesis(effects=(), values=())])[0]
+    shown = whole.predict([Hypothesis()])[0]
     rng = np.random.default_rng(5)
     added = np.concatenate([np.zeros(4), bias]) * FLOORS
     measured = [
@@ -36,8 +34,8 @@ def screened(folder: object, bias: tuple[float, float, float]) -> dict[str, Scre
         for trial, values in zip(trials, shown, strict=True)
     ]
     comparison = Comparison(machine, measured, channels, FLOORS, threads=1)
-    figures = NominalFigures(machine, tolerance=0.03)
-    fitted = fit(comparison, [figures], free_of(figures.parameters, np.array(figures.starts[0])))
+    nominal = nominal_structure(machine)
+    fitted = fit(comparison, nominal, nominal.nominal_start)
     candidates = [CATALOGUE[kind](machine, "shake") for kind in ("sensor_bias", "sensor_gain")]
     return {each.effect.kind: each for each in screen(comparison, fitted, candidates)}
 

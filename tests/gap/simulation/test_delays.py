@@ -5,15 +5,15 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from loose_env.gap.fitting.gauss_newton import fit
+from loose_env.gap.fitting.gauss_newton import fit, started
 from loose_env.gap.fitting.holdout_score import Judge
-from loose_env.gap.fitting.uncertain_parameters import NominalFigures
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import Machine
-from loose_env.gap.model.parameter import free_of, values_of
+from loose_env.gap.model.parameter import values_of
 from loose_env.gap.selection.candidate_fits import Trying
 from loose_env.gap.settings import NamingSettings
 from loose_env.recording import Run
+from tests.gap.cases.gap_case import nominal_structure
 from tests.gap.cases.level_arm import EVERY, FINE, LEVEL, NOISE
 from tests.gap.cases.recorded_runs import compared
 
@@ -59,21 +59,14 @@ def test_a_delay_that_is_samples_off_is_moved_to_where_it_belongs() -> None:
     machine = Machine(mujoco.MjSpec.from_string(LEVEL))
     comparison = compared(machine, late_runs(1200), step=FINE * EVERY / 2)
     judge = Judge(comparison, comparison)
-    figures = NominalFigures(machine, tolerance=0.005)
-    base = judge.judge(
-        fit(comparison, [figures], free_of(figures.parameters, np.array(figures.starts[0])))
-    )
+    nominal = nominal_structure(machine, tolerance=0.005)
+    base = judge.judge(fit(comparison, nominal, nominal.nominal_start))
     trying = Trying(comparison, comparison, judge, base, NamingSettings())
     effect, truth = CATALOGUE["sensor_delay"](machine, "shake"), LATE * FINE
     found = []
     for samples in (-2.0, -1.0, 1.0, 3.0):
-        start = np.array([truth + samples * FINE * EVERY])
-        effects = (*base.fitted.effects, effect)
-        stuck = fit(
-            comparison,
-            effects,
-            np.concatenate([base.fitted.free, free_of(effect.parameters, start)]),
-        )
+        start = started(base.fitted, effect, [truth + samples * FINE * EVERY])
+        stuck = fit(comparison, nominal.plus(effect), start)
         moved = trying._shifted(stuck)
         assert moved.cost <= stuck.cost
         found.append([float(values_of(effect.parameters, f.free[-1:])[0]) for f in (stuck, moved)])

@@ -8,13 +8,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.gap.fitting.gauss_newton import hypothesis_of, parameters_of, sensitivities
+from loose_env.gap.fitting.gauss_newton import sensitivities
 from loose_env.gap.fitting.holdout_score import Judge
-from loose_env.gap.fitting.initial_state import StartState
+from loose_env.gap.fitting.initial_state import InitialStates
+from loose_env.gap.fitting.model_structure import ModelStructure, Nuisance
 from loose_env.gap.model.effects.catalogue import CATALOGUE
-from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import Machine
-from loose_env.gap.model.parameter import free_of
 from loose_env.recording import Run
 from tests.gap.cases.recorded_runs import PENDULUM, compared, fitted, measurable, pendulum_run
 
@@ -38,7 +37,7 @@ def decays(count: int, *, viscous: float, coulomb: float, noise: float = 1e-3) -
 def test_a_start_is_known_as_well_as_it_says() -> None:
     machine = pendulum()
     comparison = compared(machine, decays(3, viscous=0.003, coulomb=0.0))
-    starts = StartState(machine, comparison.trials, comparison.channels)
+    starts = InitialStates(machine, comparison.trials, comparison.channels)
     assert starts.moving == (0, 1, 2)
     for k, (angle, speed) in enumerate(STARTS):
         off = (
@@ -52,16 +51,17 @@ def test_a_start_is_known_as_well_as_it_says() -> None:
 def test_sensitivities_of_all_runs_from_one_set_of_simulations() -> None:
     machine = pendulum()
     comparison = compared(machine, decays(3, viscous=0.003, coulomb=0.0))
-    starts = StartState(machine, comparison.trials, comparison.channels)
+    starts = InitialStates(machine, comparison.trials, comparison.channels)
+    structure = ModelStructure(nuisance=Nuisance(initial=starts))
     free = np.zeros(len(starts.parameters))
-    residual = comparison.residuals([hypothesis_of([starts], free)])[0]
+    residual = comparison.residuals([structure.hypothesis(free)])[0]
     before = comparison.simulator.simulated
-    found = sensitivities(comparison, [starts], free, residual, range(len(free)))
+    found = sensitivities(comparison, structure, free, residual, range(len(free)))
     simulations = comparison.simulator.simulated - before
     assert simulations == 2 * sum(trial.steps for trial in comparison.trials)
     one_by_one = np.stack(
         [
-            (comparison.residuals([hypothesis_of([starts], 0.05 * unit)])[0] - residual) / 0.05
+            (comparison.residuals([structure.hypothesis(0.05 * unit)])[0] - residual) / 0.05
             for unit in np.eye(len(free))
         ],
         axis=1,
@@ -96,8 +96,7 @@ def test_the_start_is_fitted_on_held_out_runs_too() -> None:
     judged = Judge(shown, hidden).judge(found)
     assert found.rms < 1.2
     assert judged.held_rms < 1.3
-    without = hypothesis_of(found.effects, found.free)
-    as_measured = Hypothesis(effects=without.effects, values=without.values)
+    as_measured = found.hypothesis.of_model
     assert np.sqrt(np.mean(hidden.residuals([as_measured]) ** 2)) > 2 * judged.held_rms
 
 
@@ -111,13 +110,13 @@ def test_a_run_at_rest_has_no_start_to_fit() -> None:
         torques={"pivot": np.zeros(run.samples)},
     )
     comparison = compared(machine, [still, run])
-    starts = StartState(machine, comparison.trials, comparison.channels)
+    starts = InitialStates(machine, comparison.trials, comparison.channels)
     assert starts.moving == (1,)
     assert [p.name for p in starts.parameters] == ["position.pivot.run-0", "speed.pivot.run-0"]
     position, speed = starts.offsets(np.array([0.1, 0.2]))
     assert position.tolist() == [[0.0], [0.1]] and speed.tolist() == [[0.0], [0.2]]
-    free = free_of(parameters_of([starts]), np.array(starts.starts[0]))
-    assert np.isfinite(comparison.residuals([hypothesis_of([starts], free)])).all()
+    structure = ModelStructure(nuisance=Nuisance(initial=starts))
+    assert np.isfinite(comparison.residuals([structure.hypothesis(structure.nominal_start)])).all()
 
 
 @pytest.mark.parametrize("lost", [3, 12, 20])
@@ -130,7 +129,7 @@ def test_a_speed_that_is_lost_where_a_run_begins_is_known_as_well_as_it_says(los
     speed = np.gradient(run.sensors["encoder"], run.time) + rng.normal(0, 1e-2, run.samples)
     speed[:lost] = np.nan
     comparison = compared(machine, [replace(run, sensors={**run.sensors, "pivot_vel": speed})])
-    starts = StartState(machine, comparison.trials, comparison.channels)
+    starts = InitialStates(machine, comparison.trials, comparison.channels)
     off = abs(comparison.trials[0].speed[0] - STARTS[0][1])
     assert np.isfinite(starts.spreads).all()
     assert off < 4 * starts.spreads[0, 1, 0] < 4.0

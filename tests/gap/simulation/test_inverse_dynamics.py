@@ -17,7 +17,7 @@ from loose_env.recording import Run
 from tests.gap.cases.effect_arms import PLANAR, SHARED, SPATIAL
 from tests.gap.cases.recorded_runs import compared, fitted, measurable, needed, torque_run, waves
 
-NOTHING = Hypothesis(effects=(), values=())
+NOTHING = Hypothesis()
 
 
 def arm(xml: str) -> Machine:

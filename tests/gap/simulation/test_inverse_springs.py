@@ -16,7 +16,7 @@ from loose_env.gap.model.nominal_model import Machine
 from tests.gap.cases.effect_arms import PLANAR
 from tests.gap.cases.recorded_runs import compared, measurable, torque_run
 
-NOTHING = Hypothesis(effects=(), values=())
+NOTHING = Hypothesis()
 MACHINE = Machine(measurable(mujoco.MjSpec.from_string(PLANAR)))
 SPRING = CATALOGUE["joint_compliance"](MACHINE, "joint2")
 

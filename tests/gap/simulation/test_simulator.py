@@ -84,7 +84,7 @@ def test_a_drive_shows_the_force_of_the_sample_not_that_at_the_end_of_its_step()
     machine = Machine(mujoco.MjSpec.from_string(PLANAR), step=STEP, integrator=RK4)
     expected = fine("command_delay", "all", 0.0)
     simulator = Simulator(machine, [recorded()], CHANNELS, threads=1)
-    shown = simulator.predict([Hypothesis(effects=(), values=())])[0][0]
+    shown = simulator.predict([Hypothesis()])[0][0]
     moved = np.sqrt(np.mean(np.diff(expected, axis=0) ** 2, axis=0))
     off = np.sqrt(np.mean((shown - expected) ** 2, axis=0))
     assert np.all(off < 0.02 * moved), (off / moved).round(4)
@@ -104,7 +104,7 @@ def test_accelerations_are_read_at_the_sample_though_commands_change_within_the_
     effect = CATALOGUE[kind](machine, where)
     simulator = Simulator(machine, [trial], CHANNELS, threads=1)
     late = Hypothesis(effects=(effect,), values=(np.array([value]),))
-    (shown,), (rigid,) = simulator.predict([late, Hypothesis(effects=(), values=())])
+    (shown,), (rigid,) = simulator.predict([late, Hypothesis()])
     visible = np.sqrt(np.mean((rigid - expected) ** 2, axis=0))
     off = np.sqrt(np.mean((shown - expected) ** 2, axis=0))
     assert np.all(off[:3] < 0.001 * visible[:3]), (off / visible).round(3)
@@ -121,7 +121,7 @@ def test_a_late_accelerometer_shows_what_was_between_two_samples(value: float) -
     hypotheses = [
         Hypothesis(effects=(effect,), values=(np.array([late]),)) for late in (value, 2 * value)
     ]
-    none = Hypothesis(effects=(), values=())
+    none = Hypothesis()
     (shown,), (later,), (rigid,) = simulator.predict([*hypotheses, none])
     visible = np.sqrt(np.mean((rigid - expected) ** 2, axis=0))[3:5]
     off = np.sqrt(np.mean((shown - expected) ** 2, axis=0))[3:5]
@@ -183,9 +183,7 @@ def test_forces_of_tendons_count_as_torque_on_the_joints_they_pull() -> None:
         controls=controls, position=np.zeros(3), speed=np.zeros(3), resting=False,
     )  # fmt: skip
     channels = tuple(Channel(f"torque.{name}") for name in names)
-    found = Simulator(machine, [trial], channels, threads=1).predict(
-        [Hypothesis(effects=(), values=())]
-    )[0][0]
+    found = Simulator(machine, [trial], channels, threads=1).predict([Hypothesis()])[0][0]
     data = mujoco.MjData(machine.model)
     for k in range(200):
         data.ctrl[:] = controls[k]
@@ -227,14 +225,14 @@ def test_a_delay_of_the_model_stays_at_a_finer_step() -> None:
     late = '<position name="servo2" delay="0.01" nsample="12"'
     spec = mujoco.MjSpec.from_string(PLANAR.replace('<position name="servo2"', late))
     machine = Machine(spec, step=0.00025)
-    model = Hypothesis(effects=(), values=()).model(machine, 0.000125)
+    model = Hypothesis().model(machine, 0.000125)
     data, shown = mujoco.MjData(model), []
     for _ in range(100):
         data.ctrl[1] = 1.0
         mujoco.mj_step(model, data)
         shown.append(abs(data.actuator_force[1]) > 100.0)
     assert shown.index(True) == pytest.approx(80, abs=1)
-    assert corrected_spec(machine, [], []).actuators[1].nsample >= 40
+    assert corrected_spec(machine, Hypothesis()).actuators[1].nsample >= 40
 
 
 def test_a_delay_of_the_model_holds_after_it_came_to_rest() -> None:
@@ -242,7 +240,7 @@ def test_a_delay_of_the_model_holds_after_it_came_to_rest() -> None:
     spec = mujoco.MjSpec.from_string(PLANAR.replace('<position name="servo2"', late))
     machine, trial = Machine(spec, step=STEP), recorded()
     simulator = Simulator(machine, [trial], CHANNELS[:3], threads=1)
-    shown = simulator.predict([Hypothesis(effects=(), values=())])[0][0]
+    shown = simulator.predict([Hypothesis()])[0][0]
     data = mujoco.MjData(machine.model)
     for _ in range(round(SETTLE / STEP)):
         data.ctrl[:] = trial.controls[0]

@@ -45,7 +45,7 @@ CHANNELS = (
 )
 NOISE = np.array([1e-5, 1e-5, 1e-5, 0.02, 0.02])
 """Of good encoders and accelerometers [rad, m/s²]."""
-NOTHING = Hypothesis(effects=(), values=())
+NOTHING = Hypothesis()
 
 
 def machine(integrator: int = RK4, step: float = STEP) -> Machine:
@@ -286,23 +286,22 @@ def test_the_code_of_the_result_applies_a_term_to_the_written_model(tmp_path: Pa
     own = machine()
     term, gain = CubicSpring(own, "joint2"), CATALOGUE["sensor_gain"](own, "encoder2")
     hinge = CATALOGUE["joint_compliance"](own, "joint1")  # shifts the numbers of the joints
-    effects = [hinge, term, gain]
-    values = [np.array(hinge.starts[0]), np.array([300.0]), np.array([1.1])]
-    file = write_model(tmp_path / "model.xml", own, effects, values)[0]
-    before, after = correction_code(effects, values).split("# after every mj_step")
+    given = (hinge, hinge.starts[0]), (term, [300.0]), (gain, [1.1])
+    hypothesis = Hypothesis().with_effects([(e, np.array(v)) for e, v in given])
+    file = write_model(tmp_path / "model.xml", own, hypothesis)[0]
+    before, after = correction_code(hypothesis).split("# after every mj_step")
     model = mujoco.MjModel.from_xml_path(str(file))
     data, shown = mujoco.MjData(model), np.zeros((COUNT, len(CHANNELS)))
     names = {"model": model, "data": data}
-    given = np.vstack([np.zeros((400, 3)), commands()])
-    for k, command in enumerate(given):
+    controls = np.vstack([np.zeros((400, 3)), commands()])
+    for k, command in enumerate(controls):
         data.ctrl[: len(command)] = command
         exec(before, names)  # as a user would
         mujoco.mj_step(model, data)
         exec(after, names)
         shown[max(k - 400, 0)] = [*data.sensordata[:3], *data.sensordata[4:6]]
-    hypothesis = Hypothesis(effects=tuple(effects), values=tuple(values))
     simulator = Simulator(own, [trial()], CHANNELS, threads=1)
-    (expected,), (without,) = simulator.predict([hypothesis, of(hinge, *values[0])])
+    (expected,), (without,) = simulator.predict([hypothesis, of(hinge, *hinge.starts[0])])
     off = np.sqrt(np.mean((shown - expected) ** 2, axis=0))
     visible = np.sqrt(np.mean((without - expected) ** 2, axis=0))
     assert np.all(off[:3] < 0.001 * visible[:3]), (off / visible).round(4)

@@ -11,19 +11,14 @@ import numpy as np
 import pytest
 
 from loose_env.gap.fitting.holdout_score import Judge
-from loose_env.gap.fitting.uncertain_parameters import NominalFigures
 from loose_env.gap.output.checkpoints import Stages, key_of
 from loose_env.gap.output.result import read_result
 from loose_env.gap.selection.checkpoint_codec import judged_of, plain_judged
-from loose_env.gap.workflow.summary import (
-    Evidence,
-    GapOutputs,
-    gather,
-    result_of,
-    write_model_and_result,
-)
+from loose_env.gap.workflow.evidence import Evidence, gather
+from loose_env.gap.workflow.pipeline import GapSolution
+from loose_env.gap.workflow.summary import result_of, write_gap
 from loose_env.recording import Recording, read_recording
-from tests.gap.cases.gap_case import DAMPING, GAIN, outputs_for, record, stated
+from tests.gap.cases.gap_case import DAMPING, GAIN, record, solution_for, stated
 
 
 @pytest.fixture(scope="module")
@@ -32,19 +27,22 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 
 
 @pytest.fixture(scope="module")
-def outputs(recording: Recording) -> GapOutputs:
-    return outputs_for(recording)
+def solution(recording: Recording) -> GapSolution:
+    return solution_for(recording)
 
 
 @pytest.fixture(scope="module")
-def evidence(outputs: GapOutputs) -> Evidence:
-    return gather(outputs)
+def evidence(solution: GapSolution) -> Evidence:
+    return gather(solution)
 
 
-def test_the_gap_closes_by_channel_and_by_horizon(outputs: GapOutputs, evidence: Evidence) -> None:
-    gap = result_of(outputs, evidence).gap
+def test_the_gap_closes_by_channel_and_by_horizon(
+    solution: GapSolution, evidence: Evidence
+) -> None:
+    gap = result_of(solution, evidence).gap
     assert gap.before > 3 and 0.9 < gap.after < 1.2
-    assert set(gap.by_channel) == {channel.name for channel in outputs.held.channels}
+    held = solution.problem.whole_held
+    assert set(gap.by_channel) == {channel.name for channel in held.channels}
     before, after = gap.by_channel["sensor.encoder2"]
     assert before > 3 and 0.8 < after < 1.2
     assert list(gap.by_quantity) == [
@@ -52,11 +50,11 @@ def test_the_gap_closes_by_channel_and_by_horizon(outputs: GapOutputs, evidence:
         "joint speed [rad/s]",
         "acceleration [m/s²]",
     ]
-    floor = outputs.held.floors[-1]
-    own = np.isin(outputs.held.rows.channel, [4, 5, 6])
+    floor = held.floors[-1]
+    own = np.isin(held.rows.channel, [4, 5, 6])
     for given, residual in zip(
         gap.by_quantity["acceleration [m/s²]"],
-        (outputs.base.held_residual, outputs.best.held_residual),
+        (solution.base.held_residual, solution.best.held_residual),
         strict=True,
     ):
         assert given == pytest.approx(np.sqrt(np.mean(residual[own] ** 2)) * floor, rel=0.1)
@@ -65,14 +63,14 @@ def test_the_gap_closes_by_channel_and_by_horizon(outputs: GapOutputs, evidence:
 
 
 def test_the_result_says_where_it_was_and_what_is_left(
-    outputs: GapOutputs, evidence: Evidence
+    solution: GapSolution, evidence: Evidence
 ) -> None:
-    result = result_of(outputs, evidence)
+    result = result_of(solution, evidence)
     runs = {gap.run for gap in result.location.channels}
     assert runs == {"run-01.csv", "run-02.csv", "run-03.csv"}
     assert any("joint2" in words for words in result.where_it_lives)
     assert result.held_out_runs == ("run-03.csv",)
-    assert len(result.left_over) == len(outputs.held.channels)
+    assert len(result.left_over) == len(solution.problem.whole_held.channels)
     assert all(0.8 < left.over_floor < 1.3 for left in result.left_over)
     assert set(result.nominal_figures.values()) == {1.0}
     told = [words for words in result.warnings if words.startswith("these motions")]
@@ -81,14 +79,13 @@ def test_the_result_says_where_it_was_and_what_is_left(
 
 
 def test_what_is_written_reads_back_and_carries_the_effects(
-    outputs: GapOutputs, evidence: Evidence, tmp_path: Path
+    solution: GapSolution, tmp_path: Path
 ) -> None:
-    result = result_of(outputs, evidence)
-    written = write_model_and_result(tmp_path, outputs, result)
+    result, written = write_gap(tmp_path, solution)
     assert [path.name for path in written] == ["model.xml", "result.json"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["model.xml", "result.json"]
     model = mujoco.MjModel.from_xml_path(str(written[0]))
-    nominal = outputs.machine.model
+    nominal = solution.problem.machine.model
     dof = nominal.joint("joint2").dofadr[0]
     assert model.dof_damping[dof] == pytest.approx(nominal.dof_damping[dof] + DAMPING)
     assert "viscous_friction at joint2: damping 3 N·m·s/rad" in written[0].read_text("utf-8")
@@ -97,63 +94,64 @@ def test_what_is_written_reads_back_and_carries_the_effects(
 
 
 def test_a_recording_reads_with_the_written_model_in_place_of_its_own(
-    outputs: GapOutputs, evidence: Evidence, recording: Recording, tmp_path: Path
+    solution: GapSolution, recording: Recording, tmp_path: Path
 ) -> None:
-    write_model_and_result(tmp_path, outputs, result_of(outputs, evidence))
+    write_gap(tmp_path, solution)
     again = read_recording(recording.folder, model=tmp_path / "model.xml")
     assert [run.name for run in again.runs] == [run.name for run in recording.runs]
 
 
-def test_unexplained_says_where_what_is_left_lives(outputs: GapOutputs, evidence: Evidence) -> None:
-    halfway = replace(outputs, verdict="unexplained", effects=())
+def test_unexplained_says_where_what_is_left_lives(
+    solution: GapSolution, evidence: Evidence
+) -> None:
+    halfway = replace(solution, verdict="unexplained", effects=())
     said = result_of(halfway, evidence).where_it_lives
     assert not any("joint2 got" in words for words in said)
 
 
 def test_what_the_corrected_model_has_without_its_being_named_is_told(
-    outputs: GapOutputs, evidence: Evidence, tmp_path: Path
+    solution: GapSolution, tmp_path: Path
 ) -> None:
-    nameless = replace(outputs, verdict="unexplained", effects=())
-    result = result_of(nameless, evidence)
+    nameless = replace(solution, verdict="unexplained", effects=())
+    result, (file, _) = write_gap(tmp_path, nameless)
     assert result.effects == ()
     (told,) = [words for words in result.warnings if "without its being named" in words]
     assert "viscous_friction at joint2: damping 3 N·m·s/rad" in told
     assert "sensor_gain at rate3: gain 1.25 (not in model.xml: see result.json, code)" in told
-    file, _ = write_model_and_result(tmp_path, nameless, result)
     head = file.read_text("utf-8").split("-->")[0]
     assert "On top of the nominal model, without being named" in head
     assert "On top of the nominal model:" not in head
     assert "viscous_friction at joint2: damping 3 N·m·s/rad" in head
-    dof = outputs.machine.model.joint("joint2").dofadr[0]
-    model = mujoco.MjModel.from_xml_path(str(file))
-    assert model.dof_damping[dof] > 1.0 + outputs.machine.model.dof_damping[dof]
+    nominal, model = solution.problem.machine.model, mujoco.MjModel.from_xml_path(str(file))
+    dof = nominal.joint("joint2").dofadr[0]
+    assert model.dof_damping[dof] > 1.0 + nominal.dof_damping[dof]
 
 
 def test_what_is_named_is_not_told_of_as_nameless(
-    outputs: GapOutputs, evidence: Evidence, tmp_path: Path
+    solution: GapSolution, evidence: Evidence, tmp_path: Path
 ) -> None:
-    assert outputs.nameless == ()
-    result = result_of(outputs, evidence)
+    assert solution.unnamed.pairs == ()
+    result = result_of(solution, evidence)
     assert not any("without its being named" in words for words in result.warnings)
-    bare = replace(outputs, verdict="unexplained", effects=(), best=outputs.base)
-    assert bare.nameless == ()
-    bare_result = result_of(bare, evidence)
+    bare = replace(solution, verdict="unexplained", effects=(), best=solution.base)
+    assert bare.unnamed.pairs == ()
+    bare_result, (file, _) = write_gap(tmp_path, bare)
     assert not any("without its being named" in words for words in bare_result.warnings)
-    head = write_model_and_result(tmp_path, bare, bare_result)[0].read_text("utf-8")
+    head = file.read_text("utf-8")
     assert "No effect was added to the nominal model." in head and "On top of" not in head
 
 
 def test_what_is_left_after_the_named_effects_is_told_with_its_place(
-    outputs: GapOutputs, evidence: Evidence
+    solution: GapSolution, evidence: Evidence
 ) -> None:
-    assert result_of(outputs, evidence).left == ()
+    assert result_of(solution, evidence).left == ()
     # Only the friction at joint2 was named: the sensor's gain is left, and no torque.
-    judge = Judge(outputs.fit, outputs.held)
-    kept = outputs.added[:2]
+    problem, corrected = solution.problem, solution.corrected
+    judge = Judge(problem.fit, problem.whole_held)
     stopped = replace(
-        outputs,
-        best=judge.judge(stated(outputs.fit, [e for e, _ in kept], [v for _, v in kept])),
-        effects=outputs.effects[:1],
+        solution,
+        best=judge.judge(stated(problem.fit, corrected.effects[:1], corrected.values[:1])),
+        effects=solution.effects[:1],
     )
     found = gather(stopped)
     result = result_of(stopped, found)
@@ -170,26 +168,25 @@ def test_what_is_left_after_the_named_effects_is_told_with_its_place(
     assert len({gap["run"] for gap in written["left_location"]["channels"]}) == 3
 
 
-def test_unexplained_torque_stays_told_of_where_nothing_was_added(outputs: GapOutputs) -> None:
-    bare = replace(outputs, verdict="unexplained", effects=(), best=outputs.base)
+def test_unexplained_torque_stays_told_of_where_nothing_was_added(solution: GapSolution) -> None:
+    bare = replace(solution, verdict="unexplained", effects=(), best=solution.base)
     said = result_of(bare, gather(bare)).where_it_lives
     assert any(words.startswith("joint2 got 4.") for words in said)
 
 
 def test_a_judged_fit_is_kept_and_taken_up_again(
-    outputs: GapOutputs, recording: Recording, tmp_path: Path
+    solution: GapSolution, recording: Recording, tmp_path: Path
 ) -> None:
     key = key_of(recording, {"tolerance": 0.03})
     assert key != key_of(recording, {"tolerance": 0.04})
-    nominal = NominalFigures(outputs.machine, tolerance=0.03)
-    Stages(tmp_path, key)("best", lambda: plain_judged(outputs.best))
+    Stages(tmp_path, key)("best", lambda: plain_judged(solution.best))
     stages = Stages(tmp_path, key)
     kept = stages("best", lambda: pytest.fail("it was made again"))
     assert stages.taken_up == ["best"]
-    back = judged_of(kept, outputs.machine, [nominal])
-    assert [repr(e) for e in back.fitted.effects] == [repr(e) for e in outputs.best.fitted.effects]
-    assert np.array_equal(back.held_residual, outputs.best.held_residual)
-    assert back.held_rms == outputs.best.held_rms
+    back = judged_of(kept, solution.problem.machine, solution.base.fitted.structure.nuisance)
+    assert [repr(e) for e in back.fitted.effects] == [repr(e) for e in solution.best.fitted.effects]
+    assert np.array_equal(back.held_residual, solution.best.held_residual)
+    assert back.held_rms == solution.best.held_rms
 
 
 def test_stages_of_another_version_are_made_again(

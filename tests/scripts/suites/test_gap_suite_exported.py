@@ -2,32 +2,33 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
 pytest.importorskip("numba")
 
-from loose_env.gap import Effect
+from loose_env.gap import Effect, GapSolution, NamedEffect
 from loose_env.gap.model.effects.actuators import ActuatorLag, CommandDelay
 from loose_env.gap.model.effects.friction import ViscousFriction
 from loose_env.gap.model.effects.joint_elasticity import JointCompliance
 from loose_env.gap.model.effects.sensors import SensorGain
-from loose_env.gap.preparation.prepare import Prepared
+from loose_env.gap.preparation.prepare import GapProblem
 from scripts.suites.gap.grading.exported import exported_gap
 from tests.gap.cases.exported_case import judged_with, prepared_arm
 
 
 @pytest.fixture(scope="module")
-def prepared(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> GapProblem:
     return prepared_arm(tmp_path_factory.mktemp("exported") / "r")
 
 
-def found(prepared: Prepared, effect: Effect, values: list[float]) -> SimpleNamespace:
+def found(prepared: GapProblem, effect: Effect, values: list[float]) -> GapSolution:
     """As the tool would have found it."""
     best = judged_with(prepared, effect, values)
-    return SimpleNamespace(prepared=prepared, best=best, effects=(effect,))
+    named = NamedEffect(kind=effect.kind, where=effect.where, parameters={})
+    return GapSolution(problem=prepared, base=best, best=best, verdict="named", effects=(named,))
 
 
 @pytest.mark.parametrize(
@@ -41,7 +42,7 @@ def found(prepared: Prepared, effect: Effect, values: list[float]) -> SimpleName
     ],
 )
 def test_a_written_model_leaves_what_the_fit_leaves(
-    kind: type, where: str, values: list[float], prepared: Prepared, tmp_path: Path
+    kind: type, where: str, values: list[float], prepared: GapProblem, tmp_path: Path
 ) -> None:
     case = found(prepared, kind(prepared.machine, where), values)
     gaps = exported_gap(case, tmp_path)
@@ -51,7 +52,7 @@ def test_a_written_model_leaves_what_the_fit_leaves(
 
 
 def test_a_model_file_without_the_effect_is_found_out(
-    prepared: Prepared, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    prepared: GapProblem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     effect = ViscousFriction(prepared.machine, "joint2")
     case = found(prepared, effect, [3.0])
@@ -60,9 +61,10 @@ def test_a_model_file_without_the_effect_is_found_out(
     assert gaps is not None and gaps[0] > 3 * gaps[1]
 
 
-def test_what_a_model_file_cannot_carry_is_not_checked(prepared: Prepared, tmp_path: Path) -> None:
+def test_what_a_model_file_cannot_carry_is_not_checked(
+    prepared: GapProblem, tmp_path: Path
+) -> None:
     effect = SensorGain(prepared.machine, "encoder1")
     assert exported_gap(found(prepared, effect, [1.1]), tmp_path) is None
-    nothing = found(prepared, effect, [1.1])
-    nothing.effects = ()
+    nothing = replace(found(prepared, effect, [1.1]), effects=())
     assert exported_gap(nothing, tmp_path) is None

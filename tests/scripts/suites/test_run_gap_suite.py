@@ -8,7 +8,6 @@ import re
 import signal
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,13 +18,13 @@ pytest.importorskip("numba")
 from loose_agents.execution.backends import BackendSettings
 
 from loose_env.errors import InvalidSetting
-from loose_env.gap import NamedEffect, read_result
+from loose_env.gap import read_result
 from scripts.suites.gap import run as script
 from scripts.suites.gap.cases import cases
 from scripts.suites.gap.cases.cases import full_list, name_of, quick_list, role_of
 from scripts.suites.gap.grading import one_case
 from scripts.suites.gap.grading.one_case import Folders, grade_of, run_case, shard_for
-from scripts.suites.gap.grading.tool import EXPORTED, quick_result, run_tool
+from scripts.suites.gap.grading.tool import EXPORTED, run_tool
 
 NUMBERS = [0, 1, 1000, 1001, 3000]
 SAID = {0: "no_gap", 1: "payload", 1000: "payload", 1001: "backlash", 3000: "unexplained"}
@@ -405,32 +404,6 @@ def test_a_whole_run_goes_to_the_docs_and_a_part_does_not(
     script.main(show)
     assert "5 cases" in page.read_text()
     assert "| 11\N{NO-BREAK SPACE}payload |" in page.read_text()
-
-
-def test_the_short_form_of_a_result_is_of_the_format(tmp_path: Path) -> None:
-    channel = np.array([0, 0, 1, 1])
-    held = SimpleNamespace(
-        channels=(SimpleNamespace(name="a_pos"), SimpleNamespace(name="b_pos")),
-        rows=SimpleNamespace(channel=channel),
-        trials=(SimpleNamespace(name="run-04"),),
-    )
-    effect = NamedEffect(
-        kind="payload", where="tool", parameters={"mass": 1.0}, interval_95={"mass": (0.9, 1.1)}
-    )
-    found: Any = SimpleNamespace(
-        verdict="named",
-        effects=(effect,),
-        ranking=(),
-        prepared=SimpleNamespace(whole_held=held, warnings=("coarse step",)),
-        base=SimpleNamespace(held_residual=np.array([3.0, 5.0, 1.0, 1.0])),
-        best=SimpleNamespace(held_residual=np.array([1.0, 1.0, 1.0, 1.0])),
-    )
-    quick_result(found).write(tmp_path / "result.json")
-    result = read_result(tmp_path)
-    assert (result.gap.before, result.gap.after) == (3.0, 1.0)
-    assert result.gap.by_channel["b_pos"] == (1.0, 1.0)
-    assert result.effects == (effect,)
-    assert result.held_out_runs == ("run-04",) and result.warnings == ("coarse step",)
 
 
 def test_a_case_from_its_drawing_to_its_marks(

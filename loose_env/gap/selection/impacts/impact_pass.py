@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from loose_env.gap.fitting.confidence_intervals import Intervals, joined
-from loose_env.gap.fitting.gauss_newton import Fit, cost_of, fit, parameters_of, slices_of
-from loose_env.gap.fitting.holdout_score import Judge, Judged, machine_part
+from loose_env.gap.fitting.gauss_newton import Fit, cost_of, fit
+from loose_env.gap.fitting.holdout_score import Judge, Judged
 from loose_env.gap.fitting.refit import refined
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.preparation.prepare import Prepared
+from loose_env.gap.preparation.prepare import GapProblem
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.selection.impacts.impact_power import Blows
 from loose_env.gap.selection.impacts.impact_search import Struck, find_striking
@@ -43,7 +43,7 @@ class SecondLook:
 
 
 def second_look(
-    prepared: Prepared,
+    prepared: GapProblem,
     judge: Judge,
     best: Judged,
     sought: Sequence[Effect],
@@ -56,7 +56,7 @@ def second_look(
 
     Parameters
     ----------
-    prepared : Prepared
+    prepared : GapProblem
         The runs.
     judge : Judge
         Scores fits to ``prepared.fit``.
@@ -84,9 +84,9 @@ def second_look(
     weighed = prepared.louder(np.maximum(left, 1.0))
     own = Judge(weighed.fit, weighed.whole_held)
     rigid = _without_slides(best, weighed, own)
-    if len(rigid.fitted.named) >= settings.most_effects:
+    if len(rigid.fitted.effects) >= settings.most_effects:
         return None
-    known, rng = machine_part(rigid), np.random.default_rng(settings.seed)
+    known, rng = rigid.fitted.hypothesis.of_model, np.random.default_rng(settings.seed)
     struck = find_striking(prepared, known, sought, rng, settings=naming, say=say)
     if struck is None:
         return None
@@ -102,19 +102,20 @@ def second_look(
     )
 
 
-def _without_slides(best: Judged, prepared: Prepared, judge: Judge) -> Judged:
+def _without_slides(best: Judged, prepared: GapProblem, judge: Judge) -> Judged:
     """Refit the hypothesis without slides, which the impact pass searches again."""
-    kept = [k for k, e in enumerate(best.fitted.effects) if e.kind != "structural_looseness"]
-    own = slices_of(best.fitted.effects)
-    effects = [best.fitted.effects[k] for k in kept]
-    start = np.concatenate([best.fitted.free[own[k]] for k in kept])
-    return judge.judge(refined(fit(prepared.fit, effects, start), prepared.fit))
+    structure, free = best.fitted.structure, best.fitted.free
+    pairs = zip(structure.effects, best.fitted.own_free, strict=True)
+    kept = [(e, own) for e, own in pairs if e.kind != "structural_looseness"]
+    start = np.concatenate([free[: len(structure.nuisance.parameters)], *(own for _, own in kept)])
+    rigid = structure.with_effects([e for e, _ in kept])
+    return judge.judge(refined(fit(prepared.fit, rigid, start), prepared.fit))
 
 
 def _with_struck(comparison: Comparison, rigid: Fit, struck: Struck) -> Fit:
     """Add a part fitted by its impact power to a fit, without refitting."""
     whole = Fit(
-        effects=(*rigid.effects, struck.effect),
+        structure=rigid.structure.plus(struck.effect),
         free=np.concatenate([rigid.free, struck.fitted.free]),
         residual=np.zeros(0),
         jacobian=np.zeros((len(comparison), 0)),
@@ -126,5 +127,5 @@ def _with_struck(comparison: Comparison, rigid: Fit, struck: Struck) -> Fit:
         whole,
         residual=residual,
         jacobian=np.concatenate([rigid.jacobian, none], axis=1),
-        cost=cost_of(residual, whole.free, parameters_of(whole.effects)),
+        cost=cost_of(residual, whole.free, whole.structure.parameters),
     )

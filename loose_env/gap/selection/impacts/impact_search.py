@@ -13,12 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from loose_env.gap.fitting.confidence_intervals import Intervals, bootstrap, widened
-from loose_env.gap.fitting.gauss_newton import UNNAMED, Fit, FitSettings, fit, sensitivities
+from loose_env.gap.fitting.gauss_newton import Fit, FitSettings, fit, sensitivities
 from loose_env.gap.fitting.holdout_score import sureness_of
+from loose_env.gap.fitting.model_structure import ModelStructure
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.parameter import free_of
-from loose_env.gap.preparation.prepare import Prepared
+from loose_env.gap.preparation.prepare import GapProblem
 from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.selection.impacts.impact_power import Blows
 from loose_env.gap.selection.screening.data_driven_starts import proposals
@@ -77,7 +78,7 @@ class Struck:
 
 
 def find_striking(
-    prepared: Prepared,
+    prepared: GapProblem,
     known: Hypothesis,
     candidates: Sequence[Effect],
     rng: np.random.Generator,
@@ -89,7 +90,7 @@ def find_striking(
 
     Parameters
     ----------
-    prepared : Prepared
+    prepared : GapProblem
         The runs.
     known : Hypothesis
         The hypothesis found sample by sample, nominal parameters included.
@@ -140,7 +141,7 @@ def find_striking(
         return None
     numbers = range(len(fitted.free))
     jacobian = sensitivities(
-        searched, fitted.effects, fitted.free, fitted.residual, numbers, difference=_STEP
+        searched, fitted.structure, fitted.free, fitted.residual, numbers, difference=_STEP
     )
     fitted = replace(fitted, jacobian=jacobian)
     return Struck(
@@ -200,10 +201,10 @@ def _sorted(
 
 def _fitted(blows: Blows, effect: Effect, starts: Sequence[tuple[float, ...]]) -> Fit:
     """Return the best of fits from the best starts."""
-    found = []
+    found, structure = [], ModelStructure(effects=(effect,))
     for _, start in _sorted(blows, effect, starts)[:_FROM]:
-        rough = fit(blows, [effect], free_of(effect.parameters, np.array(start)), settings=_ROUGH)
-        found.append(fit(blows, [effect], rough.free, residual=rough.residual, settings=_FINE))
+        rough = fit(blows, structure, free_of(effect.parameters, np.array(start)), settings=_ROUGH)
+        found.append(fit(blows, structure, rough.free, residual=rough.residual, settings=_FINE))
     return min(found, key=lambda each: each.cost)
 
 
@@ -223,28 +224,24 @@ def _shut(fitted: Fit) -> Hypothesis:
 
 
 def _idle(
-    prepared: Prepared, known: Hypothesis, part: Hypothesis, settings: NamingSettings
+    prepared: GapProblem, known: Hypothesis, part: Hypothesis, settings: NamingSettings
 ) -> tuple[Effect, ...]:
     """Effects that are insignificant once the part is in the model; last first."""
-    pairs = list(zip(known.effects, known.values, strict=True))
-    nominal = [pair for pair in pairs if pair[0].kind in UNNAMED]
-    kept = [pair for pair in pairs if pair[0].kind not in UNNAMED]
+    kept, own = list(known.pairs), part.pairs
     if not kept:
         return ()
-    own = list(zip(part.effects, part.values, strict=True))
-    searched, held = (Blows(runs, _of(nominal)) for runs in (prepared.search, prepared.held))
-    best, idle = _Left.of(_of([*kept, *own]), searched, held), list[Effect]()
+    nominal = known.of_model.with_effects(())
+    searched, held = (Blows(runs, nominal) for runs in (prepared.search, prepared.held))
+    none = Hypothesis()
+    best = _Left.of(none.with_effects([*kept, *own]), searched, held)
+    idle: list[Effect] = []
     for pair in reversed(kept.copy()):
         without = [each for each in kept if each is not pair]
-        left = _Left.of(_of([*without, *own]), searched, held)
+        left = _Left.of(none.with_effects([*without, *own]), searched, held)
         if not best.ahead_of(left, settings):
             idle.append(pair[0])
             kept, best = without, left
     return tuple(idle)
-
-
-def _of(pairs: Sequence[tuple[Effect, Array]]) -> Hypothesis:
-    return Hypothesis(effects=tuple(e for e, _ in pairs), values=tuple(v for _, v in pairs))
 
 
 def _explained(before: Array, after: Array) -> float:

@@ -79,12 +79,8 @@ def missing_torque(
         enough, or the actuator torques are not known (`loose_env.gap.data.actuator_states`).
     """
     machine = comparison.machine
-    rigid = [
-        (effect, values)
-        for effect, values in zip(hypothesis.effects, hypothesis.values, strict=True)
-        if not effect.adds_motion
-    ]
-    known = Hypothesis(effects=tuple(e for e, _ in rigid), values=tuple(v for _, v in rigid))
+    rigid = [(effect, values) for effect, values in hypothesis.pairs if not effect.adds_motion]
+    known = hypothesis.of_model.with_effects(rigid)
     step = machine.step or float(machine.model.opt.timestep)
     model = known.model(machine, step)
     model.opt.disableflags |= _OFF
@@ -113,7 +109,7 @@ def _missing(
     """Motion and residual torque of one run; None where an activation is not known."""
     times = trial.step * np.arange(trial.steps, dtype=np.float64)
     controls = trial.controls
-    for effect, values in zip(known.effects, known.values, strict=True):
+    for effect, values in known.pairs:
         controls = effect.command(times, controls, values)
     own = activations(model, controls, trial.step)
     if own is None:

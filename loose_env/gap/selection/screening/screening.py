@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from loose_env.gap.fitting.gauss_newton import Fit, hypothesis_of, parameters_of, prior_of, started
+from loose_env.gap.fitting.gauss_newton import Fit, started
+from loose_env.gap.fitting.model_structure import prior_of
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.sensor_columns import of_place_or_speed
 from loose_env.gap.model.parameter import Parameter, free_of
@@ -193,7 +194,7 @@ def signatures(
     for begin in range(0, len(entries), _GROUP):
         group = entries[begin : begin + _GROUP]
         tried = [
-            hypothesis_of((*fitted.effects, effect), started(fitted, effect, start))
+            fitted.structure.plus(effect).hypothesis(started(fitted, effect, start))
             for effect, start in group
         ]
         for (effect, start), residual in zip(group, compared.residuals(tried), strict=True):
@@ -243,7 +244,7 @@ class _Known:
 
     @classmethod
     def of(cls, fitted: Fit, rows: NDArray[np.bool_] | slice = slice(None)) -> _Known:
-        parameters = parameters_of(fitted.effects)
+        parameters = fitted.structure.parameters
         centres, weights = prior_of(parameters)
         low, high = np.array([p.bounds for p in parameters]).T.reshape(2, -1)
         jacobian, residual = fitted.jacobian[rows], fitted.residual[rows]

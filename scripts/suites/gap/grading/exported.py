@@ -11,7 +11,7 @@ from pathlib import Path
 
 import mujoco
 
-from loose_env.gap import GapFound, compared, exported, machine_part, resting_runs, write_model
+from loose_env.gap import GapSolution, compared, exported, resting_runs, write_model
 
 __all__ = ["MODEL", "exported_gap"]
 
@@ -19,12 +19,12 @@ MODEL = "model.xml"
 """File of the corrected model."""
 
 
-def exported_gap(found: GapFound, folder: Path) -> tuple[float, float] | None:
+def exported_gap(found: GapSolution, folder: Path) -> tuple[float, float] | None:
     """Gap of the written model and that of the fit, on the same numbers.
 
     Parameters
     ----------
-    found : GapFound
+    found : GapSolution
         What the tool found.
     folder : Path
         Where the model is written.
@@ -35,14 +35,14 @@ def exported_gap(found: GapFound, folder: Path) -> tuple[float, float] | None:
         Root mean squares in noise standard deviations; None where MJCF cannot carry an effect, or
         no held-out run is one that begins at rest, has commands and is compared sample by sample.
     """
-    corrected, held = machine_part(found.best), found.prepared.whole_held
+    corrected, held = found.corrected, found.problem.whole_held
     if not found.effects or not all(effect.in_model for effect in corrected.effects):
         return None
-    runs, machine = resting_runs(held), found.prepared.machine
+    runs, machine = resting_runs(held), found.problem.machine
     if not runs:
         return None
     step = exported(held, corrected, found.best.held_residual).step
-    file, *_ = write_model(folder / MODEL, machine, corrected.effects, corrected.values, step=step)
+    file, *_ = write_model(folder / MODEL, machine, corrected, step=step)
     model = mujoco.MjModel.from_xml_path(str(file))
     tried = compared(held, found.best.held_residual, model, runs)
     return None if tried is None else (tried[1].left, tried[1].fitted)

@@ -8,17 +8,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
-from loose_env.gap import Gap, GapFound, GapResult, GapSettings, find_gap, read_result
+from loose_env.gap import GapResult, GapSettings, find_gap, read_result, result_of
 from loose_env.recording import read_recording
 from scripts.suites.gap.grading.exported import exported_gap
 
-__all__ = ["EXPORTED", "LOG", "RESULT", "Tool", "quick_result", "run_tool"]
+__all__ = ["EXPORTED", "LOG", "RESULT", "Tool", "run_tool"]
 
 Tool = Callable[[Path, Path], None]
 """Reads the recording in the first folder and leaves ``result.json`` in the second."""
@@ -49,52 +45,13 @@ def run_tool(recording: Path, folder: Path) -> None:
     settings = GapSettings(threads=1)
     with (folder / LOG).open("w", encoding="utf-8", buffering=1) as log:
         found = find_gap(read_recording(recording), settings, say=lambda line: _put(log, line))
-    result = quick_result(found, settings)
+    result = result_of(found)
     GapResult.from_json(result.to_json())
     gaps = exported_gap(found, folder)
     if gaps is not None:
         text = json.dumps(dict(zip(("exported", "fit"), gaps, strict=True)))
         (folder / EXPORTED).write_text(text + "\n", encoding="utf-8")
     read_result(result.write(folder / RESULT))
-
-
-def quick_result(found: GapFound, settings: GapSettings | None = None) -> GapResult:
-    """Sum up what was found, without the evidence that only a reader of the page needs.
-
-    Parameters
-    ----------
-    found : GapFound
-        What `find_gap` returned.
-    settings : GapSettings, optional
-        How it was found, for the file.
-
-    Returns
-    -------
-    GapResult
-        With verdict, effects, ranking, held-out runs and the gap by channel; without the gap by
-        horizon, the location, the tests of what is left, and a model.
-    """
-    held = found.prepared.whole_held
-    before, after = found.base.held_residual, found.best.held_residual
-    by_channel = {}
-    for number, channel in enumerate(held.channels):
-        own = held.rows.channel == number
-        if own.any():
-            by_channel[channel.name] = (_rms(before[own]), _rms(after[own]))
-    return GapResult(
-        verdict=found.verdict,
-        gap=Gap(before=_rms(before), after=_rms(after), by_channel=by_channel),
-        effects=found.effects,
-        held_out_runs=tuple(trial.name for trial in held.trials),
-        ranking=found.ranking,
-        model=None,
-        warnings=found.prepared.warnings,
-        settings={} if settings is None else asdict(settings),
-    )
-
-
-def _rms(residual: NDArray[np.float64]) -> float:
-    return float(np.sqrt(np.mean(residual**2)))
 
 
 def _put(log: object, line: str) -> None:

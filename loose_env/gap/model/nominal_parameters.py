@@ -1,6 +1,7 @@
 """Uncertain parameters of the nominal model, known within a tolerance.
 
-They are fitted with every hypothesis, within the tolerance, and never reported as an effect.
+They are nuisance parameters: fitted with every hypothesis, within the tolerance, and never reported
+as an effect.
 """
 
 from __future__ import annotations
@@ -11,30 +12,29 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
-from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = ["NominalFigures"]
+__all__ = ["NominalParameters"]
 
 
 _BEYOND = 1.02
-"""Share of the tolerance to which a figure may go; more than 1 for figures right at its end. With
-more room, stronger servos take up what is a friction."""
+"""Largest deviation of a parameter, as a share of the tolerance; above 1, so that a true value at
+the end of the tolerance is no bound. With more room, servo gains absorb a friction."""
 _SPREAD = 0.6
-"""Standard deviation of a figure beforehand, as a share of the tolerance (uniform: 0.58)."""
+"""Prior standard deviation, as a share of the tolerance (of a uniform distribution: 0.58)."""
 
 
 @dataclass(frozen=True)
-class _Figure:
+class _Entry:
     """One nominal parameter: field and element of the model."""
 
     field: str
     of: str
 
 
-class NominalFigures(Effect):
+class NominalParameters:
     """Factors on masses, inertias, dampings, rotor inertias and actuator gains.
 
     Parameters
@@ -47,28 +47,20 @@ class NominalFigures(Effect):
     Examples
     --------
     >>> from loose_env.arms import planar
-    >>> figures = NominalFigures(Machine(planar(2).spec), tolerance=0.03)
-    >>> sorted({figure.field for figure in figures.figures})
+    >>> nominal = NominalParameters(Machine(planar(2).spec), tolerance=0.03)
+    >>> sorted({entry.field for entry in nominal.entries})
     ['armature', 'damping', 'inertia', 'mass']
     """
 
-    kind = "nominal"
-
     def __init__(self, machine: Machine, *, tolerance: float) -> None:
-        super().__init__(machine, "all")
-        self.tolerance = tolerance
-
-    @classmethod
-    def places(cls, machine: Machine) -> tuple[str, ...]:
-        """Locations: the whole model."""
-        return ("all",)
+        self.machine, self.tolerance = machine, tolerance
 
     @cached_property
-    def figures(self) -> tuple[_Figure, ...]:
+    def entries(self) -> tuple[_Entry, ...]:
         """Nominal parameters of the model that are not zero."""
         model, machine = self.machine.model, self.machine
         found = [
-            _Figure(field, link)
+            _Entry(field, link)
             for link in machine.links
             for field in ("mass", "inertia")
             if model.body(link).mass[0] > 0
@@ -80,11 +72,11 @@ class NominalFigures(Effect):
                 "armature": model.dof_armature[dof],
                 "frictionloss": model.dof_frictionloss[dof],
             }
-            found += [_Figure(field, joint) for field, value in values.items() if value > 0]
+            found += [_Entry(field, joint) for field, value in values.items() if value > 0]
         for k, actuator in enumerate(machine.actuators):
-            found.append(_Figure("gain", actuator))
+            found.append(_Entry("gain", actuator))
             if model.actuator_biasprm[k, 2] != 0:
-                found.append(_Figure("velocity_gain", actuator))
+                found.append(_Entry("velocity_gain", actuator))
         return tuple(found)
 
     @cached_property
@@ -93,7 +85,7 @@ class NominalFigures(Effect):
         wide = _BEYOND * self.tolerance
         return tuple(
             Parameter(
-                name=f"{figure.field}.{figure.of}",
+                name=f"{entry.field}.{entry.of}",
                 unit="",
                 low=1 - wide,
                 high=1 + wide,
@@ -101,30 +93,29 @@ class NominalFigures(Effect):
                 centre=1.0,
                 spread=_SPREAD,
             )
-            for figure in self.figures
+            for entry in self.entries
         )
 
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starting values: nominal."""
-        return ((1.0,) * len(self.figures),)
+    def by_name(self, factors: Array) -> dict[str, float]:
+        """Map the names of the parameters to their factors (P,)."""
+        return {p.name: float(v) for p, v in zip(self.parameters, factors, strict=True)}
 
-    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Scale the nominal parameters."""
-        for figure, factor in zip(self.figures, values, strict=True):
-            if figure.field == "mass":
-                spec.body(figure.of).mass *= factor
-            elif figure.field == "inertia":
-                body = spec.body(figure.of)
+    def edit(self, spec: mujoco.MjSpec, factors: Array) -> None:
+        """Scale the nominal parameters by factors (P,)."""
+        for entry, factor in zip(self.entries, factors, strict=True):
+            if entry.field == "mass":
+                spec.body(entry.of).mass *= factor
+            elif entry.field == "inertia":
+                body = spec.body(entry.of)
                 body.inertia = np.asarray(body.inertia) * factor
-            elif figure.field == "damping":
-                joint = spec.joint(figure.of)
+            elif entry.field == "damping":
+                joint = spec.joint(entry.of)
                 joint.damping = np.asarray(joint.damping) * factor
-            elif figure.field in ("armature", "frictionloss"):
-                joint = spec.joint(figure.of)
-                setattr(joint, figure.field, getattr(joint, figure.field) * factor)
+            elif entry.field in ("armature", "frictionloss"):
+                joint = spec.joint(entry.of)
+                setattr(joint, entry.field, getattr(joint, entry.field) * factor)
             else:
-                _scale_gain(spec.actuator(figure.of), factor, velocity=figure.field != "gain")
+                _scale_gain(spec.actuator(entry.of), factor, velocity=entry.field != "gain")
 
 
 def _scale_gain(actuator: mujoco.MjsActuator, factor: float, *, velocity: bool) -> None:
