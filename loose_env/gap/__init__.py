@@ -1,7 +1,7 @@
 """Model error: find, name and correct the effect a simulation lacks.
 
-Data flow: model -> data -> settings -> simulation -> residuals -> fitting -> output ->
-preparation -> selection -> diagnostics -> workflow.
+Data flow: model -> data -> settings -> simulation -> residuals -> fitting ->
+output -> preparation -> selection -> diagnostics -> workflow.
 """
 
 from loose_env.gap.diagnostics.experiment_advice import (
@@ -20,9 +20,6 @@ from loose_env.gap.diagnostics.localisation import (
 )
 from loose_env.gap.diagnostics.regressors import (
     binned,
-)
-from loose_env.gap.diagnostics.remaining_error import (
-    CLOSED,
 )
 from loose_env.gap.diagnostics.residual_spectra import (
     Series,
@@ -68,8 +65,9 @@ from loose_env.gap.residuals.physical_units import (
     quantity_words,
 )
 from loose_env.gap.settings import (
+    ACCEPTED_Z,
+    NOISE_RMS,
     GapSettings,
-    NamingSettings,
 )
 from loose_env.gap.workflow.evidence import Evidence, gather
 from loose_env.gap.workflow.explain import explain_gap
@@ -81,7 +79,8 @@ from loose_env.gap.workflow.session import GapSession
 from loose_env.gap.workflow.summary import result_of, write_gap
 
 __all__ = [
-    "CLOSED",
+    "ACCEPTED_Z",
+    "NOISE_RMS",
     "Dependence",
     "Effect",
     "Evidence",
@@ -93,7 +92,6 @@ __all__ = [
     "Identifiability",
     "JointMotion",
     "NamedEffect",
-    "NamingSettings",
     "Parameter",
     "Place",
     "Ranked",

@@ -1,4 +1,8 @@
-"""Settings of `loose gap`, and acceptance criteria of its effect search."""
+"""Settings of `loose gap`, and the thresholds by which it decides.
+
+Of the thresholds: shares are of sums of squares; z-scores are in standard deviations over blocks of
+time; residuals are in noise standard deviations of their channel.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +14,169 @@ import numpy as np
 
 from loose_env.errors import InvalidSetting
 
-__all__ = ["GapSettings", "NamingSettings"]
+__all__ = ["GapSettings", "SearchSettings"]
 
+# Preparation
+CHAOTIC_SHARE = 0.3
+"""Share of a random run's incoherent part that a nudge redraws, from which the run counts as
+chaotic: its samples carry no information then."""
+CHAOTIC_POWER = 2.0
+"""Incoherent power of such a run over that of the nominal model, noise in both; below, samples tell
+more than features."""
+MOVING = 30.0
+"""Range of a joint's motion from which it counts as moved [standard deviations of its noise]."""
+SPARE_BLOCKS = 1.5
+"""Blocks of time wanted over the z² that a z-score of z takes at least."""
+STEP_ERROR = 0.1
+"""Integration error sought [noise standard deviations]: well below the noise."""
+OWN_STEP_ERROR = 0.3
+"""Integration error up to which the model's own step and integrator stay, where they are cheaper
+[noise standard deviations]; above, the reader is warned."""
+
+# Search
+SCREENING_S = 6.0
+"""Length of the windows on which candidates are screened, in all [s]; more where runs are many."""
+SCREENING_RUNS = 6
+"""Runs with a window each for that, where there are as many."""
+SEARCH_Z = 3.0
+"""Autocorrelation (z) of a residual below which it is white and nothing is searched in it."""
+FITTED_CANDIDATES = 7
+"""Candidates fitted to the windows, by predicted explained variance: a matter of cost."""
+FITTED_BY_Z = 2
+"""Further ones by predicted z-score: small effects that act in every block of time."""
+LEAST_PREDICTED = 0.1
+"""Predicted explained variance of a candidate over that of the best one, from which it is
+fitted."""
+FITTED_TWICE = 3
+"""Candidates fitted from a second start, where there is one as good: local minima."""
+SECOND_START = 0.5
+"""Predicted explained variance of a second start over that of the first, from which it is kept."""
+HOPELESS_COST = 2.0
+"""Cost on the windows over that of the best candidate, from which one is dropped, if the best is
+also better by `ACCEPTED_Z`."""
+FINALISTS = 3
+"""Candidates fitted to all search data: a matter of cost."""
+CONFUSABLE_FITS = 2
+"""Candidates confusable with the best one that are fitted to all search data, too."""
+SECOND_WAVE = 6
+"""Further candidates fitted if none of those is accepted and the residual is large."""
+SINGLE_SHARE = 0.4
+"""Share of the residual below which no single effect suffices, and one kind is fitted at several
+locations."""
+LARGE_RESIDUAL = 0.2
+"""Autocorrelated residual over that of the nominal model, above which joint fits are tried, or:"""
+LARGE_RMS = 3.0
+"""Residual on held-out runs above which they are [noise standard deviations]."""
+FAMILY_SHARE = 0.8
+"""Share of the residual that one kind at several locations explains at least; else it is a proxy
+for another effect."""
+FAMILY_LOCATIONS = 3
+"""Locations from which an effect is one of the whole arm."""
+FAMILIES = 6
+"""Kinds that are tried at several locations: a matter of cost."""
+
+# Acceptance
+ACCEPTED_Z = 3.5
+"""Larger of the z-scores on training and held-out runs from which an improvement is accepted: many
+candidates are compared."""
+CONFIRMED_Z = 2.0
+"""Smaller of these z-scores: seen in both data sets."""
+VISIBLE_FALL = 2.0
+"""Fall of the sum of squares [standard deviations of a sum of as many squares of noise]."""
+ACCEPTED_SHARE = 0.4
+"""Share of the residual that an effect explains at least, or:"""
+ACCEPTED_SHARE_OF_NOMINAL = 0.04
+"""Share of the nominal model's autocorrelated residual, or:"""
+CHANNEL_SHARE_OF_NOMINAL = 0.3
+"""Share of it in one channel in which it is clearly autocorrelated, or:"""
+CHANNEL_SHARE = 0.85
+"""Share of the current residual in one such channel: a slightly wrong law elsewhere may leave more
+than a second effect ever did."""
+CHANNEL_Z = 10.0
+"""Autocorrelation (z) of such a channel."""
+FRICTION_LAW = 0.03
+"""Friction over a larger one at the same joint, below which it is an error of that one's law: oil
+thins as it is sheared, seals warm up."""
+MASS_DISTRIBUTION = 0.1
+"""Mass over that of a flexible link, below which it is an error of the mass distribution assumed
+there."""
+OWN_GAIN = 0.5
+"""Share of an effect's gain that is its own: not that of its rigid limit, nor below the noise."""
+EQUAL_LOG_LIKELIHOOD = 10.0
+"""Difference in twice the log-likelihood below which two hypotheses are equal: above is very strong
+evidence (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995, 773)."""
+WORTH_PARAMETERS = 0.02
+"""Share of the sum of squares below which further parameters are not worth it."""
+WORTH_SHARE = 0.1
+"""Share of a simpler hypothesis' residual that they explain even so."""
+TIE_Z = 2.0
+"""Improvement (z) on held-out runs below which two hypotheses are not distinguishable."""
+SWAP_CANDIDATES = 4
+"""Candidates fitted in place of each identified effect: a matter of cost."""
+SWAP_CANDIDATES_THERE = 2
+"""Further ones at the same joint."""
+SWAPPED_EFFECTS = 3
+"""Most identified effects for which swaps are tried."""
+
+# Verdict and intervals
+UNEXPLAINED_Z = 4.0
+"""Autocorrelation (z) of a residual above which something is missing: stricter than to search."""
+NOISE_RMS = 1.25
+"""Residual up to which it counts as noise [noise standard deviations]: error of the noise
+estimate."""
+IMPACT_DOMINATED = 0.25
+"""Autocorrelated share of what exceeds the noise, below which impacts dominate: these are not
+autocorrelated."""
+EXPLAINED = 0.88
+"""Share of the residual that the effects explain together for the verdict "named": a law slightly
+off leaves a few percent, a proxy more."""
+EXPLAINED_AT_MANY = 0.5
+"""The same if one kind is identified at `FAMILY_LOCATIONS`: the arm lacks more than one thing."""
+EXPLAINED_BY_IMPACTS = 0.45
+"""The same if a part with stops is identified where impacts dominate: a mistimed impact counts
+twice."""
+NARROWEST_INTERVAL = 0.005
+"""Narrowest half interval over the value: no law of the catalogue is closer to a machine's."""
+REFUTED_Z = 2.0
+"""Improvement (z) over a value from which it lies outside the 95 % interval."""
+IDENTIFIABLE_Z = 5.0
+"""Length of a signature, or of what separates two, to be identifiable [standard deviations]: a
+margin over `ACCEPTED_Z`."""
+RIVAL_SHARE = 0.05
+"""Share of the residual that a rival may leave beyond an identified effect, and still compete with
+it."""
+
+# Impacts and export
+IMPACT_RMS = 1.5
+"""Residual of a channel beside stops above which it counts as noise while the search goes on [noise
+standard deviations]: it masks other effects."""
+SUFFICIENT_Z = 5.0
+"""Improvement (z) on training and held-out runs that is accepted there whatever its share: what a
+proxy explains does not show in nearly every block of time."""
+IMPACT_WINDOW_S = 0.05
+"""Stretches over which impact power is computed [s]: independent of the moment of an impact."""
+IMPACT_PREDICTED = 0.5
+"""Share of the impact power that a start explains by itself, from which it is fitted."""
+IMPACT_EXPLAINED = 0.85
+"""Share of the impact power of held-out runs that identifies a part with stops."""
+EXPORT_ERROR = 0.3
+"""Departure of the exported file from the fit in a channel [noise standard deviations], or:"""
+EXPORT_ERROR_SHARE = 0.1
+"""Share of the residual there, where that is more."""
+
+# Diagnostics
+DEPENDENCE_Z = 3.0
+"""z-score from which a dependence of a residual on motion or load is reported."""
+DEPENDENCE_SHARE = 0.05
+"""Share of a residual's power from which it is."""
+DEPENDENCE_RMS = 0.15
+"""Explained part from which it is, in the corrected model [noise standard deviations]."""
+VISIBLE_RMS = 1.2
+"""Residual of a channel from which it is reported [noise standard deviations], or:"""
+SIMPLER_DEPENDENCE = 0.85
+"""Share of the strongest dependence from which a simpler one is reported instead."""
+
+# Bounds of the settings
 _MOST_EFFECTS, _MOST_THREADS, _SEEDS = 30, 10_000, 2**63
 """Bounds of settings: most effects and threads, and above all seeds."""
 
@@ -92,95 +257,17 @@ def _is_number(value: object) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NamingSettings:
-    """Acceptance criteria of effects, and sizes of the search."""
+class SearchSettings:
+    """Parts of the effect search that differ between its passes.
 
-    most: int = 3
-    """Most effects named."""
-    sorting: float = 6.0
-    """How much of the runs is used to sort candidates, in all [s]; more where runs are many."""
-    sorted_runs: int = 6
-    """Runs of which a window each is used for that, where there are as many."""
-    candidates: int = 7
-    """Candidates that are fitted to that."""
-    surer: int = 2
-    """Further ones that promise less and are surer than all of those."""
-    twice: int = 3
-    """How many of them are fitted from a second start where one promises about as much."""
-    further: int = 6
-    """Further candidates that are fitted if none of those will do and much is left."""
-    finalists: int = 3
-    """Candidates that are fitted to whole runs."""
-    kin: int = 2
-    """Further candidates fitted to whole runs because the best one may be mistaken for them."""
-    exchanged: int = 4
-    """Candidates that are fitted in the place of each named effect, once all are there."""
-    exchanged_there: int = 2
-    """Further ones at the same joint."""
-    exchanges: int = 3
-    """Most effects that are exchanged in this way; many of one kind are not looked at singly."""
-    hopeless: float = 2.0
-    """Sum of squares on what sorts candidates, over that of the best of them, from which on one is
-    not fitted to whole runs, if the best one is surely ahead of it (`sureness`)."""
-    alone: float = 0.4
-    """Share of what is still to be explained below which no effect by itself will do, and one kind
-    at several places is tried."""
-    much: float = 0.2
-    """Share of what there was to explain at first that must be left for that."""
-    loud: float = 3.0
-    """Or what is left of the held-out runs for that [noise standard deviations]."""
-    mixed: float = 1.25
-    """What must be left of the held-out runs for all frictions of a joint to be tried at once
-    [noise standard deviations]."""
-    families: int = 6
-    """Kinds that are tried at several places."""
-    several: int = 3
-    """Places from which on an effect that explains much at one of them alone is one of a machine
-    that lacks it all over."""
-    nearly: float = 0.8
-    """Share of what is still to be explained that these places have to explain together; else they
-    stand in for another effect."""
-    promise: float = 0.1
-    """Share of the best candidate's promise from which on another is fitted too."""
-    structure: float = 3.0
-    """Sureness with which a residual has to hang together in time for anything to be sought in
-    it [standard deviations]."""
-    sureness: float = 3.5
-    """Lead from which on an effect is believed, on the runs fitted to or on those held out
-    [standard deviations]."""
-    held: float = 2.0
-    """Lead that it needs on either."""
-    visible: float = 2.0
-    """By how much it has to lower the sum of squares, on the runs held out or on all [standard
-    deviations of the sum of as many squares of noise]."""
-    exchanges_stops: bool = True
-    """Whether a part with stops is exchanged, too; not where what it leaves counts as noise, for
-    in that what explains less does as well."""
-    everywhere: float = inf
-    """Lead on the runs fitted to and on those held out that will do in the place of any share
-    [standard deviations]."""
-    left: float = 1.5
-    """Root mean square of a channel that a part with stops may leave [noise standard deviations];
-    where it leaves more, what it leaves counts as noise while others are sought."""
-    share: float = 0.4
-    """Share of what is still to be explained that it has to explain; or else:"""
-    base_share: float = 0.04
-    """Share of what there was to explain at first that it has to explain; or else:"""
-    channel_share: float = 0.3
-    """Share of what there was to explain at first in one channel in which it hung together surely
-    (`channel_sureness`)."""
-    channel_whole: float = 0.85
-    """Share of what is still to be explained in one such channel that will do, too: a law that is
-    a little wrong elsewhere may leave more than a second effect ever did."""
-    channel_sureness: float = 10.0
-    """Mean product of a residual of that channel with itself a little later, over what white
-    noise shows by chance [standard deviations]."""
-    same: float = 10.0
-    """Difference in twice the log-likelihood below which two hypotheses leave the same: more than
-    that is very strong evidence (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995, 773)."""
-    worth: float = 0.02
-    """Share of the sum of squares below which further parameters are of little worth."""
-    more: float = 0.1
-    """Share of what a simpler hypothesis leaves that they have to explain even so."""
-    tie: float = 2.0
-    """Lead on held-out runs below which two hypotheses cannot be told apart."""
+    All other criteria are the constants above.
+    """
+
+    most_effects: int = 3
+    """Most effects in the model."""
+    sufficient_z: float = inf
+    """Improvement (z) on training and held-out runs that is accepted whatever its share [standard
+    deviations over blocks]."""
+    swap_stops: bool = True
+    """Whether swaps are tried for a part with stops; not where its residual counts as noise, in
+    which an effect that explains less fits as well."""

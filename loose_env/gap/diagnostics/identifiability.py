@@ -28,6 +28,9 @@ from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.selection.screening.grouping import akin
 from loose_env.gap.selection.screening.screening import along, signatures
+from loose_env.gap.settings import (
+    IDENTIFIABLE_Z,
+)
 from loose_env.typing import Array
 
 __all__ = ["identifiability"]
@@ -35,8 +38,6 @@ __all__ = ["identifiability"]
 
 _SECONDS = 4.0
 """How much of the runs is looked at, in all [s]."""
-_NEEDED = 5.0
-"""Length of a signature, or of what tells two apart, that is needed [standard deviations]."""
 _NEARLY = 0.2
 """Share of a signature that another one leaves, up to which it is tried at its best size."""
 _NEVER = 1e3
@@ -98,9 +99,9 @@ def identifiability(
             more_s=nuisance.more(each.change, seconds),
         )
         for length, each in seen.values()
-        if length < _NEEDED
+        if length < IDENTIFIABLE_Z
     ]
-    shown = [each for length, each in seen.values() if length >= _NEEDED]
+    shown = [each for length, each in seen.values() if length >= IDENTIFIABLE_Z]
     pairs = _with_named(short, named, shown, unit, seconds)
     pairs += _among(nuisance, shown, seconds)
     return Identifiability(unseen=tuple(unseen), alike=tuple(pairs))
@@ -173,11 +174,11 @@ class _Fitted:
     def more(self, change: Array, seconds: float, other: Array | None = None) -> float | None:
         """Additional length of the runs needed [s]; None where no length will do."""
         low, high = 1.0, _NEVER
-        if self.length(change, other, times=high) < _NEEDED:
+        if self.length(change, other, times=high) < IDENTIFIABLE_Z:
             return None
         while high / low > _PRECISION:
             middle = float(np.sqrt(low * high))
-            enough = self.length(change, other, times=middle) >= _NEEDED
+            enough = self.length(change, other, times=middle) >= IDENTIFIABLE_Z
             low, high = (low, middle) if enough else (middle, high)
         return (high - 1.0) * seconds
 
@@ -280,7 +281,7 @@ def _among(fitted: _Fitted, shown: Sequence[_Signature], seconds: float) -> list
 
 def _sorted(pairs: Sequence[Alike]) -> list[Alike]:
     """Pairs that are not distinguishable, most confusable first."""
-    return sorted((pair for pair in pairs if pair.sureness < _NEEDED), key=_sureness)
+    return sorted((pair for pair in pairs if pair.sureness < IDENTIFIABLE_Z), key=_sureness)
 
 
 def _sureness(pair: Alike) -> float:
@@ -295,5 +296,5 @@ def _pair(fitted: _Fitted, one: _Signature, other: _Signature, seconds: float) -
         other_kind=other.effect.kind,
         other_where=other.effect.where,
         sureness=length,
-        more_s=fitted.more(one.change, seconds, other.change) if length < _NEEDED else 0.0,
+        more_s=fitted.more(one.change, seconds, other.change) if length < IDENTIFIABLE_Z else 0.0,
     )

@@ -19,6 +19,13 @@ from loose_env.gap.diagnostics.residual_spectra import Series, band_edges, densi
 from loose_env.gap.output.evidence_schema import Band, ChannelGap, Dependence, JointGap, Location
 from loose_env.gap.residuals.autocorrelation import Structure, largest
 from loose_env.gap.residuals.residual_model import LONGEST, Rows
+from loose_env.gap.settings import (
+    DEPENDENCE_SHARE,
+    DEPENDENCE_Z,
+    SIMPLER_DEPENDENCE,
+    UNEXPLAINED_Z,
+    VISIBLE_RMS,
+)
 from loose_env.typing import Array
 
 __all__ = ["depends_on", "locate", "main_band", "strongest", "where_it_lives"]
@@ -26,27 +33,6 @@ __all__ = ["depends_on", "locate", "main_band", "strongest", "where_it_lives"]
 
 _SAMPLES = 2500
 """Samples of a run that are held against motion and load, at most."""
-
-
-_SURE = 3.0
-"""Sureness from which on a dependence is worth telling [standard deviations]."""
-
-
-_LEAST = 0.05
-"""Share of a residual's power from which on a dependence is worth telling."""
-
-
-_VISIBLE = 1.2
-"""Residual over the noise floor from which on it is told of."""
-
-
-_NO_NOISE = 4.0
-"""Sureness from which on what hangs together in time is told of, however small: of hundreds of
-runs and channels with nothing but noise none passes it."""
-
-
-_AS_GOOD = 0.85
-"""Share of the strongest dependence from which on a simpler one is named in its place."""
 
 
 _SIMPLEST = ("direction", "position", "velocity", "load", "acceleration")
@@ -177,7 +163,9 @@ def _joint_gaps(run: str, motion: JointMotion) -> list[JointGap]:
     return found
 
 
-def strongest(depends: Sequence[Dependence], *, least: float = _LEAST) -> Dependence | None:
+def strongest(
+    depends: Sequence[Dependence], *, least: float = DEPENDENCE_SHARE
+) -> Dependence | None:
     """Select the simplest dependence that explains about as much as the strongest.
 
     Parameters
@@ -187,11 +175,11 @@ def strongest(depends: Sequence[Dependence], *, least: float = _LEAST) -> Depend
     least : float
         Minimum share of the residual's power.
     """
-    sure = [d for d in depends if d.sureness >= _SURE and d.share >= least]
+    sure = [d for d in depends if d.sureness >= DEPENDENCE_Z and d.share >= least]
     if not sure:
         return None
     most = max(d.share for d in sure)
-    good = [d for d in sure if d.share >= _AS_GOOD * most]
+    good = [d for d in sure if d.share >= SIMPLER_DEPENDENCE * most]
     return min(good, key=lambda d: _SIMPLEST.index(d.on))
 
 
@@ -209,7 +197,7 @@ def _loudest(gap: ChannelGap) -> Band | None:
 
 def _shows(gap: ChannelGap) -> bool:
     """Return whether a residual exceeds noise: in size, or by autocorrelation."""
-    return gap.over_floor >= _VISIBLE or gap.sureness >= _NO_NOISE
+    return gap.over_floor >= VISIBLE_RMS or gap.sureness >= UNEXPLAINED_Z
 
 
 def where_it_lives(location: Location, *, most: int = 3, always: bool = False) -> list[str]:
@@ -239,7 +227,7 @@ def where_it_lives(location: Location, *, most: int = 3, always: bool = False) -
     ['sensor.q is up to 8.0 noise standard deviations off (a.csv), most of it between 0 and 1 Hz.']
     """
     torques = _torque_words(location.joints, most)
-    large = _worst([g for g in location.channels if g.over_floor >= _VISIBLE], faint=False)
+    large = _worst([g for g in location.channels if g.over_floor >= VISIBLE_RMS], faint=False)
     told = {gap.channel for gap in large}
     faint = [g for g in location.channels if _shows(g) and g.channel not in told]
     told_of = [*large, *_worst(faint, faint=True)][:most]
@@ -251,7 +239,7 @@ def where_it_lives(location: Location, *, most: int = 3, always: bool = False) -
 
 def _channel_words(gap: ChannelGap, *, whole: bool) -> str:
     """Describe one channel; with ``whole``, also that no regressor explains it."""
-    faint = gap.over_floor < _VISIBLE
+    faint = gap.over_floor < VISIBLE_RMS
     # The autocorrelated part: of a small residual most of the power is noise.
     share = min((gap.together / gap.over_floor) ** 2, 1.0) if faint and gap.over_floor else 1.0
     if faint:
@@ -266,7 +254,7 @@ def _channel_words(gap: ChannelGap, *, whole: bool) -> str:
     band = _loudest(gap)
     if band is not None:
         words += f", most of it between {band.low:g} and {band.high:g} Hz"
-    found = strongest(gap.depends, least=_LEAST * share)
+    found = strongest(gap.depends, least=DEPENDENCE_SHARE * share)
     if abs(gap.offset) > 0.7 * gap.over_floor:
         words += "; it is almost constant"
     elif found is not None:
@@ -294,7 +282,7 @@ def _torque_words(joints: Sequence[JointGap], most: int) -> list[str]:
     """Describe the residual torque by joint."""
     shares: dict[str, list[JointGap]] = {}
     for gap in joints:
-        if np.isfinite(gap.floor) and gap.missing > _VISIBLE * gap.floor:
+        if np.isfinite(gap.floor) and gap.missing > VISIBLE_RMS * gap.floor:
             shares.setdefault(gap.joint, []).append(gap)
     ranked = sorted(
         shares.items(), key=lambda item: -max(g.missing / max(g.load, 1e-12) for g in item[1])

@@ -16,15 +16,13 @@ from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.output.evidence_schema import Location
 from loose_env.gap.residuals.autocorrelation import largest
 from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.settings import (
+    NOISE_RMS,
+    UNEXPLAINED_Z,
+)
 from loose_env.typing import Array
 
-__all__ = ["CLOSED", "left_motions", "left_words"]
-
-
-CLOSED = 1.25
-"""Gap over the noise floor up to which it counts as closed."""
-_SURE = 4.0
-"""Sureness from which on what hangs together in time is no noise [standard deviations]."""
+__all__ = ["NOISE_RMS", "left_motions", "left_words"]
 
 
 def left_words(
@@ -46,14 +44,14 @@ def left_words(
     before, after = base.held_rms, best.held_rms
     together = float(largest(best.held_structure.sum(axis=1)))
     by_chance = after**2 * float(np.sqrt(len(best.held_residual)))
-    if after <= CLOSED and together <= _SURE * by_chance:
+    if after <= NOISE_RMS and together <= UNEXPLAINED_Z * by_chance:
         return []
     if struck:
         first = (
             f"{after:.3g} noise standard deviations are left of {before:.3g} on the held-out runs, "
             "sample by sample: blows fall at moments that no simulation repeats."
         )
-    elif after > CLOSED:
+    elif after > NOISE_RMS:
         share = 100 * after / max(before, 1e-12)
         first = (
             f"{after:.3g} noise standard deviations are left of {before:.3g} on the held-out runs "

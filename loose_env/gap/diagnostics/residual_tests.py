@@ -12,6 +12,10 @@ from loose_env.gap.diagnostics.localisation import depends_on
 from loose_env.gap.diagnostics.residual_spectra import Series, series_of
 from loose_env.gap.output.evidence_schema import LeftOver
 from loose_env.gap.residuals.residual_model import Rows
+from loose_env.gap.settings import (
+    DEPENDENCE_RMS,
+    DEPENDENCE_Z,
+)
 from loose_env.typing import Array
 
 __all__ = ["autocorrelation", "left_over"]
@@ -19,14 +23,6 @@ __all__ = ["autocorrelation", "left_over"]
 
 _LAGS = 50
 """Lags of the autocorrelation that is looked at."""
-
-
-_SURE = 3.0
-"""Sureness of a dependence that is told of [standard deviations]."""
-
-
-_LEAST = 0.15
-"""Explained part that is told of, in noise standard deviations."""
 
 
 def autocorrelation(residual: Array, *, lags: int = _LAGS) -> Array:
@@ -98,7 +94,9 @@ def _test(name: str, many: Sequence[Series], motions: Sequence[JointMotion]) -> 
         trend=trend,
         trend_sureness=sureness,
         depends=tuple(
-            d for d in depends_on(many, motions) if d.sureness >= _SURE and d.explained >= _LEAST
+            d
+            for d in depends_on(many, motions)
+            if d.sureness >= DEPENDENCE_Z and d.explained >= DEPENDENCE_RMS
         ),
     )
 

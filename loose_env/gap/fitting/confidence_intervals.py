@@ -12,6 +12,9 @@ from loose_env.gap.fitting.model_structure import prior_of
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.settings import (
+    NARROWEST_INTERVAL,
+)
 from loose_env.typing import Array
 
 __all__ = ["Intervals", "bootstrap", "joined", "widened"]
@@ -20,9 +23,6 @@ __all__ = ["Intervals", "bootstrap", "joined", "widened"]
 _ANSWER = 1.0
 """Rise of the sum of squares [noise variances] with a step of one free number, about the least size
 that matters, below which the data do not answer to it."""
-_EXACT = 0.005
-"""Share of a value that no interval is surer of, to either side: however little noise there is, no
-law of the catalogue is that of a machine more closely, nor is a clock."""
 _ANYWHERE = 1e6
 """Factor on the squared range of such a number, for its variance."""
 
@@ -186,7 +186,7 @@ def joined(first: Intervals, second: Intervals) -> Intervals:
 
 
 def _no_surer(fitted: Fit, intervals: Intervals) -> Intervals:
-    """Limit the precision of intervals to `_EXACT`, of a value or its size."""
+    """Limit the precision of intervals to `NARROWEST_INTERVAL`, of a value or its size."""
     parameters = fitted.structure.parameters
     values = values_of(parameters, fitted.free)
     nothing = np.concatenate(
@@ -198,7 +198,7 @@ def _no_surer(fitted: Fit, intervals: Intervals) -> Intervals:
             ),
         ]
     )
-    room = _EXACT * np.minimum(
+    room = NARROWEST_INTERVAL * np.minimum(
         np.abs(values - nothing), np.where(nothing == 0, np.inf, abs(values))
     )
     low = np.maximum(values - room, [p.low for p in parameters])

@@ -11,16 +11,15 @@ from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.fitting.initial_state import InitialStates
 from loose_env.gap.residuals.autocorrelation import Structure, largest
 from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.settings import (
+    IMPACT_DOMINATED,
+    NOISE_RMS,
+)
 from loose_env.typing import Array
 
 __all__ = ["Judge", "Judged", "Lead", "lead_of", "share_of", "sureness_of"]
 
 
-_LOUD = 1.25
-"""Root mean square [noise standard deviations] above which a residual is more than noise, whether
-or not it hangs together in time: blows behind a filter do not."""
-_BLOWS = 0.25
-"""Share of what is more than noise that hangs together in time, below which it is blows."""
 _FAR_BELOW = 0.1
 """Mean square of residuals [noise variances] below which they are no readings'."""
 
@@ -80,14 +79,14 @@ class Judged:
     def loud(self) -> bool:
         """Return whether the residual on held-out or all runs exceeds the noise in size."""
         held = float(self.held_blocks.sum()) - self.logs[1]
-        if held > _LOUD**2 * len(self.held_residual):
+        if held > NOISE_RMS**2 * len(self.held_residual):
             return True
-        return self.excess > (_LOUD**2 - 1) * self._count
+        return self.excess > (NOISE_RMS**2 - 1) * self._count
 
     @property
     def blows(self) -> bool:
         """Return whether the residual is large but hardly autocorrelated: impacts."""
-        return self.loud and self.structure < _BLOWS * self.excess
+        return self.loud and self.structure < IMPACT_DOMINATED * self.excess
 
     @property
     def _count(self) -> int:

@@ -18,15 +18,14 @@ from loose_env.gap.fitting.refit import fit_without
 from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.residual_model import Comparison
-from loose_env.gap.settings import NamingSettings
+from loose_env.gap.settings import (
+    ACCEPTED_Z,
+    REFUTED_Z,
+)
 
 __all__ = ["short_of_limit", "short_of_nothing"]
 
 
-_SURE = NamingSettings.sureness
-"""Lead over the limit itself from which on it is refuted [standard deviations over blocks]."""
-_REFUTED = 2.0
-"""Lead over a value from which on it lies outside a 95 % interval."""
 _SHARES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)
 """Values that are looked at: shares of the way to the limit, in free numbers."""
 
@@ -62,9 +61,9 @@ def short_of_limit(
     leads = [
         sureness_of(comparison.by_block(r**2), blocks, strikes=effect.has_stops) for r in residuals
     ]
-    if not leads[-1] >= _SURE:
+    if not leads[-1] >= ACCEPTED_Z:
         return intervals
-    first = next(k for k, lead in enumerate(leads) if lead >= _REFUTED)
+    first = next(k for k, lead in enumerate(leads) if lead >= REFUTED_Z)
     ends = values_of(effect.parameters, tried[first][own])
     low, high = intervals.low.copy(), intervals.high.copy()
     to_low = [dict(effect.limit).get(p.name) == "low" for p in effect.parameters]
@@ -95,13 +94,13 @@ def short_of_nothing(
         return intervals
     without = fit_without(comparison, fitted, effect).residual
     lead = sureness_of(comparison.by_block(without**2), comparison.by_block(fitted.residual**2))
-    if not lead >= _SURE:
+    if not lead >= ACCEPTED_Z:
         return intervals
     own = fitted.structure.slice_of(effect)
     here, nothing = fitted.free[own], free_of(effect.parameters, np.array(effect.nothing))
     scatter = np.sqrt(np.maximum(np.diag(intervals.covariance)[own], 1e-30))
     furthest = int(np.argmax(np.abs(here - nothing) / scatter))
-    ends = values_of(effect.parameters, here + _REFUTED / lead * (nothing - here))
+    ends = values_of(effect.parameters, here + REFUTED_Z / lead * (nothing - here))
     number, end = own.start + furthest, float(ends[furthest])
     low, high = intervals.low.copy(), intervals.high.copy()
     if nothing[furthest] < here[furthest]:

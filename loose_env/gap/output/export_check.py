@@ -23,6 +23,10 @@ from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.output.export_mjcf import corrected_spec
 from loose_env.gap.residuals.physical_units import rms
 from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.settings import (
+    EXPORT_ERROR,
+    EXPORT_ERROR_SHARE,
+)
 from loose_env.gap.simulation.time_step import step_with
 from loose_env.typing import Array
 
@@ -31,10 +35,6 @@ __all__ = ["Exported", "compared", "exported", "played", "resting_runs"]
 
 PARTS = (1, 2, 4, 8)
 """Into how many parts a step is cut."""
-_APART = 0.3
-"""How far the file may be from the fit in a channel [noise standard deviations]."""
-_OF_LEFT = 0.1
-"""The same as a share of what the fit leaves there, where that is more."""
 _BETTER = 0.5
 """Distance over that of the step as it was, below which a finer one that will not do is taken."""
 _PLAYED = 15.0
@@ -196,7 +196,7 @@ def compared(
     apart, left_by = (
         np.sqrt(np.bincount(channel, part**2) / count) for part in (by_file - by_fit, by_fit)
     )
-    allowed = np.maximum(_APART, _OF_LEFT * left_by)
+    allowed = np.maximum(EXPORT_ERROR, EXPORT_ERROR_SHARE * left_by)
     worst = int(np.argmax(apart / allowed))
     return float(apart[worst] / allowed[worst]), Exported(
         left=rms(by_file),

@@ -19,16 +19,16 @@ from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.residuals.random_excitation.features import RandomFeatures
 from loose_env.gap.residuals.random_excitation.frequency_response import FEWEST
+from loose_env.gap.settings import (
+    CHAOTIC_POWER,
+    CHAOTIC_SHARE,
+)
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.typing import Array
 
 __all__ = ["parting_runs"]
 
 
-PARTED = 0.3
-"""Share of the incoherent part that is drawn anew from which on trajectories mean nothing."""
-LOUD = 2.0
-"""Incoherent power of a run over that of the nominal model, noise in both, that it shows."""
 NUDGE = 1e-5
 """Change of where a run begins that does not matter [rad, m]."""
 _OF_STOPS = {"stiffness": 1.3, "damping_ratio": 1.5}
@@ -80,7 +80,7 @@ def parting_runs(
         features = _features(run, machine, channels, floors)
         if features is None or not np.isfinite(seen[:, features.used]).all():
             continue
-        if features.incoherence(seen) > LOUD:
+        if features.incoherence(seen) > CHAOTIC_POWER:
             window = _least_like(run, seen, floors)
             # A window may lie where the command rests or a sensor dropped out; the whole run does
             # not.
@@ -94,7 +94,7 @@ def parting_runs(
         for first, second in zip(predicted[::2], predicted[1::2], strict=True):
             for (_, features), one, two in zip(loud, first, second, strict=True):
                 finite = np.isfinite(one).all() and np.isfinite(two).all()
-                if finite and features.redrawn(one, two) > PARTED:
+                if finite and features.redrawn(one, two) > CHAOTIC_SHARE:
                     return frozenset(run.name for run, _ in loud)
     return frozenset()
 

@@ -8,17 +8,17 @@ import numpy as np
 
 from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.residuals.residual_model import LONGEST, SHORTEST, Comparison
-from loose_env.gap.settings import NamingSettings
+from loose_env.gap.settings import (
+    ACCEPTED_Z,
+    CONFIRMED_Z,
+    MOVING,
+    SPARE_BLOCKS,
+)
 
 __all__ = ["shortfalls"]
 
-_MOVES = 30.0
-"""Range of a joint's motion from which on it counts as moved [standard deviations of its noise]."""
-_SPARE = 1.5
-"""Blocks over those without which no lead is sure enough."""
 
-
-def shortfalls(fitted: Comparison, held: Comparison, settings: NamingSettings) -> list[str]:
+def shortfalls(fitted: Comparison, held: Comparison) -> list[str]:
     """Describe shortfalls of the data in sentences; none if the data suffice.
 
     An improvement of k standard deviations over blocks of time needs k² blocks that all agree.
@@ -27,17 +27,15 @@ def shortfalls(fitted: Comparison, held: Comparison, settings: NamingSettings) -
     ----------
     fitted, held : Comparison
         The training runs and the held-out runs.
-    settings : NamingSettings
-        The improvements (z) required of an effect.
     """
     found = []
     for which, comparison, lead in (
-        ("to fit to", fitted, settings.sureness),
-        ("held out", held, settings.held),
+        ("to fit to", fitted, ACCEPTED_Z),
+        ("held out", held, CONFIRMED_Z),
     ):
         lengths = [float(trial.time[-1]) for trial in comparison.trials]
         blocks = len(np.unique(comparison.rows.block))
-        needed = ceil(_SPARE * lead**2)
+        needed = ceil(SPARE_BLOCKS * lead**2)
         if blocks < needed:
             more = (needed - blocks) * min(max(sum(lengths) / max(blocks, 1), SHORTEST), LONGEST)
             found.append(
@@ -49,7 +47,7 @@ def shortfalls(fitted: Comparison, held: Comparison, settings: NamingSettings) -
     driven = set(machine.actuated_joint.values()) or set(machine.joints)
     for joint in machine.joints:
         ranges = [_range(trial.motion[joint]) for trial in fitted.trials if joint in trial.motion]
-        if joint in driven and ranges and max(ranges) < _MOVES:
+        if joint in driven and ranges and max(ranges) < MOVING:
             found.append(
                 f"{joint} hardly moves in the runs to fit to: friction, play, springs and "
                 "inertias there cannot be seen, nor told from those of its neighbours. Record a "

@@ -21,16 +21,15 @@ from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.residuals.windows import windowed
+from loose_env.gap.settings import (
+    OWN_STEP_ERROR,
+    STEP_ERROR,
+)
 from loose_env.gap.simulation.time_step import step_with
 from loose_env.recording import Run
 
 __all__ = ["Integration", "choose_integration", "corrected_step_words"]
 
-_ENOUGH = 0.1
-"""Step error that is sought, in noise standard deviations."""
-_OWN = 0.3
-"""Error that is no matter: up to it the model's own step and integrator are kept, where they are
-cheaper; beyond it a reader is warned."""
 _FAR, _SHARE = 50.0, 0.5
 """How far the nominal model is off [noise standard deviations] where the noise is no measure any
 more, and the share of that which is one in its place."""
@@ -94,13 +93,13 @@ class Integration:
             The model's own step [s].
         """
         found = []
-        if self.nominal_matter > _OWN and self.matter < self.nominal_matter:
+        if self.nominal_matter > OWN_STEP_ERROR and self.matter < self.nominal_matter:
             found.append(
                 f"the model's own step of {own:g} s is a gap of its own: {self.nominal_error:.2g} "
                 "noise standard deviations in the worst channel; runs were simulated by a "
                 f"Runge-Kutta method at {self.step:.3g} s instead, and model.xml has that step"
             )
-        if self.matter > _OWN:
+        if self.matter > OWN_STEP_ERROR:
             found.append(
                 f"the step is still too coarse to judge by: at {self.step:.3g} s its error is "
                 f"{self.error:.2g} noise standard deviations in the worst channel, and what is "
@@ -149,7 +148,7 @@ def choose_integration(
 
     finer = {k: residual(longest / k, _RK4) for k in (1, 4)}
     divided = 1
-    while divided < _FINEST and worst(finer[divided] - finer[4 * divided]) > _ENOUGH:
+    while divided < _FINEST and worst(finer[divided] - finer[4 * divided]) > STEP_ERROR:
         divided *= 2
         for k in (divided, 4 * divided):
             if k not in finer:
@@ -159,7 +158,7 @@ def choose_integration(
     stages = 4 if integrator == _RK4 else 1
     cheaper = stages / own < 4 * divided / longest
     step, kept = longest / divided, _RK4
-    if (worst(given) < _OWN and cheaper) or worst(given) <= worst(chosen):
+    if (worst(given) < OWN_STEP_ERROR and cheaper) or worst(given) <= worst(chosen):
         step, kept, chosen = own, integrator, given
     return Integration(
         step=step,
@@ -204,7 +203,7 @@ def corrected_step_words(held_out: Comparison, hypothesis: Hypothesis) -> list[s
         for values in (found[0] - found[1], found[1])
     )
     worst = int(np.argmax(error / np.maximum(1.0, _LEFT * left)))
-    if error[worst] <= _OWN * max(1.0, _LEFT * left[worst]):
+    if error[worst] <= OWN_STEP_ERROR * max(1.0, _LEFT * left[worst]):
         return []
     return [
         f"the corrected model needs a finer step than {step:.3g} s: its step error is "

@@ -23,7 +23,7 @@ from loose_env.gap.preparation.data_sufficiency import shortfalls
 from loose_env.gap.preparation.integrator_choice import Integration, choose_integration
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.residuals.windows import windowed
-from loose_env.gap.settings import GapSettings, NamingSettings
+from loose_env.gap.settings import GapSettings
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import Recording, Run
 from loose_env.typing import Array
@@ -160,7 +160,7 @@ def prepare(recording: Recording, settings: GapSettings) -> GapProblem:
                 "by shows one value throughout, or was not read. Record motions that are large "
                 "beside the steps in which it is read"
             )
-    warnings += shortfalls(ahead, whole, NamingSettings())
+    warnings += shortfalls(ahead, whole)
     return GapProblem(
         settings=settings,
         recording=recording.folder.name,

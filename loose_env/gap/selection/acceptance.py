@@ -15,14 +15,26 @@ from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.selection.negligible import slight
 from loose_env.gap.selection.screening.grouping import joint_of
-from loose_env.gap.settings import NamingSettings
+from loose_env.gap.settings import (
+    ACCEPTED_SHARE,
+    ACCEPTED_SHARE_OF_NOMINAL,
+    ACCEPTED_Z,
+    CHANNEL_SHARE,
+    CHANNEL_SHARE_OF_NOMINAL,
+    CHANNEL_Z,
+    CONFIRMED_Z,
+    EQUAL_LOG_LIKELIHOOD,
+    OWN_GAIN,
+    SEARCH_Z,
+    TIE_Z,
+    VISIBLE_FALL,
+    WORTH_PARAMETERS,
+    WORTH_SHARE,
+    SearchSettings,
+)
 from loose_env.typing import Array
 
 __all__ = ["Acceptance", "share_above_noise"]
-
-
-_MOST = 0.5
-"""Share of a gain that counts as most of it."""
 
 
 def share_above_noise(before: Array, after: Array) -> float:
@@ -54,7 +66,7 @@ class Acceptance:
         Scores fits on the held-out runs.
     base, before : Judged
         The nominal model, and the current model.
-    settings : NamingSettings
+    settings : SearchSettings
         Acceptance thresholds.
     """
 
@@ -64,7 +76,7 @@ class Acceptance:
         judge: Judge,
         base: Judged,
         before: Judged,
-        settings: NamingSettings,
+        settings: SearchSettings,
     ) -> None:
         self.comparison, self.judge = comparison, judge
         self.base, self.before, self.settings = base, before, settings
@@ -78,7 +90,7 @@ class Acceptance:
         vertical axis, the one that changes the model least comes first.
         """
         found, settings = sorted(tried, key=lambda j: j.total), self.settings
-        same = [j for j in found if j.total - found[0].total < settings.same]
+        same = [j for j in found if j.total - found[0].total < EQUAL_LOG_LIKELIHOOD]
         same = [j for j in same if j.free_count == found[0].free_count]
         least = min(same, key=self._change, default=None)
         found.sort(key=lambda j: j is not least)
@@ -86,11 +98,11 @@ class Acceptance:
             if judged.free_count >= found[0].free_count:
                 break
             lead = lead_of(found[0], judged)
-            chance = lead.held < settings.tie and lead.fitted < settings.tie
-            small = abs(found[0].total - judged.total) < settings.worth * found[0].total
-            small = small and min(lead.held, lead.fitted) < settings.everywhere
-            whole = judged.structure_sureness < settings.structure
-            if chance or (small and (whole or lead.share < settings.more)):
+            chance = lead.held < TIE_Z and lead.fitted < TIE_Z
+            small = abs(found[0].total - judged.total) < WORTH_PARAMETERS * found[0].total
+            small = small and min(lead.held, lead.fitted) < settings.sufficient_z
+            whole = judged.structure_sureness < SEARCH_Z
+            if chance or (small and (whole or lead.share < WORTH_SHARE)):
                 return [judged, *(j for j in found if j is not judged)]
         return found
 
@@ -131,8 +143,8 @@ class Acceptance:
         before, after, limit = (
             float(j.fitted_blocks.sum() + j.held_blocks.sum()) for j in (self.before, judged, rigid)
         )
-        mostly = before - limit < (1 - _MOST) * (before - after)
-        return self.believed(lead) or (mostly and min(lead.held, lead.fitted) >= self.settings.held)
+        mostly = before - limit < (1 - OWN_GAIN) * (before - after)
+        return self.believed(lead) or (mostly and min(lead.held, lead.fitted) >= CONFIRMED_Z)
 
     def needed_beside_stops(self, judged: Judged) -> bool:
         """Return whether an effect beside stops is needed, not due to a local optimum.
@@ -162,7 +174,7 @@ class Acceptance:
             )
             for j in (self.before, judged)
         )
-        return share_above_noise(before, after) > _MOST
+        return share_above_noise(before, after) > OWN_GAIN
 
     def accept(self, judged: Judged) -> tuple[Judged, list[Effect]]:
         """Refit the accepted hypothesis and drop an effect that became insignificant.
@@ -239,7 +251,7 @@ class Acceptance:
     def believed(self, lead: Lead) -> bool:
         """Return whether an improvement is significant in both data sets, and high in one."""
         one, other = lead.fitted, lead.held
-        return min(one, other) >= self.settings.held and max(one, other) >= self.settings.sureness
+        return min(one, other) >= CONFIRMED_Z and max(one, other) >= ACCEPTED_Z
 
     def _visible(self, judged: Judged) -> bool:
         """Return whether the sum of squares falls by more than its sampling error.
@@ -250,7 +262,7 @@ class Acceptance:
         held = float(self.before.held_blocks.sum() - judged.held_blocks.sum())
         fitted = float(self.before.fitted_blocks.sum() - judged.fitted_blocks.sum())
         count, others = len(judged.held_residual), len(judged.fitted.residual)
-        least = self.settings.visible
+        least = VISIBLE_FALL
         alone = held > least * np.sqrt(2 * count)
         return bool(alone or held + fitted > least * np.sqrt(2 * (count + others)))
 
@@ -258,19 +270,19 @@ class Acceptance:
         """Return whether enough is explained: a slightly wrong law admits many effects."""
         settings, base = self.settings, self.base
         gained = self.before.structure - judged.structure
-        if lead.share >= settings.share or gained >= settings.base_share * base.structure:
+        if lead.share >= ACCEPTED_SHARE or gained >= ACCEPTED_SHARE_OF_NOMINAL * base.structure:
             return True
-        if min(lead.held, lead.fitted) >= settings.everywhere:
+        if min(lead.held, lead.fitted) >= settings.sufficient_z:
             return True
         # An effect may act at every joint: a small share of the total can be a large share of a
         # channel.
         gains = self.before.channel_structure[0] - judged.channel_structure[0]
         for there, share in (
-            (base.channel_structure, settings.channel_share),
-            (self.before.channel_structure, settings.channel_whole),
+            (base.channel_structure, CHANNEL_SHARE_OF_NOMINAL),
+            (self.before.channel_structure, CHANNEL_SHARE),
         ):
             whole, count = there
-            sure = whole > settings.channel_sureness * np.sqrt(count)
+            sure = whole > CHANNEL_Z * np.sqrt(count)
             if np.any(sure & (gains >= share * whole)):
                 return True
         return False

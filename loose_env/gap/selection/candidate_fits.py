@@ -22,10 +22,21 @@ from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.selection.screening.grouping import akin, families
 from loose_env.gap.selection.screening.screening import Screened
-from loose_env.gap.settings import NamingSettings
+from loose_env.gap.settings import (
+    ACCEPTED_Z,
+    CONFUSABLE_FITS,
+    FAMILIES,
+    FINALISTS,
+    FITTED_BY_Z,
+    FITTED_CANDIDATES,
+    FITTED_TWICE,
+    HOPELESS_COST,
+    LEAST_PREDICTED,
+    SECOND_WAVE,
+)
 from loose_env.typing import Array
 
-__all__ = ["Trying"]
+__all__ = ["Trying", "Wave"]
 
 
 _WHOLE_FAMILIES = 3
@@ -71,6 +82,16 @@ class Slow:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class Wave:
+    """Candidate fits of one wave."""
+
+    scored: list[Judged]
+    """Fits to all data."""
+    best: Fit | None
+    """Best fit to the windows, of this wave and those before."""
+
+
 class Trying:
     """Fits candidate effects on top of the current model.
 
@@ -82,24 +103,15 @@ class Trying:
         Scores fits to all data.
     before : Judged
         The current model.
-    settings : NamingSettings
-        Number of candidates to fit.
     """
 
     def __init__(
-        self,
-        comparison: Comparison,
-        short: Comparison,
-        judge: Judge,
-        before: Judged,
-        settings: NamingSettings,
+        self, comparison: Comparison, short: Comparison, judge: Judge, before: Judged
     ) -> None:
         self.comparison, self.short, self.judge = comparison, short, judge
-        self.before, self.settings = before.fitted, settings
+        self.before = before.fitted
         self.beside_stops = have_stops(before.fitted.effects)
         """Whether a part with stops is there already, which makes everything take longer."""
-        self._best: Fit | None = None
-        """The best fit to the windows so far."""
 
     @cached_property
     def short_before(self) -> Fit:
@@ -113,7 +125,9 @@ class Trying:
         """The windows without accelerations; None where there are only such, or none."""
         return Slow.of(self.short)
 
-    def singles(self, screened: Sequence[Screened], *, further: bool = False) -> list[Judged]:
+    def singles(
+        self, screened: Sequence[Screened], *, further: bool = False, best: Fit | None = None
+    ) -> Wave:
         """Fit single candidates, and those confusable with the best one.
 
         Parameters
@@ -122,61 +136,59 @@ class Trying:
             Candidates, the most promising first.
         further : bool
             Whether to fit those with a lower predicted explained variance than the first ones.
+        best : Fit, optional
+            Best fit of earlier waves to the windows.
         """
-        settings = self.settings
-        least = settings.promise * screened[0].promise if screened else 0.0
-        first = [each for each in screened[: settings.candidates] if each.promise >= least]
+        least = LEAST_PREDICTED * screened[0].promise if screened else 0.0
+        first = [each for each in screened[:FITTED_CANDIDATES] if each.promise >= least]
         # a small effect at every joint has a low predicted explained variance beside a slightly
         # wrong law
         most = max((each.sureness for each in first), default=0.0)
         surer = [each for each in screened[len(first) :] if each.sureness > most]
-        first += sorted(surer, key=lambda each: -each.sureness)[: settings.surer]
+        first += sorted(surer, key=lambda each: -each.sureness)[:FITTED_BY_Z]
         rest = [each for each in screened if not any(each is own for own in first)]
-        taken = rest[: settings.further] if further else first
-        if not taken:
-            return []
-        twice = 0 if self.beside_stops else settings.twice
+        taken = rest[:SECOND_WAVE] if further else first
+        twice = 0 if self.beside_stops else FITTED_TWICE
         fits = [self._to_windows([each], both=k < twice) for k, each in enumerate(taken)]
-        fits = self._with_hope(fits)
+        fits, best = self._with_hope(fits, best)
         if not fits:
-            return []
-        surest = max(fits[settings.finalists :], key=self._sureness, default=None)
-        finalists = fits[: settings.finalists]
+            return Wave([], best)
+        surest = max(fits[FINALISTS:], key=self._sureness, default=None)
+        finalists = fits[:FINALISTS]
         # a few blocks with a large unexplained residual may hide a small effect at every joint
         if surest is not None and self._sureness(surest) > max(map(self._sureness, finalists)):
             finalists.append(surest)
         found = [self._to_all(each) for each in finalists]
         winner = min(found, key=lambda j: j.total).fitted.effects[-1]
         others = [f for f in fits if not any(f is g for g in finalists)]
-        kin = [f for f in others if akin(winner, f.effects[-1])][: settings.kin]
+        kin = [f for f in others if akin(winner, f.effects[-1])][:CONFUSABLE_FITS]
         # a candidate screened out for a poor start may still be the true one
         relatives = [
             each
             for each in screened
             if not any(each is tried for tried in taken) and akin(winner, each.effect)
-        ][: settings.kin - len(kin)]
-        kin += self._with_hope([self._to_windows([each]) for each in relatives])
-        return found + [self._to_all(each) for each in kin]
+        ][: CONFUSABLE_FITS - len(kin)]
+        more, best = self._with_hope([self._to_windows([each]) for each in relatives], best)
+        return Wave(found + [self._to_all(each) for each in (*kin, *more)], best)
 
-    def _with_hope(self, fits: Sequence[Fit]) -> list[Fit]:
+    def _with_hope(self, fits: Sequence[Fit], best: Fit | None) -> tuple[list[Fit], Fit | None]:
         """Select fits to the windows that may be the best on all data, best first.
 
-        Earlier fits are kept: joint hypotheses have to improve on single effects.
+        They are compared with the best one so far, which is returned, too.
         """
         found = sorted(fits, key=lambda f: f.cost)
         if not found:
-            return []
-        best = found[0]
-        if self._best is not None and self._best.cost < best.cost:
-            best = self._best
-        self._best = best
+            return [], best
+        if best is None or found[0].cost <= best.cost:
+            best = found[0]
         blocks = self.short.by_block(best.residual**2)
-        return [
+        kept = [
             each
             for each in found
-            if each.cost < self.settings.hopeless * best.cost
-            or sureness_of(self.short.by_block(each.residual**2), blocks) < self.settings.sureness
+            if each.cost < HOPELESS_COST * best.cost
+            or sureness_of(self.short.by_block(each.residual**2), blocks) < ACCEPTED_Z
         ]
+        return kept, best
 
     def _sureness(self, each: Fit) -> float:
         """Return the improvement (z) of a fit to the windows over the current model."""
@@ -185,16 +197,16 @@ class Trying:
         )
         return sureness_of(before, after)
 
-    def families(self, screened: Sequence[Screened]) -> list[Judged]:
+    def families(self, screened: Sequence[Screened], best: Fit | None = None) -> Wave:
         """Fit one kind of effect at several locations at once."""
-        return self.together(families(screened, self.settings.families))
+        return self.together(families(screened, FAMILIES), best)
 
-    def together(self, groups: Sequence[Sequence[Screened]]) -> list[Judged]:
-        """Fit each group's members jointly; drop groups no better than one effect."""
-        single = np.inf if self._best is None else self._best.cost
+    def together(self, groups: Sequence[Sequence[Screened]], best: Fit | None = None) -> Wave:
+        """Fit each group's members jointly; drop groups no better than the best fit so far."""
         fits = [self._to_windows(each) for each in groups]
-        better = self._with_hope([each for each in fits if each.cost < single])
-        return [self._to_all(each) for each in better[:_WHOLE_FAMILIES]]
+        better = [each for each in fits if best is None or each.cost < best.cost]
+        kept, best = self._with_hope(better, best)
+        return Wave([self._to_all(each) for each in kept[:_WHOLE_FAMILIES]], best)
 
     def alone(self, judged: Judged, base: Fit) -> Judged | None:
         """Return a hypothesis without its earlier effects; None if they are needed.
@@ -235,7 +247,7 @@ class Trying:
         fits = [self._to_windows([each], both=True) for each in screened]
         fits.sort(key=lambda f: f.cost)
         near = [f for f in fits if f.residual @ f.residual < _NEAR * float(together @ together)]
-        found = [self._to_all(each) for each in near[: self.settings.kin]]
+        found = [self._to_all(each) for each in near[:CONFUSABLE_FITS]]
         return sorted(found, key=lambda judged: judged.total)
 
     def _to_windows(self, members: Sequence[Screened], *, both: bool = False) -> Fit:

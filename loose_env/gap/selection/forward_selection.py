@@ -18,9 +18,21 @@ from loose_env.gap.selection.revision import Exchange
 from loose_env.gap.selection.screening.data_driven_starts import proposals
 from loose_env.gap.selection.screening.grouping import frictions
 from loose_env.gap.selection.screening.screening import screen
-from loose_env.gap.settings import NamingSettings
+from loose_env.gap.settings import (
+    FAMILY_LOCATIONS,
+    FAMILY_SHARE,
+    LARGE_RESIDUAL,
+    LARGE_RMS,
+    NOISE_RMS,
+    SCREENING_RUNS,
+    SCREENING_S,
+    SEARCH_Z,
+    SINGLE_SHARE,
+    SWAPPED_EFFECTS,
+    SearchSettings,
+)
 
-__all__ = ["Keep", "Named", "NamingSettings", "Step", "name_effects"]
+__all__ = ["Keep", "Named", "Step", "name_effects"]
 
 Say = Callable[[str], None]
 
@@ -78,7 +90,7 @@ def name_effects(
     nuisance: Nuisance,
     candidates: Sequence[Effect],
     *,
-    settings: NamingSettings | None = None,
+    settings: SearchSettings | None = None,
     say: Say = lambda _: None,
     keep: Keep | None = None,
     begun: Named | None = None,
@@ -94,7 +106,7 @@ def name_effects(
         Nuisance parameters, fitted with every hypothesis.
     candidates : sequence of Effect
         The catalogue at every location.
-    settings : NamingSettings, optional
+    settings : SearchSettings, optional
         Acceptance criteria for an effect.
     say : callable
         Receives progress messages, line by line.
@@ -106,7 +118,7 @@ def name_effects(
     pause : callable
         Receives the result after each step; the search stops, unfinished, if it returns true.
     """
-    settings, keep = settings or NamingSettings(), keep or Keep()
+    settings, keep = settings or SearchSettings(), keep or Keep()
     judge = Judge(comparison, held_out)
     if begun is None:
         nominal = ModelStructure(nuisance=nuisance)
@@ -120,12 +132,12 @@ def name_effects(
         found = Named(base=begun.base, dropped=list(begun.dropped))
         found.steps.append(keep.judged("begun", lambda: judge.judge(fitted_on(comparison, there))))
         found.rivals.append([])
-    windows = SHORTEST * min(len(comparison.trials), settings.sorted_runs)
-    short = windowed(comparison, max(settings.sorting, windows))
-    for number in range(1, settings.most + 1):
-        if len(found.best.fitted.effects) >= settings.most:
+    windows = SHORTEST * min(len(comparison.trials), SCREENING_RUNS)
+    short = windowed(comparison, max(SCREENING_S, windows))
+    for number in range(1, settings.most_effects + 1):
+        if len(found.best.fitted.effects) >= settings.most_effects:
             break
-        if found.best.structure_sureness < settings.structure and not found.best.loud:
+        if found.best.structure_sureness < SEARCH_Z and not found.best.loud:
             say("what is left does not hang together in time: nothing more to explain")
             break
         step = keep.step(
@@ -145,10 +157,10 @@ def name_effects(
             say(f"  {effect!r} is idle now and is left out")
         found.steps.append(step.accepted)
         found.dropped += step.dropped
-        if len(found.best.fitted.effects) < settings.most and pause(found.best):
+        if len(found.best.fitted.effects) < settings.most_effects and pause(found.best):
             found.unfinished = True
             return found
-    if 2 <= len(found.best.fitted.effects) <= settings.exchanges:
+    if 2 <= len(found.best.fitted.effects) <= SWAPPED_EFFECTS:
         say("whether others do as well in the place of what was found")
         exchange = Exchange(comparison, short, judge, candidates, found.base, settings)
         better = keep.judged("exchanged", lambda: exchange.better_than(found.best, say))
@@ -166,7 +178,7 @@ def _step(
     judge: Judge,
     candidates: Sequence[Effect],
     found: Named,
-    settings: NamingSettings,
+    settings: SearchSettings,
     say: Say,
 ) -> Step:
     """Search for one more effect."""
@@ -174,38 +186,39 @@ def _step(
     best = found.best
     taken = {(e.kind, e.where) for e in (*best.fitted.effects, *found.dropped)}
     left = [c for c in candidates if (c.kind, c.where) not in taken]
-    trying = Trying(comparison, short, judge, best, settings)
+    trying = Trying(comparison, short, judge, best)
     proposed = proposals(comparison, best.fitted.hypothesis, left)
     screened = screen(short, trying.short_before, left, proposed=proposed)
     for s in screened[:8]:
         say(f"  {s.effect!r}: promises {s.promise:.3f}, sureness {s.sureness:.1f}")
-    much = best.structure > settings.much * found.base.structure or best.held_rms > settings.loud
+    much = best.structure > LARGE_RESIDUAL * found.base.structure or best.held_rms > LARGE_RMS
     much = much and not have_stops(best.fitted.effects)  # each additional fit takes minutes there
 
     def waves() -> Iterator[list[Judged]]:
         """Generate candidate fits in stages, until one is accepted."""
-        tried = trying.singles(screened)
-        if much and all(lead_of(j, best).share < settings.alone for j in tried):
+        wave = trying.singles(screened)
+        tried = wave.scored
+        if much and all(lead_of(j, best).share < SINGLE_SHARE for j in tried):
             say("  no single effect explains much: the same one at several places")
-            tried += trying.families(screened)
+            wave = trying.families(screened, wave.best)
+            tried += wave.scored
         elif much:
             first = min(tried, key=lambda j: j.total)
             alike = [s for s in screened if s.effect.kind == first.fitted.effects[-1].kind]
-            if first.structure > settings.much * found.base.structure:
+            if first.structure > LARGE_RESIDUAL * found.base.structure:
                 say(f"  {first.fitted.effects[-1]!r} leaves much: the same one at other places")
-                found_there = trying.families(alike)
-                everywhere.extend(
-                    j for j in found_there if lead_of(j, best).share >= settings.nearly
-                )
+                wave = trying.families(alike, wave.best)
+                everywhere.extend(j for j in wave.scored if lead_of(j, best).share >= FAMILY_SHARE)
                 tried += everywhere
         yield tried
         if much:
             say("  none of these will do: others that promised less")
-            yield trying.singles(screened, further=True)
+            wave = trying.singles(screened, further=True, best=wave.best)
+            yield wave.scored
         groups = frictions(screened, best.fitted.effects)
-        if groups and best.held_rms > settings.mixed and not have_stops(best.fitted.effects):
+        if groups and best.held_rms > NOISE_RMS and not have_stops(best.fitted.effects):
             say("  none of these will do: all frictions at one joint")
-            yield trying.together(groups)
+            yield trying.together(groups, wave.best).scored
 
     acceptance = Acceptance(comparison, judge, found.base, best, settings)
     everywhere: list[Judged] = []  # the same kind as the best single effect, at other locations too
@@ -221,7 +234,7 @@ def _step(
             accepted, dropped = acceptance.accept(judged)
             earlier = list(best.fitted.effects)
             new = len(accepted.fitted.effects) + len(dropped) - len(earlier)
-            if any(judged is each for each in everywhere) and new < settings.several:
+            if any(judged is each for each in everywhere) and new < FAMILY_LOCATIONS:
                 continue  # at one or two locations, adding them one at a time is better
             alone = trying.alone(judged, found.base.fitted) if earlier else None
             if alone is not None and not acceptance.believed(lead_of(accepted, alone)):

@@ -5,15 +5,13 @@ from __future__ import annotations
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.selection.screening.grouping import joint_of
+from loose_env.gap.settings import (
+    FRICTION_LAW,
+    MASS_DISTRIBUTION,
+)
 from loose_env.typing import Array
 
 __all__ = ["slight"]
-
-
-_LAW = 0.03
-"""Share by which the law of a friction may be off: oil thins as it is sheared, seals warm up."""
-_BAR = 0.1
-"""Share of a link's mass that may lie elsewhere along it than where a link that bends has it."""
 
 
 def slight(hypothesis: Hypothesis, new: int) -> bool:
@@ -61,7 +59,7 @@ def _within_the_law(effect: Effect, values: Array, earlier: list[tuple[Effect, A
     if own == 0.0:
         return False
     there = (_resistance(e, v) for e, v in earlier if joint_of(e) == joint_of(effect))
-    return own < _LAW * max(there, default=0.0)
+    return own < FRICTION_LAW * max(there, default=0.0)
 
 
 def _within_the_bar(effect: Effect, values: Array, earlier: list[tuple[Effect, Array]]) -> bool:
@@ -71,7 +69,7 @@ def _within_the_bar(effect: Effect, values: Array, earlier: list[tuple[Effect, A
         return False
     near = ((e.doubtful_mass, joint_of(e)) for e, _ in earlier)
     there = (m for m, other in near if joint is None or other is None or abs(joint - other) <= 1)
-    return own < _BAR * max(there, default=0.0)
+    return own < MASS_DISTRIBUTION * max(there, default=0.0)
 
 
 def _resistance(effect: Effect, values: Array) -> float:

@@ -14,7 +14,10 @@ from loose_env.gap.residuals.autocorrelation import independent_rows
 from loose_env.gap.residuals.residual_model import Comparison, Rows
 from loose_env.gap.selection.forward_selection import Named
 from loose_env.gap.selection.screening.grouping import joint_of
-from loose_env.gap.settings import NamingSettings
+from loose_env.gap.settings import (
+    RIVAL_SHARE,
+    TIE_Z,
+)
 from loose_env.typing import Array
 
 __all__ = ["added_to", "bic", "indistinct", "ranking_of"]
@@ -115,12 +118,6 @@ def bic(gained: float, *, parameters: int, count: float) -> float:
     return -gained + parameters * log(max(count, 2.0))
 
 
-TIE = NamingSettings.tie
-"""Lead on held-out runs below which two hypotheses cannot be told apart [standard deviations]."""
-_AS_MUCH = 0.05
-"""What a rival may leave unexplained beyond what the named one does, as a share of the gap."""
-
-
 def indistinct(named: Named, effect: Effect) -> tuple[Effect, ...]:
     """Return rivals that explain held-out runs as well as a step with this effect.
 
@@ -142,9 +139,9 @@ def indistinct(named: Named, effect: Effect) -> tuple[Effect, ...]:
             added = [({e.key for e in added_to(before, judged)}, lead) for judged, lead in rivals]
             own = next((lead for keys, lead in added if keys >= new), None)
             for judged, lead in rivals:
-                if lead.held < TIE or lead_of(step, judged).held >= TIE:
+                if lead.held < TIE_Z or lead_of(step, judged).held >= TIE_Z:
                     continue
-                if own is None or lead.share > own.share - _AS_MUCH:
+                if own is None or lead.share > own.share - RIVAL_SHARE:
                     found += _against(effect, added_to(before, judged))
         before = step
     return tuple({(e.kind, e.where): e for e in found}.values())

@@ -22,7 +22,11 @@ from loose_env.gap.selection.acceptance import Acceptance
 from loose_env.gap.selection.candidate_fits import Trying
 from loose_env.gap.selection.screening.grouping import akin, joint_of
 from loose_env.gap.selection.screening.screening import screen
-from loose_env.gap.settings import NamingSettings
+from loose_env.gap.settings import (
+    SWAP_CANDIDATES,
+    SWAP_CANDIDATES_THERE,
+    SearchSettings,
+)
 
 __all__ = ["Exchange", "judged_without", "sure_ones"]
 
@@ -40,8 +44,8 @@ class Exchange:
         The catalogue at every location.
     base : Judged
         The nominal model.
-    settings : NamingSettings
-        Number of swaps: `NamingSettings.exchanged` candidates at most are fitted for each effect.
+    settings : SearchSettings
+        Number of swaps: `SWAP_CANDIDATES` candidates at most are fitted for each effect.
     """
 
     def __init__(
@@ -51,7 +55,7 @@ class Exchange:
         judge: Judge,
         candidates: Sequence[Effect],
         base: Judged,
-        settings: NamingSettings,
+        settings: SearchSettings,
     ) -> None:
         self.comparison, self.short, self.judge = comparison, short, judge
         self.candidates, self.base, self.settings = candidates, base, settings
@@ -72,7 +76,7 @@ class Exchange:
         for effect in best.fitted.effects:
             if not any(effect is each for each in best.fitted.effects):
                 continue  # an effect that a swap made insignificant
-            if effect.has_stops and not self.settings.exchanges_stops:
+            if effect.has_stops and not self.settings.swap_stops:
                 continue
             better = self._in_place_of(effect, best)
             if better is not None:
@@ -90,13 +94,13 @@ class Exchange:
         if not kin:
             return None
         before = self._without(best, effect)
-        trying = Trying(self.comparison, self.short, self.judge, before, self.settings)
+        trying = Trying(self.comparison, self.short, self.judge, before)
         acceptance = Acceptance(self.comparison, self.judge, self.base, before, self.settings)
         screened = screen(self.short, trying.short_before, kin)
-        taken = screened[: self.settings.exchanged]
+        taken = screened[:SWAP_CANDIDATES]
         # the start says little of a delay; at the same joint a fit is worth its cost
         there = [s for s in screened if joint_of(s.effect) == joint_of(effect) is not None]
-        taken += [s for s in there if s not in taken][: self.settings.exchanged_there]
+        taken += [s for s in there if s not in taken][:SWAP_CANDIDATES_THERE]
         for judged in trying.in_place(taken, best.fitted):
             simpler = self._without_idle(judged, before, best, acceptance)
             if acceptance.ranked([best, simpler])[0] is not simpler:

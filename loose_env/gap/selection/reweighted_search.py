@@ -23,15 +23,14 @@ from loose_env.gap.preparation.prepare import GapProblem
 from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.selection.forward_selection import Keep, Named, name_effects
 from loose_env.gap.selection.ranking import indistinct, ranking_of
-from loose_env.gap.settings import NamingSettings
+from loose_env.gap.settings import (
+    IMPACT_RMS,
+    SUFFICIENT_Z,
+    SearchSettings,
+)
 from loose_env.typing import Array
 
 __all__ = ["Searched", "beside_stops", "search"]
-
-
-_EVERYWHERE = 5.0
-"""`NamingSettings.everywhere` beside stops: of what these leave nothing slight explains much, and
-what is slight and there shows in nearly every block of time, which what stands in does not."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,7 +90,7 @@ def search(
     nuisance: Nuisance,
     sought: Sequence[Effect],
     *,
-    settings: NamingSettings,
+    settings: SearchSettings,
     say: Callable[[str], None] = lambda _: None,
     keep: Callable[[str], Keep] = lambda _: Keep(),
 ) -> Searched:
@@ -112,7 +111,7 @@ def search(
         return prepared.search.left_in_channels(judged.fitted.residual)
 
     def stops_leave(judged: Judged) -> bool:
-        return have_stops(judged.fitted.effects) and bool(left(judged).max() > settings.left)
+        return have_stops(judged.fitted.effects) and bool(left(judged).max() > IMPACT_RMS)
 
     heard, own, pause, begun = prepared, settings, stops_leave, None
     parts: list[tuple[GapProblem, Named]] = []
@@ -150,9 +149,9 @@ def search(
     return Searched(prepared=prepared, parts=tuple(parts))
 
 
-def beside_stops(settings: NamingSettings) -> NamingSettings:
+def beside_stops(settings: SearchSettings) -> SearchSettings:
     """Acceptance criteria where the residual of stops counts as noise."""
-    return replace(settings, everywhere=_EVERYWHERE, exchanges_stops=False)
+    return replace(settings, sufficient_z=SUFFICIENT_Z, swap_stops=False)
 
 
 def _always(judged: Judged) -> bool:

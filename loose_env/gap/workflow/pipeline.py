@@ -26,27 +26,20 @@ from loose_env.gap.selection.impacts.impact_pass import second_look
 from loose_env.gap.selection.impacts.impact_search import Struck
 from loose_env.gap.selection.revision import sure_ones
 from loose_env.gap.selection.reweighted_search import search
-from loose_env.gap.settings import GapSettings, NamingSettings
+from loose_env.gap.settings import (
+    EXPLAINED,
+    EXPLAINED_AT_MANY,
+    EXPLAINED_BY_IMPACTS,
+    FAMILY_LOCATIONS,
+    UNEXPLAINED_Z,
+    GapSettings,
+    SearchSettings,
+)
 from loose_env.recording import Recording
 
 __all__ = ["GapSolution", "find_gap", "named_effects"]
 
 Say = Callable[[str], None]
-
-_EXPLAINED = 0.88
-"""Share of what there was to explain that the named effects must explain together. An effect whose
-law is a little other than the catalogue's leaves a few percent, one that stands in leaves more."""
-_EXPLAINED_BY_IMPACTS = 0.45
-"""The same if a link slides, or if a part with stops was found where blows were missing. When its
-stops are struck depends on the last digit of friction and gap: a simulation misses some blows, and
-each one missed counts twice."""
-_EXPLAINED_AT_MANY = 0.5
-"""The same if one kind of effect was found at several places (`_MANY`), each believed by itself: a
-machine that is wrong all over lacks more than one thing, and what it still lacks does not speak
-against what was found. Something else that is missing at one place is not mistaken for that."""
-_MANY = 3
-_SURE = 4.0
-"""Autocorrelation (z) of a residual above which something is missing [standard deviations]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -122,7 +115,7 @@ def _solved(problem: GapProblem, say: Say, stages: Stage) -> GapSolution:
     nuisance = nuisance_of(problem.search, machine, tolerance=settings.tolerance)
     kinds = settings.kinds or None
     sought = [c for c in candidates(machine, kinds) if problem.search.shows(c)]
-    naming = NamingSettings(most=settings.most_effects)
+    naming = SearchSettings(most_effects=settings.most_effects)
 
     def keep(prefix: str, nuisance: Nuisance = nuisance) -> Keep:
         return Keep() if stages is fresh else KeepInFiles(stages, machine, nuisance, prefix)
@@ -147,7 +140,7 @@ def _solved(problem: GapProblem, say: Say, stages: Stage) -> GapSolution:
     best = found.in_noise(best) if best.fitted.effects else base
     verdict, struck = _verdict(base, best), None
     if verdict == "unexplained":
-        again = second_look(problem, whole, best, sought, settings, naming, say=say)
+        again = second_look(problem, whole, best, sought, settings, say=say)
         if again is not None:
             best, intervals, struck, verdict = again.best, again.intervals, again.struck, "named"
 
@@ -183,14 +176,14 @@ def _refit(problem: GapProblem, judged: Judged, nuisance: Nuisance) -> Fit:
 def _verdict(base: Judged, best: Judged) -> Verdict:
     """Decide whether effects are missing, and whether the catalogue explains them."""
     if not best.fitted.effects:
-        return "unexplained" if best.structure_sureness > _SURE or best.loud else "no_gap"
+        return "unexplained" if best.structure_sureness > UNEXPLAINED_Z or best.loud else "no_gap"
     kinds = Counter(effect.kind for effect in best.fitted.effects)
-    least = _EXPLAINED
-    if max(kinds.values()) >= _MANY:
-        least = _EXPLAINED_AT_MANY
+    least = EXPLAINED
+    if max(kinds.values()) >= FAMILY_LOCATIONS:
+        least = EXPLAINED_AT_MANY
     if "structural_looseness" in kinds or (base.blows and have_stops(best.fitted.effects)):
-        least = min(least, _EXPLAINED_BY_IMPACTS)
-    done = best.structure_sureness <= _SURE and not best.loud
+        least = min(least, EXPLAINED_BY_IMPACTS)
+    done = best.structure_sureness <= UNEXPLAINED_Z and not best.loud
     if done or share_of(best, base) >= least:
         return "named"
     return "unexplained"

@@ -32,7 +32,11 @@ from loose_env.gap.selection.acceptance import Acceptance
 from loose_env.gap.selection.candidate_fits import Trying
 from loose_env.gap.selection.screening.data_driven_starts import missing_torque, proposals
 from loose_env.gap.selection.screening.screening import Screened, screen
-from loose_env.gap.settings import GapSettings, NamingSettings
+from loose_env.gap.settings import (
+    SCREENING_S,
+    GapSettings,
+    SearchSettings,
+)
 from loose_env.gap.workflow.pipeline import named_effects
 from loose_env.recording import Recording
 from loose_env.typing import Array
@@ -169,7 +173,6 @@ class GapSession:
         say: Say = lambda _: None,
     ) -> None:
         self.settings, self.say = settings or GapSettings(), say
-        self._naming = NamingSettings()
         with quiet():  # diverging simulations are part of a fit
             self.prepared: GapProblem = prepare(recording, self.settings)
             search = self.prepared.search
@@ -223,8 +226,8 @@ class GapSession:
         """
         found, search = self._not_added(self._effects(effect, where)), self.prepared.search
         with quiet():
-            short = windowed(search, self._naming.sorting)
-            trying = Trying(search, short, self._judge, self.best, self._naming)
+            short = windowed(search, SCREENING_S)
+            trying = Trying(search, short, self._judge, self.best)
             screened: list[Screened]
             if start is not None:
                 values = tuple(float(v) for v in start)
@@ -232,7 +235,7 @@ class GapSession:
             else:
                 proposed = proposals(search, self.best.fitted.hypothesis, found)
                 screened = screen(short, trying.short_before, found, proposed=proposed)[:1]
-            fits = trying.singles(screened)
+            fits = trying.singles(screened).scored
             if not fits:
                 raise InvalidData(f"{found[0]!r} changes nothing that was measured, from any start")
             tried = self._tried(self._judge.judge(polished(search, fits[0].fitted)))
@@ -349,7 +352,7 @@ class GapSession:
 
     def _tried(self, judged: Judged) -> Tried:
         fitted, search = judged.fitted, self.prepared.search
-        acceptance = Acceptance(search, self._judge, self.nominal, self.best, self._naming)
+        acceptance = Acceptance(search, self._judge, self.nominal, self.best, SearchSettings())
         effect, values = fitted.hypothesis.pairs[-1]
         return Tried(
             effect=effect,

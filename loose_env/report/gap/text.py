@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from loose_env.gap import (
-    CLOSED,
+    ACCEPTED_Z,
+    NOISE_RMS,
     GapResult,
     Identifiability,
     NamedEffect,
-    NamingSettings,
     Place,
     Ranked,
     how_to_see,
@@ -97,7 +97,7 @@ def headline(result: GapResult) -> str:
 
 def _open(result: GapResult) -> bool:
     """Whether much is left of the gap after what was named."""
-    return bool(result.left) and result.gap.after > CLOSED and _by_blows(result) is None
+    return bool(result.left) and result.gap.after > NOISE_RMS and _by_blows(result) is None
 
 
 def _by_blows(result: GapResult) -> NamedEffect | None:
@@ -123,11 +123,10 @@ def unsure(result: GapResult) -> Ranked | None:
     >>> headline(result)
     'Something is missing. It may be dry friction (joint2), but these runs do not make that sure.'
     """
-    if result.verdict != "unexplained" or result.gap.before <= CLOSED:
+    if result.verdict != "unexplained" or result.gap.before <= NOISE_RMS:
         return None
-    sure = NamingSettings().sureness
-    first = (r for r in result.ranking if r.step == 1 and r.lead < sure)
-    return next((r for r in first if r.held_out <= CLOSED), None)
+    first = (r for r in result.ranking if r.step == 1 and r.lead < ACCEPTED_Z)
+    return next((r for r in first if r.held_out <= NOISE_RMS), None)
 
 
 def _grouped(effects: Sequence[NamedEffect | Place]) -> list[str]:
@@ -155,7 +154,7 @@ def size_words(result: GapResult) -> list[str]:
     if result.verdict == "no_gap":
         return [f"{said}: that is what its tolerance and the noise leave."]
     left = f"; the corrected model {gap.after:.2f} times."
-    if gap.after <= CLOSED:
+    if gap.after <= NOISE_RMS:
         left += " The gap is closed down to the noise."
     elif (struck := _by_blows(result)) is not None:
         left += (

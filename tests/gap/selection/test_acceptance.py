@@ -12,7 +12,7 @@ from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.fitting.holdout_score import Judge, Judged, lead_of, share_of, sureness_of
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.selection.acceptance import Acceptance
-from loose_env.gap.settings import NamingSettings
+from loose_env.gap.settings import SearchSettings
 from tests.gap.selection.test_ranking import COMPARED, LATE, MACHINE, NOMINAL
 
 LEVELS = 2.5, 1.2
@@ -43,8 +43,8 @@ def test_what_is_slight_and_everywhere_is_believed_only_where_that_is_asked_for(
     slight = left(0.96 * LEVELS[1], named=True)
     lead = lead_of(slight, before)
     assert min(lead.held, lead.fitted) > 8 and lead.share < 0.1
-    judge, settings = Judge(COMPARED, COMPARED), NamingSettings()
-    assert settings.everywhere == inf
+    judge, settings = Judge(COMPARED, COMPARED), SearchSettings()
+    assert settings.sufficient_z == inf
     for least, believed in ((inf, False), (8.0, True), (20.0, False)):
         asked = replace(settings, everywhere=least)
         acceptance = Acceptance(COMPARED, judge, base, before, asked)
@@ -57,14 +57,14 @@ def test_fewer_parameters_do_not_outweigh_what_is_slight_and_everywhere() -> Non
     lead = lead_of(slight, simpler)
     assert min(lead.held, lead.fitted) > 8 and lead.share < 0.02
     for least, first in ((inf, simpler), (8.0, slight)):
-        asked = NamingSettings(everywhere=least)
+        asked = SearchSettings(sufficient_z=least)
         acceptance = Acceptance(COMPARED, Judge(COMPARED, COMPARED), base, before, asked)
         assert acceptance.ranked([simpler, slight])[0] is first
 
 
 def test_of_those_that_leave_the_same_the_one_that_changes_least_comes_first() -> None:
     base, before = (left(level) for level in LEVELS)
-    acceptance = Acceptance(COMPARED, Judge(COMPARED, COMPARED), base, before, NamingSettings())
+    acceptance = Acceptance(COMPARED, Judge(COMPARED, COMPARED), base, before, SearchSettings())
 
     def with_effect(kind: str, where: str, times: float, level: float) -> Judged:
         """With a mass or a rotor, so many times its scale."""
@@ -109,7 +109,7 @@ def test_a_blow_that_is_missed_does_not_outweigh_what_a_part_with_stops_explains
     before, after = left(LEVELS[0]), left(0.6 * LEVELS[0], named=True)
     for blocks in (after.held_blocks, after.fitted_blocks):
         blocks[0] = 1e4 * blocks[0]
-    asked, settings = lead_of(after, before), NamingSettings()
+    asked, settings = lead_of(after, before), SearchSettings()
     assert max(asked.held, asked.fitted) < settings.held
     ranked = lead_of(after, before, strikes=True)
     assert min(ranked.held, ranked.fitted) > settings.sureness

@@ -20,7 +20,7 @@ from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.selection.acceptance import Acceptance
 from loose_env.gap.selection.candidate_fits import Trying
 from loose_env.gap.selection.revision import Exchange
-from loose_env.gap.settings import NamingSettings
+from loose_env.gap.settings import SearchSettings
 from tests.gap.cases.gap_case import DAMPING, GAIN, STEP, nominal_structure, record
 
 
@@ -49,7 +49,7 @@ class Case:
         return CATALOGUE[kind](self.machine, where), values
 
     def alone(self, base: Judged, earlier: Judged, both: Judged) -> Judged | None:
-        trying = Trying(self.comparison, self.comparison, self.judge, earlier, NamingSettings())
+        trying = Trying(self.comparison, self.comparison, self.judge, earlier, SearchSettings())
         return trying.alone(both, base.fitted)
 
 
@@ -67,7 +67,7 @@ def test_a_stand_in_is_not_needed_beside_what_it_stood_for(case: Case) -> None:
     assert alone is not None
     assert [e.kind for e in alone.fitted.effects] == ["sensor_gain", "viscous_friction"]
     lead = lead_of(both, alone)
-    assert min(lead.held, lead.fitted) < NamingSettings().held
+    assert min(lead.held, lead.fitted) < SearchSettings().held
 
 
 def test_of_two_effects_neither_does_alone(case: Case) -> None:
@@ -91,7 +91,7 @@ def test_what_made_an_effect_idle_may_be_the_one_too_many(case: Case) -> None:
     free[own] = free_of(wet[0].parameters, np.array([0.1]))
     as_is = FitSettings(iterations=0)
     stuck = case.judge.judge(fit(case.comparison, together, free, settings=as_is))
-    acceptance = Acceptance(case.comparison, case.judge, base, before, NamingSettings())
+    acceptance = Acceptance(case.comparison, case.judge, base, before, SearchSettings())
     rather = acceptance.rather(stuck, wet[0])
     assert rather is not None
     assert [e.kind for e in rather.fitted.effects] == ["viscous_friction", "sensor_gain"]
@@ -117,7 +117,7 @@ def test_a_last_trace_is_not_named_however_sure_it_is(case: Case) -> None:
         )
         for less in (1e-3, 0.1)
     )
-    acceptance = Acceptance(case.comparison, case.judge, base, before, NamingSettings())
+    acceptance = Acceptance(case.comparison, case.judge, base, before, SearchSettings())
     assert all(acceptance.believed(lead_of(each, before)) for each in (part, whole))
     assert acceptance.worth_naming(whole)
     assert not acceptance.worth_naming(part)
@@ -126,7 +126,7 @@ def test_a_last_trace_is_not_named_however_sure_it_is(case: Case) -> None:
 def exchange(case: Case, base: Judged, best: Judged) -> Judged:
     kinds = ("viscous_friction", "quadratic_drag", "actuator_gain", "actuator_lag")
     given = candidates(case.machine, kinds)
-    tried = Exchange(case.comparison, case.comparison, case.judge, given, base, NamingSettings())
+    tried = Exchange(case.comparison, case.comparison, case.judge, given, base, SearchSettings())
     return tried.better_than(best)
 
 

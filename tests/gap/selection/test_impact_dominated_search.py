@@ -26,7 +26,7 @@ from loose_env.gap.selection.checkpoint_codec import KeepInFiles
 from loose_env.gap.selection.forward_selection import Named
 from loose_env.gap.selection.revision import Exchange
 from loose_env.gap.selection.reweighted_search import Searched, beside_stops, search
-from loose_env.gap.settings import GapSettings, NamingSettings
+from loose_env.gap.settings import GapSettings, SearchSettings
 from loose_env.gap.workflow.pipeline import GapSolution, find_gap
 from loose_env.recording import Recording, write_recording
 from loose_env.typing import Array
@@ -155,7 +155,7 @@ def test_noise_is_worked_out_anew_with_each_effect(
         problem,
         nuisance,
         candidates(machine, KINDS),
-        settings=NamingSettings(most=problem.settings.most_effects),
+        settings=SearchSettings(most_effects=problem.settings.most_effects),
         keep=partial(KeepInFiles, stages, machine, nuisance),
     ).named
     assert stages.taken_up[-1].startswith("part-3-")  # the same search, not another one
@@ -216,7 +216,7 @@ def test_what_play_beside_it_does_alone_is_no_second_effect(prepared: GapProblem
         return judge.judge(refined(replace(fitted, residual=residual), runs))
 
     before, later = judged(off, beside=False), judged(right, beside=True)
-    acceptance = Acceptance(runs, judge, before, before, NamingSettings())
+    acceptance = Acceptance(runs, judge, before, before, SearchSettings())
     assert acceptance.believed(lead_of(later, before))
     assert not acceptance.needed_beside_stops(later)
     assert acceptance.doubt(later) == "the play beside it does as well alone"
@@ -235,6 +235,6 @@ def test_a_part_with_stops_is_not_exchanged_in_noise_that_it_makes(
     judge, tried = Judge(runs, prepared.held), list[str]()
     best = judge.judge(fitted)
     monkeypatch.setattr(Exchange, "_in_place_of", lambda _, effect, best: tried.append(effect.kind))
-    for settings in (NamingSettings(), beside_stops(NamingSettings())):
+    for settings in (SearchSettings(), beside_stops(SearchSettings())):
         assert Exchange(runs, runs, judge, effects, best, settings).better_than(best) is best
     assert tried == ["backlash", "payload", "payload"]

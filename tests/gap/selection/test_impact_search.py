@@ -22,7 +22,7 @@ from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.selection.impacts import impact_search as striking
 from loose_env.gap.selection.impacts.impact_power import Blows
 from loose_env.gap.selection.impacts.impact_search import Struck, find_striking
-from loose_env.gap.settings import GapSettings, NamingSettings
+from loose_env.gap.settings import GapSettings, SearchSettings
 from loose_env.recording import write_recording
 from tests.gap.cases.level_arm import FINE, LEVEL, moving
 
@@ -75,7 +75,7 @@ def search(
         with_trace(prepared),
         candidates(prepared.machine, (kind,)),
         np.random.default_rng(0),
-        settings=NamingSettings(),
+        settings=SearchSettings(),
         say=say,
     )
 

@@ -11,7 +11,7 @@ from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import Machine
 from loose_env.gap.model.parameter import values_of
 from loose_env.gap.selection.candidate_fits import Trying
-from loose_env.gap.settings import NamingSettings
+from loose_env.gap.settings import SearchSettings
 from loose_env.recording import Run
 from tests.gap.cases.gap_case import nominal_structure
 from tests.gap.cases.level_arm import EVERY, FINE, LEVEL, NOISE
@@ -61,7 +61,7 @@ def test_a_delay_that_is_samples_off_is_moved_to_where_it_belongs() -> None:
     judge = Judge(comparison, comparison)
     nominal = nominal_structure(machine, tolerance=0.005)
     base = judge.judge(fit(comparison, nominal, nominal.nominal_start))
-    trying = Trying(comparison, comparison, judge, base, NamingSettings())
+    trying = Trying(comparison, comparison, judge, base, SearchSettings())
     effect, truth = CATALOGUE["sensor_delay"](machine, "shake"), LATE * FINE
     found = []
     for samples in (-2.0, -1.0, 1.0, 3.0):

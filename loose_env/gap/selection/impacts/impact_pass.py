@@ -23,7 +23,7 @@ from loose_env.gap.residuals.residual_model import Comparison
 from loose_env.gap.selection.impacts.impact_power import Blows
 from loose_env.gap.selection.impacts.impact_search import Struck, find_striking
 from loose_env.gap.selection.revision import judged_without, sure_ones
-from loose_env.gap.settings import GapSettings, NamingSettings
+from loose_env.gap.settings import GapSettings
 
 __all__ = ["SecondLook", "second_look"]
 
@@ -48,7 +48,6 @@ def second_look(
     best: Judged,
     sought: Sequence[Effect],
     settings: GapSettings,
-    naming: NamingSettings,
     *,
     say: Callable[[str], None] = lambda _: None,
 ) -> SecondLook | None:
@@ -66,8 +65,6 @@ def second_look(
         The catalogue at every location.
     settings : GapSettings
         Maximum number of effects, and the seed.
-    naming : NamingSettings
-        Acceptance criteria for an effect.
     say : callable
         Receives progress messages, line by line.
 
@@ -87,7 +84,7 @@ def second_look(
     if len(rigid.fitted.effects) >= settings.most_effects:
         return None
     known, rng = rigid.fitted.hypothesis.of_model, np.random.default_rng(settings.seed)
-    struck = find_striking(prepared, known, sought, rng, settings=naming, say=say)
+    struck = find_striking(prepared, known, sought, rng, say=say)
     if struck is None:
         return None
     for effect in struck.idle:

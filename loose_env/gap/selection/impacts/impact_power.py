@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 from loose_env.gap.data.aligned_run import Trial
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.residuals.residual_model import Comparison, Rows
+from loose_env.gap.settings import (
+    IMPACT_WINDOW_S,
+)
 from loose_env.typing import Array
 
 __all__ = ["Blows"]
 
 
-_WINDOW = 0.05
-"""Length of the stretches of time [s]."""
 _FEWEST = 8
 """Samples of a stretch, at least."""
 _READ = 0.5
@@ -139,7 +140,7 @@ class Blows(Comparison):
 
     def _stretch(self, number: int) -> int:
         """Number of samples in a stretch of a run."""
-        return max(_FEWEST, round(_WINDOW * self.trials[number].rate))
+        return max(_FEWEST, round(IMPACT_WINDOW_S * self.trials[number].rate))
 
     def _freedom(self, run: NDArray[np.intp], band: NDArray[np.intp]) -> Array:
         """Degrees of freedom of each power."""
@@ -174,5 +175,5 @@ def _sensors(comparison: Comparison) -> list[int]:
 
 def _long_enough(comparison: Comparison, trial: Trial) -> bool:
     """Return whether a run is simulated with its commands, for two stretches or more."""
-    fewest = 2 * max(_FEWEST, _WINDOW * trial.rate)
+    fewest = 2 * max(_FEWEST, IMPACT_WINDOW_S * trial.rate)
     return comparison.follows(trial) and len(trial.time) >= fewest

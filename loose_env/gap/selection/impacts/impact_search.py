@@ -23,18 +23,21 @@ from loose_env.gap.preparation.prepare import GapProblem
 from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.selection.impacts.impact_power import Blows
 from loose_env.gap.selection.screening.data_driven_starts import proposals
-from loose_env.gap.settings import NamingSettings
+from loose_env.gap.settings import (
+    ACCEPTED_Z,
+    CONFIRMED_Z,
+    IMPACT_EXPLAINED,
+    IMPACT_PREDICTED,
+    SCREENING_S,
+    TIE_Z,
+)
 from loose_env.typing import Array
 
 __all__ = ["Struck", "find_striking"]
 
 
-_PROMISES = 0.5
-"""Share of the powers that a candidate has to explain before it is fitted."""
 _FITTED = 2
 """Candidates that are fitted."""
-_EXPLAINED = 0.85
-"""Share of the powers of held-out runs that the one that is named explains."""
 _BY_CHANCE = 0.5
 """Mean square of what noise alone leaves: half of it, for less than noise counts as noise."""
 _FROM = 3
@@ -83,7 +86,6 @@ def find_striking(
     candidates: Sequence[Effect],
     rng: np.random.Generator,
     *,
-    settings: NamingSettings,
     say: Callable[[str], None] = lambda _: None,
 ) -> Struck | None:
     """Search for a part that hits its stops in runs with commands.
@@ -98,8 +100,6 @@ def find_striking(
         The catalogue at every location; those with stops are fitted.
     rng : numpy.random.Generator
         Random generator of the intervals.
-    settings : NamingSettings
-        Required improvement (z).
     say : callable
         Receives progress messages, line by line.
 
@@ -111,14 +111,16 @@ def find_striking(
     """
     there = {(e.kind, e.where) for e in known.effects}
     striking = [c for c in candidates if _plays(c) and (c.kind, c.where) not in there]
-    short = windowed(prepared.search, settings.sorting)
+    short = windowed(prepared.search, SCREENING_S)
     if not striking or not all(map(Blows.worth_while, (short, prepared.held))):
         return None
     say("whether something strikes its stops, by the power of what is left")
     proposed, sorting = proposals(prepared.search, known, striking), Blows(short, known)
     starts = {e.key: proposed.get(e.key) or e.starts for e in striking}
     promising = [(_sorted(sorting, e, starts[e.key])[0][0], e) for e in striking]
-    promising = sorted((each for each in promising if each[0] > _PROMISES), key=lambda p: -p[0])
+    promising = sorted(
+        (each for each in promising if each[0] > IMPACT_PREDICTED), key=lambda p: -p[0]
+    )
     for promise, effect in promising:
         say(f"  {effect!r}: promises {promise:.3f}")
     if not promising:
@@ -134,9 +136,9 @@ def find_striking(
     before = _Left((searched, searched.measured), (held, held.measured))
     share = _explained(held.measured, best.held[1])
     say(f"  {fitted.effects[0]!r}: explains {share:.2f} of the powers of held-out runs")
-    if share < _EXPLAINED or not best.ahead_of(before, settings):
+    if share < IMPACT_EXPLAINED or not best.ahead_of(before):
         return None
-    if not best.ahead_of(left(_shut(fitted)), settings):
+    if not best.ahead_of(left(_shut(fitted))):
         say("  it does so as well without any gap: that is no play")
         return None
     numbers = range(len(fitted.free))
@@ -149,9 +151,9 @@ def find_striking(
         intervals=widened(searched, fitted, bootstrap(searched, fitted, rng)),
         share=share,
         stretch=held.stretch,
-        idle=_idle(prepared, known, fitted.hypothesis, settings),
+        idle=_idle(prepared, known, fitted.hypothesis),
         rivals=tuple(
-            other.effects[0] for rest, other in tried[1:] if best.lead_of(rest)[1] < settings.tie
+            other.effects[0] for rest, other in tried[1:] if best.lead_of(rest)[1] < TIE_Z
         ),
     )
 
@@ -182,10 +184,10 @@ class _Left:
         )
         return first, second
 
-    def ahead_of(self, behind: _Left, settings: NamingSettings) -> bool:
+    def ahead_of(self, behind: _Left) -> bool:
         """Return whether the improvement is significant."""
         leads = self.lead_of(behind)
-        return max(leads) >= settings.sureness and min(leads) >= settings.held
+        return max(leads) >= ACCEPTED_Z and min(leads) >= CONFIRMED_Z
 
 
 def _sorted(
@@ -223,9 +225,7 @@ def _shut(fitted: Fit) -> Hypothesis:
     return Hypothesis(effects=(effect,), values=(shut,))
 
 
-def _idle(
-    prepared: GapProblem, known: Hypothesis, part: Hypothesis, settings: NamingSettings
-) -> tuple[Effect, ...]:
+def _idle(prepared: GapProblem, known: Hypothesis, part: Hypothesis) -> tuple[Effect, ...]:
     """Effects that are insignificant once the part is in the model; last first."""
     kept, own = list(known.pairs), part.pairs
     if not kept:
@@ -238,7 +238,7 @@ def _idle(
     for pair in reversed(kept.copy()):
         without = [each for each in kept if each is not pair]
         left = _Left.of(none.with_effects([*without, *own]), searched, held)
-        if not best.ahead_of(left, settings):
+        if not best.ahead_of(left):
             idle.append(pair[0])
             kept, best = without, left
     return tuple(idle)

@@ -26,6 +26,9 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.sensor_columns import of_place_or_speed
 from loose_env.gap.model.parameter import Parameter, free_of
 from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.settings import (
+    SECOND_START,
+)
 from loose_env.typing import Array
 
 __all__ = ["Screened", "along", "screen", "signatures"]
@@ -35,8 +38,6 @@ _GROUP = 24
 """Hypotheses simulated at a time."""
 _SMALLEST_SHARE, _LARGEST_SHARE = 1e-6, 4.0
 """Smallest and largest multiple of a signature that is believed."""
-_SECOND = 0.5
-"""Promise of another start, as a share of the best one's, from which on it is kept."""
 _FAR = 0.5
 """Distance of a start that is another, in free numbers: some one of them is so far off."""
 _MANY = 4
@@ -213,7 +214,7 @@ def _best(found: list[Screened]) -> Screened:
     at = free_of(first.effect.parameters, np.array(first.values))
     matter = np.array([p.centre is None for p in first.effect.parameters])
     for each in others:
-        if each.promise < _SECOND * first.promise:
+        if each.promise < SECOND_START * first.promise:
             break
         off = np.abs(free_of(each.effect.parameters, np.array(each.values)) - at)
         if np.any(off[matter] > _FAR):
