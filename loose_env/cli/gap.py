@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> None:
         stages = Stages(kept / "stages", key_of(recording, plain))
         found = find_gap(recording, settings, say=say, stages=stages)
     if stages.taken_up:
-        say(f"taken up from an earlier run: {', '.join(stages.taken_up)}")
+        say(f"resumed from checkpoints: {', '.join(stages.taken_up)}")
     # Known as this command's own even if it is cut short while it copies.
     home = recording.model_path.parent
     folder.note(folder.path / f.relative_to(home) for f in files_of(recording.model_path))
@@ -83,17 +83,17 @@ def summary(result: GapResult) -> str:
     """What was found, in a few lines."""
     lines = []
     if result.verdict == "no_gap":
-        lines.append("no gap: within its tolerance the model explains the held-out runs")
+        lines.append("no model error: within its tolerance the model explains the held-out runs")
     elif result.verdict == "unexplained":
         likely = unsure(result)
         lines.append(
-            "unexplained: something is missing that is not in the catalogue"
+            "unexplained: an effect is missing that is not in the catalogue"
             if likely is None
-            else f"unexplained: something is missing. With {ranked_words(likely)} the model leaves "
-            f"{likely.held_out:.2f}, but is ahead by {likely.lead:.1f} standard deviations only: "
-            "these runs do not make that sure"
+            else f"unexplained: an effect is missing. {ranked_words(likely)} reduces the residual "
+            f"to {likely.held_out:.2f}, but by only {likely.improvement_z:.1f} standard deviations "
+            "(z-score): not significant in these runs"
         )
-        lines += [f"  {words}" for words in result.where_it_lives]
+        lines += [f"  {words}" for words in result.location_words]
     for effect in result.effects:
         lines.append(f"{effect.kind} at {effect.where}")
         for name, value in effect.parameters.items():
@@ -103,10 +103,13 @@ def summary(result: GapResult) -> str:
             lines.append(f"  {name} {value:.4g}{between} {unit}".rstrip())
         if effect.ambiguous_with:
             others = ", ".join(f"{o.kind} at {o.where}" for o in effect.ambiguous_with)
-            lines.append(f"  the held-out runs cannot tell it from {others}")
+            lines.append(f"  confusable with {others}: the held-out runs do not separate them")
     gap = result.gap
-    if result.verdict == "named" and result.left:
-        lines += [f"left: {result.left[0]}", *(f"  {words}" for words in result.left[1:])]
-    lines.append(f"gap on held-out runs: {gap.before:.2f} before, {gap.after:.2f} after; noise 1")
+    if result.verdict == "named" and result.remaining:
+        lines += ["remaining: " + result.remaining[0], *(f"  {w}" for w in result.remaining[1:])]
+    lines.append(
+        f"residual on held-out runs: {gap.before:.2f} before, {gap.after:.2f} after "
+        "(in noise standard deviations)"
+    )
     lines += [f"  {words}" for words in quantity_words(gap.by_quantity)]
     return "\n".join(lines)

@@ -9,7 +9,7 @@ from loose_env.gap.diagnostics.experiment_advice import (
     how_to_separate,
 )
 from loose_env.gap.diagnostics.feature_localisation import (
-    StruckChannel,
+    FeatureChannel,
 )
 from loose_env.gap.diagnostics.joint_torque_residual import (
     JointMotion,
@@ -54,11 +54,11 @@ from loose_env.gap.output.export_mjcf import (
     write_model,
 )
 from loose_env.gap.output.result import (
+    EffectLocation,
     Gap,
     GapResult,
     NamedEffect,
-    Place,
-    Ranked,
+    RankedHypothesis,
     read_result,
 )
 from loose_env.gap.residuals.physical_units import (
@@ -69,7 +69,7 @@ from loose_env.gap.settings import (
     NOISE_RMS,
     GapSettings,
 )
-from loose_env.gap.workflow.evidence import Evidence, gather
+from loose_env.gap.workflow.evidence import ResidualDiagnostics, diagnose_residuals
 from loose_env.gap.workflow.explain import explain_gap
 from loose_env.gap.workflow.pipeline import (
     GapSolution,
@@ -83,7 +83,8 @@ __all__ = [
     "NOISE_RMS",
     "Dependence",
     "Effect",
-    "Evidence",
+    "EffectLocation",
+    "FeatureChannel",
     "Gap",
     "GapResult",
     "GapSession",
@@ -93,17 +94,16 @@ __all__ = [
     "JointMotion",
     "NamedEffect",
     "Parameter",
-    "Place",
-    "Ranked",
+    "RankedHypothesis",
+    "ResidualDiagnostics",
     "Series",
     "Stages",
-    "StruckChannel",
     "binned",
     "compared",
+    "diagnose_residuals",
     "explain_gap",
     "exported",
     "find_gap",
-    "gather",
     "how_to_see",
     "how_to_separate",
     "in_bands",

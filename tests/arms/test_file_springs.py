@@ -21,7 +21,7 @@ from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import at_levels
 from loose_env.faults import Healthy, StructuralLooseness
 from loose_env.gap.model.effects.catalogue import CATALOGUE
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.rig import ReducedRig, SimulatedRig
 
 Write = Callable[..., Path]
@@ -208,7 +208,7 @@ CORRECTIONS = {
 def test_every_correction_that_adds_a_joint_is_read(write: Write, kind: str) -> None:
     where, values = CORRECTIONS[kind]
     nominal = write(two_links(), "nominal.xml")
-    machine = Machine(mujoco.MjSpec.from_file(str(nominal)))
+    machine = NominalModel(mujoco.MjSpec.from_file(str(nominal)))
     effect = CATALOGUE[kind](machine, where)
     spec = machine.fresh()
     effect.export(spec, np.array(effect.starts[-1] if values is None else values))

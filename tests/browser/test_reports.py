@@ -12,7 +12,7 @@ pytest.importorskip("matplotlib")
 
 from loose_env.arms import vera
 from loose_env.envs import DiagnosisSettings
-from loose_env.gap import gather, result_of
+from loose_env.gap import diagnose_residuals, result_of
 from loose_env.instrument import NextSettings, PlanSettings, plan
 from loose_env.report import (
     FigureCard,
@@ -37,7 +37,7 @@ __all__ = ["browser"]
 
 def gap_page(folder: Path) -> Path:
     solution = solution_for(record(folder / "arm"))
-    evidence = gather(solution)
+    evidence = diagnose_residuals(solution)
     return write_gap_page(folder / "gap.html", solution, evidence, result_of(solution, evidence))
 
 

@@ -73,7 +73,7 @@ def test_it_writes_model_result_and_page_and_says_what_it_found(
     assert read_result(tmp_path / "out").verdict == "named"
     said = capsys.readouterr()
     assert "viscous_friction at joint2\n  damping 3 (2.9 to 3.1) N·m·s/rad" in said.out
-    assert "cannot tell it from actuator_gain at servo2" in said.out
+    assert "confusable with actuator_gain at servo2" in said.out
     assert "nominal model: 6.9" in said.err and "warning: the step is coarse" in said.err
     assert "nominal model" not in said.out
 
@@ -97,7 +97,7 @@ def test_an_interrupted_run_goes_on_from_its_finished_stages(
     search.ends = None
     assert main(words(recording, tmp_path, "--threads", "2")) == 0
     assert search.made == 1
-    assert "taken up from an earlier run: base" in capsys.readouterr().err
+    assert "resumed from checkpoints: base" in capsys.readouterr().err
     assert main(words(recording, tmp_path, "--tolerance", "0.04")) == 0
     assert search.made == 2
 
@@ -167,7 +167,7 @@ def test_a_command_line_that_makes_no_sense_is_argparses_affair(
 
 def test_what_is_left_is_printed_beside_what_was_named() -> None:
     found = GapResult(
-        verdict="named", gap=Gap(before=9.0, after=3.0), left=("3 are left of 9.", "q is off."),
+        verdict="named", gap=Gap(before=9.0, after=3.0), remaining=("3 of 9.", "q is off."),
         effects=(NamedEffect(kind="actuator_gain", where="m1", parameters={"gain": 2.0}),),
     )  # fmt: skip
-    assert "left: 3 are left of 9.\n  q is off.\ngap on held-out runs" in gap.summary(found)
+    assert "remaining: 3 of 9.\n  q is off.\nresidual on held-out runs" in gap.summary(found)

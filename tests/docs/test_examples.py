@@ -15,7 +15,7 @@ import pytest
 from loose_env.arms import DESK_ARM
 from loose_env.gap import GapSettings
 from loose_env.gap.model.effects.catalogue import CATALOGUE
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from tests.docs.pages import PAGES, ROOT, blocks, python
 from tests.gap.cases.effect_arms import PLANAR
 
@@ -175,7 +175,7 @@ def test_the_effect_of_the_gap_page_is_one_and_acts() -> None:
     code = next(b.text for b in blocks(ROOT / "docs" / "gap.md") if "@register" in b.text)
     assert code.splitlines()[0] in text
     exec(compile(code, "gap.md", "exec"), {"__name__": "gap"})
-    machine = Machine(mujoco.MjSpec.from_string(PLANAR))
+    machine = NominalModel(mujoco.MjSpec.from_string(PLANAR))
     effect = CATALOGUE["gravity_compensation"](machine, "link2")
     spec = machine.fresh()
     effect.edit(spec, np.array([1.0]))

@@ -23,7 +23,7 @@ def test_step_by_step_finds_the_friction_and_keeps_it(
     exec("from loose_env.gap.settings import GapSettings", names)
     exec(compile(code, "gap.md", "exec"), names)
     tried, steps = names["tried"], names["steps"]
-    assert tried.believed and tried.held_out < 0.5 * tried.before
+    assert tried.accepted and tried.held_out < 0.5 * tried.before
     assert abs(tried.parameters["torque"] - 2.0) < 0.2
     assert [effect.kind for effect in steps.added] == ["coulomb_friction"]
     assert "coulomb_friction@joint2: torque" in capsys.readouterr().out

@@ -19,21 +19,21 @@ pytest.importorskip("matplotlib")
 from loose_env.cli.gap import summary
 from loose_env.errors import MissingExtra
 from loose_env.gap import (
-    Evidence,
+    EffectLocation,
     Gap,
     GapResult,
     GapSolution,
     Identifiability,
     NamedEffect,
-    Place,
-    Ranked,
-    gather,
+    RankedHypothesis,
+    ResidualDiagnostics,
+    diagnose_residuals,
     how_to_separate,
     result_of,
     write_gap,
 )
 from loose_env.gap.diagnostics.experiment_advice import identifiability_words
-from loose_env.gap.output.evidence_schema import Alike, Unseen
+from loose_env.gap.output.evidence_schema import ConfusablePair, UnidentifiableEffect
 from loose_env.gap.workflow import summary as gap_summary
 from loose_env.report.gap import write as gap_report
 from loose_env.report.gap.figures import channel_bars, residual_panels
@@ -80,12 +80,12 @@ def solution(tmp_path_factory: pytest.TempPathFactory) -> GapSolution:
 
 
 @pytest.fixture(scope="module")
-def evidence(solution: GapSolution) -> Evidence:
-    return gather(solution)
+def evidence(solution: GapSolution) -> ResidualDiagnostics:
+    return diagnose_residuals(solution)
 
 
 @pytest.fixture(scope="module")
-def page(solution: GapSolution, evidence: Evidence) -> str:
+def page(solution: GapSolution, evidence: ResidualDiagnostics) -> str:
     return render_gap_page(solution, evidence, result_of(solution, evidence))
 
 
@@ -106,27 +106,27 @@ def test_words_stand_before_figures_in_the_order_of_the_questions(page: str) -> 
         "The model lacks viscous friction (joint2) and a sensor whose scale is off (rate3).",
         "The step is coarse.",
         "damping 3 N·m·s/rad, 95 % between 2.9 and 3.1",
-        "cannot tell viscous friction (joint2) from another gain (servo2)",
+        "do not separate viscous friction (joint2) from another gain (servo2)",
     ]
     first = page.index("<svg")
     assert all(0 < page.index(each) < first for each in words)
     parsed = Balanced()
     parsed.feed(page)
     assert parsed.headings == [
-        "The gap, before and after",
+        "Residual before and after correction",
         "Spectra before and after",
-        "Against motion and load",
-        "Where the disagreement is",
-        "What was tried",
-        "What is left",
-        "What these motions can show",
-        "Nominal figures",
-        "What to do next",
+        "Residual against motion and load",
+        "Residual by channel",
+        "Candidate fits",
+        "Remaining residual",
+        "Identifiability from these motions",
+        "Nominal parameters",
+        "Next steps",
     ]
 
 
 def test_the_code_and_the_motion_that_separates_stand_at_the_end(page: str) -> None:
-    end = page[page.index("What to do next") :]
+    end = page[page.index("Next steps") :]
     assert "data.sensor(&#39;rate3&#39;).data *= 1.25" in end
     advice = how_to_separate("viscous_friction", "joint2", "actuator_gain", "servo2")
     assert advice[1:40] in end
@@ -134,25 +134,25 @@ def test_the_code_and_the_motion_that_separates_stand_at_the_end(page: str) -> N
 
 
 def test_the_page_is_the_same_every_time(
-    page: str, solution: GapSolution, evidence: Evidence
+    page: str, solution: GapSolution, evidence: ResidualDiagnostics
 ) -> None:
     assert render_gap_page(solution, evidence, result_of(solution, evidence)) == page
 
 
 @pytest.mark.parametrize("verdict", ["no_gap", "unexplained"])
 def test_other_verdicts_have_their_page_too(
-    verdict: str, solution: GapSolution, evidence: Evidence, tmp_path: Path
+    verdict: str, solution: GapSolution, evidence: ResidualDiagnostics, tmp_path: Path
 ) -> None:
     other = replace(solution, verdict=verdict, effects=(), ranking=(), best=solution.base)
     result = result_of(other, evidence)
     file = write_gap_page(tmp_path / "report.html", other, evidence, result)
     text = file.read_text("utf-8")
-    assert headline(result) in text and "What was tried" not in text
+    assert headline(result) in text and "Candidate fits" not in text
     assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
 
 
 def test_inverse_runs_have_a_page_without_horizons(
-    solution: GapSolution, evidence: Evidence
+    solution: GapSolution, evidence: ResidualDiagnostics
 ) -> None:
     bare = replace(evidence, before=(), after=())
     text = render_gap_page(solution, bare, result_of(solution, bare))
@@ -211,7 +211,7 @@ def test_an_earlier_result_stays_until_another_one_is_there(
     def fail(*_: object, **__: object) -> None:
         raise ValueError("no memory")
 
-    monkeypatch.setattr(gap_summary, "gather", fail)
+    monkeypatch.setattr(gap_summary, "diagnose_residuals", fail)
     (tmp_path / "result.json").write_text("{}")
     with pytest.raises(ValueError, match="no memory"):
         write_gap(tmp_path, solution, report=write_gap_report)
@@ -219,11 +219,11 @@ def test_an_earlier_result_stays_until_another_one_is_there(
 
 
 def test_what_the_model_has_without_its_being_named_stands_on_the_page(
-    solution: GapSolution, evidence: Evidence
+    solution: GapSolution, evidence: ResidualDiagnostics
 ) -> None:
     other = replace(solution, verdict="unexplained", effects=(), ranking=())
     page = render_gap_page(other, evidence, result_of(other, evidence))
-    told = page.index("without its being named: viscous_friction at joint2: damping 3")
+    told = page.index("effects that are not identified: viscous_friction at joint2: damping 3")
     assert 0 < told < page.index("<svg")
 
 
@@ -233,12 +233,12 @@ def result(verdict: str, **given: object) -> GapResult:
 
 
 def test_words_follow_the_verdict_and_the_size() -> None:
-    assert headline(result("no_gap")).startswith("Nothing is missing")
+    assert headline(result("no_gap")).startswith("No model error")
     assert "not in the catalogue" in headline(result("unexplained"))
-    assert "closed down to the noise" in size_words(result("named"))[0]
+    assert "down to the noise" in size_words(result("named"))[0]
     wide = result("named", gap=Gap(before=4.0, after=3.9))
-    assert "still there" in size_words(wide)[0]
-    assert "not closed" in size_words(result("named", gap=Gap(before=9.0, after=3.0)))[0]
+    assert "Most of it remains" in size_words(wide)[0]
+    assert "not eliminated" in size_words(result("named", gap=Gap(before=9.0, after=3.0)))[0]
     assert effect_words("payload", "tool") == "a payload at the tool"
     assert effect_words("base_tilt", "base") == "a tilted base"
     assert effect_words("command_delay", "all") == "late commands at all actuators"
@@ -247,20 +247,22 @@ def test_words_follow_the_verdict_and_the_size() -> None:
     assert effect_words("backlash", "tool") == "backlash (tool)"
     assert effect_words("sensor_gain", "all") == "a sensor whose scale is off (all)"
     assert effect_words("own_effect", "joint1") == "own effect (joint1)"
-    steps = next_steps(result("unexplained", where_it_lives=("joint1 got 3 N·m.",)))
+    steps = next_steps(result("unexplained", location_words=("joint1 got 3 N·m.",)))
     assert steps[0] == "Look here: joint1 got 3 N·m."
 
 
 def test_what_short_runs_leave_unsure_is_not_said_to_be_outside_the_catalogue() -> None:
-    likely = Ranked(kind="coulomb_friction", where="joint2", held_out=1.01, bic=-9e3, lead=1.7)
+    likely = RankedHypothesis(
+        kind="coulomb_friction", where="joint2", held_out=1.01, bic=-9e3, improvement_z=1.7
+    )
     short = result("unexplained", gap=Gap(before=4.8, after=4.8), ranking=(likely,))
     for words in (headline(short), summary(short)):
         assert "not in the catalogue" not in words
-        assert "joint2" in words and "sure" in words
+        assert "joint2" in words and "not significant" in words
     assert next_steps(short)[0].startswith("Record more")
     # A hypothesis that is sure and was not named, or leaves much, or of a gap that was none.
     for other, gap in (
-        (replace(likely, lead=5.0), short.gap),
+        (replace(likely, improvement_z=5.0), short.gap),
         (replace(likely, held_out=2.0), short.gap),
         (replace(likely, step=2), short.gap),
         (likely, Gap(before=1.1, after=1.1)),
@@ -275,7 +277,8 @@ def test_every_ambiguous_effect_gets_a_motion_that_separates_it() -> None:
     effect = NamedEffect(
         kind="coulomb_friction", where="joint1", parameters={"torque": 1.0},
         ambiguous_with=(
-            Place(kind="backlash", where="joint1"), Place(kind="coulomb_friction", where="joint2")
+            EffectLocation(kind="backlash", where="joint1"),
+            EffectLocation(kind="coulomb_friction", where="joint2"),
         ),
     )  # fmt: skip
     steps = next_steps(result("named", effects=(effect,)))
@@ -286,30 +289,30 @@ def test_every_ambiguous_effect_gets_a_motion_that_separates_it() -> None:
 def test_a_remainder_is_told_in_the_headline_and_in_words() -> None:
     part = result(
         "named", gap=Gap(before=115.0, after=43.0), effects=named("m1"),
-        left=("43 noise standard deviations are left.", "sensor.q is up to 50 off."),
+        remaining=("43 noise standard deviations are left.", "sensor.q is up to 50 off."),
     )  # fmt: skip
-    assert headline(part) == "The model lacks another gain (m1), and something else."
+    assert headline(part) == "The model lacks another gain (m1), and a further effect."
     assert any("sensor.q is up to 50 off." in step for step in next_steps(part))
 
 
-def test_the_page_says_what_is_left(solution: GapSolution, evidence: Evidence) -> None:
-    part = replace(result_of(solution, evidence), left=("Much is left.", "It is in encoder1."))
+def test_the_page_says_what_is_left(solution: GapSolution, evidence: ResidualDiagnostics) -> None:
+    part = replace(result_of(solution, evidence), remaining=("Much is left.", "It is in encoder1."))
     page = render_gap_page(solution, evidence, part)
     first = page.index("<svg")
     assert 0 < page.index("Much is left.") < page.index("It is in encoder1.") < first
 
 
 def test_what_was_not_shown_is_told_with_what_would_show_it(
-    solution: GapSolution, evidence: Evidence
+    solution: GapSolution, evidence: ResidualDiagnostics
 ) -> None:
     shown = Identifiability(
-        unseen=(
-            Unseen(kind="quadratic_drag", where="joint1", parameters={"drag": 0.2}, sureness=1.5,
-                   more_s=52.0),
+        unidentifiable=(
+            UnidentifiableEffect(kind="quadratic_drag", where="joint1", parameters={"drag": 0.2},
+                                 z=1.5, additional_s=52.0),
         ),
-        alike=(
-            Alike(kind="actuator_lag", where="m1", other_kind="command_delay", other_where="m1",
-                  sureness=0.2, more_s=None),
+        confusable=(
+            ConfusablePair(kind="actuator_lag", where="m1", other_kind="command_delay",
+                           other_where="m1", z=0.2, additional_s=None),
         ),
     )  # fmt: skip
     words = identifiability_words(shown)
@@ -323,13 +326,15 @@ def test_what_was_not_shown_is_told_with_what_would_show_it(
     )
     other = replace(result_of(solution, evidence), identifiability=shown, warnings=tuple(words))
     page = render_gap_page(solution, evidence, other)
-    part = page[page.index("What these motions can show") : page.index("Nominal figures")]
+    part = page[page.index("Identifiability from these motions") : page.index("Nominal parameters")]
     assert "quadratic_drag at joint1" in part and "52 s" in part and "no help" in part
 
 
-def row(kind: str, where: str, *others: str, step: int = 1) -> Ranked:
-    places = tuple(Place(kind=kind, where=other) for other in others)
-    return Ranked(kind=kind, where=where, held_out=1.0, bic=-9.0, step=step, together_with=places)
+def row(kind: str, where: str, *others: str, step: int = 1) -> RankedHypothesis:
+    places = tuple(EffectLocation(kind=kind, where=other) for other in others)
+    return RankedHypothesis(
+        kind=kind, where=where, held_out=1.0, bic=-9.0, step=step, together_with=places
+    )
 
 
 def named(*where: str) -> tuple[NamedEffect, ...]:
@@ -356,35 +361,40 @@ def test_what_was_not_tried_is_not_said_to_explain_less() -> None:
     ]
     lone = result("named", effects=named("m1"), ranking=(row("actuator_gain", "m1"),))
     assert mistaken_words(lone) == [
-        "Nothing else was fitted to whole runs in place of another gain (m1)."
+        "No other hypothesis was fitted to whole runs in place of another gain (m1)."
     ]
 
 
-def test_a_family_is_one_line_of_what_was_tried(solution: GapSolution, evidence: Evidence) -> None:
+def test_a_family_is_one_line_of_what_was_tried(
+    solution: GapSolution, evidence: ResidualDiagnostics
+) -> None:
     other = replace(solution, ranking=(row("joint_spring", "joint1", "joint2", "joint3"),))
     page = render_gap_page(other, evidence, result_of(other, evidence))
     assert "joint_spring at joint1, joint2, joint3" in page
 
 
 def test_a_part_that_was_found_by_its_blows_is_told_as_such(
-    solution: GapSolution, evidence: Evidence
+    solution: GapSolution, evidence: ResidualDiagnostics
 ) -> None:
     loose = NamedEffect(
-        kind="structural_looseness", where="link2", parameters={"gap": 4e-4}, powers_explained=0.97
+        kind="structural_looseness",
+        where="link2",
+        parameters={"gap": 4e-4},
+        impact_power_explained=0.97,
     )
     part = result(
         "named",
         effects=(loose,),
         gap=Gap(before=8.7, after=9.1),
-        left=("much is left, sample by sample", "in shake"),
+        remaining=("much is left, sample by sample", "in shake"),
         ranking=(row("structural_looseness", "link2"), row("actuator_gain", "m1")),
     )
-    assert "something else" not in headline(part)
+    assert "further effect" not in headline(part)
     (size,) = size_words(part)
-    assert "97 %" in size and "Most of the gap" not in size
+    assert "97 %" in size and "Most of it" not in size
     (alone,) = mistaken_words(part)
-    assert "No play anywhere else strikes as this does" in alone
+    assert "No play at another location explains the impact power" in alone
     assert not any("what else is missing" in step for step in next_steps(part))
-    struck = replace(solution, effects=(loose,))
-    left = result_of(struck, evidence).left
+    impact_fit = replace(solution, effects=(loose,))
+    left = result_of(impact_fit, evidence).remaining
     assert not left or "blows fall at moments" in left[0]

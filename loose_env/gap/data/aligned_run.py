@@ -10,11 +10,11 @@ import numpy as np
 
 from loose_env.gap.data.initial_rest import comes_to_rest, stays
 from loose_env.gap.data.noise_floor import noise_floor
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.recording import Run
 from loose_env.typing import Array
 
-__all__ = ["Channel", "Trial", "channels_of", "lay_out", "step_for"]
+__all__ = ["Channel", "Trial", "align_run", "channels_of", "step_for"]
 
 
 _REGULAR = 0.02
@@ -197,7 +197,9 @@ def step_for(run: Run, longest: float) -> float:
     return mean / ceil(mean / longest * (1 - 1e-9))
 
 
-def lay_out(run: Run, machine: Machine, channels: tuple[Channel, ...], *, step: float) -> Trial:
+def align_run(
+    run: Run, machine: NominalModel, channels: tuple[Channel, ...], *, step: float
+) -> Trial:
     """Align a run with simulation steps.
 
     Commands are held from their sample to the next. A missing command keeps the one before.
@@ -206,7 +208,7 @@ def lay_out(run: Run, machine: Machine, channels: tuple[Channel, ...], *, step: 
     ----------
     run : Run
         The run as recorded.
-    machine : Machine
+    machine : NominalModel
         The nominal model.
     channels : tuple of Channel
         The compared channels; missing ones become NaN.
@@ -260,7 +262,9 @@ def _filled(values: Array) -> Array:
     return np.asarray(values[np.where(at < 0, np.argmax(good), at)])
 
 
-def _start(run: Run, machine: Machine, time: Array) -> tuple[Array, Array, bool, dict[str, Array]]:
+def _start(
+    run: Run, machine: NominalModel, time: Array
+) -> tuple[Array, Array, bool, dict[str, Array]]:
     """Position, speed and rest at the first sample, and the measured motion."""
     model = machine.model
     position, speed = model.qpos0.copy(), np.zeros(model.nv)

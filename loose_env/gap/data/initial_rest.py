@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.data.noise_floor import noise_floor, resolution_of
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
 __all__ = ["SETTLE", "comes_to_rest", "stays"]
@@ -66,14 +66,14 @@ def stays(time: Array, values: Array, controls: Array) -> bool:
     return moved <= max(chance, 1.5 * resolution_of(values))
 
 
-def comes_to_rest(machine: Machine, position: Array, commands: Array) -> bool:
+def comes_to_rest(machine: NominalModel, position: Array, commands: Array) -> bool:
     """Return whether the nominal model, released at rest in a pose, settles nearby.
 
     A servo moves to where it carries its load; an unopposed torque accelerates without bound.
 
     Parameters
     ----------
-    machine : Machine
+    machine : NominalModel
         The nominal model.
     position : ndarray (joints,)
         Pose [rad, m].

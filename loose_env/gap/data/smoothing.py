@@ -25,7 +25,7 @@ from scipy.stats import chi2
 from loose_env.errors import InvalidData
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.noise_floor import noise_floor
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
 __all__ = ["Band", "Motion", "even_grid", "filled", "motion_band", "smooth_motion"]
@@ -164,7 +164,7 @@ def _ends(values: Array, rate: float) -> tuple[float, float]:
 
 def smooth_motion(
     trial: Trial,
-    machine: Machine,
+    machine: NominalModel,
     channels: Sequence[Channel],
     readings: dict[str, Array] | None = None,
     band: Band | None = None,
@@ -175,7 +175,7 @@ def smooth_motion(
     ----------
     trial : Trial
         The run.
-    machine : Machine
+    machine : NominalModel
         The nominal model.
     channels : sequence of Channel
         The run's columns.
@@ -217,7 +217,7 @@ def smooth_motion(
 
 def _band_end(
     trial: Trial,
-    machine: Machine,
+    machine: NominalModel,
     channels: Sequence[Channel],
     positions: dict[int, Array],
     speeds: dict[int, Array],
@@ -238,7 +238,7 @@ def _band_end(
 
 def _balance(
     trial: Trial,
-    machine: Machine,
+    machine: NominalModel,
     channels: Sequence[Channel],
     positions: dict[int, Array],
     speeds: dict[int, Array],
@@ -267,7 +267,7 @@ def _balance(
 
 def _joint_columns(
     trial: Trial,
-    machine: Machine,
+    machine: NominalModel,
     channels: Sequence[Channel],
     readings: dict[str, Array],
     grid: Array,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from loose_env.gap.output.evidence_schema import Identifiability, Unseen
+from loose_env.gap.output.evidence_schema import Identifiability, UnidentifiableEffect
 from loose_env.io import duration_words
 
 __all__ = ["how_to_see", "how_to_separate", "identifiability_words"]
@@ -13,8 +13,8 @@ _LISTED = 3
 
 def identifiability_words(found: Identifiability) -> list[str]:
     """Report effects that cannot be seen or distinguished, and experiments that help."""
-    said, by_kind = [], dict[str, list[Unseen]]()
-    for each in found.unseen:
+    said, by_kind = [], dict[str, list[UnidentifiableEffect]]()
+    for each in found.unidentifiable:
         by_kind.setdefault(each.kind, []).append(each)
     for kind, many in list(by_kind.items())[:_LISTED]:
         places = ", ".join(each.where for each in many[:_LISTED])
@@ -22,17 +22,17 @@ def identifiability_words(found: Identifiability) -> list[str]:
         size = ", ".join(f"{k} {v:.2g}" for k, v in many[0].parameters.items())
         said.append(
             f"these motions would not show {kind} at {places} (such as {size}); "
-            f"{_missing(many[0].more_s)}{how_to_see(kind)}"
+            f"{_missing(many[0].additional_s)}{how_to_see(kind)}"
         )
-    for pair in found.alike[:_LISTED]:
+    for pair in found.confusable[:_LISTED]:
         advice = how_to_separate(pair.kind, pair.where, pair.other_kind, pair.other_where)
         said.append(
             f"these motions do not tell {pair.kind} at {pair.where} from {pair.other_kind} at "
-            f"{pair.other_where}; {_missing(pair.more_s)}{advice[0].lower()}{advice[1:]}"
+            f"{pair.other_where}; {_missing(pair.additional_s)}{advice[0].lower()}{advice[1:]}"
         )
     further = [
         f"kinds of effect not shown ({len(by_kind) - _LISTED})" * (len(by_kind) > _LISTED),
-        f"pairs that look alike ({len(found.alike) - _LISTED})" * (len(found.alike) > _LISTED),
+        f"confusable pairs ({len(found.confusable) - _LISTED})" * (len(found.confusable) > _LISTED),
     ]
     if any(further):
         listed = " and ".join(filter(None, further))

@@ -19,11 +19,11 @@ from loose_env.gap.diagnostics.joint_torque_residual import JointMotion
 from loose_env.gap.diagnostics.localisation import depends_on
 from loose_env.gap.diagnostics.residual_spectra import Series, band_edges, density
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.output.evidence_schema import Band, ChannelGap, Dependence, LeftOver
-from loose_env.gap.residuals.residual_model import LONGEST, Comparison
+from loose_env.gap.output.evidence_schema import Band, ChannelResidual, Dependence, ResidualTest
+from loose_env.gap.residuals.residual_model import LONGEST, ResidualModel
 from loose_env.typing import Array
 
-__all__ = ["StruckChannel", "struck_channels", "struck_left"]
+__all__ = ["FeatureChannel", "feature_channels", "feature_tests"]
 
 
 _WILD = 1e4
@@ -35,10 +35,10 @@ _SEGMENT = 2.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class StruckChannel:
+class FeatureChannel:
     """One channel of one run that is compared by features."""
 
-    gap: ChannelGap
+    gap: ChannelResidual
     """Residual of the channel in the run; over the deviation of a correct model, in place of the
     noise."""
     features: Array
@@ -51,14 +51,14 @@ class StruckChannel:
     noise power (K,)."""
 
 
-def struck_channels(
-    comparison: Comparison, hypothesis: Hypothesis, motions: Sequence[JointMotion]
-) -> list[StruckChannel]:
+def feature_channels(
+    comparison: ResidualModel, hypothesis: Hypothesis, motions: Sequence[JointMotion]
+) -> list[FeatureChannel]:
     """Compare runs by their features with a simulation, channel by channel.
 
     Parameters
     ----------
-    comparison : Comparison
+    comparison : ResidualModel
         The runs; those compared sample by sample are ignored.
     hypothesis : Hypothesis
         The simulated hypothesis.
@@ -75,27 +75,31 @@ def struck_channels(
     ]
 
 
-def struck_left(channels: Sequence[StruckChannel]) -> list[LeftOver]:
+def feature_tests(channels: Sequence[FeatureChannel]) -> list[ResidualTest]:
     """Residual tests by channel, over all its runs; features have no time order."""
-    found: dict[str, list[StruckChannel]] = {}
+    found: dict[str, list[FeatureChannel]] = {}
     for each in channels:
         found.setdefault(each.gap.channel, []).append(each)
     unknown = float("nan")
     return [
-        LeftOver(
+        ResidualTest(
             channel=name,
-            over_floor=float(np.sqrt(np.mean(np.concatenate([s.features for s in many]) ** 2))),
-            autocorrelation=unknown, whiteness_95=unknown, largest=unknown,
-            correlation_time=unknown, trend=0.0, trend_sureness=0.0,
-            depends=max(many, key=lambda s: s.gap.over_floor).gap.depends,
+            rms=float(np.sqrt(np.mean(np.concatenate([s.features for s in many]) ** 2))),
+            autocorrelation=unknown, whiteness_95=unknown, largest_autocorrelation=unknown,
+            correlation_time=unknown, trend=0.0, trend_z=0.0,
+            dependences=max(many, key=lambda s: s.gap.rms).gap.dependences,
         )
         for name, many in found.items()
     ]  # fmt: skip
 
 
 def _channel(
-    comparison: Comparison, number: int, used: int, predicted: Array, motions: Sequence[JointMotion]
-) -> StruckChannel:
+    comparison: ResidualModel,
+    number: int,
+    used: int,
+    predicted: Array,
+    motions: Sequence[JointMotion],
+) -> FeatureChannel:
     features, trial = comparison.features[number], comparison.trials[number]
     channel = int(features.used[used])
     apart = features.differences(predicted)
@@ -122,16 +126,16 @@ def _channel(
         depends = depends_on(
             [_series(trial, number, measured.channel, residual, measured.sample)], motions
         )
-    return StruckChannel(
-        gap=ChannelGap(
+    return FeatureChannel(
+        gap=ChannelResidual(
             run=trial.name,
             channel=comparison.channels[channel].name,
-            over_floor=rms,
+            rms=rms,
             offset=float(mean) / float(np.sqrt(len(own))),
             bands=bands,
-            depends=depends,
-            together=float(np.sqrt(max(rms**2 - 1, 0.0))),
-            sureness=float((rms**2 - 1) * np.sqrt(len(own) / 2)),
+            dependences=depends,
+            autocorrelated_rms=float(np.sqrt(max(rms**2 - 1, 0.0))),
+            autocorrelation_z=float((rms**2 - 1) * np.sqrt(len(own) / 2)),
         ),
         features=own,
         frequency=frequency if len(power) else np.zeros(0),
@@ -174,7 +178,7 @@ def _bands(frequency: Array, seen: Array, shown: Array, series: Series) -> tuple
         Band(
             low=low,
             high=high,
-            over_floor=float(np.sqrt(1.0 + apart)),
+            rms=float(np.sqrt(1.0 + apart)),
             share=float(apart * count / whole) if whole > 0 else 0.0,
         )
         for low, high, apart, count in found

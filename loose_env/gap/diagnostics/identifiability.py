@@ -22,11 +22,15 @@ from loose_env.gap.fitting.gauss_newton import (
 from loose_env.gap.fitting.model_structure import prior_of
 from loose_env.gap.fitting.refit import refined
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.output.evidence_schema import Alike, Identifiability, Unseen
+from loose_env.gap.output.evidence_schema import (
+    ConfusablePair,
+    Identifiability,
+    UnidentifiableEffect,
+)
 from loose_env.gap.residuals.autocorrelation import independent_rows
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.residuals.windows import windowed
-from loose_env.gap.selection.screening.grouping import akin
+from loose_env.gap.selection.screening.grouping import confusable
 from loose_env.gap.selection.screening.screening import along, signatures
 from loose_env.gap.settings import (
     IDENTIFIABLE_Z,
@@ -58,13 +62,13 @@ class _Signature:
 
 
 def identifiability(
-    comparison: Comparison, best: Fit, candidates: Sequence[Effect]
+    comparison: ResidualModel, best: Fit, candidates: Sequence[Effect]
 ) -> Identifiability:
     """Determine the effects that the training runs can identify.
 
     Parameters
     ----------
-    comparison : Comparison
+    comparison : ResidualModel
         The runs.
     best : Fit
         The best fit, on them.
@@ -89,14 +93,14 @@ def identifiability(
         if key not in seen or length > seen[key][0]:
             seen[key] = length, each
     unseen = [
-        Unseen(
+        UnidentifiableEffect(
             kind=each.effect.kind,
             where=each.effect.where,
             parameters={
                 p.name: float(v) for p, v in zip(each.effect.parameters, each.values, strict=True)
             },
-            sureness=length,
-            more_s=nuisance.more(each.change, seconds),
+            z=length,
+            additional_s=nuisance.more(each.change, seconds),
         )
         for length, each in seen.values()
         if length < IDENTIFIABLE_Z
@@ -104,10 +108,10 @@ def identifiability(
     shown = [each for length, each in seen.values() if length >= IDENTIFIABLE_Z]
     pairs = _with_named(short, named, shown, unit, seconds)
     pairs += _among(nuisance, shown, seconds)
-    return Identifiability(unseen=tuple(unseen), alike=tuple(pairs))
+    return Identifiability(unidentifiable=tuple(unseen), confusable=tuple(pairs))
 
 
-def _on(comparison: Comparison, short: Comparison, best: Fit) -> Fit:
+def _on(comparison: ResidualModel, short: ResidualModel, best: Fit) -> Fit:
     """The best fit on some windows, with sensitivities of its own."""
     if short is comparison:
         return refined(best, comparison)
@@ -183,7 +187,7 @@ class _Fitted:
         return (high - 1.0) * seconds
 
 
-def _of_named(short: Comparison, base: Fit, unit: float) -> list[tuple[_Signature, Fit]]:
+def _of_named(short: ResidualModel, base: Fit, unit: float) -> list[tuple[_Signature, Fit]]:
     """Identified effects at fitted size, their signatures, and the fit without each."""
     found = []
     for effect, own in zip(base.effects, base.structure.slices, strict=True):
@@ -199,7 +203,7 @@ def _of_named(short: Comparison, base: Fit, unit: float) -> list[tuple[_Signatur
 
 
 def _of_candidates(
-    short: Comparison, base: Fit, candidates: Sequence[Effect], unit: float
+    short: ResidualModel, base: Fit, candidates: Sequence[Effect], unit: float
 ) -> list[_Signature]:
     """Candidates at the first of their starts, without those that affect no reading."""
     entries = [(c, tuple(c.starts[0])) for c in candidates]
@@ -207,7 +211,7 @@ def _of_candidates(
 
 
 def _changes(
-    short: Comparison,
+    short: ResidualModel,
     base: Fit,
     entries: Sequence[tuple[Effect, tuple[float, ...]]],
     unit: float,
@@ -235,19 +239,19 @@ def _changes(
 
 
 def _with_named(
-    short: Comparison,
+    short: ResidualModel,
     named: Sequence[tuple[_Signature, Fit]],
     others: Sequence[_Signature],
     unit: float,
     seconds: float,
-) -> list[Alike]:
+) -> list[ConfusablePair]:
     """Identified effects that another one could replace, the rest unchanged."""
     found = []
     for one, without in named:
         fitted = _Fitted.of(without, slice(None), unit)
         pairs = [(_pair(fitted, one, other, seconds), other) for other in others]
         own = fitted.length(one.change)
-        near = [k for k, (pair, _) in enumerate(pairs) if pair.sureness < _NEARLY * own]
+        near = [k for k, (pair, _) in enumerate(pairs) if pair.z < _NEARLY * own]
         # An effect with a similar signature may fit equally well at another size, or only at a size
         # that it cannot have, such as that of a friction that adds energy.
         again = [_resized(pairs[k][1], fitted.size(one.change, pairs[k][1].change)) for k in near]
@@ -268,33 +272,35 @@ def _resized(seen: _Signature, share: float) -> tuple[Effect, tuple[float, ...]]
     return effect, values
 
 
-def _among(fitted: _Fitted, shown: Sequence[_Signature], seconds: float) -> list[Alike]:
+def _among(fitted: _Fitted, shown: Sequence[_Signature], seconds: float) -> list[ConfusablePair]:
     """Pairs of confusable effects that were not identified."""
     found = []
     for k, one in enumerate(shown):
         for other in shown[k + 1 :]:
-            if akin(one.effect, other.effect):
+            if confusable(one.effect, other.effect):
                 orders = ((one, other), (other, one))
-                found.append(min((_pair(fitted, *o, seconds) for o in orders), key=_sureness))
+                found.append(min((_pair(fitted, *o, seconds) for o in orders), key=_z))
     return _sorted(found)
 
 
-def _sorted(pairs: Sequence[Alike]) -> list[Alike]:
+def _sorted(pairs: Sequence[ConfusablePair]) -> list[ConfusablePair]:
     """Pairs that are not distinguishable, most confusable first."""
-    return sorted((pair for pair in pairs if pair.sureness < IDENTIFIABLE_Z), key=_sureness)
+    return sorted((pair for pair in pairs if pair.z < IDENTIFIABLE_Z), key=_z)
 
 
-def _sureness(pair: Alike) -> float:
-    return pair.sureness
+def _z(pair: ConfusablePair) -> float:
+    return pair.z
 
 
-def _pair(fitted: _Fitted, one: _Signature, other: _Signature, seconds: float) -> Alike:
+def _pair(fitted: _Fitted, one: _Signature, other: _Signature, seconds: float) -> ConfusablePair:
     length = fitted.length(one.change, other.change)
-    return Alike(
+    return ConfusablePair(
         kind=one.effect.kind,
         where=one.effect.where,
         other_kind=other.effect.kind,
         other_where=other.effect.where,
-        sureness=length,
-        more_s=fitted.more(one.change, seconds, other.change) if length < IDENTIFIABLE_Z else 0.0,
+        z=length,
+        additional_s=fitted.more(one.change, seconds, other.change)
+        if length < IDENTIFIABLE_Z
+        else 0.0,
     )

@@ -13,7 +13,7 @@ from loose_env.gap.data.actuator_states import activations
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.smoothing import Motion, filled, smooth_motion
 from loose_env.gap.diagnostics.regressors import direction_of
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
 __all__ = ["JointMotion", "joint_motion"]
@@ -42,10 +42,10 @@ class JointMotion:
     load: Array
     """Inverse dynamics torque [N·m] or force [N] of the nominal model (T, J); NaN where not
     every joint was measured."""
-    missing: Array
+    residual_torque: Array
     """Residual torque (T, J): applied torque less that of the nominal model. NaN where it is not
     known."""
-    missing_floor: Array
+    residual_noise: Array
     """Standard deviation of ``missing`` due to the noise of the readings (J,)."""
 
     def regressor(self, name: str, joint: int) -> Array:
@@ -65,7 +65,7 @@ class JointMotion:
 
 
 def joint_motion(
-    machine: Machine, trial: Trial, channels: Sequence[Channel], floors: Array
+    machine: NominalModel, trial: Trial, channels: Sequence[Channel], floors: Array
 ) -> JointMotion:
     """Compare the measured motion of a run with the nominal model.
 
@@ -76,7 +76,7 @@ def joint_motion(
 
     Parameters
     ----------
-    machine : Machine
+    machine : NominalModel
         The nominal model.
     trial : Trial
         The run.
@@ -121,8 +121,8 @@ def joint_motion(
         speed=np.where(known, smooth.speed, np.nan),
         acceleration=np.where(known, smooth.acceleration, np.nan),
         load=load,
-        missing=missing,
-        missing_floor=floor,
+        residual_torque=missing,
+        residual_noise=floor,
     )
 
 
@@ -137,12 +137,12 @@ def _unknown(joints: tuple[str, ...], units: tuple[str, ...], trial: Trial) -> J
         speed=empty,
         acceleration=empty,
         load=empty,
-        missing=empty,
-        missing_floor=np.full(len(joints), np.nan),
+        residual_torque=empty,
+        residual_noise=np.full(len(joints), np.nan),
     )
 
 
-def _torques(machine: Machine, trial: Trial, motion: Motion) -> tuple[Array, Array]:
+def _torques(machine: NominalModel, trial: Trial, motion: Motion) -> tuple[Array, Array]:
     """Inverse dynamics torque of the nominal model, and its actuator torque (T, J).
 
     The latter is NaN in a forward run where an activation is not known.
@@ -191,7 +191,7 @@ def _held(values: Array, step: float, time: Array) -> Array:
     return found
 
 
-def _needed_noise(machine: Machine, trial: Trial, motion: Motion) -> Array:
+def _needed_noise(machine: NominalModel, trial: Trial, motion: Motion) -> Array:
     """Noise of the inverse dynamics torque less the applied torque (J,)."""
     model = machine.model
     data = mujoco.MjData(model)

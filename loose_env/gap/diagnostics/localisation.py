@@ -16,7 +16,13 @@ from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.diagnostics.joint_torque_residual import JointMotion
 from loose_env.gap.diagnostics.regressors import REGRESSORS, dependence
 from loose_env.gap.diagnostics.residual_spectra import Series, band_edges, density, series_of
-from loose_env.gap.output.evidence_schema import Band, ChannelGap, Dependence, JointGap, Location
+from loose_env.gap.output.evidence_schema import (
+    Band,
+    ChannelResidual,
+    Dependence,
+    JointResidual,
+    Location,
+)
 from loose_env.gap.residuals.autocorrelation import Structure, largest
 from loose_env.gap.residuals.residual_model import LONGEST, Rows
 from loose_env.gap.settings import (
@@ -28,7 +34,7 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["depends_on", "locate", "main_band", "strongest", "where_it_lives"]
+__all__ = ["depends_on", "locate", "location_words", "main_band", "strongest"]
 
 
 _SAMPLES = 2500
@@ -77,17 +83,19 @@ def locate(
     )  # fmt: skip
 
 
-def _channel_gap(series: Series, motions: Sequence[JointMotion], products: float) -> ChannelGap:
+def _channel_gap(
+    series: Series, motions: Sequence[JointMotion], products: float
+) -> ChannelResidual:
     count = len(series.residual)
-    return ChannelGap(
+    return ChannelResidual(
         run=series.run,
         channel=series.channel,
-        over_floor=series.rms,
+        rms=series.rms,
         offset=float(np.mean(series.residual)),
         bands=_bands(series),
-        depends=depends_on([series], motions),
-        together=float(np.sqrt(products / count)),
-        sureness=products / max(series.rms**2 * float(np.sqrt(count)), 1e-300),
+        dependences=depends_on([series], motions),
+        autocorrelated_rms=float(np.sqrt(products / count)),
+        autocorrelation_z=products / max(series.rms**2 * float(np.sqrt(count)), 1e-300),
     )
 
 
@@ -105,7 +113,7 @@ def _bands(series: Series) -> tuple[Band, ...]:
                 Band(
                     low=low,
                     high=high,
-                    over_floor=float(np.sqrt(np.mean(power[inside]))),
+                    rms=float(np.sqrt(np.mean(power[inside]))),
                     share=float(power[inside].sum() / total) if total > 0 else 0.0,
                 )
             )
@@ -136,12 +144,12 @@ def depends_on(many: Sequence[Series], motions: Sequence[JointMotion]) -> tuple[
     return tuple(found)
 
 
-def _joint_gaps(run: str, motion: JointMotion) -> list[JointGap]:
+def _joint_gaps(run: str, motion: JointMotion) -> list[JointResidual]:
     found = []
     every = max(1, len(motion.time) // _SAMPLES)
     block = (motion.time[::every] // LONGEST).astype(np.intp)
     for j, joint in enumerate(motion.joints):
-        missing = motion.missing[::every, j]
+        missing = motion.residual_torque[::every, j]
         good = np.isfinite(missing)
         if not good.any():
             continue
@@ -150,14 +158,14 @@ def _joint_gaps(run: str, motion: JointMotion) -> list[JointGap]:
             for on in REGRESSORS
         )
         found.append(
-            JointGap(
+            JointResidual(
                 run=run,
                 joint=joint,
                 unit=motion.units[j],
-                missing=float(np.sqrt(np.mean(missing[good] ** 2))),
-                floor=float(motion.missing_floor[j]),
+                residual=float(np.sqrt(np.mean(missing[good] ** 2))),
+                noise=float(motion.residual_noise[j]),
                 load=float(np.sqrt(np.nanmean(motion.load[:, j] ** 2))),
-                depends=tuple(d for d in depends if d is not None),
+                dependences=tuple(d for d in depends if d is not None),
             )
         )
     return found
@@ -175,32 +183,32 @@ def strongest(
     least : float
         Minimum share of the residual's power.
     """
-    sure = [d for d in depends if d.sureness >= DEPENDENCE_Z and d.share >= least]
+    sure = [d for d in depends if d.z >= DEPENDENCE_Z and d.share >= least]
     if not sure:
         return None
     most = max(d.share for d in sure)
     good = [d for d in sure if d.share >= SIMPLER_DEPENDENCE * most]
-    return min(good, key=lambda d: _SIMPLEST.index(d.on))
+    return min(good, key=lambda d: _SIMPLEST.index(d.regressor))
 
 
-def main_band(gap: ChannelGap) -> Band | None:
+def main_band(gap: ChannelResidual) -> Band | None:
     """Band with most of the power beyond that of noise; None if there is only noise."""
     return _loudest(gap) if _shows(gap) else None
 
 
-def _loudest(gap: ChannelGap) -> Band | None:
+def _loudest(gap: ChannelResidual) -> Band | None:
     """Band with most of the power beyond that of noise, if any has more."""
-    excess = {b: (b.over_floor**2 - 1) * (b.high - b.low) for b in gap.bands}
+    excess = {b: (b.rms**2 - 1) * (b.high - b.low) for b in gap.bands}
     band = max(excess, key=lambda b: excess[b], default=None)
     return band if band is not None and excess[band] > 0 else None
 
 
-def _shows(gap: ChannelGap) -> bool:
+def _shows(gap: ChannelResidual) -> bool:
     """Return whether a residual exceeds noise: in size, or by autocorrelation."""
-    return gap.over_floor >= VISIBLE_RMS or gap.sureness >= UNEXPLAINED_Z
+    return gap.rms >= VISIBLE_RMS or gap.autocorrelation_z >= UNEXPLAINED_Z
 
 
-def where_it_lives(location: Location, *, most: int = 3, always: bool = False) -> list[str]:
+def location_words(location: Location, *, most: int = 3, always: bool = False) -> list[str]:
     """Describe the location of a model error in sentences, worst channels first.
 
     Parameters
@@ -215,7 +223,7 @@ def where_it_lives(location: Location, *, most: int = 3, always: bool = False) -
 
     Examples
     --------
-    >>> gap = ChannelGap(
+    >>> gap = ChannelResidual(
     ...     run="a.csv",
     ...     channel="sensor.q",
     ...     over_floor=8.0,
@@ -223,11 +231,11 @@ def where_it_lives(location: Location, *, most: int = 3, always: bool = False) -
     ...     depends=(),
     ...     bands=(Band(low=0, high=1, over_floor=9.0, share=0.9),),
     ... )
-    >>> where_it_lives(Location(channels=(gap,)))
+    >>> location_words(Location(channels=(gap,)))
     ['sensor.q is up to 8.0 noise standard deviations off (a.csv), most of it between 0 and 1 Hz.']
     """
     torques = _torque_words(location.joints, most)
-    large = _worst([g for g in location.channels if g.over_floor >= VISIBLE_RMS], faint=False)
+    large = _worst([g for g in location.channels if g.rms >= VISIBLE_RMS], faint=False)
     told = {gap.channel for gap in large}
     faint = [g for g in location.channels if _shows(g) and g.channel not in told]
     told_of = [*large, *_worst(faint, faint=True)][:most]
@@ -237,66 +245,67 @@ def where_it_lives(location: Location, *, most: int = 3, always: bool = False) -
     return said + torques
 
 
-def _channel_words(gap: ChannelGap, *, whole: bool) -> str:
+def _channel_words(gap: ChannelResidual, *, whole: bool) -> str:
     """Describe one channel; with ``whole``, also that no regressor explains it."""
-    faint = gap.over_floor < VISIBLE_RMS
+    faint = gap.rms < VISIBLE_RMS
     # The autocorrelated part: of a small residual most of the power is noise.
-    share = min((gap.together / gap.over_floor) ** 2, 1.0) if faint and gap.over_floor else 1.0
+    share = min((gap.autocorrelated_rms / gap.rms) ** 2, 1.0) if faint and gap.rms else 1.0
     if faint:
         words = (
-            f"{gap.channel} is hardly off by more than its noise ({gap.over_floor:.2f} of its "
-            f"standard deviations, {gap.run}), but {gap.together:.2f} of that hang together in time"
+            f"{gap.channel} has a residual of about its noise ({gap.rms:.2f} standard deviations, "
+            f"{gap.run}), of which {gap.autocorrelated_rms:.2f} are autocorrelated"
         )
     else:
         words = (
-            f"{gap.channel} is up to {gap.over_floor:.1f} noise standard deviations off ({gap.run})"
+            f"{gap.channel} has a residual of up to {gap.rms:.1f} noise standard deviations "
+            f"({gap.run})"
         )
     band = _loudest(gap)
     if band is not None:
         words += f", most of it between {band.low:g} and {band.high:g} Hz"
-    found = strongest(gap.depends, least=DEPENDENCE_SHARE * share)
-    if abs(gap.offset) > 0.7 * gap.over_floor:
+    found = strongest(gap.dependences, least=DEPENDENCE_SHARE * share)
+    if abs(gap.offset) > 0.7 * gap.rms:
         words += "; it is almost constant"
     elif found is not None:
         of_it = min(found.share / max(share, 1e-12), 1.0)
-        words += f"; {100 * of_it:.0f} % of it goes with the {found.on} of {found.of}"
+        words += f"; {100 * of_it:.0f} % of it depends on the {found.regressor} of {found.joint}"
     elif whole:
-        words += f"; it goes surely with none of {', '.join(REGRESSORS)}"
+        words += f"; no significant dependence on {', '.join(REGRESSORS)}"
     return words + "."
 
 
-def _worst(gaps: Sequence[ChannelGap], *, faint: bool) -> list[ChannelGap]:
+def _worst(gaps: Sequence[ChannelResidual], *, faint: bool) -> list[ChannelResidual]:
     """The worst run of every channel, the worst channel first."""
 
-    def size(gap: ChannelGap) -> float:
-        return gap.sureness if faint else gap.over_floor
+    def size(gap: ChannelResidual) -> float:
+        return gap.autocorrelation_z if faint else gap.rms
 
-    worst: dict[str, ChannelGap] = {}
+    worst: dict[str, ChannelResidual] = {}
     for gap in gaps:
         if gap.channel not in worst or size(gap) > size(worst[gap.channel]):
             worst[gap.channel] = gap
     return sorted(worst.values(), key=lambda gap: -size(gap))
 
 
-def _torque_words(joints: Sequence[JointGap], most: int) -> list[str]:
+def _torque_words(joints: Sequence[JointResidual], most: int) -> list[str]:
     """Describe the residual torque by joint."""
-    shares: dict[str, list[JointGap]] = {}
+    shares: dict[str, list[JointResidual]] = {}
     for gap in joints:
-        if np.isfinite(gap.floor) and gap.missing > VISIBLE_RMS * gap.floor:
+        if np.isfinite(gap.noise) and gap.residual > VISIBLE_RMS * gap.noise:
             shares.setdefault(gap.joint, []).append(gap)
     ranked = sorted(
-        shares.items(), key=lambda item: -max(g.missing / max(g.load, 1e-12) for g in item[1])
+        shares.items(), key=lambda item: -max(g.residual / max(g.load, 1e-12) for g in item[1])
     )
     said = []
     for joint, gaps in ranked[:most]:
-        gap = max(gaps, key=lambda g: g.missing)
+        gap = max(gaps, key=lambda g: g.residual)
         words = (
-            f"{joint} got {gap.missing:.3g} {gap.unit} (RMS) that the model does not explain, "
-            f"beside {gap.load:.3g} {gap.unit} that it needed ({gap.run}); noise makes "
-            f"{gap.floor:.2g} {gap.unit}"
+            f"{joint} has a residual torque of {gap.residual:.3g} {gap.unit} (RMS; model "
+            f"{gap.load:.3g} {gap.unit}, {gap.run}); sensor noise accounts for {gap.noise:.2g} "
+            f"{gap.unit}"
         )
-        found = strongest(gap.depends)
+        found = strongest(gap.dependences)
         if found is not None:
-            words += f"; {100 * found.share:.0f} % of it goes with its {found.on}"
+            words += f"; {100 * found.share:.0f} % of it depends on its {found.regressor}"
         said.append(words + ".")
     return said

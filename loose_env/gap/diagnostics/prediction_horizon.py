@@ -19,7 +19,7 @@ from loose_env.arms import quiet
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.initial_rest import SETTLE
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.residuals.residual_model import BURN_IN
 from loose_env.gap.simulation.sensor_timing import (
     PARTS,
@@ -55,7 +55,7 @@ class HorizonError:
 
     horizon: float
     """Length of the horizon [s]."""
-    over_floor: float
+    rms: float
     """Root mean square over all samples up to then, in noise standard deviations."""
     by_channel: dict[str, float]
     """Root mean square by channel."""
@@ -77,7 +77,7 @@ class _Whole:
 
 
 def horizon_errors(
-    machine: Machine,
+    machine: NominalModel,
     trials: Sequence[Trial],
     channels: tuple[Channel, ...],
     floors: Array,
@@ -91,7 +91,7 @@ def horizon_errors(
 
     Parameters
     ----------
-    machine : Machine
+    machine : NominalModel
         The nominal model.
     trials : sequence of Trial
         The runs; inverse ones have no open loop and are left out.
@@ -145,7 +145,7 @@ def horizon_errors(
     return tuple(
         HorizonError(
             horizon=float(horizon),
-            over_floor=float(np.sqrt(squares[h].sum() / counts[h].sum())),
+            rms=float(np.sqrt(squares[h].sum() / counts[h].sum())),
             by_channel={
                 channel.name: float(np.sqrt(squares[h, c] / counts[h, c]))
                 for c, channel in enumerate(channels)
@@ -287,7 +287,7 @@ def _line(time: Array, values: Array) -> tuple[float, float]:
     return float(value), float(slope)
 
 
-def _places(machine: Machine, model: mujoco.MjModel) -> tuple[list[int], list[int]]:
+def _places(machine: NominalModel, model: mujoco.MjModel) -> tuple[list[int], list[int]]:
     """Addresses of the machine's joints in qpos and qvel."""
     at = [model.joint(name) for name in machine.joints]
     return [int(j.qposadr[0]) for j in at], [int(j.dofadr[0]) for j in at]

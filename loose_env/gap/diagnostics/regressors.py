@@ -118,9 +118,9 @@ def dependence(
     share = float(np.clip(gained / power, 0.0, 1.0)) if power > 0 else 0.0
     scatter = float(np.sqrt(np.sum((gains - gains.mean()) ** 2)))
     return Dependence(
-        on=on,
-        of=of,
+        regressor=on,
+        joint=of,
         share=share,
         explained=float(np.sqrt(share * power / len(r))),
-        sureness=gained / max(scatter, 1e-30 + 1e-12 * power),
+        z=gained / max(scatter, 1e-30 + 1e-12 * power),
     )

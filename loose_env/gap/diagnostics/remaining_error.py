@@ -8,31 +8,31 @@ from dataclasses import replace
 import numpy as np
 
 from loose_env.gap.diagnostics.joint_torque_residual import JointMotion, joint_motion
-from loose_env.gap.diagnostics.localisation import where_it_lives
-from loose_env.gap.fitting.holdout_score import Judged
+from loose_env.gap.diagnostics.localisation import location_words
+from loose_env.gap.fitting.holdout_score import ScoredFit
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.evidence_schema import Location
 from loose_env.gap.residuals.autocorrelation import largest
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.settings import (
     NOISE_RMS,
     UNEXPLAINED_Z,
 )
 from loose_env.typing import Array
 
-__all__ = ["NOISE_RMS", "left_motions", "left_words"]
+__all__ = ["NOISE_RMS", "remaining_motions", "remaining_words"]
 
 
-def left_words(
-    base: Judged, best: Judged, location: Location, *, most: int = 3, struck: bool = False
+def remaining_words(
+    base: ScoredFit, best: ScoredFit, location: Location, *, most: int = 3, impact_fit: bool = False
 ) -> list[str]:
     """Describe the residual of the corrected model in sentences; none if it is noise.
 
     Parameters
     ----------
-    base, best : Judged
+    base, best : ScoredFit
         The nominal model, and the corrected one.
     location : Location
         Localised residual of the corrected model.
@@ -41,40 +41,40 @@ def left_words(
     struck : bool
         Whether a part with chaotic impacts against its stops was identified.
     """
-    before, after = base.held_rms, best.held_rms
-    together = float(largest(best.held_structure.sum(axis=1)))
-    by_chance = after**2 * float(np.sqrt(len(best.held_residual)))
+    before, after = base.held_out_rms, best.held_out_rms
+    together = float(largest(best.held_out_products.sum(axis=1)))
+    by_chance = after**2 * float(np.sqrt(len(best.held_out_residual)))
     if after <= NOISE_RMS and together <= UNEXPLAINED_Z * by_chance:
         return []
-    if struck:
+    if impact_fit:
         first = (
-            f"{after:.3g} noise standard deviations are left of {before:.3g} on the held-out runs, "
-            "sample by sample: blows fall at moments that no simulation repeats."
+            f"Residual on the held-out runs, sample by sample: {after:.3g} of {before:.3g} noise "
+            "standard deviations; the times of impacts are not reproducible."
         )
     elif after > NOISE_RMS:
         share = 100 * after / max(before, 1e-12)
         first = (
-            f"{after:.3g} noise standard deviations are left of {before:.3g} on the held-out runs "
-            f"({share:.0f} %): something is missing that was not named."
+            f"Residual on the held-out runs: {after:.3g} of {before:.3g} noise standard deviations "
+            f"({share:.0f} %); a further effect is missing that was not identified."
         )
     else:
         first = (
-            f"What is left is no larger than the noise ({after:.2f} of its standard deviations), "
-            "but hangs together in time: something small is missing that was not named."
+            f"The residual is no larger than the noise ({after:.2f} of its standard deviations), "
+            "but autocorrelated: a small effect is missing that was not identified."
         )
-    return [first, *where_it_lives(location, most=most, always=True)]
+    return [first, *location_words(location, most=most, always=True)]
 
 
-def left_motions(
-    machine: Machine, comparison: Comparison, hypothesis: Hypothesis
+def remaining_motions(
+    machine: NominalModel, comparison: ResidualModel, hypothesis: Hypothesis
 ) -> tuple[JointMotion, ...] | None:
     """Motion of the runs with the residual torque of the corrected model.
 
     Parameters
     ----------
-    machine : Machine
+    machine : NominalModel
         The nominal model.
-    comparison : Comparison
+    comparison : ResidualModel
         The runs.
     hypothesis : Hypothesis
         The effects added to it.
@@ -112,4 +112,4 @@ def _with_torques(motion: JointMotion, pairs: Sequence[tuple[Effect, Array]]) ->
         for effect, values in pairs
         if type(effect).torque is not Effect.torque
     ]
-    return replace(motion, missing=motion.missing + sum(added)) if added else motion
+    return replace(motion, residual_torque=motion.residual_torque + sum(added)) if added else motion

@@ -10,7 +10,7 @@ from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.diagnostics.joint_torque_residual import JointMotion
 from loose_env.gap.diagnostics.localisation import depends_on
 from loose_env.gap.diagnostics.residual_spectra import Series, series_of
-from loose_env.gap.output.evidence_schema import LeftOver
+from loose_env.gap.output.evidence_schema import ResidualTest
 from loose_env.gap.residuals.residual_model import Rows
 from loose_env.gap.settings import (
     DEPENDENCE_RMS,
@@ -18,7 +18,7 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["autocorrelation", "left_over"]
+__all__ = ["autocorrelation", "residual_tests"]
 
 
 _LAGS = 50
@@ -44,13 +44,13 @@ def autocorrelation(residual: Array, *, lags: int = _LAGS) -> Array:
     return np.asarray(np.fft.irfft(spectrum, size)[1 : lags + 1] / power)
 
 
-def left_over(
+def residual_tests(
     residual: Array,
     rows: Rows,
     trials: Sequence[Trial],
     channels: Sequence[Channel],
     motions: Sequence[JointMotion],
-) -> tuple[LeftOver, ...]:
+) -> tuple[ResidualTest, ...]:
     """Test the residuals of some runs for whiteness, channel by channel.
 
     Parameters
@@ -70,7 +70,7 @@ def left_over(
     return tuple(_test(name, many, motions) for name, many in by_channel.items())
 
 
-def _test(name: str, many: Sequence[Series], motions: Sequence[JointMotion]) -> LeftOver:
+def _test(name: str, many: Sequence[Series], motions: Sequence[JointMotion]) -> ResidualTest:
     usable = [s for s in many if len(s.residual) > 2 * _LAGS] or list(many)
     weights = np.array([len(s.residual) for s in usable], dtype=float)
     lags = min(_LAGS, *(len(s.residual) - 1 for s in usable))
@@ -84,19 +84,19 @@ def _test(name: str, many: Sequence[Series], motions: Sequence[JointMotion]) -> 
     positive = mean[: int(np.argmax(mean <= limit))] if (mean <= limit).any() else mean
     trend, sureness = _trend(many)
     power = np.concatenate([s.residual for s in many])
-    return LeftOver(
+    return ResidualTest(
         channel=name,
-        over_floor=float(np.sqrt(np.mean(power**2))),
+        rms=float(np.sqrt(np.mean(power**2))),
         autocorrelation=float(mean[0]) if lags else 0.0,
         whiteness_95=limit,
-        largest=float(np.abs(mean).max()) if lags else 0.0,
+        largest_autocorrelation=float(np.abs(mean).max()) if lags else 0.0,
         correlation_time=interval * (1 + 2 * float(positive.sum())),
         trend=trend,
-        trend_sureness=sureness,
-        depends=tuple(
+        trend_z=sureness,
+        dependences=tuple(
             d
             for d in depends_on(many, motions)
-            if d.sureness >= DEPENDENCE_Z and d.explained >= DEPENDENCE_RMS
+            if d.z >= DEPENDENCE_Z and d.explained >= DEPENDENCE_RMS
         ),
     )
 

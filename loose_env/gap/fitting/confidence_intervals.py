@@ -11,7 +11,7 @@ from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.fitting.model_structure import prior_of
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.parameter import free_of, values_of
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.settings import (
     NARROWEST_INTERVAL,
 )
@@ -42,7 +42,7 @@ class Intervals:
     misfit: float = 1.0
     """Variance of the blocks' gradients over that of noise alone; at least 1."""
 
-    def may_be_nothing(self, effect: Effect, own: slice) -> bool:
+    def include_zero(self, effect: Effect, own: slice) -> bool:
         """Return whether the 95 % confidence region of an effect includes zero.
 
         `own` are the indices of its parameters. Components of a correlated vector may each be zero,
@@ -58,7 +58,7 @@ class Intervals:
 
 
 def bootstrap(
-    comparison: Comparison, fitted: Fit, rng: np.random.Generator, *, draws: int = 500
+    comparison: ResidualModel, fitted: Fit, rng: np.random.Generator, *, draws: int = 500
 ) -> Intervals:
     """Bootstrap blocks of time, with one Gauss-Newton step for each draw.
 
@@ -69,7 +69,7 @@ def bootstrap(
 
     Parameters
     ----------
-    comparison : Comparison
+    comparison : ResidualModel
         The training runs.
     fitted : Fit
         The fit, with fresh sensitivities.
@@ -126,7 +126,7 @@ def _misfit(curvatures: Array, slopes: Array) -> float:
     return max(1.0, float(np.mean(np.sum(slopes[:, seen] ** 2, axis=0) / by_noise[seen])))
 
 
-def widened(comparison: Comparison, fitted: Fit, intervals: Intervals) -> Intervals:
+def widened(comparison: ResidualModel, fitted: Fit, intervals: Intervals) -> Intervals:
     """Widen intervals to cover the disagreement between runs.
 
     A slightly wrong law fits every motion with other parameters. The gradient of each run at the

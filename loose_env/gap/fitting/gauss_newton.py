@@ -16,7 +16,7 @@ from loose_env.gap.fitting.model_structure import ModelStructure, prior_of
 from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.parameter import Parameter, free_of
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.typing import Array
 
 __all__ = [
@@ -107,7 +107,7 @@ class Fit:
 
 
 def sensitivities(
-    comparison: Comparison,
+    comparison: ResidualModel,
     structure: ModelStructure,
     free: Array,
     residual: Array,
@@ -123,7 +123,7 @@ def sensitivities(
 
 
 def _differences(
-    comparison: Comparison,
+    comparison: ResidualModel,
     structure: ModelStructure,
     free: Array,
     residual: Array,
@@ -147,7 +147,7 @@ def _differences(
 
 
 def _of_initial_states(
-    comparison: Comparison,
+    comparison: ResidualModel,
     structure: ModelStructure,
     free: Array,
     residual: Array,
@@ -169,7 +169,7 @@ def cost_of(residual: Array, free: Array, parameters: Sequence[Parameter]) -> fl
 
 
 def fit(
-    comparison: Comparison,
+    comparison: ResidualModel,
     structure: ModelStructure,
     start: Array,
     *,
@@ -181,7 +181,7 @@ def fit(
 
     Parameters
     ----------
-    comparison : Comparison
+    comparison : ResidualModel
         Comparison of the runs.
     structure : ModelStructure
         The unknown parameters; those whose sensitivities are known come first.
@@ -251,7 +251,7 @@ def fit(
 
 
 def _best_of(
-    comparison: Comparison,
+    comparison: ResidualModel,
     structure: ModelStructure,
     free: Array,
     steps: Sequence[Array],

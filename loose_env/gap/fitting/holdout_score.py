@@ -10,14 +10,14 @@ from scipy import stats
 from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.fitting.initial_state import InitialStates
 from loose_env.gap.residuals.autocorrelation import Structure, largest
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.settings import (
     IMPACT_DOMINATED,
     NOISE_RMS,
 )
 from loose_env.typing import Array
 
-__all__ = ["Judge", "Judged", "Lead", "lead_of", "share_of", "sureness_of"]
+__all__ = ["Improvement", "ScoredFit", "Scorer", "explained_share", "improvement_of", "z_score"]
 
 
 _FAR_BELOW = 0.1
@@ -25,33 +25,33 @@ _FAR_BELOW = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Judged:
+class ScoredFit:
     """A fit with its residuals on the held-out runs."""
 
     fitted: Fit
     """The fit to the training runs."""
-    held_residual: Array
+    held_out_residual: Array
     """Residual on the held-out runs, in noise standard deviations (M,)."""
-    held_blocks: Array
+    held_out_blocks: Array
     """Twice its negative log-likelihood by block of time (B,): sums of squares, except for
     torques behind springs, whose noise differs
-    (`loose_env.gap.residuals.residual_model.Comparison.levels`)."""
-    fitted_blocks: Array
+    (`loose_env.gap.residuals.residual_model.ResidualModel.levels`)."""
+    training_blocks: Array
     """The same on the training runs (A,)."""
-    held_structure: Array
+    held_out_products: Array
     """Sums of lagged products of the residual, by lag and block (3, B)."""
-    fitted_structure: Array
+    training_products: Array
     """The same on the training runs (3, A)."""
-    channel_structure: Array
+    channel_products: Array
     """Largest lagged product of all runs by channel, and number of products (2, C)."""
     logs: tuple[float, float] = (0.0, 0.0)
     """Part of the log-likelihoods, on training and held-out runs, that is due to the noise level
     alone."""
 
     @property
-    def held_rms(self) -> float:
+    def held_out_rms(self) -> float:
         """Root mean square on held-out runs, in noise standard deviations."""
-        return float(np.sqrt(np.mean(self.held_residual**2)))
+        return float(np.sqrt(np.mean(self.held_out_residual**2)))
 
     @property
     def free_count(self) -> int:
@@ -62,38 +62,40 @@ class Judged:
     def total(self) -> float:
         """Twice the negative log-likelihood of all runs, priors included."""
         prior = self.fitted.cost - float(self.fitted.residual @ self.fitted.residual)
-        return prior + float(self.fitted_blocks.sum() + self.held_blocks.sum())
+        return prior + float(self.training_blocks.sum() + self.held_out_blocks.sum())
 
     @property
-    def structure(self) -> float:
+    def autocorrelated(self) -> float:
         """Autocorrelated part of all residuals."""
-        return float(largest(self.held_structure.sum(axis=1) + self.fitted_structure.sum(axis=1)))
+        return float(
+            largest(self.held_out_products.sum(axis=1) + self.training_products.sum(axis=1))
+        )
 
     @property
     def excess(self) -> float:
         """Sum of squares over all runs beyond that of noise."""
-        squares = float(self.fitted_blocks.sum() + self.held_blocks.sum()) - sum(self.logs)
+        squares = float(self.training_blocks.sum() + self.held_out_blocks.sum()) - sum(self.logs)
         return max(squares - self._count, 0.0)
 
     @property
-    def loud(self) -> bool:
+    def above_noise(self) -> bool:
         """Return whether the residual on held-out or all runs exceeds the noise in size."""
-        held = float(self.held_blocks.sum()) - self.logs[1]
-        if held > NOISE_RMS**2 * len(self.held_residual):
+        held = float(self.held_out_blocks.sum()) - self.logs[1]
+        if held > NOISE_RMS**2 * len(self.held_out_residual):
             return True
         return self.excess > (NOISE_RMS**2 - 1) * self._count
 
     @property
-    def blows(self) -> bool:
+    def impact_dominated(self) -> bool:
         """Return whether the residual is large but hardly autocorrelated: impacts."""
-        return self.loud and self.structure < IMPACT_DOMINATED * self.excess
+        return self.above_noise and self.autocorrelated < IMPACT_DOMINATED * self.excess
 
     @property
     def _count(self) -> int:
-        return len(self.fitted.residual) + len(self.held_residual)
+        return len(self.fitted.residual) + len(self.held_out_residual)
 
     @property
-    def structure_sureness(self) -> float:
+    def autocorrelation_z(self) -> float:
         """Significance (z) of the residual autocorrelation, against white noise.
 
         The larger of that of held-out runs and of all runs: one family of motions may show an
@@ -104,93 +106,95 @@ class Judged:
         """
         squares = (
             float(blocks.sum()) - logs
-            for blocks, logs in zip((self.fitted_blocks, self.held_blocks), self.logs, strict=True)
+            for blocks, logs in zip(
+                (self.training_blocks, self.held_out_blocks), self.logs, strict=True
+            )
         )
         fitted, held = zip(
-            (len(self.fitted.residual), len(self.held_residual)),
+            (len(self.fitted.residual), len(self.held_out_residual)),
             squares,
-            (self.fitted_structure, self.held_structure),
+            (self.training_products, self.held_out_products),
             strict=True,
         )
-        return max(_sureness(held), _sureness(held, fitted))
+        return max(_z(held), _z(held, fitted))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lead:
+class Improvement:
     """Improvement of one fit over another."""
 
-    held: float
+    held_out: float
     """Improvement (z) on held-out runs, over blocks."""
-    fitted: float
+    training: float
     """Improvement (z) on the training runs, over blocks."""
     share: float
     """Share of the explainable sum of squares that is explained, 1: all of it."""
 
 
-class Judge:
+class Scorer:
     """Scores fits on training and held-out runs.
 
     Parameters
     ----------
-    comparison, held_out : Comparison
+    comparison, held_out : ResidualModel
         The training runs and the held-out runs.
     """
 
-    def __init__(self, comparison: Comparison, held_out: Comparison) -> None:
+    def __init__(self, comparison: ResidualModel, held_out: ResidualModel) -> None:
         self.comparison, self.held_out = comparison, held_out
         # Initial states of held-out runs are fitted separately, and credited to no hypothesis.
         self._start = InitialStates(held_out.machine, held_out.trials, held_out.channels)
         self._fitted, self._held = Structure(comparison.rows), Structure(held_out.rows)
 
-    def judge(self, fitted: Fit) -> Judged:
+    def score(self, fitted: Fit) -> ScoredFit:
         """Simulate the held-out runs and score the fit."""
         _, residual = self._start.fitted(self.held_out, fitted.hypothesis)
         level, held_level = (c.levels(fitted.hypothesis) for c in (self.comparison, self.held_out))
         own, held = fitted.residual / level, residual / held_level
         logs, held_logs = 2 * np.log(level), 2 * np.log(held_level)
-        return Judged(
+        return ScoredFit(
             fitted=fitted,
-            held_residual=residual,
-            held_blocks=self.held_out.by_block(held**2 + held_logs),
-            fitted_blocks=self.comparison.by_block(own**2 + logs),
-            held_structure=self._held.products(held),
-            fitted_structure=self._fitted.products(own),
-            channel_structure=_added(self._held.by_channel(held), self._fitted.by_channel(own)),
+            held_out_residual=residual,
+            held_out_blocks=self.held_out.by_block(held**2 + held_logs),
+            training_blocks=self.comparison.by_block(own**2 + logs),
+            held_out_products=self._held.products(held),
+            training_products=self._fitted.products(own),
+            channel_products=_added(self._held.by_channel(held), self._fitted.by_channel(own)),
             logs=(float(logs.sum()), float(held_logs.sum())),
         )
 
 
-def lead_of(ahead: Judged, behind: Judged, *, strikes: bool = False) -> Lead:
+def improvement_of(ahead: ScoredFit, behind: ScoredFit, *, by_rank: bool = False) -> Improvement:
     """Return the improvement of the first fit over the second; negative if worse.
 
-    Blocks also count by rank (`sureness_of`) where an effect with stops is in one of the two only,
-    or where ``strikes`` says that the two differ by such an effect.
+    Blocks also count by rank (`z_score`) where an effect with stops is in one of the two only,
+    or where ``by_rank`` says that the two differ by such an effect.
     """
     one, other = ({e.key: e for e in j.fitted.effects} for j in (ahead, behind))
-    strikes = strikes or any((one | other)[key].has_stops for key in one.keys() ^ other.keys())
-    return Lead(
-        held=sureness_of(behind.held_blocks, ahead.held_blocks, strikes=strikes),
-        fitted=sureness_of(behind.fitted_blocks, ahead.fitted_blocks, strikes=strikes),
-        share=share_of(ahead, behind),
+    by_rank = by_rank or any((one | other)[key].has_stops for key in one.keys() ^ other.keys())
+    return Improvement(
+        held_out=z_score(behind.held_out_blocks, ahead.held_out_blocks, by_rank=by_rank),
+        training=z_score(behind.training_blocks, ahead.training_blocks, by_rank=by_rank),
+        share=explained_share(ahead, behind),
     )
 
 
-def share_of(ahead: Judged, behind: Judged) -> float:
+def explained_share(ahead: ScoredFit, behind: ScoredFit) -> float:
     """Share of the explainable sum of squares that the first explains, 1: all of it.
 
     It is computed of the autocorrelated part; where that is close to zero, of the part above the
     noise.
     """
-    if behind.blows:
+    if behind.impact_dominated:
         return 1.0 - ahead.excess / behind.excess
-    return 1.0 - ahead.structure / behind.structure if behind.structure > 0 else 0.0
+    return 1.0 - ahead.autocorrelated / behind.autocorrelated if behind.autocorrelated > 0 else 0.0
 
 
-def sureness_of(behind: Array, ahead: Array, *, strikes: bool = False) -> float:
+def z_score(behind: Array, ahead: Array, *, by_rank: bool = False) -> float:
     """Improvement (z) of one fit over another, from sums by block (B,).
 
     Blocks are taken as independent. Roots are compared, so that one block of impacts does not
-    outweigh all others. Where a part with stops makes the difference (``strikes``), that is not
+    outweigh all others. Where a part with stops makes the difference (``by_rank``), that is not
     enough: a simulation with a slightly mistimed impact has twice the error of the impact there,
     however accurate it is elsewhere. The gains are therefore also compared by rank (the signed
     ranks of Wilcoxon, Biometrics Bull. 1, 1945, 80), and the larger of the two z-scores counts.
@@ -199,14 +203,14 @@ def sureness_of(behind: Array, ahead: Array, *, strikes: bool = False) -> float:
     --------
     >>> before, after = np.full(40, 4.0), np.full(40, 1.0)
     >>> after[0] = 900.0  # a blow that was missed
-    >>> round(sureness_of(before, after), 1), round(sureness_of(before, after, strikes=True), 1)
+    >>> round(z_score(before, after), 1), round(z_score(before, after, by_rank=True), 1)
     (0.4, 5.6)
     """
     # twice a negative log-likelihood may be below zero, where noise is small
     least = min(0.0, float(behind.min(initial=0.0)), float(ahead.min(initial=0.0)))
     gains = np.sqrt(behind - least) - np.sqrt(ahead - least)
     sure = _self_normalized(gains)
-    if not strikes:
+    if not by_rank:
         return sure
     return max(sure, _self_normalized(np.sign(gains) * stats.rankdata(np.abs(gains))))
 
@@ -216,7 +220,7 @@ def _self_normalized(gains: Array) -> float:
     return float(gains.sum()) / max(float(np.sqrt(np.sum(gains**2))), 1e-12)
 
 
-def _sureness(*parts: tuple[int, float, Array]) -> float:
+def _z(*parts: tuple[int, float, Array]) -> float:
     """Autocorrelation (z) of some runs, from counts, sums of squares and products."""
     count = sum(part[0] for part in parts)
     mean_square = sum(part[1] for part in parts) / count

@@ -18,13 +18,13 @@ import numpy as np
 
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.noise_floor import noise_floor
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from loose_env.gap.model.hypothesis import Hypothesis
-    from loose_env.gap.residuals.residual_model import Comparison
+    from loose_env.gap.residuals.residual_model import ResidualModel
 
 __all__ = ["InitialStates"]
 
@@ -40,7 +40,7 @@ class InitialStates:
 
     Parameters
     ----------
-    machine : Machine
+    machine : NominalModel
         The nominal model.
     trials : sequence of Trial
         The runs of the comparison.
@@ -49,7 +49,7 @@ class InitialStates:
     """
 
     def __init__(
-        self, machine: Machine, trials: Sequence[Trial], channels: tuple[Channel, ...]
+        self, machine: NominalModel, trials: Sequence[Trial], channels: tuple[Channel, ...]
     ) -> None:
         self.machine = machine
         self.trials, self.channels = tuple(trials), channels
@@ -97,7 +97,7 @@ class InitialStates:
 
     def sensitivities(
         self,
-        comparison: Comparison,
+        comparison: ResidualModel,
         hypothesis: Hypothesis,
         residual: Array,
         *,
@@ -107,14 +107,14 @@ class InitialStates:
 
         Parameters
         ----------
-        comparison : Comparison
+        comparison : ResidualModel
             Comparison of the same runs.
         hypothesis : Hypothesis
             Hypothesis with the initial states to differentiate about.
         residual : ndarray (N,)
             Residual of that hypothesis.
         difference : float
-            Step, in free units.
+            SelectionStep, in free units.
         """
         joints = len(self.machine.joints)
         found = np.zeros((len(residual), len(self.parameters)))
@@ -137,7 +137,7 @@ class InitialStates:
         return found
 
     def fitted(
-        self, comparison: Comparison, hypothesis: Hypothesis, *, iterations: int = 3
+        self, comparison: ResidualModel, hypothesis: Hypothesis, *, iterations: int = 3
     ) -> tuple[Hypothesis, Array]:
         """Fit the initial states alone, for runs outside the training data.
 
@@ -185,7 +185,7 @@ def _with_start(hypothesis: Hypothesis, position: Array, speed: Array) -> Hypoth
     return replace(hypothesis, position=position, speed=speed)
 
 
-def _spread(machine: Machine, trial: Trial, channels: tuple[Channel, ...]) -> Array:
+def _spread(machine: NominalModel, trial: Trial, channels: tuple[Channel, ...]) -> Array:
     """Standard deviation of a run's measured initial state (2, joints).
 
     That of a straight line through the first samples by its noise, and by its distance from a

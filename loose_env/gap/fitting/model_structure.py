@@ -12,10 +12,10 @@ import numpy as np
 from loose_env.gap.fitting.initial_state import InitialStates
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.nominal_parameters import NominalParameters
 from loose_env.gap.model.parameter import Parameter, free_of, values_of
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.typing import Array
 
 __all__ = ["ModelStructure", "Nuisance", "nuisance_of", "prior_of"]
@@ -117,14 +117,14 @@ class ModelStructure:
         )
 
 
-def nuisance_of(comparison: Comparison, machine: Machine, *, tolerance: float) -> Nuisance:
+def nuisance_of(comparison: ResidualModel, machine: NominalModel, *, tolerance: float) -> Nuisance:
     """Nuisance parameters of some runs.
 
     Parameters
     ----------
-    comparison : Comparison
+    comparison : ResidualModel
         The training runs.
-    machine : Machine
+    machine : NominalModel
         The nominal model.
     tolerance : float
         Relative tolerance of the nominal parameters.

@@ -13,11 +13,11 @@ import numpy as np
 
 from loose_env.gap.fitting.confidence_intervals import Intervals
 from loose_env.gap.fitting.gauss_newton import Fit
-from loose_env.gap.fitting.holdout_score import sureness_of
+from loose_env.gap.fitting.holdout_score import z_score
 from loose_env.gap.fitting.refit import fit_without
 from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.parameter import free_of, values_of
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.settings import (
     ACCEPTED_Z,
     REFUTED_Z,
@@ -31,13 +31,13 @@ _SHARES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)
 
 
 def short_of_limit(
-    comparison: Comparison, fitted: Fit, intervals: Intervals, effect: Effect
+    comparison: ResidualModel, fitted: Fit, intervals: Intervals, effect: Effect
 ) -> Intervals:
     """Tighten interval ends that lie beyond values which the runs refute.
 
     Parameters
     ----------
-    comparison : Comparison
+    comparison : ResidualModel
         The training runs.
     fitted : Fit
         The fit.
@@ -59,11 +59,11 @@ def short_of_limit(
     residuals = comparison.residuals([fitted.structure.hypothesis(free) for free in tried])
     blocks = comparison.by_block(fitted.residual**2)
     leads = [
-        sureness_of(comparison.by_block(r**2), blocks, strikes=effect.has_stops) for r in residuals
+        z_score(comparison.by_block(r**2), blocks, by_rank=effect.has_stops) for r in residuals
     ]
     if not leads[-1] >= ACCEPTED_Z:
         return intervals
-    first = next(k for k, lead in enumerate(leads) if lead >= REFUTED_Z)
+    first = next(k for k, improvement in enumerate(leads) if improvement >= REFUTED_Z)
     ends = values_of(effect.parameters, tried[first][own])
     low, high = intervals.low.copy(), intervals.high.copy()
     to_low = [dict(effect.limit).get(p.name) == "low" for p in effect.parameters]
@@ -74,7 +74,7 @@ def short_of_limit(
 
 
 def short_of_nothing(
-    comparison: Comparison, fitted: Fit, intervals: Intervals, effect: Effect
+    comparison: ResidualModel, fitted: Fit, intervals: Intervals, effect: Effect
 ) -> Intervals:
     """Tighten the interval end of an effect beside stops to what the runs refute.
 
@@ -93,14 +93,14 @@ def short_of_nothing(
     if effect.nothing is None or not have_stops(fitted.effects):
         return intervals
     without = fit_without(comparison, fitted, effect).residual
-    lead = sureness_of(comparison.by_block(without**2), comparison.by_block(fitted.residual**2))
-    if not lead >= ACCEPTED_Z:
+    improvement = z_score(comparison.by_block(without**2), comparison.by_block(fitted.residual**2))
+    if not improvement >= ACCEPTED_Z:
         return intervals
     own = fitted.structure.slice_of(effect)
     here, nothing = fitted.free[own], free_of(effect.parameters, np.array(effect.nothing))
     scatter = np.sqrt(np.maximum(np.diag(intervals.covariance)[own], 1e-30))
     furthest = int(np.argmax(np.abs(here - nothing) / scatter))
-    ends = values_of(effect.parameters, here + REFUTED_Z / lead * (nothing - here))
+    ends = values_of(effect.parameters, here + REFUTED_Z / improvement * (nothing - here))
     number, end = own.start + furthest, float(ends[furthest])
     low, high = intervals.low.copy(), intervals.high.copy()
     if nothing[furthest] < here[furthest]:

@@ -13,12 +13,12 @@ from loose_env.gap.fitting.gauss_newton import (
     sensitivities,
 )
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 
 __all__ = ["fit_without", "fitted_on", "polished", "refined", "settled"]
 
 
-def fit_without(comparison: Comparison, fitted: Fit, effect: Effect) -> Fit:
+def fit_without(comparison: ResidualModel, fitted: Fit, effect: Effect) -> Fit:
     """Drop one effect of a fit and refit the others."""
     own = fitted.structure.slice_of(effect)
     kept = [k for k in range(len(fitted.free)) if not own.start <= k < own.stop]
@@ -26,7 +26,7 @@ def fit_without(comparison: Comparison, fitted: Fit, effect: Effect) -> Fit:
     return fit(comparison, others, fitted.free[kept], known=fitted.jacobian[:, kept])
 
 
-def fitted_on(comparison: Comparison, fitted: Fit) -> Fit:
+def fitted_on(comparison: ResidualModel, fitted: Fit) -> Fit:
     """Continue a fit with its existing sensitivities."""
     return fit(
         comparison,
@@ -37,12 +37,12 @@ def fitted_on(comparison: Comparison, fitted: Fit) -> Fit:
     )
 
 
-def polished(comparison: Comparison, fitted: Fit) -> Fit:
+def polished(comparison: ResidualModel, fitted: Fit) -> Fit:
     """Continue a fit with sensitivities recomputed once."""
     return fitted_on(comparison, refined(fitted, comparison))
 
 
-def refined(fitted: Fit, comparison: Comparison) -> Fit:
+def refined(fitted: Fit, comparison: ResidualModel) -> Fit:
     """Recompute all sensitivities of a fit."""
     jacobian = sensitivities(
         comparison,
@@ -55,7 +55,7 @@ def refined(fitted: Fit, comparison: Comparison) -> Fit:
     return replace(fitted, jacobian=jacobian)
 
 
-def settled(comparison: Comparison, fitted: Fit) -> Fit:
+def settled(comparison: ResidualModel, fitted: Fit) -> Fit:
     """Converge a hypothesis with stops by short differences, where that is better.
 
     Long differences bridge the discontinuity between a missed and an actual impact; near

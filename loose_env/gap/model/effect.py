@@ -39,7 +39,7 @@ import mujoco
 import numpy as np
 
 from loose_env.errors import UnknownName
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
@@ -58,7 +58,7 @@ class Effect:
 
     Parameters
     ----------
-    machine : Machine
+    machine : NominalModel
         The nominal model and its parameters.
     where : str
         One of `places`.
@@ -103,7 +103,7 @@ class Effect:
     """Variants of the same kind, the default one first; the result file does not distinguish
     them."""
 
-    def __init__(self, machine: Machine, where: str, variant: str | None = None) -> None:
+    def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         if where not in self.places(machine):
             raise UnknownName(
                 f"{self.kind} cannot be at {where!r}; its places are {list(self.places(machine))}"
@@ -161,12 +161,12 @@ class Effect:
         return any(a is not b for a, b in (*acting, (own.torque, Effect.torque)))
 
     @classmethod
-    def forms(cls, machine: Machine, where: str) -> tuple[str, ...]:
+    def forms(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
         """Return the `variants` that are distinct at a location; never empty."""
         return cls.variants
 
     @classmethod
-    def places(cls, machine: Machine) -> tuple[str, ...]:
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return possible locations: names of the model, or "tool", "base", "all"."""
         raise NotImplementedError
 
@@ -238,7 +238,8 @@ class Effect:
         Parameters
         ----------
         position, speed : ndarray (..., joints)
-            Of all joints of the machine, in the order of `Machine.joints` [rad, m], [rad/s, m/s].
+            Of all joints of the machine, in the order of `NominalModel.joints` [rad, m], [rad/s,
+            m/s].
         values : ndarray (P,)
             Of the parameters.
 

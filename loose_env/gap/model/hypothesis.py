@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.nominal_model import Machine, set_step
+from loose_env.gap.model.nominal_model import NominalModel, set_step
 from loose_env.gap.model.nominal_parameters import NominalParameters
 from loose_env.typing import Array
 
@@ -79,7 +79,9 @@ class Hypothesis:
         for effect, values in self.pairs:
             effect.export(spec, values)
 
-    def model(self, machine: Machine, step: float, *, released: bool = False) -> mujoco.MjModel:
+    def model(
+        self, machine: NominalModel, step: float, *, released: bool = False
+    ) -> mujoco.MjModel:
         """Compile the model of the hypothesis, with its drives off for a free response.
 
         The last sensors are the forces of the machine's own actuators.

@@ -13,7 +13,7 @@ from loose_env.errors import InvalidData
 from loose_env.gap.model.element_names import with_names
 from loose_env.typing import Array
 
-__all__ = ["Machine", "set_step"]
+__all__ = ["NominalModel", "set_step"]
 
 
 _MOVING = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
@@ -24,7 +24,7 @@ _POSES = 5
 
 
 @dataclass(frozen=True, eq=False)
-class Machine:
+class NominalModel:
     """A nominal model of hinges and slides.
 
     Parameters
@@ -59,9 +59,9 @@ class Machine:
     integrator: int | None = None
     loads: Array | None = None
     speeds: Array | None = None
-    joined: int = 1
-    cut: int = 1
-    even: bool = False
+    merged_steps: int = 1
+    substeps: int = 1
+    uniform_steps: bool = False
 
     def __post_init__(self) -> None:
         """Check, and write every inertia explicitly, so that an edit finds it in the spec."""
@@ -124,7 +124,7 @@ class Machine:
         return np.asarray(self._at_zero[self.joint_number(joint)])
 
     @cached_property
-    def with_changing_gears(self) -> tuple[str, ...]:
+    def pose_dependent_joints(self) -> tuple[str, ...]:
         """Joints with an actuator whose transmission depends on the pose."""
         model: mujoco.MjModel = self.model
         changing = [k for k in range(len(self.actuators)) if not _has_one_gear(model, k)]

@@ -12,7 +12,7 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
@@ -39,7 +39,7 @@ class NominalParameters:
 
     Parameters
     ----------
-    machine : Machine
+    machine : NominalModel
         The nominal model.
     tolerance : float
         Relative tolerance within which they are known.
@@ -47,12 +47,12 @@ class NominalParameters:
     Examples
     --------
     >>> from loose_env.arms import planar
-    >>> nominal = NominalParameters(Machine(planar(2).spec), tolerance=0.03)
+    >>> nominal = NominalParameters(NominalModel(planar(2).spec), tolerance=0.03)
     >>> sorted({entry.field for entry in nominal.entries})
     ['armature', 'damping', 'inertia', 'mass']
     """
 
-    def __init__(self, machine: Machine, *, tolerance: float) -> None:
+    def __init__(self, machine: NominalModel, *, tolerance: float) -> None:
         self.machine, self.tolerance = machine, tolerance
 
     @cached_property

@@ -19,10 +19,10 @@ from loose_env.gap.data.aligned_run import Trial
 from loose_env.gap.data.initial_rest import SETTLE
 from loose_env.gap.model.effect import have_stops
 from loose_env.gap.model.hypothesis import Hypothesis, compiled
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.export_mjcf import corrected_spec
 from loose_env.gap.residuals.physical_units import rms
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.settings import (
     EXPORT_ERROR,
     EXPORT_ERROR_SHARE,
@@ -82,24 +82,24 @@ class Exported:
         found = []
         if self.parts > 1:
             found.append(
-                f"the corrected model has a step of {self.step:.3g} s: what was added needs one "
-                "that is finer than the nominal model's"
+                f"model.xml has a time step of {self.step:.3g} s: the added effects need a finer "
+                "one than the nominal model"
             )
         if self.matters:
             found.append(
-                f"in plain MuJoCo the corrected model does not quite do what was fitted: in "
-                f"{self.channel} it is {self.apart:.2g} noise standard deviations off, and leaves "
-                f"{self.left:.3g} of the held-out runs where the fit leaves {self.fitted:.3g}"
+                f"model.xml in plain MuJoCo deviates from the fit by {self.apart:.2g} noise "
+                f"standard deviations in {self.channel}: its residual on the held-out runs is "
+                f"{self.left:.3g}, that of the fit {self.fitted:.3g}"
             )
         return found
 
 
-def exported(held: Comparison, hypothesis: Hypothesis, residual: Array) -> Exported:
+def exported(held: ResidualModel, hypothesis: Hypothesis, residual: Array) -> Exported:
     """Choose the step of the exported model, by simulating it in plain MuJoCo.
 
     Parameters
     ----------
-    held : Comparison
+    held : ResidualModel
         The held-out runs.
     hypothesis : Hypothesis
         Nominal parameters and effects of the fit.
@@ -136,7 +136,7 @@ def exported(held: Comparison, hypothesis: Hypothesis, residual: Array) -> Expor
     return chosen[1]
 
 
-def resting_runs(held: Comparison) -> dict[int, Trial]:
+def resting_runs(held: ResidualModel) -> dict[int, Trial]:
     """Select runs that an exported file can be checked with, by index.
 
     They begin at rest, and are simulated with their commands and compared sample by sample.
@@ -144,7 +144,7 @@ def resting_runs(held: Comparison) -> dict[int, Trial]:
     return {t: run for t, run in enumerate(held.trials) if held.follows(run) and run.resting}
 
 
-def _shown(held: Comparison) -> dict[int, Trial]:
+def _shown(held: ResidualModel) -> dict[int, Trial]:
     """Beginnings of these runs; of some if there are many."""
     runs = resting_runs(held)
     count = min(len(runs), int(_PLAYED / _SHORTEST))
@@ -154,13 +154,13 @@ def _shown(held: Comparison) -> dict[int, Trial]:
 
 
 def compared(
-    held: Comparison, residual: Array, model: mujoco.MjModel, trials: dict[int, Trial]
+    held: ResidualModel, residual: Array, model: mujoco.MjModel, trials: dict[int, Trial]
 ) -> tuple[float, Exported] | None:
     """Compare a model, simulated by MuJoCo alone, with a fit.
 
     Parameters
     ----------
-    held : Comparison
+    held : ResidualModel
         The held-out runs.
     residual : ndarray (N,)
         Residual of the fit on them, in noise standard deviations.
@@ -206,12 +206,12 @@ def compared(
     )
 
 
-def played(comparison: Comparison, model: mujoco.MjModel, trial: Trial) -> Array:
+def played(comparison: ResidualModel, model: mujoco.MjModel, trial: Trial) -> Array:
     """Simulate a run's commands in plain MuJoCo, as channel values (T, C).
 
     Parameters
     ----------
-    comparison : Comparison
+    comparison : ResidualModel
         Comparison with the machine's joints and actuators.
     model : MjModel
         A model that has them, and perhaps more joints; its step is shortened for a while, so that
@@ -254,7 +254,7 @@ def played(comparison: Comparison, model: mujoco.MjModel, trial: Trial) -> Array
     return found
 
 
-def _begin_with(model: mujoco.MjModel, data: mujoco.MjData, machine: Machine) -> None:
+def _begin_with(model: mujoco.MjModel, data: mujoco.MjData, machine: NominalModel) -> None:
     """Initialise added actuator states with the first command, as fits do.
 
     MuJoCo initialises them with zeros: the arm would swing there before the first command.

@@ -19,18 +19,18 @@ from loose_env.arms import files_of
 from loose_env.errors import InvalidData
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine, set_step
+from loose_env.gap.model.nominal_model import NominalModel, set_step
 from loose_env.gap.output.result import NamedEffect
 from loose_env.gap.simulation.time_step import step_with
 from loose_env.io import written_beside
 from loose_env.recording import ModelColumns
 from loose_env.typing import Array
 
-__all__ = ["corrected_spec", "correction_code", "model_notes", "nameless_words", "write_model"]
+__all__ = ["corrected_spec", "correction_code", "model_notes", "unnamed_words", "write_model"]
 
 
 def corrected_spec(
-    machine: Machine,
+    machine: NominalModel,
     hypothesis: Hypothesis,
     *,
     step: float | None = None,
@@ -42,7 +42,7 @@ def corrected_spec(
 
     Parameters
     ----------
-    machine : Machine
+    machine : NominalModel
         The nominal model.
     hypothesis : Hypothesis
         Nominal parameters and effects, with their values.
@@ -61,7 +61,7 @@ def corrected_spec(
     return spec
 
 
-def _keep_keyframes(spec: mujoco.MjSpec, machine: Machine) -> None:
+def _keep_keyframes(spec: mujoco.MjSpec, machine: NominalModel) -> None:
     """Rebuild keyframes: MuJoCo appends values at the end, whichever joint was added."""
     nominal = machine.model
     if not nominal.nkey:
@@ -125,7 +125,7 @@ def correction_code(hypothesis: Hypothesis) -> str:
 
 def write_model(
     path: Path,
-    machine: Machine,
+    machine: NominalModel,
     hypothesis: Hypothesis,
     *,
     step: float | None = None,
@@ -212,7 +212,7 @@ Added = tuple[Effect, Array]
 """An effect with its values."""
 
 
-def nameless_words(added: Sequence[Added]) -> list[str]:
+def unnamed_words(added: Sequence[Added]) -> list[str]:
     """Describe effects in the corrected model that are not identified; "" without any.
 
     Parameters
@@ -224,14 +224,14 @@ def nameless_words(added: Sequence[Added]) -> list[str]:
         return []
     listed = "; ".join(_added_words(effect, values) for effect, values in added)
     return [
-        f"the corrected model has, without its being named: {listed}. That lowers the gap on the "
-        "held-out runs, but too much is left for it to be the explanation; the gap after, "
-        "model.xml and the code are with it"
+        f"the corrected model contains effects that are not identified: {listed}. They reduce the "
+        "residual on the held-out runs, but too much remains for them to be the explanation; "
+        "model.xml, the code and the error after correction include them"
     ]
 
 
 def model_notes(
-    named: Sequence[NamedEffect], nameless: Sequence[Added], figures: Mapping[str, float]
+    named: Sequence[NamedEffect], unnamed: Sequence[Added], figures: Mapping[str, float]
 ) -> list[str]:
     """Format notes for the head of ``model.xml``: all changes to the nominal model.
 
@@ -246,23 +246,23 @@ def model_notes(
     """
     notes = ["Corrected by loose gap."]
     if named:
-        notes.append("On top of the nominal model:")
+        notes.append("Added to the nominal model:")
         notes += [
             _words(each.kind, each.where, each.parameters, each.units, each.in_model)
             for each in named
         ]
-    if nameless:
+    if unnamed:
         notes.append(
-            "On top of the nominal model, without being named (it lowers the gap, but too much is "
-            "left for it to be the explanation):"
+            "Added to the nominal model, but not identified (the residual falls, but too much "
+            "remains for them to be the explanation):"
         )
-        notes += [_added_words(effect, values) for effect, values in nameless]
-    if not named and not nameless:
+        notes += [_added_words(effect, values) for effect, values in unnamed]
+    if not named and not unnamed:
         notes.append("No effect was added to the nominal model.")
     if figures:
         off = max(abs(value - 1) for value in figures.values())
         notes.append(
-            f"nominal figures fitted within the tolerance, off by {100 * off:.1f} % at most"
+            f"Nominal parameters fitted within the tolerance, changed by {100 * off:.1f} % at most"
         )
     return notes
 

@@ -12,18 +12,18 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from loose_env.errors import InvalidData
-from loose_env.gap.output.evidence_schema import Identifiability, LeftOver, Location
+from loose_env.gap.output.evidence_schema import Identifiability, Location, ResidualTest
 from loose_env.gap.residuals.physical_units import quantity_words
 from loose_env.io import json_text, read_result_file, restored, whole_of, write_text
 
 __all__ = [
     "FORMAT",
     "UNIT",
+    "EffectLocation",
     "Gap",
     "GapResult",
     "NamedEffect",
-    "Place",
-    "Ranked",
+    "RankedHypothesis",
     "Verdict",
     "html_table",
     "read_result",
@@ -37,7 +37,7 @@ Verdict = Literal["named", "no_gap", "unexplained"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Place:
+class EffectLocation:
     """A kind of effect at a location."""
 
     kind: str
@@ -58,7 +58,7 @@ class NamedEffect:
     """Fitted values."""
     interval_95: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Ends of their 95 % intervals."""
-    ambiguous_with: tuple[Place, ...] = ()
+    ambiguous_with: tuple[EffectLocation, ...] = ()
     """Effects that the held-out data cannot distinguish from it."""
     units: Mapping[str, str] = field(default_factory=dict)
     """Unit of each parameter, "" for a ratio."""
@@ -66,13 +66,13 @@ class NamedEffect:
     """Variant of the effect, "" for the default."""
     in_model: bool = True
     """Whether ``model.xml`` carries it; if not, ``code`` of the result applies it."""
-    powers_explained: float | None = None
+    impact_power_explained: float | None = None
     """For a part identified by its impact power: the share of that power explained on held-out
     runs."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ranked:
+class RankedHypothesis:
     """A hypothesis that was fitted."""
 
     kind: str
@@ -86,15 +86,15 @@ class Ranked:
     number of independent rows; negative where the effect is worth its parameters."""
     step: int = 1
     """1 for the first effect, 2 for one beside the first, ..."""
-    lead: float = 0.0
+    improvement_z: float = 0.0
     """Improvement (z) over the step before, on held-out runs."""
-    together_with: tuple[Place, ...] = ()
+    together_with: tuple[EffectLocation, ...] = ()
     """Further effects of the same hypothesis: one kind at several locations at once."""
 
     @property
-    def places(self) -> tuple[Place, ...]:
+    def places(self) -> tuple[EffectLocation, ...]:
         """All effects that it adds."""
-        return (Place(kind=self.kind, where=self.where), *self.together_with)
+        return (EffectLocation(kind=self.kind, where=self.where), *self.together_with)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,23 +129,23 @@ class GapResult:
     """Effects that the model lacks, in the order of identification."""
     held_out_runs: tuple[str, ...] = ()
     """Files of the held-out runs."""
-    ranking: tuple[Ranked, ...] = ()
+    ranking: tuple[RankedHypothesis, ...] = ()
     """All fitted hypotheses, the best first in every step."""
     model: str | None = "model.xml"
     """The corrected model, beside the file."""
     code: str = ""
     """Python lines that apply effects which MJCF cannot express; "" if none."""
-    nominal_figures: Mapping[str, float] = field(default_factory=dict)
+    nominal_parameters: Mapping[str, float] = field(default_factory=dict)
     """Factors on nominal parameters, within the tolerance, that ``model`` carries too."""
     location: Location = field(default_factory=Location)
     """Location of the model error, before any correction."""
-    where_it_lives: tuple[str, ...] = ()
+    location_words: tuple[str, ...] = ()
     """The same in sentences; of the remaining residual where the verdict is "unexplained"."""
-    left: tuple[str, ...] = ()
+    remaining: tuple[str, ...] = ()
     """Remaining residual and its location, in sentences; empty where it is noise."""
-    left_location: Location = field(default_factory=Location)
+    remaining_location: Location = field(default_factory=Location)
     """Location of the residual of the corrected model, on all runs."""
-    left_over: tuple[LeftOver, ...] = ()
+    residual_tests: tuple[ResidualTest, ...] = ()
     """Residual tests on the held-out runs."""
     identifiability: Identifiability = field(default_factory=Identifiability)
     """Effects that the recorded motions could not show, or distinguish."""
@@ -218,10 +218,10 @@ def read_result(path: str | Path) -> GapResult:
 
 _VERDICTS = {
     "named": "The model lacks:",
-    "no_gap": "No gap: within its tolerance the model explains the held-out runs.",
-    "unexplained": "Unexplained: something is missing that is not in the catalogue.",
+    "no_gap": "No model error: within its tolerance the model explains the held-out runs.",
+    "unexplained": "Unexplained: an effect is missing that is not in the catalogue.",
 }
-_HEADS = ("effect", "where", "parameter", "value", "95 %", "unit", "may as well be")
+_HEADS = ("effect", "where", "parameter", "value", "95 %", "unit", "confusable with")
 
 
 def html_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -248,7 +248,7 @@ def result_table(result: GapResult) -> str:
         [f"predictions over {seconds} s", f"{before:.2f}", f"{after:.2f}"]
         for seconds, (before, after) in gap.by_horizon_s.items()
     ]
-    lives = "".join(f"<li>{escape(words)}</li>" for words in result.where_it_lives)
+    lives = "".join(f"<li>{escape(words)}</li>" for words in result.location_words)
     unexplained = result.verdict == "unexplained" and lives
     return "".join(
         [

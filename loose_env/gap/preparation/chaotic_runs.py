@@ -16,7 +16,7 @@ from loose_env.errors import InvalidData
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.residuals.random_excitation.features import RandomFeatures
 from loose_env.gap.residuals.random_excitation.frequency_response import FEWEST
 from loose_env.gap.settings import (
@@ -26,7 +26,7 @@ from loose_env.gap.settings import (
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.typing import Array
 
-__all__ = ["parting_runs"]
+__all__ = ["chaotic_runs"]
 
 
 NUDGE = 1e-5
@@ -39,8 +39,8 @@ nominal model [s]; at least as much as features need."""
 _NOMINAL = Hypothesis(effects=(), values=())
 
 
-def parting_runs(
-    machine: Machine,
+def chaotic_runs(
+    machine: NominalModel,
     trials: Sequence[Trial],
     channels: tuple[Channel, ...],
     floors: Array,
@@ -57,7 +57,7 @@ def parting_runs(
 
     Parameters
     ----------
-    machine : Machine
+    machine : NominalModel
         The nominal model.
     trials : sequence of Trial
         The runs.
@@ -70,9 +70,9 @@ def parting_runs(
     threads : int
         Threads of the simulation; 0: all processors.
     """
-    striking = [effect for effect in candidates if effect.has_stops]
+    with_stops = [effect for effect in candidates if effect.has_stops]
     runs = [trial for trial in trials if _driven(trial, machine)]
-    if not striking or not runs:
+    if not with_stops or not runs:
         return frozenset()
     nominal = Simulator(machine, runs, channels, threads=threads).predict([_NOMINAL])[0]
     loud: list[tuple[Trial, RandomFeatures]] = []
@@ -89,7 +89,7 @@ def parting_runs(
     if not loud:
         return frozenset()
     simulator = Simulator(machine, [run for run, _ in loud], channels, threads=threads)
-    for effect in striking:
+    for effect in with_stops:
         predicted = simulator.predict(_pairs(effect, len(loud), len(machine.joints)))
         for first, second in zip(predicted[::2], predicted[1::2], strict=True):
             for (_, features), one, two in zip(loud, first, second, strict=True):
@@ -100,7 +100,7 @@ def parting_runs(
 
 
 def _features(
-    trial: Trial, machine: Machine, channels: tuple[Channel, ...], floors: Array
+    trial: Trial, machine: NominalModel, channels: tuple[Channel, ...], floors: Array
 ) -> RandomFeatures | None:
     """Features of a run; None where it is too short, or its command does not vary."""
     try:
@@ -149,7 +149,7 @@ def _with_hardest_stops(
     return [start for start in starts if start[number] == hardest]
 
 
-def _driven(trial: Trial, machine: Machine) -> bool:
+def _driven(trial: Trial, machine: NominalModel) -> bool:
     """Return whether a run is one of random excitation through an actuator."""
     joints = {machine.actuated_joint.get(name) for name in machine.actuators}
     return trial.form == "forward" and bool(joints & set(trial.excited))

@@ -7,7 +7,7 @@ from math import ceil
 import numpy as np
 
 from loose_env.gap.data.noise_floor import noise_floor
-from loose_env.gap.residuals.residual_model import LONGEST, SHORTEST, Comparison
+from loose_env.gap.residuals.residual_model import LONGEST, SHORTEST, ResidualModel
 from loose_env.gap.settings import (
     ACCEPTED_Z,
     CONFIRMED_Z,
@@ -15,27 +15,27 @@ from loose_env.gap.settings import (
     SPARE_BLOCKS,
 )
 
-__all__ = ["shortfalls"]
+__all__ = ["sufficiency_words"]
 
 
-def shortfalls(fitted: Comparison, held: Comparison) -> list[str]:
+def sufficiency_words(fitted: ResidualModel, held: ResidualModel) -> list[str]:
     """Describe shortfalls of the data in sentences; none if the data suffice.
 
     An improvement of k standard deviations over blocks of time needs k² blocks that all agree.
 
     Parameters
     ----------
-    fitted, held : Comparison
+    fitted, held : ResidualModel
         The training runs and the held-out runs.
     """
     found = []
-    for which, comparison, lead in (
+    for which, comparison, improvement in (
         ("to fit to", fitted, ACCEPTED_Z),
         ("held out", held, CONFIRMED_Z),
     ):
         lengths = [float(trial.time[-1]) for trial in comparison.trials]
         blocks = len(np.unique(comparison.rows.block))
-        needed = ceil(SPARE_BLOCKS * lead**2)
+        needed = ceil(SPARE_BLOCKS * improvement**2)
         if blocks < needed:
             more = (needed - blocks) * min(max(sum(lengths) / max(blocks, 1), SHORTEST), LONGEST)
             found.append(

@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from loose_env.gap.data.aligned_run import Channel, lay_out
+from loose_env.gap.data.aligned_run import Channel, align_run
 from loose_env.gap.data.noise_floor import channel_floor
 from loose_env.gap.model.effect import have_stops
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.settings import (
     OWN_STEP_ERROR,
@@ -70,14 +70,14 @@ class Integration:
     """Relative step error of the model's own step and integrator."""
 
     @property
-    def joined(self) -> int:
+    def merged_steps(self) -> int:
         """Number of steps that can be joined; a doubled Runge-Kutta step errs 16 times."""
         if self.integrator != _RK4:
             return 1
         return max(k for k in (1, 2, 4) if k == 1 or k**4 * self.matter < _UNSEEN)
 
     @property
-    def cut(self) -> int:
+    def substeps(self) -> int:
         """Number of substeps for stiff effects.
 
         None where the step error itself is visible: a finer step would explain that, too.
@@ -95,8 +95,9 @@ class Integration:
         found = []
         if self.nominal_matter > OWN_STEP_ERROR and self.matter < self.nominal_matter:
             found.append(
-                f"the model's own step of {own:g} s is a gap of its own: {self.nominal_error:.2g} "
-                "noise standard deviations in the worst channel; runs were simulated by a "
+                f"the model's own step of {own:g} s is a model error by itself: "
+                f"{self.nominal_error:.2g} noise standard deviations in the worst channel; runs "
+                "were simulated by a "
                 f"Runge-Kutta method at {self.step:.3g} s instead, and model.xml has that step"
             )
         if self.matter > OWN_STEP_ERROR:
@@ -110,7 +111,7 @@ class Integration:
 
 
 def choose_integration(
-    machine: Machine, runs: Sequence[Run], channels: tuple[Channel, ...], *, threads: int = 1
+    machine: NominalModel, runs: Sequence[Run], channels: tuple[Channel, ...], *, threads: int = 1
 ) -> Integration:
     """Choose a step by the measured step error on parts of the runs.
 
@@ -123,12 +124,12 @@ def choose_integration(
     longest = min(interval, 4 * own) if interval > 4 * own else interval
     floors = _floors(runs, channels)
 
-    def laid_out(on: Machine, step: float) -> Comparison:
-        trials = [lay_out(part, on, channels, step=step) for part in parts]
-        return Comparison(on, trials, channels, floors, threads=threads)
+    def laid_out(on: NominalModel, step: float) -> ResidualModel:
+        trials = [align_run(part, on, channels, step=step) for part in parts]
+        return ResidualModel(on, trials, channels, floors, threads=threads)
 
     def residual(step: float, integrator: int) -> np.ndarray:
-        stepped = Machine(machine.spec, step=step, integrator=integrator)
+        stepped = NominalModel(machine.spec, step=step, integrator=integrator)
         found = laid_out(stepped, step).residuals([Hypothesis(effects=(), values=())])[0]
         return np.asarray(found)
 
@@ -170,7 +171,7 @@ def choose_integration(
     )
 
 
-def corrected_step_words(held_out: Comparison, hypothesis: Hypothesis) -> list[str]:
+def corrected_step_words(held_out: ResidualModel, hypothesis: Hypothesis) -> list[str]:
     """Report whether the corrected model needs a finer step; none where it does not.
 
     An added effect may be stiffer than the nominal model by which the step was chosen. Runs that
@@ -178,7 +179,7 @@ def corrected_step_words(held_out: Comparison, hypothesis: Hypothesis) -> list[s
 
     Parameters
     ----------
-    held_out : Comparison
+    held_out : ResidualModel
         The held-out runs.
     hypothesis : Hypothesis
         The added effects.
@@ -187,14 +188,16 @@ def corrected_step_words(held_out: Comparison, hypothesis: Hypothesis) -> list[s
         return []  # after an impact no two simulations agree, however fine their steps
     machine, chosen = held_out.machine, windowed(held_out, _CHECKED)
     step = step_with(machine, hypothesis.effects)
-    trials = [t for t in chosen.trials if t.form != "inverse" and t.name not in chosen.parting]
+    trials = [t for t in chosen.trials if t.form != "inverse" and t.name not in chosen.chaotic]
     if not trials:
         return []
     found = []
     for parts in (1, _FINER):
         stepped = replace(machine, step=machine.step / parts)
         own = [trial.finer(parts) for trial in trials]
-        compared = Comparison(stepped, own, chosen.channels, chosen.floors, threads=chosen.threads)
+        compared = ResidualModel(
+            stepped, own, chosen.channels, chosen.floors, threads=chosen.threads
+        )
         found.append(compared.residuals([hypothesis])[0])
     channel = compared.rows.channel
     counts = np.maximum(np.bincount(channel), 1)

@@ -10,18 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
-from loose_env.gap.data.aligned_run import Channel, Trial, channels_of, lay_out
+from loose_env.gap.data.aligned_run import Channel, Trial, align_run, channels_of
 from loose_env.gap.data.holdout_split import split_runs
 from loose_env.gap.data.noise_floor import channel_floor
 from loose_env.gap.model.effects.catalogue import candidates
 from loose_env.gap.model.effects.link_inertia import payload_words
 from loose_env.gap.model.element_names import naming_words
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
-from loose_env.gap.preparation.chaotic_runs import parting_runs
-from loose_env.gap.preparation.data_sufficiency import shortfalls
+from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.preparation.chaotic_runs import chaotic_runs
+from loose_env.gap.preparation.data_sufficiency import sufficiency_words
 from loose_env.gap.preparation.integrator_choice import Integration, choose_integration
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.simulation.simulator import Simulator
@@ -42,17 +42,17 @@ class GapProblem:
 
     settings: GapSettings
     """Settings of the comparison."""
-    machine: Machine
+    machine: NominalModel
     """The nominal model, with the step, typical loads and speeds of the recording."""
     integration: Integration | None
     """The step that was chosen; None where nothing is simulated."""
-    search: Comparison
+    search: ResidualModel
     """The training runs used in the effect search."""
-    fit: Comparison
+    fit: ResidualModel
     """Longer training runs, used in the final fit."""
-    held: Comparison
+    held_out: ResidualModel
     """The held-out runs used in the effect search."""
-    whole_held: Comparison
+    held_out_whole: ResidualModel
     """The held-out runs at full length."""
     warnings: tuple[str, ...] = ()
     """Notes for the reader."""
@@ -63,9 +63,9 @@ class GapProblem:
 
     def louder(self, factors: Array) -> GapProblem:
         """Copy with the noise of every channel scaled by a factor (C,)."""
-        known: dict[int, Comparison] = {}
+        known: dict[int, ResidualModel] = {}
 
-        def again(comparison: Comparison) -> Comparison:
+        def again(comparison: ResidualModel) -> ResidualModel:
             if id(comparison) not in known:
                 floors = np.asarray(comparison.floors, dtype=float)
                 known[id(comparison)] = comparison.like(floors=floors * factors)
@@ -75,8 +75,8 @@ class GapProblem:
             self,
             search=again(self.search),
             fit=again(self.fit),
-            held=again(self.held),
-            whole_held=again(self.whole_held),
+            held_out=again(self.held_out),
+            held_out_whole=again(self.held_out_whole),
         )
 
 
@@ -94,7 +94,7 @@ def prepare(recording: Recording, settings: GapSettings) -> GapProblem:
     fitted, held = split_runs(
         [run.name for run in runs], share=settings.held_share, held_out=settings.held_out
     )
-    machine = Machine(recording.spec())
+    machine = NominalModel(recording.spec())
     channels = channels_of(runs)
     warnings += naming_words(recording.spec())
     if not settings.kinds or "payload" in settings.kinds:
@@ -106,14 +106,14 @@ def prepare(recording: Recording, settings: GapSettings) -> GapProblem:
         integration = choose_integration(machine, simulated, channels, threads=settings.threads)
         step = integration.step
         warnings += integration.words(own=float(machine.model.opt.timestep))
-    kept = Machine(
+    kept = NominalModel(
         machine.spec,
         step=step,
         integrator=None if integration is None else integration.integrator,
-        joined=1 if integration is None else integration.joined,
-        cut=1 if integration is None else integration.cut,
+        merged_steps=1 if integration is None else integration.merged_steps,
+        substeps=1 if integration is None else integration.substeps,
     )
-    trials = [lay_out(run, kept, channels, step=step) for run in runs]
+    trials = [align_run(run, kept, channels, step=step) for run in runs]
     unknown, words = _of_changing_gears(kept, channels, trials)
     trials = [t if t.form == "inverse" else _without(t, unknown) for t in trials]
     warnings += words
@@ -121,12 +121,10 @@ def prepare(recording: Recording, settings: GapSettings) -> GapProblem:
     still = np.isnan(floors)
     if (said := still & ~unknown).any():
         names = ", ".join(c.name for c, left_out in zip(channels, said, strict=True) if left_out)
-        warnings.append(
-            f"{names}: one value throughout, which does not say how exactly it was read; left out"
-        )
+        warnings.append(f"{names}: constant, so that its noise is unknown; not compared")
     trials = [_without(trial, still) for trial in trials]
     kept = _scaled(kept, runs, trials, channels, floors, settings.threads)
-    parting = parting_runs(
+    chaotic = chaotic_runs(
         kept,
         trials,
         channels,
@@ -134,21 +132,21 @@ def prepare(recording: Recording, settings: GapSettings) -> GapProblem:
         candidates(kept, settings.kinds or None),
         threads=settings.threads,
     )
-    if parting:
+    if chaotic:
         warnings.append(
-            f"{', '.join(sorted(parting))}: stops are struck there, after which no simulation "
+            f"{', '.join(sorted(chaotic))}: chaotic (impacts against stops); no simulation "
             "follows a trajectory; compared by response to the command, covariances, spectra and "
             "moments instead of sample by sample"
         )
 
-    def compared(numbers: list[int]) -> Comparison:
-        return Comparison(
+    def compared(numbers: list[int]) -> ResidualModel:
+        return ResidualModel(
             kept,
             [trials[k] for k in numbers],
             channels,
             floors,
             threads=settings.threads,
-            parting=parting,
+            chaotic=chaotic,
         )
 
     ahead, whole = compared(fitted), compared(held)
@@ -156,11 +154,11 @@ def prepare(recording: Recording, settings: GapSettings) -> GapProblem:
         if not len(comparison):
             names = ", ".join(trial.name for trial in comparison.trials)
             raise InvalidData(
-                f"nothing is left to compare in the runs {role} ({names}): what they are compared "
+                f"nothing to compare in the runs {role} ({names}): what they are compared "
                 "by shows one value throughout, or was not read. Record motions that are large "
                 "beside the steps in which it is read"
             )
-    warnings += shortfalls(ahead, whole)
+    warnings += sufficiency_words(ahead, whole)
     return GapProblem(
         settings=settings,
         recording=recording.folder.name,
@@ -169,13 +167,13 @@ def prepare(recording: Recording, settings: GapSettings) -> GapProblem:
         integration=integration,
         search=_windowed(ahead, settings.search_seconds),
         fit=_windowed(ahead, settings.fit_seconds),
-        held=_windowed(whole, settings.held_seconds),
-        whole_held=whole,
+        held_out=_windowed(whole, settings.held_seconds),
+        held_out_whole=whole,
         warnings=tuple(warnings),
     )
 
 
-def _windowed(comparison: Comparison, seconds: float) -> Comparison:
+def _windowed(comparison: ResidualModel, seconds: float) -> ResidualModel:
     """Windows of the runs that contain readings; the whole runs where none do."""
     found = windowed(comparison, seconds)
     return found if len(found) else comparison
@@ -198,12 +196,12 @@ def _suspect(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
         )
     listed = ", ".join(healthy[:4]) + (" and others" if len(healthy) > 4 else "")
     return suspect, [
-        f"{len(healthy)} healthy runs are left out ({listed}): the suspect ones are compared. Put "
+        f"{len(healthy)} healthy runs are not used ({listed}): the suspect ones are compared. Put "
         "the healthy ones into a recording of their own to compare them with the model"
     ]
 
 
-def _floors(machine: Machine, trials: list[Trial], channels: tuple[Channel, ...]) -> Array:
+def _floors(machine: NominalModel, trials: list[Trial], channels: tuple[Channel, ...]) -> Array:
     """Noise standard deviation of every channel: the median over runs; NaN if unknown.
 
     At least `_FINEST` of the range of the channel of its kind with the most motion.
@@ -225,21 +223,21 @@ def _floors(machine: Machine, trials: list[Trial], channels: tuple[Channel, ...]
     return floors
 
 
-def _kind(machine: Machine, channel: Channel) -> str:
+def _kind(machine: NominalModel, channel: Channel) -> str:
     """Quantity that a scalar channel measures."""
     prefix, _, name = channel.column.partition(".")
     return prefix if prefix != "sensor" else str(int(machine.model.sensor(name).type[0]))
 
 
 def _of_changing_gears(
-    machine: Machine, channels: tuple[Channel, ...], trials: list[Trial]
+    machine: NominalModel, channels: tuple[Channel, ...], trials: list[Trial]
 ) -> tuple[NDArray[np.bool_], list[str]]:
     """Mask of torque channels (C,) that a simulation cannot predict, with a note.
 
     A simulation gives actuator forces, and the joint torques where the transmission is the same in
     all poses. Inverse dynamics give the torque itself.
     """
-    columns = {f"torque.{joint}" for joint in machine.with_changing_gears}
+    columns = {f"torque.{joint}" for joint in machine.pose_dependent_joints}
     found = np.array([c.column in columns for c in channels], dtype=bool)
     read = [np.isfinite(t.measured[:, k]).any() for t in trials if t.form != "inverse"
             for k in np.flatnonzero(found)]  # fmt: skip
@@ -248,7 +246,7 @@ def _of_changing_gears(
     names = ", ".join(c.name for c, left_out in zip(channels, found, strict=True) if left_out)
     return found, [
         f"{names}: an actuator acts there through a tendon in space, a site, a crank or a body, by "
-        "another lever in every pose; left out of the runs that are simulated. Have the model "
+        "another lever in every pose; not compared in the simulated runs. Have the model "
         "drive the joint itself, or a fixed tendon, to have it compared"
     ]
 
@@ -259,13 +257,13 @@ def _without(trial: Trial, channels: NDArray[np.bool_]) -> Trial:
 
 
 def _scaled(
-    machine: Machine,
+    machine: NominalModel,
     runs: list[Run],
     trials: list[Trial],
     channels: tuple[Channel, ...],
     floors: Array,
     threads: int,
-) -> Machine:
+) -> NominalModel:
     """Set the machine's typical speeds and torques to those of the recording."""
     speeds, loads = np.zeros((2, len(machine.joints)))
     for k, joint in enumerate(machine.joints):

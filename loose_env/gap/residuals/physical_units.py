@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Channel
-from loose_env.gap.model.nominal_model import Machine
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.residuals.residual_model import ResidualModel
 
 __all__ = ["errors_by_quantity", "quantity_of", "quantity_words", "rms"]
 
@@ -36,13 +36,13 @@ _OF_A_SITE = {
 }
 
 
-def quantity_of(machine: Machine, channel: Channel) -> str | None:
+def quantity_of(machine: NominalModel, channel: Channel) -> str | None:
     """Quantity and unit of a channel; None for a sensor of unknown unit.
 
     Examples
     --------
     >>> from loose_env.arms import planar
-    >>> machine = Machine(planar(2).spec)
+    >>> machine = NominalModel(planar(2).spec)
     >>> quantity_of(machine, Channel(column=f"torque.{machine.joints[0]}"))
     'joint torque [N·m]'
     """
@@ -65,8 +65,8 @@ def quantity_of(machine: Machine, channel: Channel) -> str | None:
 
 
 def errors_by_quantity(
-    machine: Machine,
-    comparison: Comparison,
+    machine: NominalModel,
+    comparison: ResidualModel,
     before: NDArray[np.float64],
     after: NDArray[np.float64],
 ) -> dict[str, tuple[float, float]]:
@@ -74,9 +74,9 @@ def errors_by_quantity(
 
     Parameters
     ----------
-    machine : Machine
+    machine : NominalModel
         The nominal model.
-    comparison : Comparison
+    comparison : ResidualModel
         The runs.
     before, after : ndarray (N,)
         Residuals over noise standard deviations. Runs that are compared by features have none in

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.residuals.random_excitation.features import GROUP, RandomFeatures, RandomRun
 from loose_env.gap.simulation.inverse_dynamics import InverseDynamics
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.typing import Array
 
-__all__ = ["Comparison", "Rows"]
+__all__ = ["ResidualModel", "Rows"]
 
 
 _ASTRAY = 100.0
@@ -59,7 +59,7 @@ class Rows:
     """Whether the run is compared by inverse dynamics."""
 
 
-class Comparison:
+class ResidualModel:
     """Compares runs with hypotheses, each run by its form.
 
     Forward and free runs are simulated, and their sensors compared. Inverse runs are compared by
@@ -67,7 +67,7 @@ class Comparison:
 
     Parameters
     ----------
-    machine : Machine
+    machine : NominalModel
         The nominal model.
     trials : sequence of Trial
         The runs.
@@ -81,7 +81,7 @@ class Comparison:
         Inverse dynamics of the inverse runs, if already computed.
     parting : frozenset of str
         Names of the random runs that are compared by features
-        (`loose_env.gap.preparation.chaotic_runs.parting_runs`).
+        (`loose_env.gap.preparation.chaotic_runs.chaotic_runs`).
     read : ndarray (C,), optional
         Sensor noise standard deviation of each channel, where more counts as noise in
         ``floors``.
@@ -89,19 +89,19 @@ class Comparison:
 
     def __init__(
         self,
-        machine: Machine,
+        machine: NominalModel,
         trials: Sequence[Trial],
         channels: tuple[Channel, ...],
         floors: Array,
         *,
         threads: int = 0,
         inverse: InverseDynamics | None = None,
-        parting: frozenset[str] = frozenset(),
+        chaotic: frozenset[str] = frozenset(),
         read: Array | None = None,
     ) -> None:
         self.machine, self.trials = machine, list(trials)
         self.channels, self.floors, self.threads = channels, floors, threads
-        self._lighter: dict[int, Comparison] = {}
+        self._lighter: dict[int, ResidualModel] = {}
         backwards = [t for t, trial in enumerate(self.trials) if trial.form == "inverse"]
         self._backwards = np.array(backwards, dtype=np.intp)
         self._ahead = np.setdiff1d(np.arange(len(self.trials)), self._backwards)
@@ -116,12 +116,12 @@ class Comparison:
         if inverse is not None:
             for k, t in enumerate(backwards):
                 self.scales[t] = inverse.floors(k)
-        self.parting = parting
+        self.chaotic = chaotic
         self.read = np.asarray(floors if read is None else read, dtype=float)
         self._random = {
             t: RandomRun.of_trial(trial, machine, channels, self.read)
             for t, trial in enumerate(self.trials)
-            if trial.excited and trial.name in parting
+            if trial.excited and trial.name in chaotic
         }
         self.rows, self.measured = self._rows()
 
@@ -180,7 +180,7 @@ class Comparison:
 
     def follows(self, trial: Trial) -> bool:
         """Return whether a run is simulated with its commands, sample by sample."""
-        return trial.form == "forward" and trial.name not in self.parting
+        return trial.form == "forward" and trial.name not in self.chaotic
 
     def shows(self, effect: Effect) -> bool:
         """Return whether an effect is observable in the form of any run.
@@ -197,26 +197,26 @@ class Comparison:
     def like(
         self,
         *,
-        machine: Machine | None = None,
+        machine: NominalModel | None = None,
         trials: Sequence[Trial] | None = None,
         floors: Array | None = None,
-    ) -> Comparison:
+    ) -> ResidualModel:
         """Copy with another machine, other runs, or other noise of the channels (C,).
 
         Features of random runs keep the sensor noise as their weight.
         """
-        return Comparison(
+        return ResidualModel(
             machine or self.machine,
             self.trials if trials is None else trials,
             self.channels,
             self.floors if floors is None else floors,
             threads=self.threads,
             inverse=self.inverse if trials is None else None,
-            parting=self.parting,
+            chaotic=self.chaotic,
             read=self.read,
         )
 
-    def left_in_channels(self, residual: Array) -> Array:
+    def channel_rms(self, residual: Array) -> Array:
         """Root mean square of a residual (N,) by channel (C,), noise standard deviations.
 
         Of the runs compared sample by sample; 0 where a channel has no such readings.
@@ -227,7 +227,7 @@ class Comparison:
         squares = np.bincount(channel, residual[own] ** 2, minlength=most)
         return np.asarray(np.sqrt(squares / np.maximum(count, 1)))
 
-    def lighter(self, *, stiff: bool = False) -> Comparison:
+    def lighter(self, *, stiff: bool = False) -> ResidualModel:
         """Copy with a cheaper integrator: one evaluation a step instead of four.
 
         The difference that an effect makes is nearly the same, since the step error is in both; not
@@ -237,20 +237,22 @@ class Comparison:
         ----------
         stiff : bool
             Whether either has a stiff spring: then both take every step, else several as
-            one where the machine allows it (`Machine.joined`).
+            one where the machine allows it (`NominalModel.joined`).
         """
         if self.machine.integrator != _RUNGE_KUTTA:
             return self
-        joined = 1 if stiff else self.machine.joined
+        joined = 1 if stiff else self.machine.merged_steps
         if joined not in self._lighter:
             self._lighter[joined] = self.like(
-                machine=replace(self.machine, integrator=_IMPLICIT, joined=joined, even=True)
+                machine=replace(
+                    self.machine, integrator=_IMPLICIT, merged_steps=joined, uniform_steps=True
+                )
             )
         return self._lighter[joined]
 
     def lightly(
         self, hypothesis: Hypothesis, residual: Array, *, stiff: bool = False
-    ) -> tuple[Comparison, Array]:
+    ) -> tuple[ResidualModel, Array]:
         """Cheaper comparison, with the residual of a hypothesis in it (N,).
 
         Where the cheaper integrator is not stable, that is this comparison with the given residual.

@@ -11,7 +11,7 @@ from loose_env.errors import InvalidData
 from loose_env.gap.data.aligned_run import Trial
 from loose_env.gap.residuals.random_excitation.features import RandomFeatures
 from loose_env.gap.residuals.random_excitation.frequency_response import FEWEST
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 
 __all__ = ["SHORTEST", "windowed"]
 
@@ -24,7 +24,7 @@ INVERSE = 4.0
 """How many times as much is taken of inverse runs: they cost less, and their band is lower."""
 
 
-def windowed(comparison: Comparison, seconds: float) -> Comparison:
+def windowed(comparison: ResidualModel, seconds: float) -> ResidualModel:
     """Cut one window from every run, to a total length; a shorter input is unchanged.
 
     A window lies where the joints move most relative to their typical motion, all joints included.
@@ -36,7 +36,7 @@ def windowed(comparison: Comparison, seconds: float) -> Comparison:
 
     Parameters
     ----------
-    comparison : Comparison
+    comparison : ResidualModel
         The comparison to cut.
     seconds : float
         Total length of the windows [s].
@@ -63,14 +63,14 @@ def _lengths(trials: Sequence[Trial], seconds: float, shortest: float) -> dict[i
     return {id(trials[k]): max(seconds / count, shortest) for k in taken}
 
 
-def _shortened(comparison: Comparison, trial: Trial, length: float) -> Trial:
+def _shortened(comparison: ResidualModel, trial: Trial, length: float) -> Trial:
     """Window of a run; all of it if compared by features that the window lacks.
 
     The command may not vary in a window, or its channels may not have been read.
     """
     if trial.form == "inverse":
-        return _window(trial, length, lead=0.0)
-    if not (trial.excited and trial.name in comparison.parting):
+        return _window(trial, length, improvement=0.0)
+    if not (trial.excited and trial.name in comparison.chaotic):
         return _window(trial, length)
     window = _window(trial, length, fewest=FEWEST)
     try:
@@ -80,7 +80,7 @@ def _shortened(comparison: Comparison, trial: Trial, length: float) -> Trial:
     return window
 
 
-def _window(trial: Trial, length: float, *, fewest: int = 1, lead: float = LEAD) -> Trial:
+def _window(trial: Trial, length: float, *, fewest: int = 1, improvement: float = LEAD) -> Trial:
     """Window of maximum motion, of a length [s] and minimum number of samples."""
     size = max(round(min(length * trial.rate, len(trial.time))), fewest)
     if size >= len(trial.time):
@@ -94,7 +94,7 @@ def _window(trial: Trial, length: float, *, fewest: int = 1, lead: float = LEAD)
     summed = np.concatenate([[0.0], np.cumsum(activity)])
     starts = np.arange(0, len(trial.time) - size, max(size // 8, 1))
     first = int(starts[np.argmax(summed[starts + size] - summed[starts])])
-    before = min(first, round(lead * trial.rate))
+    before = min(first, round(improvement * trial.rate))
     window = trial.between(first - before, first + size)
     measured = window.measured.copy()
     measured[:before] = np.nan

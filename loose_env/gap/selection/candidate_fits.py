@@ -13,14 +13,14 @@ from loose_env.gap.fitting.gauss_newton import (
     cost_of,
     fit,
 )
-from loose_env.gap.fitting.holdout_score import Judge, Judged, sureness_of
+from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer, z_score
 from loose_env.gap.fitting.model_structure import ModelStructure
 from loose_env.gap.fitting.refit import refined
 from loose_env.gap.model.effect import have_stops
 from loose_env.gap.model.effects.mjcf.sensor_columns import of_place_or_speed
 from loose_env.gap.model.parameter import free_of, values_of
-from loose_env.gap.residuals.residual_model import Comparison
-from loose_env.gap.selection.screening.grouping import akin, families
+from loose_env.gap.residuals.residual_model import ResidualModel
+from loose_env.gap.selection.screening.grouping import confusable, families
 from loose_env.gap.selection.screening.screening import Screened
 from loose_env.gap.settings import (
     ACCEPTED_Z,
@@ -36,7 +36,7 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["Trying", "Wave"]
+__all__ = ["CandidateFits", "Wave"]
 
 
 _WHOLE_FAMILIES = 3
@@ -58,13 +58,13 @@ _NEAR = 1.5
 class Slow:
     """Comparison in which only positions and speeds have weight."""
 
-    comparison: Comparison
+    comparison: ResidualModel
     """The same rows; the noise of all others is so large that they carry no weight."""
     weights: Array
     """Weight of each row under that noise (N,)."""
 
     @classmethod
-    def of(cls, comparison: Comparison) -> Slow | None:
+    def of(cls, comparison: ResidualModel) -> Slow | None:
         """Remove the weight of accelerations and forces; None if all or none are such.
 
         None for runs that are compared by features, too: features belong to no single channel.
@@ -72,7 +72,7 @@ class Slow:
         machine, channels = comparison.machine, comparison.channels
         kept = np.array([of_place_or_speed(machine, channel.column) for channel in channels])
         counted = kept[comparison.rows.channel]
-        if comparison.parting or counted.all() or not counted.any():
+        if comparison.chaotic or counted.all() or not counted.any():
             return None
         return cls(
             comparison=comparison.like(
@@ -86,29 +86,29 @@ class Slow:
 class Wave:
     """Candidate fits of one wave."""
 
-    scored: list[Judged]
+    scored: list[ScoredFit]
     """Fits to all data."""
     best: Fit | None
     """Best fit to the windows, of this wave and those before."""
 
 
-class Trying:
+class CandidateFits:
     """Fits candidate effects on top of the current model.
 
     Parameters
     ----------
-    comparison, short : Comparison
+    comparison, short : ResidualModel
         The training runs, and the windows of them that rank candidates.
-    judge : Judge
+    judge : Scorer
         Scores fits to all data.
-    before : Judged
+    before : ScoredFit
         The current model.
     """
 
     def __init__(
-        self, comparison: Comparison, short: Comparison, judge: Judge, before: Judged
+        self, comparison: ResidualModel, short: ResidualModel, scorer: Scorer, before: ScoredFit
     ) -> None:
-        self.comparison, self.short, self.judge = comparison, short, judge
+        self.comparison, self.short, self.scorer = comparison, short, scorer
         self.before = before.fitted
         self.beside_stops = have_stops(before.fitted.effects)
         """Whether a part with stops is there already, which makes everything take longer."""
@@ -125,7 +125,7 @@ class Trying:
         """The windows without accelerations; None where there are only such, or none."""
         return Slow.of(self.short)
 
-    def singles(
+    def fit_singles(
         self, screened: Sequence[Screened], *, further: bool = False, best: Fit | None = None
     ) -> Wave:
         """Fit single candidates, and those confusable with the best one.
@@ -139,13 +139,13 @@ class Trying:
         best : Fit, optional
             Best fit of earlier waves to the windows.
         """
-        least = LEAST_PREDICTED * screened[0].promise if screened else 0.0
-        first = [each for each in screened[:FITTED_CANDIDATES] if each.promise >= least]
+        least = LEAST_PREDICTED * screened[0].predicted if screened else 0.0
+        first = [each for each in screened[:FITTED_CANDIDATES] if each.predicted >= least]
         # a small effect at every joint has a low predicted explained variance beside a slightly
         # wrong law
-        most = max((each.sureness for each in first), default=0.0)
-        surer = [each for each in screened[len(first) :] if each.sureness > most]
-        first += sorted(surer, key=lambda each: -each.sureness)[:FITTED_BY_Z]
+        most = max((each.z for each in first), default=0.0)
+        by_z = [each for each in screened[len(first) :] if each.z > most]
+        first += sorted(by_z, key=lambda each: -each.z)[:FITTED_BY_Z]
         rest = [each for each in screened if not any(each is own for own in first)]
         taken = rest[:SECOND_WAVE] if further else first
         twice = 0 if self.beside_stops else FITTED_TWICE
@@ -153,23 +153,23 @@ class Trying:
         fits, best = self._with_hope(fits, best)
         if not fits:
             return Wave([], best)
-        surest = max(fits[FINALISTS:], key=self._sureness, default=None)
+        highest_z = max(fits[FINALISTS:], key=self._z, default=None)
         finalists = fits[:FINALISTS]
         # a few blocks with a large unexplained residual may hide a small effect at every joint
-        if surest is not None and self._sureness(surest) > max(map(self._sureness, finalists)):
-            finalists.append(surest)
+        if highest_z is not None and self._z(highest_z) > max(map(self._z, finalists)):
+            finalists.append(highest_z)
         found = [self._to_all(each) for each in finalists]
         winner = min(found, key=lambda j: j.total).fitted.effects[-1]
         others = [f for f in fits if not any(f is g for g in finalists)]
-        kin = [f for f in others if akin(winner, f.effects[-1])][:CONFUSABLE_FITS]
+        confusables = [f for f in others if confusable(winner, f.effects[-1])][:CONFUSABLE_FITS]
         # a candidate screened out for a poor start may still be the true one
         relatives = [
             each
             for each in screened
-            if not any(each is tried for tried in taken) and akin(winner, each.effect)
-        ][: CONFUSABLE_FITS - len(kin)]
+            if not any(each is tried for tried in taken) and confusable(winner, each.effect)
+        ][: CONFUSABLE_FITS - len(confusables)]
         more, best = self._with_hope([self._to_windows([each]) for each in relatives], best)
-        return Wave(found + [self._to_all(each) for each in (*kin, *more)], best)
+        return Wave(found + [self._to_all(each) for each in (*confusables, *more)], best)
 
     def _with_hope(self, fits: Sequence[Fit], best: Fit | None) -> tuple[list[Fit], Fit | None]:
         """Select fits to the windows that may be the best on all data, best first.
@@ -186,29 +186,29 @@ class Trying:
             each
             for each in found
             if each.cost < HOPELESS_COST * best.cost
-            or sureness_of(self.short.by_block(each.residual**2), blocks) < ACCEPTED_Z
+            or z_score(self.short.by_block(each.residual**2), blocks) < ACCEPTED_Z
         ]
         return kept, best
 
-    def _sureness(self, each: Fit) -> float:
+    def _z(self, each: Fit) -> float:
         """Return the improvement (z) of a fit to the windows over the current model."""
         before, after = (
             self.short.by_block(fitted.residual**2) for fitted in (self.short_before, each)
         )
-        return sureness_of(before, after)
+        return z_score(before, after)
 
-    def families(self, screened: Sequence[Screened], best: Fit | None = None) -> Wave:
+    def fit_families(self, screened: Sequence[Screened], best: Fit | None = None) -> Wave:
         """Fit one kind of effect at several locations at once."""
-        return self.together(families(screened, FAMILIES), best)
+        return self.fit_jointly(families(screened, FAMILIES), best)
 
-    def together(self, groups: Sequence[Sequence[Screened]], best: Fit | None = None) -> Wave:
+    def fit_jointly(self, groups: Sequence[Sequence[Screened]], best: Fit | None = None) -> Wave:
         """Fit each group's members jointly; drop groups no better than the best fit so far."""
         fits = [self._to_windows(each) for each in groups]
         better = [each for each in fits if best is None or each.cost < best.cost]
         kept, best = self._with_hope(better, best)
         return Wave([self._to_all(each) for each in kept[:_WHOLE_FAMILIES]], best)
 
-    def alone(self, judged: Judged, base: Fit) -> Judged | None:
+    def without_earlier(self, scored: ScoredFit, base: Fit) -> ScoredFit | None:
         """Return a hypothesis without its earlier effects; None if they are needed.
 
         The effect identified first may only have been a proxy for a later one, and several springs
@@ -216,12 +216,12 @@ class Trying:
 
         Parameters
         ----------
-        judged : Judged
+        judged : ScoredFit
             The hypothesis.
         base : Fit
             The nominal model.
         """
-        fitted, nominal = judged.fitted, len(base.free)
+        fitted, nominal = scored.fitted, len(base.free)
         structure = base.structure.with_effects(
             (*base.effects, *fitted.effects[len(self.before.effects) :])
         )
@@ -231,9 +231,9 @@ class Trying:
         if quick.residual @ quick.residual > _NEAR * float(together @ together):
             return None
         start = np.concatenate([base.free, quick.free[nominal:]])
-        return self.judge.judge(fit(self.comparison, structure, start, known=base.jacobian))
+        return self.scorer.score(fit(self.comparison, structure, start, known=base.jacobian))
 
-    def in_place(self, screened: Sequence[Screened], rival: Fit) -> list[Judged]:
+    def replacements(self, screened: Sequence[Screened], rival: Fit) -> list[ScoredFit]:
         """Fit candidates that may replace an effect of the model equally well, best first.
 
         Parameters
@@ -248,7 +248,7 @@ class Trying:
         fits.sort(key=lambda f: f.cost)
         near = [f for f in fits if f.residual @ f.residual < _NEAR * float(together @ together)]
         found = [self._to_all(each) for each in near[:CONFUSABLE_FITS]]
-        return sorted(found, key=lambda judged: judged.total)
+        return sorted(found, key=lambda scored: scored.total)
 
     def _to_windows(self, members: Sequence[Screened], *, both: bool = False) -> Fit:
         """Fit candidates jointly to the windows; a single candidate from both its starts."""
@@ -310,8 +310,8 @@ class Trying:
         again = fit(self.short, fitted.structure, tried[best], known=fitted.jacobian)
         return min((fitted, again), key=lambda f: f.cost)
 
-    def _to_all(self, each: Fit) -> Judged:
+    def _to_all(self, each: Fit) -> ScoredFit:
         """Fit the hypotheses that were fitted to the windows to all data."""
         start = np.concatenate([self.before.free, each.free[len(self.before.free) :]])
         known = self.before.jacobian
-        return self.judge.judge(fit(self.comparison, each.structure, start, known=known))
+        return self.scorer.score(fit(self.comparison, each.structure, start, known=known))

@@ -10,34 +10,34 @@ import numpy as np
 
 from loose_env.errors import UnknownName
 from loose_env.gap.fitting.gauss_newton import Fit
-from loose_env.gap.fitting.holdout_score import Judged
+from loose_env.gap.fitting.holdout_score import ScoredFit
 from loose_env.gap.fitting.model_structure import ModelStructure, Nuisance
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.checkpoints import Stage
-from loose_env.gap.selection.forward_selection import Keep, Step
+from loose_env.gap.selection.forward_selection import SelectionStep, StepStore
 
-__all__ = ["KeepInFiles", "judged_of", "plain_judged"]
+__all__ = ["StepFiles", "plain_fit", "restored_fit"]
 
 
-def plain_judged(judged: Judged) -> dict[str, Any]:
+def plain_fit(scored: ScoredFit) -> dict[str, Any]:
     """Convert a scored fit to plain values, for `output.checkpoints.Stages`."""
-    fitted = judged.fitted
+    fitted = scored.fitted
     own = {each.name: getattr(fitted, each.name) for each in fields(fitted)}
     del own["structure"]
     own["effects"] = [[e.kind, e.where, e.variant] for e in fitted.effects]
-    return {each.name: getattr(judged, each.name) for each in fields(judged)} | {"fitted": own}
+    return {each.name: getattr(scored, each.name) for each in fields(scored)} | {"fitted": own}
 
 
-def judged_of(kept: dict[str, Any], machine: Machine, nuisance: Nuisance) -> Judged:
+def restored_fit(kept: dict[str, Any], machine: NominalModel, nuisance: Nuisance) -> ScoredFit:
     """Restore a scored fit.
 
     Parameters
     ----------
     kept : dict
-        As of `plain_judged`.
-    machine : Machine
+        As of `plain_fit`.
+    machine : NominalModel
         The nominal model.
     nuisance : Nuisance
         Nuisance parameters of the fit.
@@ -50,17 +50,17 @@ def judged_of(kept: dict[str, Any], machine: Machine, nuisance: Nuisance) -> Jud
     plain = dict(kept["fitted"])
     effects = tuple(_effect(machine, *each) for each in plain.pop("effects"))
     fitted = Fit(structure=ModelStructure(nuisance=nuisance, effects=effects), **plain)
-    return Judged(**(kept | {"fitted": fitted}))
+    return ScoredFit(**(kept | {"fitted": fitted}))
 
 
-class KeepInFiles(Keep):
+class StepFiles(StepStore):
     """Stores the steps of a search in checkpoint files.
 
     Parameters
     ----------
     stages : Stage
         The files.
-    machine : Machine
+    machine : NominalModel
         The nominal model.
     nuisance : Nuisance
         Nuisance parameters of the fits.
@@ -69,41 +69,43 @@ class KeepInFiles(Keep):
     """
 
     def __init__(
-        self, stages: Stage, machine: Machine, nuisance: Nuisance, prefix: str = ""
+        self, stages: Stage, machine: NominalModel, nuisance: Nuisance, prefix: str = ""
     ) -> None:
         self.stages, self.machine, self.nuisance = stages, machine, nuisance
         self.prefix = prefix
 
-    def judged(self, name: str, make: Callable[[], Judged]) -> Judged:
+    def scored(self, name: str, make: Callable[[], ScoredFit]) -> ScoredFit:
         """Return a scored fit, of this run or an earlier one."""
-        kept = self.stages(self.prefix + name, lambda: plain_judged(make()))
-        return judged_of(kept, self.machine, self.nuisance)
+        kept = self.stages(self.prefix + name, lambda: plain_fit(make()))
+        return restored_fit(kept, self.machine, self.nuisance)
 
-    def step(self, name: str, make: Callable[[], Step]) -> Step:
+    def step(self, name: str, make: Callable[[], SelectionStep]) -> SelectionStep:
         """Return a step of the search, of this run or an earlier one."""
         kept = self.stages(self.prefix + name, lambda: _plain_step(make()))
         accepted = kept["accepted"]
-        return Step(
-            rivals=[judged_of(each, self.machine, self.nuisance) for each in kept["rivals"]],
-            accepted=None if accepted is None else judged_of(accepted, self.machine, self.nuisance),
+        return SelectionStep(
+            rivals=[restored_fit(each, self.machine, self.nuisance) for each in kept["rivals"]],
+            accepted=None
+            if accepted is None
+            else restored_fit(accepted, self.machine, self.nuisance),
             dropped=[_effect(self.machine, *each) for each in kept["dropped"]],
         )
 
 
-def _plain_step(step: Step) -> dict[str, Any]:
+def _plain_step(step: SelectionStep) -> dict[str, Any]:
     """Convert a step to plain values, without the sensitivities of rivals."""
     rivals = []
-    for judged in step.rivals:
-        fitted = replace(judged.fitted, jacobian=np.zeros((0, len(judged.fitted.free))))
-        rivals.append(plain_judged(replace(judged, fitted=fitted)))
+    for scored in step.rivals:
+        fitted = replace(scored.fitted, jacobian=np.zeros((0, len(scored.fitted.free))))
+        rivals.append(plain_fit(replace(scored, fitted=fitted)))
     return {
         "rivals": rivals,
-        "accepted": None if step.accepted is None else plain_judged(step.accepted),
+        "accepted": None if step.accepted is None else plain_fit(step.accepted),
         "dropped": [[e.kind, e.where, e.variant] for e in step.dropped],
     }
 
 
-def _effect(machine: Machine, kind: str, where: str, variant: str) -> Effect:
+def _effect(machine: NominalModel, kind: str, where: str, variant: str) -> Effect:
     if kind not in CATALOGUE:
         raise UnknownName(f"unknown effect {kind!r}; the catalogue has {list(CATALOGUE)}")
     return CATALOGUE[kind](machine, where, variant)

@@ -6,15 +6,15 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from loose_env.gap.fitting.gauss_newton import fit
-from loose_env.gap.fitting.holdout_score import Judge, Judged, Lead, lead_of
+from loose_env.gap.fitting.holdout_score import Improvement, ScoredFit, Scorer, improvement_of
 from loose_env.gap.fitting.model_structure import ModelStructure, Nuisance
 from loose_env.gap.fitting.refit import fitted_on
 from loose_env.gap.model.effect import Effect, have_stops
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.residuals.windows import SHORTEST, windowed
 from loose_env.gap.selection.acceptance import Acceptance
-from loose_env.gap.selection.candidate_fits import Trying
-from loose_env.gap.selection.revision import Exchange
+from loose_env.gap.selection.candidate_fits import CandidateFits
+from loose_env.gap.selection.revision import SwapStep
 from loose_env.gap.selection.screening.data_driven_starts import proposals
 from loose_env.gap.selection.screening.grouping import frictions
 from loose_env.gap.selection.screening.screening import screen
@@ -32,20 +32,20 @@ from loose_env.gap.settings import (
     SearchSettings,
 )
 
-__all__ = ["Keep", "Named", "Step", "name_effects"]
+__all__ = ["Selection", "SelectionStep", "StepStore", "select_effects"]
 
 Say = Callable[[str], None]
 
 
 @dataclass(kw_only=True, eq=False)
-class Named:
+class Selection:
     """Result of a forward selection, step by step."""
 
-    base: Judged
+    base: ScoredFit
     """The nominal model, fitted within the tolerance."""
-    steps: list[Judged] = field(default_factory=list)
+    steps: list[ScoredFit] = field(default_factory=list)
     """The accepted hypotheses, with one effect, with two, ..."""
-    rivals: list[list[tuple[Judged, Lead]]] = field(default_factory=list)
+    rivals: list[list[tuple[ScoredFit, Improvement]]] = field(default_factory=list)
     """At each step, every hypothesis that was fitted, with its improvement over the step before;
     best first."""
 
@@ -55,52 +55,52 @@ class Named:
     """Whether the search stopped after a step on request."""
 
     @property
-    def best(self) -> Judged:
+    def best(self) -> ScoredFit:
         """The last accepted hypothesis."""
         return self.steps[-1] if self.steps else self.base
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Step:
+class SelectionStep:
     """Result of the search for one more effect."""
 
-    rivals: list[Judged]
+    rivals: list[ScoredFit]
     """Every hypothesis that was fitted to whole runs, best first."""
-    accepted: Judged | None
+    accepted: ScoredFit | None
     """The accepted hypothesis, with fresh sensitivities."""
     dropped: list[Effect] = field(default_factory=list)
     """Earlier effects that it made insignificant."""
 
 
-class Keep:
+class StepStore:
     """Computes the fits and steps of a search; subclasses may checkpoint them."""
 
-    def judged(self, name: str, make: Callable[[], Judged]) -> Judged:
+    def scored(self, name: str, make: Callable[[], ScoredFit]) -> ScoredFit:
         """Return a scored fit."""
         return make()
 
-    def step(self, name: str, make: Callable[[], Step]) -> Step:
+    def step(self, name: str, make: Callable[[], SelectionStep]) -> SelectionStep:
         """Return a step of the search."""
         return make()
 
 
-def name_effects(
-    comparison: Comparison,
-    held_out: Comparison,
+def select_effects(
+    comparison: ResidualModel,
+    held_out: ResidualModel,
     nuisance: Nuisance,
     candidates: Sequence[Effect],
     *,
     settings: SearchSettings | None = None,
     say: Say = lambda _: None,
-    keep: Keep | None = None,
-    begun: Named | None = None,
-    pause: Callable[[Judged], bool] = lambda _: False,
-) -> Named:
+    keep: StepStore | None = None,
+    begun: Selection | None = None,
+    pause: Callable[[ScoredFit], bool] = lambda _: False,
+) -> Selection:
     """Add effects to a nominal model by forward selection with held-out validation.
 
     Parameters
     ----------
-    comparison, held_out : Comparison
+    comparison, held_out : ResidualModel
         The training runs and the held-out runs.
     nuisance : Nuisance
         Nuisance parameters, fitted with every hypothesis.
@@ -110,135 +110,146 @@ def name_effects(
         Acceptance criteria for an effect.
     say : callable
         Receives progress messages, line by line.
-    keep : Keep, optional
+    keep : StepStore, optional
         Checkpoints of the search, for resuming an interrupted run.
-    begun : Named, optional
+    begun : Selection, optional
         An earlier search, scored on these runs; its effects are refitted to them, and the search
         goes on from there.
     pause : callable
         Receives the result after each step; the search stops, unfinished, if it returns true.
     """
-    settings, keep = settings or SearchSettings(), keep or Keep()
-    judge = Judge(comparison, held_out)
+    settings, keep = settings or SearchSettings(), keep or StepStore()
+    scorer = Scorer(comparison, held_out)
     if begun is None:
         nominal = ModelStructure(nuisance=nuisance)
-        base = keep.judged(
-            "nominal", lambda: judge.judge(fit(comparison, nominal, nominal.nominal_start))
+        base = keep.scored(
+            "nominal", lambda: scorer.score(fit(comparison, nominal, nominal.nominal_start))
         )
-        found = Named(base=base)
-        say(f"nominal model: {base.held_rms:.2f} noise standard deviations on held-out runs")
+        found = Selection(base=base)
+        say(f"nominal model: {base.held_out_rms:.2f} noise standard deviations on held-out runs")
     else:
         there = begun.best.fitted
-        found = Named(base=begun.base, dropped=list(begun.dropped))
-        found.steps.append(keep.judged("begun", lambda: judge.judge(fitted_on(comparison, there))))
+        found = Selection(base=begun.base, dropped=list(begun.dropped))
+        found.steps.append(keep.scored("begun", lambda: scorer.score(fitted_on(comparison, there))))
         found.rivals.append([])
     windows = SHORTEST * min(len(comparison.trials), SCREENING_RUNS)
     short = windowed(comparison, max(SCREENING_S, windows))
     for number in range(1, settings.most_effects + 1):
         if len(found.best.fitted.effects) >= settings.most_effects:
             break
-        if found.best.structure_sureness < SEARCH_Z and not found.best.loud:
-            say("what is left does not hang together in time: nothing more to explain")
+        if found.best.autocorrelation_z < SEARCH_Z and not found.best.above_noise:
+            say("residual is white: search ends")
             break
         step = keep.step(
             f"effect-{number}",
-            lambda: _step((comparison, short), judge, candidates, found, settings, say),
+            lambda: _step((comparison, short), scorer, candidates, found, settings, say),
         )
-        found.rivals.append([(j, lead_of(j, found.best)) for j in step.rivals])
-        for judged, lead in found.rivals[-1]:
-            new = judged.fitted.effects[len(found.best.fitted.effects) :]
+        found.rivals.append([(j, improvement_of(j, found.best)) for j in step.rivals])
+        for scored, improvement in found.rivals[-1]:
+            new = scored.fitted.effects[len(found.best.fitted.effects) :]
             say(
-                f"  {', '.join(map(repr, new))}: held out {judged.held_rms:.3f}, "
-                f"lead {lead.held:.1f} held, {lead.fitted:.1f} fitted, share {lead.share:.2f}"
+                f"  {', '.join(map(repr, new))}: held out {scored.held_out_rms:.3f}, "
+                f"z {improvement.held_out:.1f} held-out, {improvement.training:.1f} training, "
+                f"share {improvement.share:.2f}"
             )
         if step.accepted is None:
             break
         for effect in step.dropped:
-            say(f"  {effect!r} is idle now and is left out")
+            say(f"  dropped {effect!r}: insignificant beside the new one")
         found.steps.append(step.accepted)
         found.dropped += step.dropped
         if len(found.best.fitted.effects) < settings.most_effects and pause(found.best):
             found.unfinished = True
             return found
     if 2 <= len(found.best.fitted.effects) <= SWAPPED_EFFECTS:
-        say("whether others do as well in the place of what was found")
-        exchange = Exchange(comparison, short, judge, candidates, found.base, settings)
-        better = keep.judged("exchanged", lambda: exchange.better_than(found.best, say))
+        say("swap step: confusable effects in place of the identified ones")
+        exchange = SwapStep(comparison, short, scorer, candidates, found.base, settings)
+        better = keep.scored("exchanged", lambda: exchange.improved(found.best, say))
         if _keys(better) != _keys(found.best):
             found.steps.append(better)
     return found
 
 
-def _keys(judged: Judged) -> set[tuple[str, str, str]]:
-    return {effect.key for effect in judged.fitted.effects}
+def _keys(scored: ScoredFit) -> set[tuple[str, str, str]]:
+    return {effect.key for effect in scored.fitted.effects}
 
 
 def _step(
-    comparisons: tuple[Comparison, Comparison],
-    judge: Judge,
+    comparisons: tuple[ResidualModel, ResidualModel],
+    scorer: Scorer,
     candidates: Sequence[Effect],
-    found: Named,
+    found: Selection,
     settings: SearchSettings,
     say: Say,
-) -> Step:
+) -> SelectionStep:
     """Search for one more effect."""
     comparison, short = comparisons
     best = found.best
     taken = {(e.kind, e.where) for e in (*best.fitted.effects, *found.dropped)}
     left = [c for c in candidates if (c.kind, c.where) not in taken]
-    trying = Trying(comparison, short, judge, best)
+    candidate_fits = CandidateFits(comparison, short, scorer, best)
     proposed = proposals(comparison, best.fitted.hypothesis, left)
-    screened = screen(short, trying.short_before, left, proposed=proposed)
+    screened = screen(short, candidate_fits.short_before, left, proposed=proposed)
     for s in screened[:8]:
-        say(f"  {s.effect!r}: promises {s.promise:.3f}, sureness {s.sureness:.1f}")
-    much = best.structure > LARGE_RESIDUAL * found.base.structure or best.held_rms > LARGE_RMS
+        say(f"  {s.effect!r}: predicted share {s.predicted:.3f}, z {s.z:.1f}")
+    much = (
+        best.autocorrelated > LARGE_RESIDUAL * found.base.autocorrelated
+        or best.held_out_rms > LARGE_RMS
+    )
     much = much and not have_stops(best.fitted.effects)  # each additional fit takes minutes there
 
-    def waves() -> Iterator[list[Judged]]:
+    def waves() -> Iterator[list[ScoredFit]]:
         """Generate candidate fits in stages, until one is accepted."""
-        wave = trying.singles(screened)
+        wave = candidate_fits.fit_singles(screened)
         tried = wave.scored
-        if much and all(lead_of(j, best).share < SINGLE_SHARE for j in tried):
-            say("  no single effect explains much: the same one at several places")
-            wave = trying.families(screened, wave.best)
+        if much and all(improvement_of(j, best).share < SINGLE_SHARE for j in tried):
+            say("  joint fits: no single effect explains enough, one kind at several locations")
+            wave = candidate_fits.fit_families(screened, wave.best)
             tried += wave.scored
         elif much:
             first = min(tried, key=lambda j: j.total)
             alike = [s for s in screened if s.effect.kind == first.fitted.effects[-1].kind]
-            if first.structure > LARGE_RESIDUAL * found.base.structure:
-                say(f"  {first.fitted.effects[-1]!r} leaves much: the same one at other places")
-                wave = trying.families(alike, wave.best)
-                everywhere.extend(j for j in wave.scored if lead_of(j, best).share >= FAMILY_SHARE)
+            if first.autocorrelated > LARGE_RESIDUAL * found.base.autocorrelated:
+                say(
+                    f"  {first.fitted.effects[-1]!r} leaves a large residual: the same "
+                    "kind at further locations"
+                )
+                wave = candidate_fits.fit_families(alike, wave.best)
+                everywhere.extend(
+                    j for j in wave.scored if improvement_of(j, best).share >= FAMILY_SHARE
+                )
                 tried += everywhere
         yield tried
         if much:
-            say("  none of these will do: others that promised less")
-            wave = trying.singles(screened, further=True, best=wave.best)
+            say("  none accepted: second wave of candidates")
+            wave = candidate_fits.fit_singles(screened, further=True, best=wave.best)
             yield wave.scored
         groups = frictions(screened, best.fitted.effects)
-        if groups and best.held_rms > NOISE_RMS and not have_stops(best.fitted.effects):
-            say("  none of these will do: all frictions at one joint")
-            yield trying.together(groups, wave.best).scored
+        if groups and best.held_out_rms > NOISE_RMS and not have_stops(best.fitted.effects):
+            say("  none accepted: all frictions of a joint together")
+            yield candidate_fits.fit_jointly(groups, wave.best).scored
 
-    acceptance = Acceptance(comparison, judge, found.base, best, settings)
-    everywhere: list[Judged] = []  # the same kind as the best single effect, at other locations too
-    ranked: list[Judged] = []
+    acceptance = Acceptance(comparison, scorer, found.base, best, settings)
+    everywhere: list[
+        ScoredFit
+    ] = []  # the same kind as the best single effect, at other locations too
+    ranked: list[ScoredFit] = []
     for tried in waves():
         ranked = acceptance.ranked([*ranked, *tried])
-        for judged in ranked:
-            if not any(judged is each for each in tried) or not acceptance.worth_naming(judged):
+        for scored in ranked:
+            if not any(scored is each for each in tried) or not acceptance.accepts(scored):
                 continue
-            if doubt := acceptance.doubt(judged):
-                say(f"  {judged.fitted.effects[-1]!r}: {doubt}")
+            if objection := acceptance.objection(scored):
+                say(f"  {scored.fitted.effects[-1]!r}: {objection}")
                 continue
-            accepted, dropped = acceptance.accept(judged)
+            accepted, dropped = acceptance.accept(scored)
             earlier = list(best.fitted.effects)
             new = len(accepted.fitted.effects) + len(dropped) - len(earlier)
-            if any(judged is each for each in everywhere) and new < FAMILY_LOCATIONS:
+            if any(scored is each for each in everywhere) and new < FAMILY_LOCATIONS:
                 continue  # at one or two locations, adding them one at a time is better
-            alone = trying.alone(judged, found.base.fitted) if earlier else None
-            if alone is not None and not acceptance.believed(lead_of(accepted, alone)):
-                acceptance = Acceptance(comparison, judge, found.base, found.base, settings)
+            alone = candidate_fits.without_earlier(scored, found.base.fitted) if earlier else None
+            if alone is not None and not acceptance.significant(improvement_of(accepted, alone)):
+                acceptance = Acceptance(comparison, scorer, found.base, found.base, settings)
                 accepted, dropped = acceptance.accept(alone)[0], earlier
-            return Step(rivals=ranked, accepted=accepted, dropped=dropped)
-    return Step(rivals=ranked, accepted=None)
+            return SelectionStep(rivals=ranked, accepted=accepted, dropped=dropped)
+    return SelectionStep(rivals=ranked, accepted=None)

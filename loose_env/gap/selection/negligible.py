@@ -11,10 +11,10 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["slight"]
+__all__ = ["negligible"]
 
 
-def slight(hypothesis: Hypothesis, new: int) -> bool:
+def negligible(hypothesis: Hypothesis, new: int) -> bool:
     """Return whether all effects added last are negligible, however significant.
 
     A friction is negligible beside another at its joint if it resists far less at the joint's
@@ -34,13 +34,13 @@ def slight(hypothesis: Hypothesis, new: int) -> bool:
     >>> import numpy as np
     >>> from loose_env.arms import planar
     >>> from loose_env.gap.model.effects.catalogue import CATALOGUE
-    >>> from loose_env.gap.model.nominal_model import Machine
-    >>> machine = Machine(planar(3).spec)
+    >>> from loose_env.gap.model.nominal_model import NominalModel
+    >>> machine = NominalModel(planar(3).spec)
     >>> kinds = CATALOGUE["viscous_friction"], CATALOGUE["coulomb_friction"]
     >>> oil, seal = (kind(machine, machine.joints[1]) for kind in kinds)
     >>> def both(torque):
     ...     return Hypothesis(effects=(oil, seal), values=(np.array([0.9]), np.array([torque])))
-    >>> slight(both(0.002), 1), slight(both(0.2), 1)
+    >>> negligible(both(0.002), 1), negligible(both(0.2), 1)
     (True, False)
     """
     pairs = list(hypothesis.pairs)

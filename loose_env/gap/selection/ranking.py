@@ -7,12 +7,12 @@ from math import log
 
 import numpy as np
 
-from loose_env.gap.fitting.holdout_score import Judged, Lead, lead_of
+from loose_env.gap.fitting.holdout_score import Improvement, ScoredFit, improvement_of
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.output.result import Place, Ranked
+from loose_env.gap.output.result import EffectLocation, RankedHypothesis
 from loose_env.gap.residuals.autocorrelation import independent_rows
-from loose_env.gap.residuals.residual_model import Comparison, Rows
-from loose_env.gap.selection.forward_selection import Named
+from loose_env.gap.residuals.residual_model import ResidualModel, Rows
+from loose_env.gap.selection.forward_selection import Selection
 from loose_env.gap.selection.screening.grouping import joint_of
 from loose_env.gap.settings import (
     RIVAL_SHARE,
@@ -23,27 +23,27 @@ from loose_env.typing import Array
 __all__ = ["added_to", "bic", "indistinct", "ranking_of"]
 
 
-def added_to(before: Judged, judged: Judged) -> tuple[Effect, ...]:
+def added_to(before: ScoredFit, scored: ScoredFit) -> tuple[Effect, ...]:
     """Return effects that a hypothesis has and the one before it has not."""
     there = {effect.key for effect in before.fitted.effects}
-    return tuple(effect for effect in judged.fitted.effects if effect.key not in there)
+    return tuple(effect for effect in scored.fitted.effects if effect.key not in there)
 
 
 def ranking_of(
-    named: Named,
-    comparison: Comparison,
-    held_out: Comparison,
+    named: Selection,
+    comparison: ResidualModel,
+    held_out: ResidualModel,
     *,
     louder: Array | float = 1.0,
     first: int = 1,
-) -> tuple[Ranked, ...]:
+) -> tuple[RankedHypothesis, ...]:
     """Rank every hypothesis fitted to whole runs, step by step, best first.
 
     Parameters
     ----------
-    named : Named
+    named : Selection
         The search.
-    comparison, held_out : Comparison
+    comparison, held_out : ResidualModel
         The training runs and the held-out runs.
     louder : ndarray (M,) or float
         Factor by which the noise of the held-out residuals was increased in the search.
@@ -58,40 +58,40 @@ def ranking_of(
 
 
 def _of_step(
-    rivals: Sequence[tuple[Judged, Lead]],
-    before: Judged,
+    rivals: Sequence[tuple[ScoredFit, Improvement]],
+    before: ScoredFit,
     step: int,
     rows: tuple[Rows, Rows],
     louder: Array | float,
-) -> list[Ranked]:
+) -> list[RankedHypothesis]:
     if not rivals:
         return []
     # One noise model for all rivals of a step: size and autocorrelation of the residual of the best
     # of them.
-    best = min((judged for judged, _ in rivals), key=lambda judged: judged.total)
+    best = min((scored for scored, _ in rivals), key=lambda scored: scored.total)
     parts = [
         independent_rows(residual, own.block, own.channel)
-        for residual, own in zip((best.fitted.residual, best.held_residual), rows, strict=True)
+        for residual, own in zip((best.fitted.residual, best.held_out_residual), rows, strict=True)
     ]
     count = sum(parts)
-    every = len(best.fitted.residual) + len(best.held_residual)
+    every = len(best.fitted.residual) + len(best.held_out_residual)
     level = max(best.total / every, 1.0)
     found = []
-    for judged, lead in rivals:
-        first, *others = added_to(before, judged)
+    for scored, improvement in rivals:
+        first, *others = added_to(before, scored)
         found.append(
-            Ranked(
+            RankedHypothesis(
                 kind=first.kind,
                 where=first.where,
-                together_with=tuple(Place(kind=e.kind, where=e.where) for e in others),
-                held_out=float(np.sqrt(np.mean((judged.held_residual * louder) ** 2))),
+                together_with=tuple(EffectLocation(kind=e.kind, where=e.where) for e in others),
+                held_out=float(np.sqrt(np.mean((scored.held_out_residual * louder) ** 2))),
                 bic=bic(
-                    (before.total - judged.total) * count / (level * every),
-                    parameters=judged.free_count - before.free_count,
+                    (before.total - scored.total) * count / (level * every),
+                    parameters=scored.free_count - before.free_count,
                     count=count,
                 ),
                 step=step,
-                lead=lead.held,
+                improvement_z=improvement.held_out,
             )
         )
     return found
@@ -118,7 +118,7 @@ def bic(gained: float, *, parameters: int, count: float) -> float:
     return -gained + parameters * log(max(count, 2.0))
 
 
-def indistinct(named: Named, effect: Effect) -> tuple[Effect, ...]:
+def indistinct(named: Selection, effect: Effect) -> tuple[Effect, ...]:
     """Return rivals that explain held-out runs as well as a step with this effect.
 
     Of a rival with several effects, those at the joint of the identified one are compared with it;
@@ -126,7 +126,7 @@ def indistinct(named: Named, effect: Effect) -> tuple[Effect, ...]:
 
     Parameters
     ----------
-    named : Named
+    named : Selection
         The search.
     effect : Effect
         One of the identified effects.
@@ -136,13 +136,16 @@ def indistinct(named: Named, effect: Effect) -> tuple[Effect, ...]:
     for step, rivals in zip(named.steps, named.rivals, strict=False):
         new = {each.key for each in added_to(before, step)}
         if effect.key in new:
-            added = [({e.key for e in added_to(before, judged)}, lead) for judged, lead in rivals]
-            own = next((lead for keys, lead in added if keys >= new), None)
-            for judged, lead in rivals:
-                if lead.held < TIE_Z or lead_of(step, judged).held >= TIE_Z:
+            added = [
+                ({e.key for e in added_to(before, scored)}, improvement)
+                for scored, improvement in rivals
+            ]
+            own = next((improvement for keys, improvement in added if keys >= new), None)
+            for scored, improvement in rivals:
+                if improvement.held_out < TIE_Z or improvement_of(step, scored).held_out >= TIE_Z:
                     continue
-                if own is None or lead.share > own.share - RIVAL_SHARE:
-                    found += _against(effect, added_to(before, judged))
+                if own is None or improvement.share > own.share - RIVAL_SHARE:
+                    found += _against(effect, added_to(before, scored))
         before = step
     return tuple({(e.kind, e.where): e for e in found}.values())
 

@@ -12,15 +12,15 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from loose_env.gap.fitting.confidence_intervals import Intervals, bootstrap, widened
-from loose_env.gap.fitting.holdout_score import Judge, Judged, lead_of
+from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer, improvement_of
 from loose_env.gap.fitting.profile_bounds import short_of_limit, short_of_nothing
 from loose_env.gap.fitting.refit import fit_without, polished, refined
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.preparation.prepare import GapProblem
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.acceptance import Acceptance
-from loose_env.gap.selection.candidate_fits import Trying
-from loose_env.gap.selection.screening.grouping import akin, joint_of
+from loose_env.gap.selection.candidate_fits import CandidateFits
+from loose_env.gap.selection.screening.grouping import confusable, joint_of
 from loose_env.gap.selection.screening.screening import screen
 from loose_env.gap.settings import (
     SWAP_CANDIDATES,
@@ -28,21 +28,21 @@ from loose_env.gap.settings import (
     SearchSettings,
 )
 
-__all__ = ["Exchange", "judged_without", "sure_ones"]
+__all__ = ["SwapStep", "drop_insignificant", "refit_without"]
 
 
-class Exchange:
+class SwapStep:
     """Swaps identified effects for confusable ones where the fit improves.
 
     Parameters
     ----------
-    comparison, short : Comparison
+    comparison, short : ResidualModel
         The training runs, and the windows of them that rank candidates.
-    judge : Judge
+    judge : Scorer
         Scores fits to all data.
     candidates : sequence of Effect
         The catalogue at every location.
-    base : Judged
+    base : ScoredFit
         The nominal model.
     settings : SearchSettings
         Number of swaps: `SWAP_CANDIDATES` candidates at most are fitted for each effect.
@@ -50,17 +50,17 @@ class Exchange:
 
     def __init__(
         self,
-        comparison: Comparison,
-        short: Comparison,
-        judge: Judge,
+        comparison: ResidualModel,
+        short: ResidualModel,
+        scorer: Scorer,
         candidates: Sequence[Effect],
-        base: Judged,
+        base: ScoredFit,
         settings: SearchSettings,
     ) -> None:
-        self.comparison, self.short, self.judge = comparison, short, judge
+        self.comparison, self.short, self.scorer = comparison, short, scorer
         self.candidates, self.base, self.settings = candidates, base, settings
 
-    def better_than(self, best: Judged, say: Callable[[str], None] = lambda _: None) -> Judged:
+    def improved(self, best: ScoredFit, say: Callable[[str], None] = lambda _: None) -> ScoredFit:
         """Return the best hypothesis after swaps; ``best`` itself if none is better.
 
         A hypothesis replaces another if it would have been ranked above it: its residual is
@@ -68,7 +68,7 @@ class Exchange:
 
         Parameters
         ----------
-        best : Judged
+        best : ScoredFit
             The hypothesis to improve.
         say : callable
             Receives progress messages, line by line.
@@ -81,67 +81,69 @@ class Exchange:
             better = self._in_place_of(effect, best)
             if better is not None:
                 before, after = (
-                    ", ".join(map(repr, judged.fitted.effects)) for judged in (best, better)
+                    ", ".join(map(repr, scored.fitted.effects)) for scored in (best, better)
                 )
-                say(f"  {after} in the place of {before}")
+                say(f"  swapped {before} for {after}")
                 best = better
         return best
 
-    def _in_place_of(self, effect: Effect, best: Judged) -> Judged | None:
+    def _in_place_of(self, effect: Effect, best: ScoredFit) -> ScoredFit | None:
         """Return the best hypothesis with one effect replaced; None if none is better."""
         named = {(e.kind, e.where) for e in best.fitted.effects}
-        kin = [c for c in self.candidates if akin(effect, c) and (c.kind, c.where) not in named]
-        if not kin:
+        confusables = [
+            c for c in self.candidates if confusable(effect, c) and (c.kind, c.where) not in named
+        ]
+        if not confusables:
             return None
         before = self._without(best, effect)
-        trying = Trying(self.comparison, self.short, self.judge, before)
-        acceptance = Acceptance(self.comparison, self.judge, self.base, before, self.settings)
-        screened = screen(self.short, trying.short_before, kin)
+        candidate_fits = CandidateFits(self.comparison, self.short, self.scorer, before)
+        acceptance = Acceptance(self.comparison, self.scorer, self.base, before, self.settings)
+        screened = screen(self.short, candidate_fits.short_before, confusables)
         taken = screened[:SWAP_CANDIDATES]
         # the start says little of a delay; at the same joint a fit is worth its cost
         there = [s for s in screened if joint_of(s.effect) == joint_of(effect) is not None]
         taken += [s for s in there if s not in taken][:SWAP_CANDIDATES_THERE]
-        for judged in trying.in_place(taken, best.fitted):
-            simpler = self._without_idle(judged, before, best, acceptance)
+        for scored in candidate_fits.replacements(taken, best.fitted):
+            simpler = self._without_insignificant(scored, before, best, acceptance)
             if acceptance.ranked([best, simpler])[0] is not simpler:
                 continue
-            if not acceptance.doubt(judged):
-                return self.judge.judge(polished(self.comparison, simpler.fitted))
+            if not acceptance.objection(scored):
+                return self.scorer.score(polished(self.comparison, simpler.fitted))
         return None
 
-    def _without_idle(
-        self, judged: Judged, before: Judged, best: Judged, acceptance: Acceptance
-    ) -> Judged:
+    def _without_insignificant(
+        self, scored: ScoredFit, before: ScoredFit, best: ScoredFit, acceptance: Acceptance
+    ) -> ScoredFit:
         """Drop the effects of a hypothesis that its new one makes insignificant."""
         for other in before.fitted.effects:
-            without = self._without(judged, other)
-            needed = acceptance.believed(lead_of(judged, without))
-            if not needed and not acceptance.believed(lead_of(best, without)):
-                judged = without
-        return judged
+            without = self._without(scored, other)
+            needed = acceptance.significant(improvement_of(scored, without))
+            if not needed and not acceptance.significant(improvement_of(best, without)):
+                scored = without
+        return scored
 
-    def _without(self, judged: Judged, effect: Effect) -> Judged:
-        return self.judge.judge(fit_without(self.comparison, judged.fitted, effect))
+    def _without(self, scored: ScoredFit, effect: Effect) -> ScoredFit:
+        return self.scorer.score(fit_without(self.comparison, scored.fitted, effect))
 
 
-def sure_ones(
-    best: Judged,
-    prepared: GapProblem,
-    judge: Judge,
+def drop_insignificant(
+    best: ScoredFit,
+    problem: GapProblem,
+    scorer: Scorer,
     seed: int,
     *,
     say: Callable[[str], None] = lambda _: None,
-) -> tuple[Judged, list[Effect], Intervals]:
+) -> tuple[ScoredFit, list[Effect], Intervals]:
     """Drop effects whose 95 % intervals include zero, and refit the others.
 
     Parameters
     ----------
-    best : Judged
+    best : ScoredFit
         The hypothesis to improve.
     prepared : GapProblem
         The runs.
-    judge : Judge
-        Scores fits to ``prepared.fit``.
+    judge : Scorer
+        Scores fits to ``problem.fit``.
     seed : int
         Of the bootstrap.
     say : callable
@@ -149,28 +151,30 @@ def sure_ones(
 
     Returns
     -------
-    (Judged, list of Effect, Intervals)
+    (ScoredFit, list of Effect, Intervals)
         The reduced fit, the dropped effects, and the intervals of the reduced fit.
     """
     dropped: list[Effect] = []
     while True:
         rng = np.random.default_rng(seed)
         fitted = best.fitted
-        found = bootstrap(prepared.fit, fitted, rng)
+        found = bootstrap(problem.fit, fitted, rng)
         named = [(effect, fitted.structure.slice_of(effect)) for effect in fitted.effects]
         for effect, own in named:
-            if found.may_be_nothing(effect, own):
-                found = short_of_limit(prepared.fit, fitted, found, effect)
-            if found.may_be_nothing(effect, own):
-                found = short_of_nothing(prepared.fit, fitted, found, effect)
-        doubtful = [effect for effect, own in named if found.may_be_nothing(effect, own)]
+            if found.include_zero(effect, own):
+                found = short_of_limit(problem.fit, fitted, found, effect)
+            if found.include_zero(effect, own):
+                found = short_of_nothing(problem.fit, fitted, found, effect)
+        doubtful = [effect for effect, own in named if found.include_zero(effect, own)]
         if not doubtful:
-            return best, dropped, widened(prepared.fit, fitted, found)
-        say(f"  {doubtful[-1]!r} may be nothing at all, by its interval, and is left out")
+            return best, dropped, widened(problem.fit, fitted, found)
+        say(f"  dropped {doubtful[-1]!r}: its 95 % confidence interval includes zero")
         dropped.append(doubtful[-1])
-        best = judged_without(doubtful[-1], best, prepared, judge)
+        best = refit_without(doubtful[-1], best, problem, scorer)
 
 
-def judged_without(effect: Effect, judged: Judged, prepared: GapProblem, judge: Judge) -> Judged:
-    """Refit to ``prepared.fit`` without one effect, with fresh sensitivities."""
-    return judge.judge(refined(fit_without(prepared.fit, judged.fitted, effect), prepared.fit))
+def refit_without(
+    effect: Effect, scored: ScoredFit, problem: GapProblem, scorer: Scorer
+) -> ScoredFit:
+    """Refit to ``problem.fit`` without one effect, with fresh sensitivities."""
+    return scorer.score(refined(fit_without(problem.fit, scored.fitted, effect), problem.fit))

@@ -15,13 +15,13 @@ from itertools import chain, count
 import numpy as np
 
 from loose_env.gap.fitting.gauss_newton import cost_of
-from loose_env.gap.fitting.holdout_score import Judge, Judged
+from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer
 from loose_env.gap.fitting.model_structure import Nuisance
 from loose_env.gap.model.effect import Effect, have_stops
-from loose_env.gap.output.result import Ranked
+from loose_env.gap.output.result import RankedHypothesis
 from loose_env.gap.preparation.prepare import GapProblem
-from loose_env.gap.residuals.residual_model import Comparison
-from loose_env.gap.selection.forward_selection import Keep, Named, name_effects
+from loose_env.gap.residuals.residual_model import ResidualModel
+from loose_env.gap.selection.forward_selection import Selection, StepStore, select_effects
 from loose_env.gap.selection.ranking import indistinct, ranking_of
 from loose_env.gap.settings import (
     IMPACT_RMS,
@@ -30,70 +30,72 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["Searched", "beside_stops", "search"]
+__all__ = ["SearchResult", "beside_stops", "search"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Searched:
+class SearchResult:
     """Result of a search."""
 
-    prepared: GapProblem
+    problem: GapProblem
     """The runs."""
-    parts: tuple[tuple[GapProblem, Named], ...]
+    parts: tuple[tuple[GapProblem, Selection], ...]
     """The search and its continuations beside stops, each with the noise used."""
 
     @property
-    def named(self) -> Named:
+    def selection(self) -> Selection:
         """The last part of the search."""
         return self.parts[-1][1]
 
     @property
-    def heard(self) -> GapProblem:
+    def reweighted(self) -> GapProblem:
         """The runs with the noise used in the last part."""
         return self.parts[-1][0]
 
     @property
-    def base(self) -> Judged:
+    def base(self) -> ScoredFit:
         """The nominal model, scored with the current noise."""
         return self.parts[0][1].base
 
     @property
-    def best(self) -> Judged:
-        """The best hypothesis, scored with the noise of `heard`."""
-        return self.named.best
+    def best(self) -> ScoredFit:
+        """The best hypothesis, scored with the noise of `reweighted`."""
+        return self.selection.best
 
     @property
-    def ranking(self) -> tuple[Ranked, ...]:
+    def ranking(self) -> tuple[RankedHypothesis, ...]:
         """Ranking of all fits, step by step; held-out residuals use the current noise."""
-        found: list[Ranked] = []
+        found: list[RankedHypothesis] = []
         first = 1
         for runs, named in self.parts:
-            louder = _times(runs.held, self.prepared.held)
-            found += ranking_of(named, runs.search, runs.held, louder=louder, first=first)
+            louder = _times(runs.held_out, self.problem.held_out)
+            found += ranking_of(named, runs.search, runs.held_out, louder=louder, first=first)
             first += len(named.steps) - 1
         return tuple(found)
 
-    def indistinct(self, effect: Effect, named: Sequence[Effect]) -> tuple[Effect, ...]:
+    def confusable_with(self, effect: Effect, named: Sequence[Effect]) -> tuple[Effect, ...]:
         """Effects that held-out runs cannot distinguish from an identified one."""
         found = chain(*(indistinct(part, effect) for _, part in self.parts))
         there = {(e.kind, e.where) for e in named}
         others = {(e.kind, e.where): e for e in found}
         return tuple(e for place, e in others.items() if place not in there)
 
-    def in_noise(self, best: Judged) -> Judged:
-        """Score a fit to ``heard.fit`` with the current noise, without refitting."""
-        return _judged_by(self.prepared.fit, self.prepared.whole_held, self.heard.fit, best)
+    def rescored(self, best: ScoredFit) -> ScoredFit:
+        """Score a fit to ``reweighted.fit`` with the current noise, without refitting."""
+        return _scored_with(
+            self.problem.fit, self.problem.held_out_whole, self.reweighted.fit, best
+        )
 
 
 def search(
-    prepared: GapProblem,
+    problem: GapProblem,
     nuisance: Nuisance,
     sought: Sequence[Effect],
     *,
     settings: SearchSettings,
     say: Callable[[str], None] = lambda _: None,
-    keep: Callable[[str], Keep] = lambda _: Keep(),
-) -> Searched:
+    keep: Callable[[str], StepStore] = lambda _: StepStore(),
+) -> SearchResult:
     """Search for effects that a model lacks.
 
     Parameters
@@ -101,25 +103,25 @@ def search(
     prepared : GapProblem
         The runs.
     nuisance, sought, settings, say
-        As of `loose_env.gap.selection.forward_selection.name_effects`, ``sought`` being its
+        As of `loose_env.gap.selection.forward_selection.select_effects`, ``sought`` being its
         candidates.
     keep : callable
         Maps a prefix to the checkpoints of a part of the search.
     """
 
-    def left(judged: Judged) -> Array:
-        return prepared.search.left_in_channels(judged.fitted.residual)
+    def left(scored: ScoredFit) -> Array:
+        return problem.search.channel_rms(scored.fitted.residual)
 
-    def stops_leave(judged: Judged) -> bool:
-        return have_stops(judged.fitted.effects) and bool(left(judged).max() > IMPACT_RMS)
+    def stops_leave(scored: ScoredFit) -> bool:
+        return have_stops(scored.fitted.effects) and bool(left(scored).max() > IMPACT_RMS)
 
-    heard, own, pause, begun = prepared, settings, stops_leave, None
-    parts: list[tuple[GapProblem, Named]] = []
+    reweighted, own, pause, begun = problem, settings, stops_leave, None
+    parts: list[tuple[GapProblem, Selection]] = []
     # terminates: each unfinished part either identifies one more effect or drops one for good
     for number in count(1):
-        named = name_effects(
-            heard.search,
-            heard.held,
+        named = select_effects(
+            reweighted.search,
+            reweighted.held_out,
             nuisance,
             sought,
             settings=own,
@@ -128,25 +130,26 @@ def search(
             begun=begun,
             pause=pause,
         )
-        parts.append((heard, named))
+        parts.append((reweighted, named))
         if not named.unfinished:
             break
         # with the current noise, as the last identified effect may have reduced the residual of the
         # stops
-        best = _judged_by(prepared.search, prepared.held, heard.search, named.best)
+        best = _scored_with(problem.search, problem.held_out, reweighted.search, named.best)
         if stops_leave(best):
-            say("goes on with what its stops leave as noise")
-            heard, own = prepared.louder(np.maximum(left(best), 1.0)), beside_stops(settings)
+            say("reweighting: the residual of the stops counts as noise")
+            reweighted, own = problem.louder(np.maximum(left(best), 1.0)), beside_stops(settings)
         else:
-            heard, own = prepared, settings
+            reweighted, own = problem, settings
         # any further effect changes the residual
-        pause = stops_leave if heard is prepared else _always
+        pause = stops_leave if reweighted is problem else _always
         base = parts[0][1].base
         base, best = (
-            _judged_by(heard.search, heard.held, prepared.search, each) for each in (base, best)
+            _scored_with(reweighted.search, reweighted.held_out, problem.search, each)
+            for each in (base, best)
         )
-        begun = Named(base=base, steps=[best], dropped=named.dropped)
-    return Searched(prepared=prepared, parts=tuple(parts))
+        begun = Selection(base=base, steps=[best], dropped=named.dropped)
+    return SearchResult(problem=problem, parts=tuple(parts))
 
 
 def beside_stops(settings: SearchSettings) -> SearchSettings:
@@ -154,17 +157,19 @@ def beside_stops(settings: SearchSettings) -> SearchSettings:
     return replace(settings, sufficient_z=SUFFICIENT_Z, swap_stops=False)
 
 
-def _always(judged: Judged) -> bool:
+def _always(scored: ScoredFit) -> bool:
     return True
 
 
-def _judged_by(runs: Comparison, held: Comparison, own: Comparison, judged: Judged) -> Judged:
+def _scored_with(
+    runs: ResidualModel, held: ResidualModel, own: ResidualModel, scored: ScoredFit
+) -> ScoredFit:
     """Score a fit on its own runs and on held-out runs with the noise of those runs."""
     if runs is own:
-        return judged
-    fitted = judged.fitted
+        return scored
+    fitted = scored.fitted
     residual = runs.residuals([fitted.hypothesis])[0]
-    return Judge(runs, held).judge(
+    return Scorer(runs, held).score(
         replace(
             fitted,
             residual=residual,
@@ -174,7 +179,7 @@ def _judged_by(runs: Comparison, held: Comparison, own: Comparison, judged: Judg
     )
 
 
-def _times(own: Comparison, runs: Comparison) -> Array:
+def _times(own: ResidualModel, runs: ResidualModel) -> Array:
     """Ratio of the noise of two comparisons, for each number of the same runs (N,).
 
     Features use their own standard deviation, however noisy the channels they are computed from.

@@ -27,7 +27,7 @@ from loose_env.gap.data.smoothing import Motion, filled, smooth_motion
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.simulation.simulator import _layout
 from loose_env.gap.simulation.torque_terms import has_terms, torque_terms
 from loose_env.gap.simulation.unmeasured_dofs import Drive
@@ -65,7 +65,7 @@ class InverseDynamics:
 
     Parameters
     ----------
-    machine : Machine
+    machine : NominalModel
         The nominal model.
     trials : sequence of Trial
         The runs, of inverse form.
@@ -82,7 +82,7 @@ class InverseDynamics:
 
     def __init__(
         self,
-        machine: Machine,
+        machine: NominalModel,
         trials: Sequence[Trial],
         channels: tuple[Channel, ...],
         *,

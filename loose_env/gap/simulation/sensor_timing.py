@@ -17,7 +17,7 @@ from loose_env.gap.data.aligned_run import Channel
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.sensor_columns import column_of, of_place_or_speed
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.simulation.torque_terms import has_terms, torque_terms
 from loose_env.typing import Array
 
@@ -41,7 +41,9 @@ _AT_A_TIME = 1024
 """States at which sensors are worked out at a time."""
 
 
-def changes_within(machine: Machine, hypothesis: Hypothesis, channels: Sequence[Channel]) -> bool:
+def changes_within(
+    machine: NominalModel, hypothesis: Hypothesis, channels: Sequence[Channel]
+) -> bool:
     """Return whether commands may change within a step, visible in a channel.
 
     Positions and speeds follow the mean of a command.
@@ -116,7 +118,7 @@ def commands_at(hypothesis: Hypothesis, clock: Array, controls: Array) -> Array:
 
 
 def readings_at(
-    machine: Machine,
+    machine: NominalModel,
     hypothesis: Hypothesis,
     model: mujoco.MjModel,
     states: Mapping[str, Array],
@@ -127,7 +129,7 @@ def readings_at(
 
     Parameters
     ----------
-    machine : Machine
+    machine : NominalModel
         The nominal model.
     hypothesis : Hypothesis
         The simulated hypothesis.

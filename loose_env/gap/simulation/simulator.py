@@ -20,7 +20,7 @@ from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.initial_rest import SETTLE
 from loose_env.gap.model.effect import Readings
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.simulation.sensor_timing import (
     PARTS,
     STATES,
@@ -61,7 +61,7 @@ class Simulator:
 
     Parameters
     ----------
-    machine : Machine
+    machine : NominalModel
         The nominal model.
     trials : sequence of Trial
         The runs, forward or free.
@@ -73,7 +73,7 @@ class Simulator:
 
     def __init__(
         self,
-        machine: Machine,
+        machine: NominalModel,
         trials: Sequence[Trial],
         channels: tuple[Channel, ...],
         *,
@@ -151,11 +151,11 @@ class Simulator:
             for effect, own in hypothesis.pairs:
                 values = effect.command(clock, values, own)
             controls[k, :, : values.shape[1]] = values
-        wild = np.zeros(len(slots), dtype=bool)
+        diverged = np.zeros(len(slots), dtype=bool)
         resting = np.array([slot.trial.resting for slot in slots])
         if resting.any() and settle:  # the clock runs on, since delayed commands are stored by time
             held = np.repeat(controls[resting, :1], settle, axis=1)
-            wild |= _advance(moved, settle, held, np.flatnonzero(resting), None)
+            diverged |= _advance(moved, settle, held, np.flatnonzero(resting), None)
         self.simulated += len(slots) * steps
         width = slots[0].model.nsensordata
         # where a command changes within a step, or a sensor is delayed, sensors are recomputed
@@ -169,7 +169,7 @@ class Simulator:
             records: dict[str, Array] = {}
             chunk = slice(start, start + count)
             before = {name: np.array(getattr(batch, name)) for name in names}
-            wild |= _advance(
+            diverged |= _advance(
                 moved, count, controls[:, chunk], np.arange(len(slots)), records, names
             )
             for name, found in states.items():
@@ -177,7 +177,7 @@ class Simulator:
             kept[:, chunk] = records["sensordata"]
         kept = kept[:, ::parts]
         begun = {name: np.concatenate(found, axis=1) for name, found in states.items()}
-        for k in np.flatnonzero(~wild).tolist():
+        for k in np.flatnonzero(~diverged).tolist():
             passed = {name: found[k] for name, found in begun.items()}
             if parts > 1:
                 at_steps = {name: found[::parts] for name, found in passed.items()}
@@ -187,7 +187,7 @@ class Simulator:
                 sensor = slots[k].model.sensor(name)
                 columns = slice(int(sensor.adr[0]), int(sensor.adr[0]) + int(sensor.dim[0]))
                 kept[k][:, columns] = self._late(slots[k], passed, delay)[:, columns]
-        kept[wild] = np.nan
+        kept[diverged] = np.nan
         return [slot.trial.at_samples(k) for slot, k in zip(slots, kept, strict=True)]
 
     def _readings(self, slot: _Slot, states: Mapping[str, Array], commands: Array) -> Array:
@@ -285,7 +285,7 @@ def _advance(
 ) -> NDArray[np.bool_]:
     """Advance some slots; return the mask of diverged slots."""
     names = ("sensordata", *more) if records is not None else ("qpos",)
-    wild = np.zeros(batch.nsim, dtype=bool)
+    diverged = np.zeros(batch.nsim, dtype=bool)
     try:
         out = batch.rollout(
             count,
@@ -301,5 +301,5 @@ def _advance(
     bad = ~np.isfinite(out[names[0]][:, -1]).all(axis=-1) | (
         np.abs(out[names[0]]).max(axis=(1, 2)) > 1e9
     )
-    wild[ids[bad]] = True
-    return wild
+    diverged[ids[bad]] = True
+    return diverged

@@ -10,31 +10,35 @@ from collections.abc import Iterable
 
 from loose_env.gap.data.aligned_run import Trial
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 
 __all__ = ["step_with", "stepped"]
 
 
-def stepped(trial: Trial, machine: Machine, effects: Iterable[Effect]) -> Trial:
+def stepped(trial: Trial, machine: NominalModel, effects: Iterable[Effect]) -> Trial:
     """Align a run with the steps needed by a hypothesis of these effects.
 
     Parameters
     ----------
     trial : Trial
         The run on the machine's steps.
-    machine : Machine
-        How many of them are taken as one (`Machine.joined`), and into how many parts they are cut
-        for what is sharp (`Machine.cut`).
+    machine : NominalModel
+        Steps merged into one (`NominalModel.merged_steps`), and substeps for stiff effects
+        (`NominalModel.substeps`).
     effects : iterable of Effect
         Effects of the hypothesis.
     """
-    if machine.even or not any(effect.sharp for effect in effects):
-        return trial.coarser(machine.joined)
-    return trial.coarser(machine.joined // 2) if machine.joined > 1 else trial.finer(machine.cut)
+    if machine.uniform_steps or not any(effect.sharp for effect in effects):
+        return trial.coarser(machine.merged_steps)
+    return (
+        trial.coarser(machine.merged_steps // 2)
+        if machine.merged_steps > 1
+        else trial.finer(machine.substeps)
+    )
 
 
-def step_with(machine: Machine, effects: Iterable[Effect]) -> float:
+def step_with(machine: NominalModel, effects: Iterable[Effect]) -> float:
     """Time step for a model with these effects, at most that of the machine [s]."""
     step = machine.step or float(machine.model.opt.timestep)
     sharp = any(effect.sharp for effect in effects)
-    return step / machine.cut if sharp and machine.joined == 1 else step
+    return step / machine.substeps if sharp and machine.merged_steps == 1 else step

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from loose_env.errors import InvalidData
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
 __all__ = ["BatchWithTerms", "has_terms", "torque_terms", "with_terms"]
@@ -70,7 +70,7 @@ def torque_terms(hypothesis: Hypothesis, position: Array, speed: Array) -> Array
 
 
 def with_terms(
-    batch: Batch, machine: Machine, hypotheses: Sequence[Hypothesis]
+    batch: Batch, machine: NominalModel, hypotheses: Sequence[Hypothesis]
 ) -> Batch | BatchWithTerms:
     """Return the batch itself, or where a hypothesis has terms, one that adds them.
 
@@ -78,7 +78,7 @@ def with_terms(
     ----------
     batch : mujoco.batch.Batch
         The simulations.
-    machine : Machine
+    machine : NominalModel
         Machine with the joints of the terms.
     hypotheses : sequence of Hypothesis
         That of each simulation.
@@ -97,7 +97,9 @@ class BatchWithTerms:
         As of `with_terms`.
     """
 
-    def __init__(self, batch: Batch, machine: Machine, hypotheses: Sequence[Hypothesis]) -> None:
+    def __init__(
+        self, batch: Batch, machine: NominalModel, hypotheses: Sequence[Hypothesis]
+    ) -> None:
         self.batch, self.hypotheses = batch, tuple(hypotheses)
         joints = [batch.model.joint(name) for name in machine.joints]
         self._places = np.array([int(joint.qposadr[0]) for joint in joints])
@@ -181,9 +183,9 @@ class BatchWithTerms:
                 if not (looks_ahead and name in read):
                     found[name][:, k] = fields[name][own]
         applied[own] = 0.0
-        wild = (batch.warning[ids] != warned).any(axis=(1, 2))
+        diverged = (batch.warning[ids] != warned).any(axis=(1, 2))
         for values in found.values():
-            values[wild] = np.nan
+            values[diverged] = np.nan
         return found
 
     def _rows(self, ids: NDArray[np.intp]) -> list[tuple[Hypothesis, slice | NDArray[np.intp]]]:

@@ -18,7 +18,7 @@ from scipy.interpolate import make_interp_spline
 
 from loose_env.gap.data.smoothing import Motion
 from loose_env.gap.model.hypothesis import Hypothesis, compiled
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.simulation.torque_terms import torque_terms
 from loose_env.typing import Array
 
@@ -40,13 +40,13 @@ class Drive:
 
     Parameters
     ----------
-    machine : Machine
+    machine : NominalModel
         The nominal model.
     threads : int
         Threads of the pool; 0: all processors.
     """
 
-    def __init__(self, machine: Machine, *, threads: int = 0) -> None:
+    def __init__(self, machine: NominalModel, *, threads: int = 0) -> None:
         self.machine, self.threads = machine, threads
 
     def torque(self, hypothesis: Hypothesis, motion: Motion) -> Array:

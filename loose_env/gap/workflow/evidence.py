@@ -7,35 +7,35 @@ from dataclasses import dataclass, field, replace
 
 from loose_env.gap.diagnostics.experiment_advice import identifiability_words
 from loose_env.gap.diagnostics.feature_localisation import (
-    StruckChannel,
-    struck_channels,
-    struck_left,
+    FeatureChannel,
+    feature_channels,
+    feature_tests,
 )
 from loose_env.gap.diagnostics.identifiability import identifiability
 from loose_env.gap.diagnostics.joint_torque_residual import JointMotion, joint_motion
 from loose_env.gap.diagnostics.localisation import locate
 from loose_env.gap.diagnostics.prediction_horizon import HorizonError, horizon_errors
-from loose_env.gap.diagnostics.remaining_error import left_motions
-from loose_env.gap.diagnostics.residual_tests import left_over
+from loose_env.gap.diagnostics.remaining_error import remaining_motions
+from loose_env.gap.diagnostics.residual_tests import residual_tests
 from loose_env.gap.model.effects.catalogue import candidates
-from loose_env.gap.model.nominal_model import Machine
-from loose_env.gap.output.evidence_schema import Identifiability, LeftOver, Location
+from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.output.evidence_schema import Identifiability, Location, ResidualTest
 from loose_env.gap.output.export_check import Exported, exported
 from loose_env.gap.preparation.integrator_choice import corrected_step_words
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.workflow.pipeline import GapSolution
 from loose_env.typing import Array
 
-__all__ = ["Evidence", "gather"]
+__all__ = ["ResidualDiagnostics", "diagnose_residuals"]
 
 Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Evidence:
+class ResidualDiagnostics:
     """Evidence shown beside the verdict of a comparison."""
 
-    motions_held: tuple[JointMotion, ...] = ()
+    held_out_motions: tuple[JointMotion, ...] = ()
     """Residual size on the held-out runs."""
     location: Location = field(default_factory=Location)
     """Localised residual of the nominal model, on all runs."""
@@ -43,13 +43,13 @@ class Evidence:
     """Open-loop errors of the nominal model on the held-out runs."""
     after: tuple[HorizonError, ...] = ()
     """Open-loop errors of the corrected model."""
-    left_over: tuple[LeftOver, ...] = ()
+    residual_tests: tuple[ResidualTest, ...] = ()
     """Residual tests on the held-out runs."""
-    left_location: Location = field(default_factory=Location)
+    remaining_location: Location = field(default_factory=Location)
     """Localised residual of the corrected model."""
-    struck_before: tuple[StruckChannel, ...] = ()
+    features_before: tuple[FeatureChannel, ...] = ()
     """Of the nominal model: channels of held-out runs that are compared by features."""
-    struck_after: tuple[StruckChannel, ...] = ()
+    features_after: tuple[FeatureChannel, ...] = ()
     """The same for the corrected model."""
     identifiability: Identifiability = field(default_factory=Identifiability)
     """Effects that the motions could not show, or distinguish."""
@@ -59,32 +59,32 @@ class Evidence:
     """Notes found along the way."""
 
 
-def gather(solution: GapSolution, *, say: Say = lambda _: None) -> Evidence:
+def diagnose_residuals(solution: GapSolution, *, say: Say = lambda _: None) -> ResidualDiagnostics:
     """Localise the residual, compute open-loop errors, and test for whiteness."""
-    say("where the gap is")
+    say("localising the residual")
     problem, base, best = solution.problem, solution.base, solution.best
-    machine, motions, struck = _fitted_nominal(solution), {}, {}
-    before, corrected, held = solution.nominal, solution.corrected, problem.whole_held
+    machine, motions, impact_fit = _fitted_nominal(solution), {}, {}
+    before, corrected, held = solution.nominal, solution.corrected, problem.held_out_whole
     for name, comparison in (("fit", problem.fit), ("held", held)):
         motions[name] = tuple(
             joint_motion(machine, trial, comparison.channels, comparison.floors)
             for trial in comparison.trials
         )
-        struck[name] = struck_channels(comparison, before, motions[name])
-    struck_after = struck_channels(held, corrected, motions["held"])
+        impact_fit[name] = feature_channels(comparison, before, motions[name])
+    struck_after = feature_channels(held, corrected, motions["held"])
     parts = [
         _located(problem.fit, base.fitted.residual, motions["fit"]),
-        _located(held, base.held_residual, motions["held"]),
+        _located(held, base.held_out_residual, motions["held"]),
     ]
     left = [
         _left(solution, comparison, residual, motions[name])
         for name, comparison, residual in (
             ("fit", problem.fit, best.fitted.residual),
-            ("held", held, best.held_residual),
+            ("held", held, best.held_out_residual),
         )
     ]
-    struck_fit = struck_channels(problem.fit, corrected, motions["fit"])
-    say("open-loop errors by horizon")
+    features_fit = feature_channels(problem.fit, corrected, motions["fit"])
+    say("prediction errors by horizon")
     errors = [
         horizon_errors(
             problem.machine,
@@ -96,35 +96,37 @@ def gather(solution: GapSolution, *, say: Say = lambda _: None) -> Evidence:
         )
         for hypothesis in (before, corrected)
     ]
-    say("what these motions can show")
+    say("identifiability from these motions")
     kinds = problem.settings.kinds or None
     shown = identifiability(problem.fit, best.fitted, candidates(problem.machine, kinds))
-    own = exported(held, corrected, best.held_residual)
-    say("tests of what is left")
-    return Evidence(
-        motions_held=motions["held"],
+    own = exported(held, corrected, best.held_out_residual)
+    say("residual tests")
+    return ResidualDiagnostics(
+        held_out_motions=motions["held"],
         location=Location(
             channels=(
                 *(gap for part in parts for gap in part.channels),
-                *(each.gap for many in struck.values() for each in many),
+                *(each.gap for many in impact_fit.values() for each in many),
             ),
             joints=tuple(gap for part in parts for gap in part.joints),
         ),
         before=errors[0],
         after=errors[1],
-        left_over=(
-            *left_over(best.held_residual, held.rows, held.trials, held.channels, motions["held"]),
-            *struck_left(struck_after),
+        residual_tests=(
+            *residual_tests(
+                best.held_out_residual, held.rows, held.trials, held.channels, motions["held"]
+            ),
+            *feature_tests(struck_after),
         ),
-        left_location=Location(
+        remaining_location=Location(
             channels=(
                 *(gap for part in left for gap in part.channels),
-                *(each.gap for each in (*struck_fit, *struck_after)),
+                *(each.gap for each in (*features_fit, *struck_after)),
             ),
             joints=tuple(gap for part in left for gap in part.joints),
         ),
-        struck_before=tuple(struck["held"]),
-        struck_after=tuple(struck_after),
+        features_before=tuple(impact_fit["held"]),
+        features_after=tuple(struck_after),
         identifiability=shown,
         exported=own,
         warnings=(
@@ -135,7 +137,7 @@ def gather(solution: GapSolution, *, say: Say = lambda _: None) -> Evidence:
     )
 
 
-def _fitted_nominal(solution: GapSolution) -> Machine:
+def _fitted_nominal(solution: GapSolution) -> NominalModel:
     """Return the nominal model with its parameters fitted within the tolerance."""
     machine = solution.problem.machine
     spec = machine.spec.copy()
@@ -143,14 +145,19 @@ def _fitted_nominal(solution: GapSolution) -> Machine:
     return replace(machine, spec=spec)
 
 
-def _located(comparison: Comparison, residual: Array, motions: Sequence[JointMotion]) -> Location:
+def _located(
+    comparison: ResidualModel, residual: Array, motions: Sequence[JointMotion]
+) -> Location:
     return locate(residual, comparison.rows, comparison.trials, comparison.channels, motions)
 
 
 def _left(
-    solution: GapSolution, comparison: Comparison, residual: Array, motions: Sequence[JointMotion]
+    solution: GapSolution,
+    comparison: ResidualModel,
+    residual: Array,
+    motions: Sequence[JointMotion],
 ) -> Location:
     """Localised residual of the corrected model; torques only where these are known."""
-    own = left_motions(solution.problem.machine, comparison, solution.corrected)
+    own = remaining_motions(solution.problem.machine, comparison, solution.corrected)
     found = _located(comparison, residual, own or motions)
     return found if own else Location(channels=found.channels)

@@ -8,7 +8,7 @@ from pathlib import Path
 from loose_env.gap.output.checkpoints import Stage, fresh
 from loose_env.gap.output.result import GapResult
 from loose_env.gap.settings import GapSettings
-from loose_env.gap.workflow.evidence import gather
+from loose_env.gap.workflow.evidence import diagnose_residuals
 from loose_env.gap.workflow.pipeline import find_gap
 from loose_env.gap.workflow.summary import result_of, write_gap
 from loose_env.recording import Recording
@@ -67,4 +67,4 @@ def explain_gap(
     solution = find_gap(recording, settings, say=say, stages=stages)
     if folder is not None:
         return write_gap(folder, solution, say=say)[0]
-    return result_of(solution, gather(solution, say=say))
+    return result_of(solution, diagnose_residuals(solution, say=say))

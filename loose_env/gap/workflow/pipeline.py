@@ -11,20 +11,20 @@ import numpy as np
 from loose_env.arms import quiet
 from loose_env.gap.fitting.confidence_intervals import Intervals
 from loose_env.gap.fitting.gauss_newton import Fit, fit
-from loose_env.gap.fitting.holdout_score import Judge, Judged, share_of
+from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer, explained_share
 from loose_env.gap.fitting.model_structure import Nuisance, nuisance_of
 from loose_env.gap.fitting.refit import settled
 from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.effects.catalogue import candidates
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.output.checkpoints import Stage, fresh
-from loose_env.gap.output.result import NamedEffect, Place, Ranked, Verdict
+from loose_env.gap.output.result import EffectLocation, NamedEffect, RankedHypothesis, Verdict
 from loose_env.gap.preparation.prepare import GapProblem, prepare
-from loose_env.gap.selection.checkpoint_codec import KeepInFiles
-from loose_env.gap.selection.forward_selection import Keep
-from loose_env.gap.selection.impacts.impact_pass import second_look
-from loose_env.gap.selection.impacts.impact_search import Struck
-from loose_env.gap.selection.revision import sure_ones
+from loose_env.gap.selection.checkpoint_codec import StepFiles
+from loose_env.gap.selection.forward_selection import StepStore
+from loose_env.gap.selection.impacts.impact_pass import impact_pass
+from loose_env.gap.selection.impacts.impact_search import ImpactFit
+from loose_env.gap.selection.revision import drop_insignificant
 from loose_env.gap.selection.reweighted_search import search
 from loose_env.gap.settings import (
     EXPLAINED,
@@ -48,15 +48,15 @@ class GapSolution:
 
     problem: GapProblem
     """The prepared recording."""
-    base: Judged
+    base: ScoredFit
     """The nominal model, fitted within the tolerance, scored on whole held-out runs."""
-    best: Judged
+    best: ScoredFit
     """The model with the identified effects, or those nearly accepted, scored in the same way."""
     verdict: Verdict
     """ "named", "no_gap" or "unexplained"."""
     effects: tuple[NamedEffect, ...] = ()
     """Identified effects, with intervals and confusable effects."""
-    ranking: tuple[Ranked, ...] = ()
+    ranking: tuple[RankedHypothesis, ...] = ()
     """Ranking of all fitted hypotheses."""
     warnings: tuple[str, ...] = ()
     """Notes for the reader."""
@@ -117,37 +117,44 @@ def _solved(problem: GapProblem, say: Say, stages: Stage) -> GapSolution:
     sought = [c for c in candidates(machine, kinds) if problem.search.shows(c)]
     naming = SearchSettings(most_effects=settings.most_effects)
 
-    def keep(prefix: str, nuisance: Nuisance = nuisance) -> Keep:
-        return Keep() if stages is fresh else KeepInFiles(stages, machine, nuisance, prefix)
+    def keep(prefix: str, nuisance: Nuisance = nuisance) -> StepStore:
+        return StepStore() if stages is fresh else StepFiles(stages, machine, nuisance, prefix)
 
     found = search(problem, nuisance, sought, settings=naming, say=say, keep=keep)
-    heard, base, best = found.heard, found.base, found.best
-    whole, judge = (Judge(runs.fit, runs.whole_held) for runs in (problem, heard))
-    if problem.fit is not problem.search or problem.held is not problem.whole_held:
-        say("fits what was found to more of the runs")
+    reweighted, base, best = found.reweighted, found.base, found.best
+    whole, scorer = (Scorer(runs.fit, runs.held_out_whole) for runs in (problem, reweighted))
+    if problem.fit is not problem.search or problem.held_out is not problem.held_out_whole:
+        say("final fit: more of the runs")
         own = nuisance_of(problem.fit, machine, tolerance=settings.tolerance)
         longer = replace(nuisance, initial=own.initial)  # windows have other initial states
         kept = keep("", longer)
-        base = kept.judged("nominal-whole", lambda: whole.judge(_refit(problem, base, longer)))
+        base = kept.scored("nominal-whole", lambda: whole.score(_refit(problem, base, longer)))
         if best.fitted.effects:
-            best = kept.judged("effects-whole", lambda: judge.judge(_refit(heard, best, longer)))
+            best = kept.scored(
+                "effects-whole", lambda: scorer.score(_refit(reweighted, best, longer))
+            )
         else:
             best = base
     if have_stops(best.fitted.effects):
         stops, kept = best, keep("", best.fitted.structure.nuisance)
-        best = kept.judged("settled", lambda: judge.judge(settled(heard.fit, stops.fitted)))
-    best, _, intervals = sure_ones(best, heard, judge, settings.seed, say=say)
-    best = found.in_noise(best) if best.fitted.effects else base
-    verdict, struck = _verdict(base, best), None
+        best = kept.scored("settled", lambda: scorer.score(settled(reweighted.fit, stops.fitted)))
+    best, _, intervals = drop_insignificant(best, reweighted, scorer, settings.seed, say=say)
+    best = found.rescored(best) if best.fitted.effects else base
+    verdict, impact_fit = _verdict(base, best), None
     if verdict == "unexplained":
-        again = second_look(problem, whole, best, sought, settings, say=say)
+        again = impact_pass(problem, whole, best, sought, settings, say=say)
         if again is not None:
-            best, intervals, struck, verdict = again.best, again.intervals, again.struck, "named"
+            best, intervals, impact_fit, verdict = (
+                again.best,
+                again.intervals,
+                again.impact_fit,
+                "named",
+            )
 
     def rivals(effect: Effect) -> Iterable[Effect]:
-        if struck is not None and effect is struck.effect:
-            return struck.rivals
-        return found.indistinct(effect, best.fitted.effects)
+        if impact_fit is not None and effect is impact_fit.effect:
+            return impact_fit.rivals
+        return found.confusable_with(effect, best.fitted.effects)
 
     named = verdict == "named"
     return GapSolution(
@@ -155,36 +162,42 @@ def _solved(problem: GapProblem, say: Say, stages: Stage) -> GapSolution:
         base=base,
         best=best,
         verdict=verdict,
-        effects=named_effects(best.fitted, intervals, rivals=rivals, struck=struck)
+        effects=named_effects(best.fitted, intervals, rivals=rivals, impact_fit=impact_fit)
         if named
         else (),
         ranking=found.ranking,
-        warnings=(*problem.warnings, *([] if struck is None else [struck.words])),
+        warnings=(*problem.warnings, *([] if impact_fit is None else [impact_fit.words])),
     )
 
 
-def _refit(problem: GapProblem, judged: Judged, nuisance: Nuisance) -> Fit:
+def _refit(problem: GapProblem, scored: ScoredFit, nuisance: Nuisance) -> Fit:
     """Refit to more of the runs, starting from the result of the search."""
     if problem.fit is problem.search:
-        return judged.fitted
-    structure = replace(judged.fitted.structure, nuisance=nuisance)
-    kept = judged.fitted.free[judged.fitted.structure.nuisance.initial_slice.stop :]
+        return scored.fitted
+    structure = replace(scored.fitted.structure, nuisance=nuisance)
+    kept = scored.fitted.free[scored.fitted.structure.nuisance.initial_slice.stop :]
     initial = np.zeros(nuisance.initial_slice.stop)
     return fit(problem.fit, structure, np.concatenate([initial, kept]))
 
 
-def _verdict(base: Judged, best: Judged) -> Verdict:
+def _verdict(base: ScoredFit, best: ScoredFit) -> Verdict:
     """Decide whether effects are missing, and whether the catalogue explains them."""
     if not best.fitted.effects:
-        return "unexplained" if best.structure_sureness > UNEXPLAINED_Z or best.loud else "no_gap"
+        return (
+            "unexplained"
+            if best.autocorrelation_z > UNEXPLAINED_Z or best.above_noise
+            else "no_gap"
+        )
     kinds = Counter(effect.kind for effect in best.fitted.effects)
     least = EXPLAINED
     if max(kinds.values()) >= FAMILY_LOCATIONS:
         least = EXPLAINED_AT_MANY
-    if "structural_looseness" in kinds or (base.blows and have_stops(best.fitted.effects)):
+    if "structural_looseness" in kinds or (
+        base.impact_dominated and have_stops(best.fitted.effects)
+    ):
         least = min(least, EXPLAINED_BY_IMPACTS)
-    done = best.structure_sureness <= UNEXPLAINED_Z and not best.loud
-    if done or share_of(best, base) >= least:
+    done = best.autocorrelation_z <= UNEXPLAINED_Z and not best.above_noise
+    if done or explained_share(best, base) >= least:
         return "named"
     return "unexplained"
 
@@ -194,7 +207,7 @@ def named_effects(
     intervals: Intervals,
     *,
     rivals: Callable[[Effect], Iterable[Effect]] = lambda _: (),
-    struck: Struck | None = None,
+    impact_fit: ImpactFit | None = None,
 ) -> tuple[NamedEffect, ...]:
     """Effects of a fit in the form of a result.
 
@@ -206,7 +219,7 @@ def named_effects(
         Confidence intervals of all its parameters.
     rivals : callable
         Returns the effects that the held-out runs cannot distinguish from one.
-    struck : Struck, optional
+    struck : ImpactFit, optional
         Part with stops among the effects, identified by its impact power.
     """
     found = []
@@ -214,18 +227,20 @@ def named_effects(
     for (effect, values), own in zip(hypothesis.pairs, fitted.structure.slices, strict=True):
         names = [p.name for p in effect.parameters]
         ends = zip(intervals.low[own].tolist(), intervals.high[own].tolist(), strict=True)
-        by_power = struck is not None and effect is struck.effect
+        by_power = impact_fit is not None and effect is impact_fit.effect
         found.append(
             NamedEffect(
                 kind=effect.kind,
                 where=effect.where,
                 parameters=dict(zip(names, values.tolist(), strict=True)),
                 interval_95=dict(zip(names, ends, strict=True)),
-                ambiguous_with=tuple(Place(kind=e.kind, where=e.where) for e in rivals(effect)),
+                ambiguous_with=tuple(
+                    EffectLocation(kind=e.kind, where=e.where) for e in rivals(effect)
+                ),
                 units={p.name: p.unit for p in effect.parameters},
                 variant=effect.variant,
                 in_model=effect.in_model,
-                powers_explained=struck.share if struck and by_power else None,
+                impact_power_explained=impact_fit.explained if impact_fit and by_power else None,
             )
         )
     return tuple(found)

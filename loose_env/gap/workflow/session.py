@@ -17,19 +17,19 @@ from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.gap.diagnostics.residual_spectra import Series, series_of
 from loose_env.gap.fitting.confidence_intervals import bootstrap, widened
 from loose_env.gap.fitting.gauss_newton import fit
-from loose_env.gap.fitting.holdout_score import Judge, Judged, Lead, lead_of
+from loose_env.gap.fitting.holdout_score import Improvement, ScoredFit, Scorer, improvement_of
 from loose_env.gap.fitting.model_structure import ModelStructure, nuisance_of
 from loose_env.gap.fitting.refit import polished, refined
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.export_check import exported
 from loose_env.gap.output.export_mjcf import correction_code, write_model
 from loose_env.gap.output.result import NamedEffect, html_table
 from loose_env.gap.preparation.prepare import GapProblem, prepare
 from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.selection.acceptance import Acceptance
-from loose_env.gap.selection.candidate_fits import Trying
+from loose_env.gap.selection.candidate_fits import CandidateFits
 from loose_env.gap.selection.screening.data_driven_starts import missing_torque, proposals
 from loose_env.gap.selection.screening.screening import Screened, screen
 from loose_env.gap.settings import (
@@ -41,13 +41,13 @@ from loose_env.gap.workflow.pipeline import named_effects
 from loose_env.recording import Recording
 from loose_env.typing import Array
 
-__all__ = ["GapSession", "MissingTorque", "Tried"]
+__all__ = ["GapSession", "MissingTorque", "TriedEffect"]
 
 Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Tried:
+class TriedEffect:
     """One effect, fitted beside the current model and scored on held-out runs."""
 
     effect: Effect
@@ -58,13 +58,13 @@ class Tried:
     """Residual on the held-out runs, root mean square in noise standard deviations."""
     before: float
     """The same without the effect."""
-    lead: Lead
+    improvement: Improvement
     """Improvement (z) over the model without it, and the explained share."""
-    believed: bool
+    accepted: bool
     """Whether the search would name it: surely ahead, by enough, and not by a limit or by noise.
     Beside a part that strikes its stops the search takes what these leave as noise, and may name
     what is hidden by that here."""
-    judged: Judged = field(repr=False)
+    scored: ScoredFit = field(repr=False)
     """The scored fit."""
 
     def __str__(self) -> str:
@@ -72,9 +72,10 @@ class Tried:
         units = {p.name: p.unit for p in self.effect.parameters}
         values = ", ".join(f"{k} {v:.4g} {units[k]}".rstrip() for k, v in self.parameters.items())
         return (
-            f"{self.effect!r}: {values}; held-out runs {self.before:.2f} before, "
-            f"{self.held_out:.2f} with it; lead {self.lead.held:.1f} there, {self.lead.fitted:.1f} "
-            f"on the runs fitted to; {'' if self.believed else 'not '}believed"
+            f"{self.effect!r}: {values}; residual on held-out runs {self.before:.2f} before, "
+            f"{self.held_out:.2f} with it; z {self.improvement.held_out:.1f} there, "
+            f"{self.improvement.training:.1f} on training runs; "
+            f"{'accepted' if self.accepted else 'not accepted'}"
         )
 
     def _repr_html_(self) -> str:
@@ -84,9 +85,9 @@ class Tried:
         rows += [
             ["held-out runs, before", f"{self.before:.2f}", "noise standard deviations"],
             ["held-out runs, with it", f"{self.held_out:.2f}", "noise standard deviations"],
-            ["lead there", f"{self.lead.held:.1f}", "standard deviations"],
-            ["lead on the runs fitted to", f"{self.lead.fitted:.1f}", "standard deviations"],
-            ["believed", "yes" if self.believed else "no", ""],
+            ["improvement there", f"{self.improvement.held_out:.1f}", "z-score"],
+            ["improvement on training runs", f"{self.improvement.training:.1f}", "z-score"],
+            ["accepted", "yes" if self.accepted else "no", ""],
         ]
         return html_table([repr(self.effect), "", ""], rows)
 
@@ -121,9 +122,9 @@ class GapSession:
     ----------
     prepared : GapProblem
         Aligned and split runs, the chosen step, the noise.
-    nominal : Judged
+    nominal : ScoredFit
         The nominal model, fitted within the tolerance.
-    best : Judged
+    best : ScoredFit
         The current model, with the added effects.
 
     Raises
@@ -174,21 +175,21 @@ class GapSession:
     ) -> None:
         self.settings, self.say = settings or GapSettings(), say
         with quiet():  # diverging simulations are part of a fit
-            self.prepared: GapProblem = prepare(recording, self.settings)
-            search = self.prepared.search
+            self.problem: GapProblem = prepare(recording, self.settings)
+            search = self.problem.search
             tolerance = self.settings.tolerance
             nominal = ModelStructure(
                 nuisance=nuisance_of(search, self.machine, tolerance=tolerance)
             )
-            self._judge = Judge(search, self.prepared.whole_held)
-            self.nominal = self._judge.judge(fit(search, nominal, nominal.nominal_start))
+            self._judge = Scorer(search, self.problem.held_out_whole)
+            self.nominal = self._judge.score(fit(search, nominal, nominal.nominal_start))
         self.best = self.nominal
-        say(f"nominal model: {self.nominal.held_rms:.2f} noise standard deviations held out")
+        say(f"nominal model: {self.nominal.held_out_rms:.2f} noise standard deviations held out")
 
     @property
-    def machine(self) -> Machine:
+    def machine(self) -> NominalModel:
         """The nominal model, with the step, typical loads and speeds of the recording."""
-        return self.prepared.machine
+        return self.problem.machine
 
     @property
     def added(self) -> tuple[Effect, ...]:
@@ -201,7 +202,7 @@ class GapSession:
         where: str | None = None,
         *,
         start: Sequence[float] | None = None,
-    ) -> Tried:
+    ) -> TriedEffect:
         """Fit an effect beside those added, and score it on the held-out runs.
 
         Parameters
@@ -224,25 +225,25 @@ class GapSession:
         UnknownName
             If it cannot be there, or the catalogue has no such effect.
         """
-        found, search = self._not_added(self._effects(effect, where)), self.prepared.search
+        found, search = self._not_added(self._effects(effect, where)), self.problem.search
         with quiet():
             short = windowed(search, SCREENING_S)
-            trying = Trying(search, short, self._judge, self.best)
+            candidate_fits = CandidateFits(search, short, self._judge, self.best)
             screened: list[Screened]
             if start is not None:
                 values = tuple(float(v) for v in start)
-                screened = [Screened(effect=found[0], values=values, promise=1.0, sureness=1.0)]
+                screened = [Screened(effect=found[0], values=values, predicted=1.0, z=1.0)]
             else:
                 proposed = proposals(search, self.best.fitted.hypothesis, found)
-                screened = screen(short, trying.short_before, found, proposed=proposed)[:1]
-            fits = trying.singles(screened).scored
+                screened = screen(short, candidate_fits.short_before, found, proposed=proposed)[:1]
+            fits = candidate_fits.fit_singles(screened).scored
             if not fits:
                 raise InvalidData(f"{found[0]!r} changes nothing that was measured, from any start")
-            tried = self._tried(self._judge.judge(polished(search, fits[0].fitted)))
+            tried = self._tried(self._judge.score(polished(search, fits[0].fitted)))
         self.say(str(tried))
         return tried
 
-    def add(self, tried: Tried) -> None:
+    def add(self, tried: TriedEffect) -> None:
         """Add an effect to the current model; later fits include it.
 
         Raises
@@ -251,17 +252,17 @@ class GapSession:
             If another effect was added since it was tried.
         """
         count = len(self.best.fitted.effects)
-        if tried.judged.fitted.effects[:count] != self.best.fitted.effects:
+        if tried.scored.fitted.effects[:count] != self.best.fitted.effects:
             raise InvalidSetting(
                 f"{tried.effect!r} was tried before {self.added[-1]!r} was added; try it again"
             )
-        self.best = tried.judged
-        self.say(f"{tried.effect!r} added: {self.best.held_rms:.2f} held out")
+        self.best = tried.scored
+        self.say(f"{tried.effect!r} added: {self.best.held_out_rms:.2f} held out")
 
     def residuals(self) -> tuple[Series, ...]:
         """Residual of each channel in each held-out run, in noise standard deviations."""
-        held = self.prepared.whole_held
-        found = series_of(self.best.held_residual, held.rows, held.trials, held.channels)
+        held = self.problem.held_out_whole
+        found = series_of(self.best.held_out_residual, held.rows, held.trials, held.channels)
         return tuple(found)
 
     def missing_torque(self, joint: str) -> MissingTorque:
@@ -280,7 +281,7 @@ class GapSession:
         if joint not in self.machine.joints:
             raise UnknownName(f"the model has no joint {joint!r}; it has {self.machine.joints}")
         number = self.machine.joint_number(joint)
-        found = missing_torque(self.prepared.search, self.best.fitted.hypothesis)
+        found = missing_torque(self.problem.search, self.best.fitted.hypothesis)
         if found is None:
             raise InvalidData("no run has commands and is long enough for a torque that is missing")
         position, speed, acceleration, torque = (part[:, number] for part in found)
@@ -290,7 +291,7 @@ class GapSession:
 
     def named(self) -> tuple[NamedEffect, ...]:
         """Added effects with 95 % intervals, in the form of a result."""
-        search = self.prepared.search
+        search = self.problem.search
         with quiet():
             fitted = refined(self.best.fitted, search)
             rng = np.random.default_rng(self.settings.seed)
@@ -311,7 +312,7 @@ class GapSession:
             If it does not compile.
         """
         corrected = self.best.fitted.hypothesis.of_model
-        own = exported(self.prepared.whole_held, corrected, self.best.held_residual)
+        own = exported(self.problem.held_out_whole, corrected, self.best.held_out_residual)
         for words in own.words():
             self.say(f"warning: {words}")
         return write_model(
@@ -319,14 +320,14 @@ class GapSession:
             self.machine,
             corrected,
             step=own.step,
-            source=self.prepared.model_path,
+            source=self.problem.model_path,
         )
 
     def _effects(self, effect: Effect | type[Effect] | str, where: str | None) -> list[Effect]:
         """Instances of an effect at a location, in every variant."""
         if isinstance(effect, Effect):
             if where is not None:
-                raise InvalidSetting(f"{effect!r} has its place; leave {where!r} out")
+                raise InvalidSetting(f"{effect!r} has a location already; leave out {where!r}")
             return [effect]
         if isinstance(effect, str):
             if effect not in CATALOGUE:
@@ -334,7 +335,7 @@ class GapSession:
             effect = CATALOGUE[effect]
         if where is None:
             places = list(effect.places(self.machine))
-            raise InvalidSetting(f"{effect.kind} needs a place, one of {places}")
+            raise InvalidSetting(f"{effect.kind} needs a location, one of {places}")
         effect(self.machine, where)  # raises for other locations
         forms = effect.forms(self.machine, where)
         return [effect(self.machine, where, variant) for variant in forms]
@@ -346,20 +347,20 @@ class GapSession:
         if not left:
             raise InvalidSetting(
                 f"{effects[0]!r} was added already, and there is room for one of it only; try "
-                "another effect or another place"
+                "another effect or another location"
             )
         return left
 
-    def _tried(self, judged: Judged) -> Tried:
-        fitted, search = judged.fitted, self.prepared.search
+    def _tried(self, scored: ScoredFit) -> TriedEffect:
+        fitted, search = scored.fitted, self.problem.search
         acceptance = Acceptance(search, self._judge, self.nominal, self.best, SearchSettings())
         effect, values = fitted.hypothesis.pairs[-1]
-        return Tried(
+        return TriedEffect(
             effect=effect,
             parameters={p.name: float(v) for p, v in zip(effect.parameters, values, strict=True)},
-            held_out=judged.held_rms,
-            before=self.best.held_rms,
-            lead=lead_of(judged, self.best),
-            believed=acceptance.worth_naming(judged) and not acceptance.doubt(judged),
-            judged=judged,
+            held_out=scored.held_out_rms,
+            before=self.best.held_out_rms,
+            improvement=improvement_of(scored, self.best),
+            accepted=acceptance.accepts(scored) and not acceptance.objection(scored),
+            scored=scored,
         )

@@ -8,84 +8,86 @@ from pathlib import Path
 
 import numpy as np
 
-from loose_env.gap.diagnostics.localisation import where_it_lives
-from loose_env.gap.diagnostics.remaining_error import left_words
+from loose_env.gap.diagnostics.localisation import location_words
+from loose_env.gap.diagnostics.remaining_error import remaining_words
 from loose_env.gap.output.evidence_schema import Identifiability
 from loose_env.gap.output.export_mjcf import (
     correction_code,
     model_notes,
-    nameless_words,
+    unnamed_words,
     write_model,
 )
-from loose_env.gap.output.result import Gap, GapResult, NamedEffect, Place
+from loose_env.gap.output.result import EffectLocation, Gap, GapResult, NamedEffect
 from loose_env.gap.residuals.physical_units import errors_by_quantity, rms
-from loose_env.gap.workflow.evidence import Evidence, gather
+from loose_env.gap.workflow.evidence import ResidualDiagnostics, diagnose_residuals
 from loose_env.gap.workflow.pipeline import GapSolution
 
 __all__ = ["result_of", "write_gap"]
 
-Report = Callable[[Path, GapSolution, Evidence, GapResult], Path | None]
+Report = Callable[[Path, GapSolution, ResidualDiagnostics, GapResult], Path | None]
 """Writes a report into a folder; returns its file, or None where it cannot be made."""
 
 
-def result_of(solution: GapSolution, evidence: Evidence | None = None) -> GapResult:
+def result_of(solution: GapSolution, evidence: ResidualDiagnostics | None = None) -> GapResult:
     """Summarise a search as a result.
 
     Parameters
     ----------
     solution : GapSolution
         The finished search.
-    evidence : Evidence, optional
-        Of `gather`; without, the result has no horizons, locations and residual tests.
+    evidence : ResidualDiagnostics, optional
+        Of `diagnose_residuals`; without, the result has no horizons, locations and residual tests.
     """
-    evidence = evidence or Evidence()
+    evidence = evidence or ResidualDiagnostics()
     problem, base, best = solution.problem, solution.base, solution.best
-    held = problem.whole_held
+    held = problem.held_out_whole
     pairs = zip(evidence.before, evidence.after, strict=True)
     unexplained = solution.verdict == "unexplained"
     return GapResult(
         verdict=solution.verdict,
         gap=Gap(
-            before=rms(base.held_residual),
-            after=rms(best.held_residual),
+            before=rms(base.held_out_residual),
+            after=rms(best.held_out_residual),
             by_channel=_by_channel(solution, evidence),
-            by_horizon_s={f"{b.horizon:.1f}": (b.over_floor, a.over_floor) for b, a in pairs},
+            by_horizon_s={f"{b.horizon:.1f}": (b.rms, a.rms) for b, a in pairs},
             by_quantity=errors_by_quantity(
-                problem.machine, held, base.held_residual, best.held_residual
+                problem.machine, held, base.held_out_residual, best.held_out_residual
             ),
         ),
         effects=tuple(_with_alike(e, evidence.identifiability) for e in solution.effects),
         held_out_runs=tuple(trial.name for trial in held.trials),
         ranking=solution.ranking,
         code=correction_code(solution.corrected),
-        nominal_figures=solution.corrected.nominal_factors,
+        nominal_parameters=solution.corrected.nominal_factors,
         location=evidence.location,
-        where_it_lives=tuple(
-            where_it_lives(evidence.left_location, most=2, always=True)
+        location_words=tuple(
+            location_words(evidence.remaining_location, most=2, always=True)
             if unexplained
-            else where_it_lives(evidence.location, most=2)
+            else location_words(evidence.location, most=2)
         ),
-        left=()
+        remaining=()
         if solution.verdict == "no_gap"
         else tuple(
-            left_words(
+            remaining_words(
                 base,
                 best,
-                evidence.left_location,
-                struck=any(e.powers_explained is not None for e in solution.effects),
+                evidence.remaining_location,
+                impact_fit=any(e.impact_power_explained is not None for e in solution.effects),
             )
         ),
-        left_location=evidence.left_location,
-        left_over=evidence.left_over,
+        remaining_location=evidence.remaining_location,
+        residual_tests=evidence.residual_tests,
         identifiability=evidence.identifiability,
-        warnings=(*solution.warnings, *nameless_words(solution.unnamed.pairs), *evidence.warnings),
+        warnings=(*solution.warnings, *unnamed_words(solution.unnamed.pairs), *evidence.warnings),
         settings=asdict(problem.settings),
     )
 
 
-def _by_channel(solution: GapSolution, evidence: Evidence) -> dict[str, tuple[float, float]]:
+def _by_channel(
+    solution: GapSolution, evidence: ResidualDiagnostics
+) -> dict[str, tuple[float, float]]:
     """Residual by channel before and after; in features for runs compared by them."""
-    held, found = solution.problem.whole_held, {}
+    held, found = solution.problem.held_out_whole, {}
     for c, channel in enumerate(held.channels):
         own = (held.rows.channel == c) & ~held.rows.white
         parts = [
@@ -93,8 +95,8 @@ def _by_channel(solution: GapSolution, evidence: Evidence) -> dict[str, tuple[fl
                 [residual[own], *(s.features for s in many if s.gap.channel == channel.name)]
             )
             for residual, many in (
-                (solution.base.held_residual, evidence.struck_before),
-                (solution.best.held_residual, evidence.struck_after),
+                (solution.base.held_out_residual, evidence.features_before),
+                (solution.best.held_out_residual, evidence.features_after),
             )
         ]
         if len(parts[0]):
@@ -105,8 +107,8 @@ def _by_channel(solution: GapSolution, evidence: Evidence) -> dict[str, tuple[fl
 def _with_alike(effect: NamedEffect, found: Identifiability) -> NamedEffect:
     """Add the confusable effects of an identified effect, beside those of the fit."""
     others = [
-        Place(kind=pair.other_kind, where=pair.other_where)
-        for pair in found.alike
+        EffectLocation(kind=pair.other_kind, where=pair.other_where)
+        for pair in found.confusable
         if (pair.kind, pair.where) == (effect.kind, effect.where)
     ]
     return replace(effect, ambiguous_with=tuple(dict.fromkeys((*effect.ambiguous_with, *others))))
@@ -143,11 +145,11 @@ def write_gap(
         If the corrected model does not compile.
     """
     place, problem = Path(folder), solution.problem
-    evidence = gather(solution, say=say)
+    evidence = diagnose_residuals(solution, say=say)
     result = result_of(solution, evidence)
     # An earlier result must not stand beside a later model if this run is cut short.
     place.joinpath("result.json").unlink(missing_ok=True)
-    say("writing the model, the result and the page")
+    say("writing model, result and report")
     page = report(place, solution, evidence, result)
     models = write_model(
         place / "model.xml",
@@ -155,7 +157,7 @@ def write_gap(
         solution.corrected,
         step=evidence.exported.step,
         source=problem.model_path,
-        notes=model_notes(solution.effects, solution.unnamed.pairs, result.nominal_figures),
+        notes=model_notes(solution.effects, solution.unnamed.pairs, result.nominal_parameters),
     )
     file = result.write(place / "result.json")
     return result, [*models, *([] if page is None else [page]), file]

@@ -10,10 +10,10 @@ import numpy as np
 
 from loose_env.gap import (
     Dependence,
-    Evidence,
     GapResult,
     GapSolution,
     JointMotion,
+    ResidualDiagnostics,
     main_band,
     strongest,
 )
@@ -54,7 +54,7 @@ _BARS = 24
 
 
 def write_gap_page(
-    path: Path, solution: GapSolution, evidence: Evidence, result: GapResult
+    path: Path, solution: GapSolution, evidence: ResidualDiagnostics, result: GapResult
 ) -> Path:
     """Write the page, beside its final name first.
 
@@ -66,24 +66,22 @@ def write_gap_page(
     return write_whole(path, render_gap_page(solution, evidence, result))
 
 
-def render_gap_page(solution: GapSolution, evidence: Evidence, result: GapResult) -> str:
+def render_gap_page(solution: GapSolution, evidence: ResidualDiagnostics, result: GapResult) -> str:
     """Return the page that `write_gap_page` writes."""
     groups = [
-        _gap_group(evidence, result),
+        _residual_group(evidence, result),
         spectra_group(solution, evidence, result),
         _motion_group(solution, evidence),
         _location_group(evidence),
         _ranking_group(result),
-        _left_group(result),
+        _remaining_group(result),
         shown_group(result.identifiability),
-        _figures_group(result),
+        _nominal_group(result),
         _next_group(result),
     ]
     page: str = template("loose_env.report/gap_page.html").render(
         title=headline(result),
-        kicker=" · ".join(
-            filter(None, [solution.problem.recording, "where model and measurement disagree"])
-        ),
+        kicker=" · ".join(filter(None, [solution.problem.recording, "model error"])),
         text=[],
         questions=_questions(result),
         warnings=[sentence(warning) for warning in result.warnings],
@@ -94,26 +92,26 @@ def render_gap_page(solution: GapSolution, evidence: Evidence, result: GapResult
 
 
 def _questions(result: GapResult) -> list[tuple[str, list[str]]]:
-    """What a reader asks first, with the answers."""
+    """Findings, each under its heading."""
     found = []
     if result.effects:
         named = [f"{effect_words(e.kind, e.where)}: {e.kind} at {e.where}" for e in result.effects]
-        found.append(("What is missing", named))
-    if result.where_it_lives and result.verdict != "no_gap":
-        found.append(("Where it shows", list(result.where_it_lives)))
-    found.append(("How large it is", size_words(result)))
-    if result.left and result.verdict == "named":
-        found.append(("What is left", list(result.left)))
+        found.append(("Missing effects", named))
+    if result.location_words and result.verdict != "no_gap":
+        found.append(("Location of the residual", list(result.location_words)))
+    found.append(("Size of the model error", size_words(result)))
+    if result.remaining and result.verdict == "named":
+        found.append(("Remaining residual", list(result.remaining)))
     if result.effects:
         found.append(
-            ("How sure", [f"{e.kind} at {e.where}: {sure_words(e)}." for e in result.effects])
+            ("Parameters", [f"{e.kind} at {e.where}: {sure_words(e)}." for e in result.effects])
         )
-        found.append(("What it could be mistaken for", mistaken_words(result)))
+        found.append(("Confusable effects", mistaken_words(result)))
     return found
 
 
-def _gap_group(evidence: Evidence, result: GapResult) -> dict[str, Any]:
-    """The gap by channel and by horizon, side by side."""
+def _residual_group(evidence: ResidualDiagnostics, result: GapResult) -> dict[str, Any]:
+    """Residual by channel and by horizon, side by side."""
     pairs = sorted(result.gap.by_channel.items(), key=lambda item: -item[1][0])
     dropped = len(pairs) - _BARS
     cards = [
@@ -128,30 +126,30 @@ def _gap_group(evidence: Evidence, result: GapResult) -> dict[str, Any]:
     if evidence.before:
         cards.append(
             FigureCard(
-                title="How far a prediction goes wrong",
+                title="Prediction error by horizon",
                 image=horizon_curves(
                     [e.horizon for e in evidence.before],
-                    [e.over_floor for e in evidence.before],
-                    [e.over_floor for e in evidence.after],
+                    [e.rms for e in evidence.before],
+                    [e.rms for e in evidence.after],
                 ),
                 caption="The simulation was restarted from the measured state "
-                f"{evidence.before[0].starts} times and left to itself: root mean square error of "
+                f"{evidence.before[0].starts} times and run open loop: root mean square error of "
                 "all channels over their noise floors.",
             )
         )
     return group(
-        "The gap, before and after",
+        "Residual before and after correction",
         "On the held-out runs: the nominal model, fitted within its tolerance, and the corrected "
-        "one. At 1 nothing is left but the sensors' noise.",
+        "one. 1 is sensor noise alone.",
         cards=cards if pairs else [],
     )
 
 
-def _motion_group(solution: GapSolution, evidence: Evidence) -> dict[str, Any]:
+def _motion_group(solution: GapSolution, evidence: ResidualDiagnostics) -> dict[str, Any]:
     """Residual against position, velocity and load, as torque where the motion allows it."""
     cards = []
     for joint, number in _joints_to_show(solution, evidence):
-        motions = evidence.motions_held
+        motions = evidence.held_out_motions
         card = _torque_card(motions, joint, number)
         if card is not None:
             cards.append(card)
@@ -159,29 +157,29 @@ def _motion_group(solution: GapSolution, evidence: Evidence) -> dict[str, Any]:
     if reading is not None:
         cards.append(reading)
     return group(
-        "Against motion and load",
+        "Residual against motion and load",
         "What an effect looks like: friction steps where the motion turns round, a spring goes by "
         "position, a wrong mass by load. Dots are samples of the held-out runs, lines are means.",
         cards=cards,
     )
 
 
-def _joints_to_show(solution: GapSolution, evidence: Evidence) -> list[tuple[str, int]]:
+def _joints_to_show(solution: GapSolution, evidence: ResidualDiagnostics) -> list[tuple[str, int]]:
     """Joints of the named effects, or the one with the largest torque unexplained."""
     joints = solution.problem.machine.joints
     named = [e.where for e in solution.effects if e.where in joints]
     if not named:
-        gaps = [g for g in evidence.location.joints if np.isfinite(g.missing / g.floor)]
-        worst = max(gaps, key=lambda g: g.missing / max(g.floor, 1e-12), default=None)
+        gaps = [g for g in evidence.location.joints if np.isfinite(g.residual / g.noise)]
+        worst = max(gaps, key=lambda g: g.residual / max(g.noise, 1e-12), default=None)
         named = [worst.joint] if worst is not None else []
     return [(joint, joints.index(joint)) for joint in dict.fromkeys(named)][:2]
 
 
 def _torque_card(motions: Sequence[JointMotion], joint: str, number: int) -> FigureCard | None:
-    missing = np.concatenate([m.missing[:, number] for m in motions])
+    missing = np.concatenate([m.residual_torque[:, number] for m in motions])
     if not np.isfinite(missing).any():
         return None
-    floors = [float(m.missing_floor[number]) for m in motions]
+    floors = [float(m.residual_noise[number]) for m in motions]
     unit = motions[0].units[number]
     panels = [
         (
@@ -191,7 +189,7 @@ def _torque_card(motions: Sequence[JointMotion], joint: str, number: int) -> Fig
         for name in _PANELS
     ]
     return FigureCard(
-        title=f"{'Torque' if unit == 'N·m' else 'Force'} at {joint} left unexplained",
+        title=f"{'Torque' if unit == 'N·m' else 'Force'} at {joint} not explained by the model",
         image=residual_panels(
             panels, missing, None, floor=float(np.nanmean(floors)), label=f"[{unit}]"
         ),
@@ -201,10 +199,10 @@ def _torque_card(motions: Sequence[JointMotion], joint: str, number: int) -> Fig
     )
 
 
-def _reading_card(solution: GapSolution, evidence: Evidence) -> FigureCard | None:
+def _reading_card(solution: GapSolution, evidence: ResidualDiagnostics) -> FigureCard | None:
     """Residual of the worst channel, before and after."""
-    before = by_channel(solution, solution.base.held_residual)
-    after = by_channel(solution, solution.best.held_residual)
+    before = by_channel(solution, solution.base.held_out_residual)
+    after = by_channel(solution, solution.best.held_out_residual)
     gaps = {
         name: np.sqrt(np.mean(np.concatenate([s.residual for s in many]) ** 2))
         for name, many in before.items()
@@ -212,7 +210,7 @@ def _reading_card(solution: GapSolution, evidence: Evidence) -> FigureCard | Non
     if not gaps:
         return None
     channel = max(gaps, key=lambda name: float(gaps[name]))
-    motions, many = evidence.motions_held, before[channel]
+    motions, many = evidence.held_out_motions, before[channel]
     joint = _joint_of(evidence, channel, solution)
     units = _UNITS[motions[0].units[joint]]
     panels = [
@@ -238,49 +236,49 @@ def _reading_card(solution: GapSolution, evidence: Evidence) -> FigureCard | Non
     )
 
 
-def _joint_of(evidence: Evidence, channel: str, solution: GapSolution) -> int:
+def _joint_of(evidence: ResidualDiagnostics, channel: str, solution: GapSolution) -> int:
     """Joint against whose motion a channel's residual is drawn."""
     own = [g for g in evidence.location.channels if g.channel == channel]
     found: Dependence | None = None
     for gap in own:
-        each = strongest(gap.depends)
+        each = strongest(gap.dependences)
         if each is not None and (found is None or each.share > found.share):
             found = each
-    return solution.problem.machine.joints.index(found.of) if found is not None else 0
+    return solution.problem.machine.joints.index(found.joint) if found is not None else 0
 
 
-def _location_group(evidence: Evidence) -> dict[str, Any]:
+def _location_group(evidence: ResidualDiagnostics) -> dict[str, Any]:
     """Location of the gap by channel, over all runs."""
     rows = []
     channels = dict.fromkeys(g.channel for g in evidence.location.channels)
     for channel in channels:
         own = [g for g in evidence.location.channels if g.channel == channel]
-        worst = max(own, key=lambda g: g.over_floor)
+        worst = max(own, key=lambda g: g.rms)
         band = main_band(worst)
-        found = strongest(worst.depends)
+        found = strongest(worst.dependences)
         rows.append(
             {
                 "Channel": channel,
-                "Over the noise": spread([g.over_floor for g in own]),
+                "RMS / noise": spread([g.rms for g in own]),
                 "Worst run": worst.run,
                 "Mean": signed(worst.offset),
                 "Most between": "noise alone"
                 if band is None
                 else f"{band.low:g} and {band.high:g} Hz",
-                "Goes with": "nothing surely"
+                "Depends on": "none significant"
                 if found is None
-                else f"{found.on} of {found.of}, {100 * found.share:.0f} %",
+                else f"{found.regressor} of {found.joint}, {100 * found.share:.0f} %",
             }
         )
-    rows.sort(key=lambda row: -float(str(row["Over the noise"]).split(" to ")[-1]))
+    rows.sort(key=lambda row: -float(str(row["RMS / noise"]).split(" to ")[-1]))
     table = {
         "rows": rows,
-        "note": "Nominal model, fitted within its tolerance, on all runs. Over the noise: residual "
+        "note": "Nominal model, fitted within its tolerance, on all runs. RMS / noise: residual "
         "over the noise floor, from the best run to the worst. Mean: constant part, in noise "
-        "standard deviations. Goes with: share of the residual's power in the worst run that is a "
+        "standard deviations. Depends on: share of the residual's power in the worst run that is a "
         "function of that quantity.",
     }
-    return group("Where the disagreement is", "", tables=[table])
+    return group("Residual by channel", "", tables=[table])
 
 
 def _ranking_group(result: GapResult) -> dict[str, Any]:
@@ -294,8 +292,8 @@ def _ranking_group(result: GapResult) -> dict[str, Any]:
                 "rows": [
                     {
                         "Effect": ranked_words(r),
-                        "Held-out gap": f"{r.held_out:.3f}",
-                        "Lead": signed(r.lead),
+                        "Held-out residual": f"{r.held_out:.3f}",
+                        "Improvement": signed(r.improvement_z),
                         "BIC": signed(r.bic, 0),
                     }
                     for r in own
@@ -305,59 +303,59 @@ def _ranking_group(result: GapResult) -> dict[str, Any]:
         )
     if tables:
         tables[-1]["note"] = (
-            "Held-out gap: residual over the noise floor on runs that no fit has seen. Lead: gain "
-            "over the step before on these runs, in standard deviations. BIC: with the effective "
+            "Held-out residual: over the noise floor. z: improvement over the step before on the "
+            "held-out runs. BIC: with the effective "
             "sample size, against the step before; negative pays for the parameters."
         )
-    return group("What was tried", "", tables=tables)
+    return group("Candidate fits", "", tables=tables)
 
 
-def _left_group(result: GapResult) -> dict[str, Any]:
+def _remaining_group(result: GapResult) -> dict[str, Any]:
     rows = []
-    for left in sorted(result.left_over, key=lambda t: -t.over_floor):
-        found = strongest(left.depends)
+    for left in sorted(result.residual_tests, key=lambda t: -t.rms):
+        found = strongest(left.dependences)
         rows.append(
             {
                 "Channel": left.channel,
-                "Over the noise": f"{left.over_floor:.2f}",
-                "Neighbours": "by features"
+                "RMS / noise": f"{left.rms:.2f}",
+                "Autocorrelation": "by features"
                 if np.isnan(left.autocorrelation)
                 else signed(left.autocorrelation),
-                "Hangs together": "by features"
-                if np.isnan(left.largest)
+                "Correlation time": "by features"
+                if np.isnan(left.largest_autocorrelation)
                 else "white"
                 if left.white
                 else duration_words(left.correlation_time),
-                "Goes with": "nothing surely"
+                "Depends on": "none significant"
                 if found is None
-                else f"{found.on} of {found.of}, {100 * found.share:.0f} %",
-                "Drift in a run": signed(left.trend) if left.trend_sureness >= 3 else "none sure",
+                else f"{found.regressor} of {found.joint}, {100 * found.share:.0f} %",
+                "Drift": signed(left.trend) if left.trend_z >= 3 else "none significant",
             }
         )
     note = (
-        "The corrected model on the held-out runs. Neighbours: autocorrelation of neighbouring "
-        "samples, 0 for noise. Hangs together: over what time. Drift: from the beginning of a run "
-        "to its end, in noise standard deviations. By features: of runs in which stops are struck, "
+        "The corrected model on the held-out runs. Autocorrelation: of neighbouring "
+        "samples, 0 for noise. Drift: from the beginning of a run "
+        "to its end, in noise standard deviations. By features: of chaotic runs with impacts, "
         "over what a right model scatters by, without an order in time."
     )
-    return group("What is left", "", tables=[{"rows": rows, "note": note}] if rows else [])
+    return group("Remaining residual", "", tables=[{"rows": rows, "note": note}] if rows else [])
 
 
-def _figures_group(result: GapResult) -> dict[str, Any]:
-    if not result.nominal_figures:
+def _nominal_group(result: GapResult) -> dict[str, Any]:
+    if not result.nominal_parameters:
         return {}
-    moved = sorted(result.nominal_figures.items(), key=lambda item: -abs(item[1] - 1))
-    rows = [{"Figure": name, "Factor": f"{value:.4f}"} for name, value in moved]
+    moved = sorted(result.nominal_parameters.items(), key=lambda item: -abs(item[1] - 1))
+    rows = [{"Parameter": name, "Factor": f"{value:.4f}"} for name, value in moved]
     return group(
-        "Nominal figures",
-        "Known within the tolerance only, and fitted within it; nothing is named by them. "
+        "Nominal parameters",
+        "Known within the tolerance only, and fitted within it; never reported as an effect. "
         "model.xml carries these factors: the effects were fitted beside them.",
         tables=[{"rows": rows, "note": ""}],
     )
 
 
 def _next_group(result: GapResult) -> dict[str, Any]:
-    return group("What to do next", "", points=next_steps(result), code=result.code)
+    return group("Next steps", "", points=next_steps(result), code=result.code)
 
 
 def _notes(result: GapResult) -> list[str]:

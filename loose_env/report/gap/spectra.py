@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from loose_env.gap import (
-    Evidence,
+    FeatureChannel,
     GapResult,
     GapSolution,
+    ResidualDiagnostics,
     Series,
-    StruckChannel,
     in_bands,
     series_of,
     spectrum,
@@ -31,17 +31,21 @@ _SPECTRA = 4
 
 def by_channel(solution: GapSolution, residual: Array) -> dict[str, list[Series]]:
     """Series of a residual on the held-out runs, those of each channel together."""
-    held = solution.problem.whole_held
+    held = solution.problem.held_out_whole
     found: dict[str, list[Series]] = {}
     for series in series_of(residual, held.rows, held.trials, held.channels):
         found.setdefault(series.channel, []).append(series)
     return found
 
 
-def spectra_group(solution: GapSolution, evidence: Evidence, result: GapResult) -> dict[str, Any]:
+def spectra_group(
+    solution: GapSolution, evidence: ResidualDiagnostics, result: GapResult
+) -> dict[str, Any]:
     """Section with the spectra of the channels that disagree most."""
-    before = _spectra(by_channel(solution, solution.base.held_residual), evidence.struck_before)
-    after = _spectra(by_channel(solution, solution.best.held_residual), evidence.struck_after)
+    before = _spectra(
+        by_channel(solution, solution.base.held_out_residual), evidence.features_before
+    )
+    after = _spectra(by_channel(solution, solution.best.held_out_residual), evidence.features_after)
     worst = sorted(result.gap.by_channel, key=lambda c: -result.gap.by_channel[c][0])
     cards = [
         FigureCard(
@@ -54,18 +58,18 @@ def spectra_group(solution: GapSolution, evidence: Evidence, result: GapResult) 
     ]
     return group(
         "Spectra before and after",
-        "At which frequencies the held-out runs disagree, of the channels with the largest gap.",
+        "Spectra of the residual on the held-out runs, of the channels with the largest one.",
         cards=cards,
     )
 
 
 def _spectra(
-    series: dict[str, list[Series]], struck: Sequence[StruckChannel]
+    series: dict[str, list[Series]], impact_fit: Sequence[FeatureChannel]
 ) -> dict[str, tuple[tuple[Array, Array], str]]:
     """Spectrum of every channel and what it shows; of runs without trajectory if of no other."""
     found = {}
-    own: dict[str, list[StruckChannel]] = {}
-    for each in struck:
+    own: dict[str, list[FeatureChannel]] = {}
+    for each in impact_fit:
         if len(each.power):
             own.setdefault(each.gap.channel, []).append(each)
     for channel, runs in own.items():
@@ -74,7 +78,7 @@ def _spectra(
         found[channel] = (
             in_bands(frequency, power),
             f"By how much the power of {channel} differs from the simulated power, over that of "
-            "its noise: stops are struck, and trajectories part ways. The dashed line is the "
+            "its noise: impacts make the trajectories chaotic. The dashed line is the "
             "noise floor.",
         )
     for channel, many in series.items():

@@ -11,11 +11,11 @@ from typing import Any
 from loose_env.gap import (
     ACCEPTED_Z,
     NOISE_RMS,
+    EffectLocation,
     GapResult,
     Identifiability,
     NamedEffect,
-    Place,
-    Ranked,
+    RankedHypothesis,
     how_to_see,
     how_to_separate,
     quantity_words,
@@ -84,52 +84,52 @@ def effect_words(kind: str, where: str) -> str:
 def headline(result: GapResult) -> str:
     """The outcome in one sentence."""
     if result.verdict == "no_gap":
-        return "Nothing is missing: the model explains what was measured."
+        return "No model error: the model explains the measurement within its tolerance."
     if result.verdict == "unexplained":  # nothing is named then
         likely = unsure(result)
         if likely is None:
-            return "Something is missing that is not in the catalogue."
+            return "An effect is missing that is not in the catalogue."
         words = _in_a_row(_grouped(likely.places))
-        return f"Something is missing. It may be {words}, but these runs do not make that sure."
+        return f"An effect is missing. It may be {words}, which is not significant in these runs."
     listed = _in_a_row(_grouped(result.effects))
-    return f"The model lacks {listed}{', and something else' if _open(result) else ''}."
+    return f"The model lacks {listed}{', and a further effect' if _open(result) else ''}."
 
 
 def _open(result: GapResult) -> bool:
-    """Whether much is left of the gap after what was named."""
-    return bool(result.left) and result.gap.after > NOISE_RMS and _by_blows(result) is None
+    """Whether a large residual remains after the identified effects."""
+    return bool(result.remaining) and result.gap.after > NOISE_RMS and _by_impacts(result) is None
 
 
-def _by_blows(result: GapResult) -> NamedEffect | None:
-    """A part that was found by how hard it strikes its stops."""
-    return next((e for e in result.effects if e.powers_explained is not None), None)
+def _by_impacts(result: GapResult) -> NamedEffect | None:
+    """A part with stops, identified by its impact power."""
+    return next((e for e in result.effects if e.impact_power_explained is not None), None)
 
 
-def unsure(result: GapResult) -> Ranked | None:
-    """What would close a gap in which nothing could be named; None if nothing would.
+def unsure(result: GapResult) -> RankedHypothesis | None:
+    """Insignificant hypothesis that explains an unexplained residual; None if there is none.
 
-    Short runs have too few stretches of time for any lead to be sure. That is no sign that the
+    Short runs have too few blocks of time for a significant improvement. That is no sign that the
     effect is missing from the catalogue.
 
     Examples
     --------
     >>> from loose_env.gap import Gap
-    >>> friction = Ranked(
-    ...     kind="coulomb_friction", where="joint2", held_out=1.01, bic=-9e3, lead=1.7
+    >>> friction = RankedHypothesis(
+    ...     kind="coulomb_friction", where="joint2", held_out=1.01, bic=-9e3, improvement_z=1.7
     ... )
     >>> result = GapResult(
     ...     verdict="unexplained", gap=Gap(before=4.8, after=4.8), ranking=(friction,)
     ... )
     >>> headline(result)
-    'Something is missing. It may be dry friction (joint2), but these runs do not make that sure.'
+    'An effect is missing. It may be dry friction (joint2), which is not significant in these runs.'
     """
     if result.verdict != "unexplained" or result.gap.before <= NOISE_RMS:
         return None
-    first = (r for r in result.ranking if r.step == 1 and r.lead < ACCEPTED_Z)
+    first = (r for r in result.ranking if r.step == 1 and r.improvement_z < ACCEPTED_Z)
     return next((r for r in first if r.held_out <= NOISE_RMS), None)
 
 
-def _grouped(effects: Sequence[NamedEffect | Place]) -> list[str]:
+def _grouped(effects: Sequence[NamedEffect | EffectLocation]) -> list[str]:
     """Effects in words, those of one kind together."""
     places: dict[str, list[str]] = {}
     for effect in effects:
@@ -143,34 +143,34 @@ def _in_a_row(names: Sequence[str]) -> str:
 
 
 def size_words(result: GapResult) -> list[str]:
-    """How large the gap is and what is left of it."""
+    """Size of the model error, before and after correction."""
     gap = result.gap
     count = len(result.held_out_runs)
     runs = "one run" if count == 1 else f"{count} runs"
     said = (
-        f"On {runs} that no fit has seen, the nominal model is {gap.before:.2f} times as far from "
-        "the measurement as the noise of the sensors alone would put it"
+        f"Residual of the nominal model on {runs} held out from all fits: {gap.before:.2f} noise "
+        "standard deviations (sensor noise alone: 1)"
     )
     if result.verdict == "no_gap":
-        return [f"{said}: that is what its tolerance and the noise leave."]
-    left = f"; the corrected model {gap.after:.2f} times."
+        return [f"{said}, explained by its tolerance and the noise."]
+    left = f"; of the corrected model: {gap.after:.2f}."
     if gap.after <= NOISE_RMS:
-        left += " The gap is closed down to the noise."
-    elif (struck := _by_blows(result)) is not None:
+        left += " The residual is down to the noise."
+    elif (impact_fit := _by_impacts(result)) is not None:
         left += (
-            " Blows fall at moments that no simulation repeats; of how hard and how often they "
-            f"do, the corrected model explains {100 * (struck.powers_explained or 0.0):.0f} %."
+            " The times of impacts are not reproducible; of their power the corrected model "
+            f"explains {100 * (impact_fit.impact_power_explained or 0.0):.0f} %."
         )
     elif gap.after < 0.7 * gap.before:
-        left += " The gap is smaller, not closed: see what is left."
+        left += " It is reduced, not eliminated: see the remaining residual."
     else:
-        left += " Most of the gap is still there."
+        left += " Most of it remains."
     in_units = quantity_words(gap.by_quantity)
     return [said + left, *(f"{words[0].upper()}{words[1:]}." for words in in_units)]
 
 
 def sure_words(effect: NamedEffect) -> str:
-    """Values of an effect's parameters and how sure they are."""
+    """Values of an effect's parameters with their confidence intervals."""
     parts = []
     for name, value in effect.parameters.items():
         unit = effect.units.get(name, "")
@@ -181,17 +181,17 @@ def sure_words(effect: NamedEffect) -> str:
 
 
 def mistaken_words(result: GapResult) -> list[str]:
-    """What each effect could be mistaken for."""
+    """Confusable effects of each identified one."""
     said = []
-    alone = [e for e in result.effects if not e.ambiguous_with and e is not _by_blows(result)]
-    groups: dict[tuple[int, tuple[Place, ...]], list[NamedEffect]] = {}
+    alone = [e for e in result.effects if not e.ambiguous_with and e is not _by_impacts(result)]
+    groups: dict[tuple[int, tuple[EffectLocation, ...]], list[NamedEffect]] = {}
     for effect in alone:
         groups.setdefault(_found_in(effect, result.ranking), []).append(effect)
     for (step, together), effects in groups.items():
         words = _in_a_row(_grouped(effects))
         others = sum(row.step == step and row.places != together for row in result.ranking)
         if not others:
-            said.append(f"Nothing else was fitted to whole runs in place of {words}.")
+            said.append(f"No other hypothesis was fitted to whole runs in place of {words}.")
             continue
         rivals = (
             "the one other hypothesis that was fitted to whole runs does not explain"
@@ -201,42 +201,45 @@ def mistaken_words(result: GapResult) -> list[str]:
         said.append(f"In place of {words}, {rivals} the held-out runs as well.")
         if len(together) > 1:
             said.append(
-                "These were fitted together; something else at one of the places, with the others "
-                "as they are, was not tried."
+                "These were fitted jointly; another effect at one of the locations, with the "
+                "others unchanged, was not tried."
             )
-    struck = _by_blows(result)
-    if struck is not None and not struck.ambiguous_with:
-        words = effect_words(struck.kind, struck.where)
-        said.append(f"No play anywhere else strikes as this does: {words}.")
+    impact_fit = _by_impacts(result)
+    if impact_fit is not None and not impact_fit.ambiguous_with:
+        words = effect_words(impact_fit.kind, impact_fit.where)
+        said.append(f"No play at another location explains the impact power as well as {words}.")
     for effect in result.effects:
         if not effect.ambiguous_with:
             continue
         words = effect_words(effect.kind, effect.where)
         others_named = [effect_words(o.kind, o.where) for o in effect.ambiguous_with]
         said.append(
-            f"The held-out runs cannot tell {words} from {' or from '.join(others_named)}: it may "
-            "be either."
+            f"The held-out runs do not separate {words} from {' or from '.join(others_named)}."
         )
     return said
 
 
-def _found_in(effect: NamedEffect, ranking: Sequence[Ranked]) -> tuple[int, tuple[Place, ...]]:
-    """Step in which an effect was found, and all that was found with it; 0 where not known."""
-    own = Place(kind=effect.kind, where=effect.where)
+def _found_in(
+    effect: NamedEffect, ranking: Sequence[RankedHypothesis]
+) -> tuple[int, tuple[EffectLocation, ...]]:
+    """Step in which an effect was identified, and all that was fitted with it; 0 if unknown."""
+    own = EffectLocation(kind=effect.kind, where=effect.where)
     for row in ranking:
         if own in row.places:
             return row.step, row.places
     return 0, ()
 
 
-def ranked_words(row: Ranked) -> str:
-    """A hypothesis as the table of what was tried lists it.
+def ranked_words(row: RankedHypothesis) -> str:
+    """Format a hypothesis for the table of candidate fits.
 
     Examples
     --------
-    >>> several = (Place(kind="backlash", where="joint2"),)
+    >>> several = (EffectLocation(kind="backlash", where="joint2"),)
     >>> ranked_words(
-    ...     Ranked(kind="backlash", where="joint1", held_out=1.0, bic=-9.0, together_with=several)
+    ...     RankedHypothesis(
+    ...         kind="backlash", where="joint1", held_out=1.0, bic=-9.0, together_with=several
+    ...     )
     ... )
     'backlash at joint1, joint2'
     """
@@ -247,7 +250,7 @@ def ranked_words(row: Ranked) -> str:
 
 
 def next_steps(result: GapResult) -> list[str]:
-    """What to do now."""
+    """Recommended next steps."""
     steps = []
     if result.verdict == "named":
         steps.append(
@@ -266,30 +269,30 @@ def next_steps(result: GapResult) -> list[str]:
                 effect_words(other.kind, other.where),
             )
             advice = how_to_separate(effect.kind, effect.where, other.kind, other.where)
-            steps.append(f"To tell {first} from {second}: {advice[0].lower()}{advice[1:]}")
+            steps.append(f"To separate {first} from {second}: {advice[0].lower()}{advice[1:]}")
     likely = unsure(result)
     if likely is not None:
         words = _in_a_row(_grouped(likely.places))
         steps.append(
-            f"Record more of these motions, or longer ones: with {words} the model leaves "
-            f"{likely.held_out:.2f} of {result.gap.before:.2f}, but is ahead by {likely.lead:.1f} "
-            "standard deviations only."
+            f"Record more of these motions, or longer ones: {words} reduces the residual from "
+            f"{result.gap.before:.2f} to {likely.held_out:.2f}, but with a z-score of only "
+            f"{likely.improvement_z:.1f}."
         )
     if result.verdict == "unexplained":
-        steps += [f"Look here: {words}" for words in result.where_it_lives]
+        steps += [f"Look here: {words}" for words in result.location_words]
     elif _open(result):
-        steps += [f"Look here for what else is missing: {words}" for words in result.left[1:]]
+        steps += [f"Look here for the missing effect: {words}" for words in result.remaining[1:]]
     if result.verdict == "unexplained" or _open(result):
         steps.append(
-            "If you know what it is, add it: an effect is one small class in one file, and is "
-            "tried like the others."
+            "If you know the effect, add it: it is one small class in one file, and is fitted like "
+            "those of the catalogue."
         )
     if result.verdict == "no_gap":
         steps.append(
             "To look closer, record motions that strain what you suspect: slow and fast, with "
             "reversals, over the whole range, with and without load."
         )
-    trending = [t for t in result.left_over if t.trend_sureness >= 4 and abs(t.trend) > 0.5]
+    trending = [t for t in result.residual_tests if t.trend_z >= 4 and abs(t.trend) > 0.5]
     if trending:
         steps.append(
             f"{_listed([t.channel for t in trending])} drift within a run: something warms up or "
@@ -308,36 +311,38 @@ _ROWS = 12
 
 
 def shown_group(found: Identifiability) -> dict[str, Any]:
-    """Section on what cannot be seen or told apart; nothing where all can."""
+    """Section on identifiability; empty where all effects are identifiable."""
     tables = []
-    if found.unseen:
+    if found.unidentifiable:
         rows = [
             {
                 "Effect": f"{each.kind} at {each.where}",
                 "At a size of": ", ".join(f"{k} {v:.3g}" for k, v in each.parameters.items()),
-                "Seen by": f"{each.sureness:.1f}",
-                "More of the same": _more(each.more_s),
+                "z": f"{each.z:.1f}",
+                "More of the same": _more(each.additional_s),
                 "Better": how_to_see(each.kind),
             }
-            for each in sorted(found.unseen, key=lambda e: -e.sureness)[:_ROWS]
+            for each in sorted(found.unidentifiable, key=lambda e: -e.z)[:_ROWS]
         ]
-        tables.append({"title": "Not seen", "rows": rows, "note": _rest(len(found.unseen))})
-    if found.alike:
+        tables.append(
+            {"title": "Not identifiable", "rows": rows, "note": _rest(len(found.unidentifiable))}
+        )
+    if found.confusable:
         rows = [
             {
                 "Effect": f"{pair.kind} at {pair.where}",
-                "Looks like": f"{pair.other_kind} at {pair.other_where}",
-                "Told apart by": f"{pair.sureness:.1f}",
-                "More of the same": _more(pair.more_s),
+                "Confusable with": f"{pair.other_kind} at {pair.other_where}",
+                "z": f"{pair.z:.1f}",
+                "More of the same": _more(pair.additional_s),
                 "Better": how_to_separate(pair.kind, pair.where, pair.other_kind, pair.other_where),
             }
-            for pair in found.alike[:_ROWS]
+            for pair in found.confusable[:_ROWS]
         ]
-        tables.append({"title": "Alike", "rows": rows, "note": _rest(len(found.alike))})
+        tables.append({"title": "Confusable", "rows": rows, "note": _rest(len(found.confusable))})
     return group(
-        "What these motions can show",
-        "Every effect at a size that matters, simulated on the runs fitted to: what it changes "
-        "beyond the tolerance of the nominal figures, in standard deviations; five are needed.",
+        "Identifiability from these motions",
+        "Every effect at a size that matters, simulated on the training runs: its signature beyond "
+        "the tolerance of the nominal parameters, as a z-score; 5 is needed.",
         tables=tables,
     )
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from loose_env.errors import MissingExtra
-from loose_env.gap import Evidence, GapResult, GapSolution
+from loose_env.gap import GapResult, GapSolution, ResidualDiagnostics
 from loose_env.report.gap.page import write_gap_page
 
 __all__ = ["write_gap_report"]
@@ -15,7 +15,7 @@ __all__ = ["write_gap_report"]
 def write_gap_report(
     folder: Path,
     solution: GapSolution,
-    evidence: Evidence,
+    evidence: ResidualDiagnostics,
     result: GapResult,
     *,
     say: Callable[[str], None] = lambda _: None,

@@ -126,8 +126,8 @@ def gap(threads: int = 1) -> dict[str, Any]:
         "effects": [
             [e.kind, e.where, _digits(list(e.parameters.values()))] for e in result.effects
         ],
-        "before": _plain(result.base.held_rms),
-        "after": _plain(result.best.held_rms),
+        "before": _plain(result.base.held_out_rms),
+        "after": _plain(result.best.held_out_rms),
     }
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from loose_env.gap.model.effect import Effect, Readings
 from loose_env.gap.model.effects.sensors import delayed
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
 SHARED = Path(__file__).parents[4] / "shared" / "models"
@@ -105,22 +105,22 @@ SPATIAL = """
 ARMS = ("planar", "spatial", "so101")
 
 
-def machine_of(name: str) -> Machine:
+def machine_of(name: str) -> NominalModel:
     """A machine by name; the test is skipped where its file is missing."""
     if name == "so101":
         file = SHARED / "so101_bare.xml"
         if not file.is_file():
             pytest.skip("the published arms are not beside the repository")
-        return Machine(mujoco.MjSpec.from_file(str(file)))
-    return Machine(mujoco.MjSpec.from_string({"planar": PLANAR, "spatial": SPATIAL}[name]))
+        return NominalModel(mujoco.MjSpec.from_file(str(file)))
+    return NominalModel(mujoco.MjSpec.from_string({"planar": PLANAR, "spatial": SPATIAL}[name]))
 
 
-def clock(machine: Machine, duration: float = 0.5) -> Array:
+def clock(machine: NominalModel, duration: float = 0.5) -> Array:
     step = machine.model.opt.timestep
     return np.arange(round(duration / step)) * step
 
 
-def commands(machine: Machine, time: Array) -> Array:
+def commands(machine: NominalModel, time: Array) -> Array:
     """Smooth commands that begin at rest (T, actuators)."""
     number = np.arange(1, len(machine.actuators) + 1)
     limits = np.where(machine.model.actuator_biasprm[: len(number), 1] != 0, 0.3, 0.05)
@@ -144,7 +144,7 @@ def simulate(model: mujoco.MjModel, controls: Array) -> Readings:
     return found
 
 
-def with_effect(machine: Machine, effect: Effect, values: Array) -> Readings:
+def with_effect(machine: NominalModel, effect: Effect, values: Array) -> Readings:
     """Readings of a machine that has an effect."""
     spec = machine.fresh()
     effect.edit(spec, values)

@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from loose_env.gap.fitting.holdout_score import Judge, Judged
+from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.preparation.prepare import GapProblem, prepare
 from loose_env.gap.settings import GapSettings
@@ -59,7 +59,7 @@ def prepared_arm(folder: Path, *, rate: float = 1000.0, first: float = 0.0) -> G
     return prepare(recording, GapSettings(threads=1, kinds=("viscous_friction",)))
 
 
-def judged_with(prepared: GapProblem, effect: Effect, values: Sequence[float]) -> Judged:
+def judged_with(problem: GapProblem, effect: Effect, values: Sequence[float]) -> ScoredFit:
     """The nominal model with an effect, as if that had been fitted."""
-    judge = Judge(prepared.fit, prepared.whole_held)
-    return judge.judge(stated(prepared.fit, [effect], [np.array(values)]))
+    scorer = Scorer(problem.fit, problem.held_out_whole)
+    return scorer.score(stated(problem.fit, [effect], [np.array(values)]))

@@ -8,20 +8,20 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from loose_env.gap.data.aligned_run import channels_of, lay_out
+from loose_env.gap.data.aligned_run import align_run, channels_of
 from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.fitting.gauss_newton import Fit
-from loose_env.gap.fitting.holdout_score import Judge
+from loose_env.gap.fitting.holdout_score import Scorer
 from loose_env.gap.fitting.model_structure import ModelStructure, Nuisance
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.friction import ViscousFriction
 from loose_env.gap.model.effects.sensors import SensorGain
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.nominal_parameters import NominalParameters
 from loose_env.gap.model.parameter import free_of
-from loose_env.gap.output.result import NamedEffect, Place, Ranked
+from loose_env.gap.output.result import EffectLocation, NamedEffect, RankedHypothesis
 from loose_env.gap.preparation.prepare import GapProblem
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.workflow.pipeline import GapSolution
 from loose_env.recording import Recording, Run, write_recording
@@ -67,13 +67,13 @@ def record(folder: Path, *, runs: int = 3) -> Recording:
     return write_recording(folder, model_xml=MODEL, runs=found, file_format="csv")
 
 
-def nominal_structure(machine: Machine, *, tolerance: float = 0.03) -> ModelStructure:
+def nominal_structure(machine: NominalModel, *, tolerance: float = 0.03) -> ModelStructure:
     """The nominal model with its uncertain parameters, without initial states."""
     nominal = NominalParameters(machine, tolerance=tolerance)
     return ModelStructure(nuisance=Nuisance(nominal=nominal))
 
 
-def stated(comparison: Comparison, effects: Sequence[Effect], values: Sequence[Array]) -> Fit:
+def stated(comparison: ResidualModel, effects: Sequence[Effect], values: Sequence[Array]) -> Fit:
     """Effects beside the nominal parameters as they are, stated and not searched for."""
     structure = nominal_structure(comparison.machine).with_effects(effects)
     own = [free_of(e.parameters, v) for e, v in zip(effects, values, strict=True)]
@@ -90,31 +90,31 @@ def stated(comparison: Comparison, effects: Sequence[Effect], values: Sequence[A
 
 def solution_for(recording: Recording) -> GapSolution:
     """The comparison as a search would have ended; the last run is held out."""
-    machine = Machine(recording.spec(), step=STEP)
+    machine = NominalModel(recording.spec(), step=STEP)
     channels = channels_of(list(recording.runs))
-    trials = [lay_out(run, machine, channels, step=STEP) for run in recording.runs]
+    trials = [align_run(run, machine, channels, step=STEP) for run in recording.runs]
     floors = np.array(
         [np.median([noise_floor(t.measured[:, c]) for t in trials]) for c in range(len(channels))]
     )
-    fitted = Comparison(machine, trials[:-1], channels, floors, threads=1)
-    held = Comparison(machine, trials[-1:], channels, floors, threads=1)
-    judge = Judge(fitted, held)
+    fitted = ResidualModel(machine, trials[:-1], channels, floors, threads=1)
+    held = ResidualModel(machine, trials[-1:], channels, floors, threads=1)
+    scorer = Scorer(fitted, held)
     friction, gain = ViscousFriction(machine, "joint2"), SensorGain(machine, "rate3")
     values = [np.array([DAMPING]), np.array([GAIN])]
     return GapSolution(
         problem=GapProblem(
             settings=GapSettings(tolerance=0.03, seed=1, threads=1), machine=machine,
-            integration=None, search=fitted, fit=fitted, held=held, whole_held=held,
+            integration=None, search=fitted, fit=fitted, held_out=held, held_out_whole=held,
             recording=recording.folder.name, model_path=recording.model_path,
         ),
-        base=judge.judge(stated(fitted, [], [])),
-        best=judge.judge(stated(fitted, [friction, gain], values)),
+        base=scorer.score(stated(fitted, [], [])),
+        best=scorer.score(stated(fitted, [friction, gain], values)),
         verdict="named",
         effects=(
             NamedEffect(
                 kind="viscous_friction", where="joint2", parameters={"damping": DAMPING},
                 interval_95={"damping": (2.9, 3.1)}, units={"damping": "N·m·s/rad"},
-                ambiguous_with=(Place(kind="actuator_gain", where="servo2"),),
+                ambiguous_with=(EffectLocation(kind="actuator_gain", where="servo2"),),
             ),
             NamedEffect(
                 kind="sensor_gain", where="rate3", parameters={"gain": GAIN},
@@ -122,9 +122,18 @@ def solution_for(recording: Recording) -> GapSolution:
             ),
         ),
         ranking=(
-            Ranked(kind="viscous_friction", where="joint2", held_out=3.1, bic=-300.0, lead=12.0),
-            Ranked(kind="coulomb_friction", where="joint2", held_out=9.0, bic=-20.0, lead=2.0),
-            Ranked(kind="sensor_gain", where="rate3", held_out=1.0, bic=-90.0, step=2, lead=9.0),
+            RankedHypothesis(
+                kind="viscous_friction", where="joint2", held_out=3.1, bic=-300.0,
+                improvement_z=12.0
+            ),
+            RankedHypothesis(
+                kind="coulomb_friction", where="joint2", held_out=9.0, bic=-20.0,
+                improvement_z=2.0
+            ),
+            RankedHypothesis(
+                kind="sensor_gain", where="rate3", held_out=1.0, bic=-90.0,
+                step=2, improvement_z=9.0
+            ),
         ),
         warnings=("the step is coarse",),
     )  # fmt: skip

@@ -8,14 +8,14 @@ import mujoco
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from loose_env.gap.data.aligned_run import channels_of, lay_out
+from loose_env.gap.data.aligned_run import align_run, channels_of
 from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.fitting.gauss_newton import Fit, fit
 from loose_env.gap.fitting.model_structure import ModelStructure, nuisance_of
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import free_of
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.recording import Run
 from loose_env.typing import Array
 
@@ -50,7 +50,7 @@ def measurable(spec: mujoco.MjSpec) -> mujoco.MjSpec:
 
 
 def waves(
-    machine: Machine, time: Array, rng: np.random.Generator, size: float = 0.6
+    machine: NominalModel, time: Array, rng: np.random.Generator, size: float = 0.6
 ) -> tuple[Array, Array, Array]:
     """Position, speed and acceleration of all joints (T, joints), sums of sines up to 2 Hz."""
     count = len(machine.joints)
@@ -78,7 +78,7 @@ def needed(model: mujoco.MjModel, position: Array, speed: Array, acceleration: A
 
 
 def torque_run(
-    machine: Machine,
+    machine: NominalModel,
     truth: mujoco.MjModel,
     rng: np.random.Generator,
     *,
@@ -141,16 +141,20 @@ def pendulum_run(
     return Run(name=name, time=time, sensors={"encoder": angle + rng.normal(0, noise, len(time))})
 
 
-def compared(machine: Machine, runs: Sequence[Run], step: float = 0.0025) -> Comparison:
+def compared(machine: NominalModel, runs: Sequence[Run], step: float = 0.0025) -> ResidualModel:
     """Comparison of runs, on one thread."""
     channels = channels_of(list(runs))
-    trials = [lay_out(run, machine, channels, step=step) for run in runs]
+    trials = [align_run(run, machine, channels, step=step) for run in runs]
     read = np.array([[noise_floor(c) for c in trial.measured.T] for trial in trials])
-    return Comparison(machine, trials, channels, np.nanmedian(read, axis=0), threads=1)
+    return ResidualModel(machine, trials, channels, np.nanmedian(read, axis=0), threads=1)
 
 
 def fitted(
-    comparison: Comparison, effects: Sequence[Effect], *, start: int = 0, tolerance: float = 0.005
+    comparison: ResidualModel,
+    effects: Sequence[Effect],
+    *,
+    start: int = 0,
+    tolerance: float = 0.005,
 ) -> tuple[Fit, list[Array]]:
     """Fit effects beside the nuisance parameters; values of each of the effects."""
     nuisance = nuisance_of(comparison, comparison.machine, tolerance=tolerance)

@@ -6,12 +6,12 @@ import pytest
 
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.diagnostics.joint_torque_residual import JointMotion, joint_motion
-from loose_env.gap.diagnostics.localisation import locate, main_band, strongest, where_it_lives
+from loose_env.gap.diagnostics.localisation import locate, location_words, main_band, strongest
 from loose_env.gap.diagnostics.regressors import REGRESSORS, binned, dependence, direction_of
 from loose_env.gap.diagnostics.residual_spectra import band_edges, density, series_of, spectrum
-from loose_env.gap.diagnostics.residual_tests import left_over
-from loose_env.gap.model.nominal_model import Machine
-from loose_env.gap.output.evidence_schema import Band, ChannelGap, Location
+from loose_env.gap.diagnostics.residual_tests import residual_tests
+from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.output.evidence_schema import Band, ChannelResidual, Location
 from loose_env.gap.residuals.residual_model import Rows
 from loose_env.typing import Array
 
@@ -62,7 +62,7 @@ def motion() -> JointMotion:
     return JointMotion(
         joints=("turn",), units=("N·m",), time=TIME, position=one, speed=SPEED[:, None],
         acceleration=np.gradient(SPEED, TIME)[:, None], load=3 * np.sin(one),
-        missing=np.full_like(one, np.nan), missing_floor=np.array([np.nan]),
+        residual_torque=np.full_like(one, np.nan), residual_noise=np.array([np.nan]),
     )  # fmt: skip
 
 
@@ -74,20 +74,20 @@ def residual(on_q: Array, seed: int = 1) -> Array:
 
 def goes_with(on_q: Array) -> str | None:
     gap = locate(residual(on_q), rows_of(), [trial_of()], CHANNELS, [motion()]).channels[0]
-    found = strongest(gap.depends)
-    return None if found is None else found.on
+    found = strongest(gap.dependences)
+    return None if found is None else found.regressor
 
 
 def test_noise_is_at_its_floor_at_every_frequency_and_goes_with_nothing() -> None:
     location = locate(residual(np.zeros(COUNT)), rows_of(), [trial_of()], CHANNELS, [motion()])
     assert [gap.channel for gap in location.channels] == ["sensor.q", "sensor.acc.x"]
     for gap in location.channels:
-        assert gap.over_floor == pytest.approx(1, abs=0.05)
-        assert strongest(gap.depends) is None and main_band(gap) is None
+        assert gap.rms == pytest.approx(1, abs=0.05)
+        assert strongest(gap.dependences) is None and main_band(gap) is None
         wide = [band for band in gap.bands if band.high > 3]
-        assert all(0.8 < band.over_floor < 1.2 for band in wide)
+        assert all(0.8 < band.rms < 1.2 for band in wide)
         assert sum(band.share for band in gap.bands) == pytest.approx(1)
-    assert where_it_lives(location) == []
+    assert location_words(location) == []
 
 
 @pytest.mark.parametrize(
@@ -106,8 +106,8 @@ def test_a_residual_is_told_by_what_it_goes_with(on_q: Array, quantity: str) -> 
 def test_what_only_shares_slow_time_with_the_motion_explains_nothing_surely() -> None:
     drift = np.cumsum(np.random.default_rng(5).normal(0, 0.05, COUNT))
     gap = locate(residual(drift), rows_of(), [trial_of()], CHANNELS, [motion()]).channels[0]
-    assert gap.over_floor > 1.5
-    assert strongest(gap.depends) is None
+    assert gap.rms > 1.5
+    assert strongest(gap.dependences) is None
 
 
 def test_a_resonance_is_found_in_its_band_and_named_in_words() -> None:
@@ -116,13 +116,16 @@ def test_a_resonance_is_found_in_its_band_and_named_in_words() -> None:
     )
     band = main_band(gap.channels[0])
     assert band is not None and (band.low, band.high) == (30.0, 100.0)
-    words = where_it_lives(gap)
+    words = location_words(gap)
     assert len(words) == 1
-    assert words[0].startswith("sensor.q is up to 4.") and "between 30 and 100 Hz" in words[0]
+    assert (
+        words[0].startswith("sensor.q has a residual of up to 4.")
+        and "between 30 and 100 Hz" in words[0]
+    )
 
 
 def test_a_constant_is_called_constant() -> None:
-    said = where_it_lives(
+    said = location_words(
         locate(residual(np.full(COUNT, 9.0)), rows_of(), [trial_of()], CHANNELS, [motion()])
     )
     assert "almost constant" in said[0]
@@ -134,7 +137,7 @@ def test_the_worst_run_speaks_for_a_channel() -> None:
         both, rows_of(2), [trial_of(), trial_of("run-02.csv")], CHANNELS, [motion(), motion()]
     )
     assert len(location.channels) == 4
-    assert "(run-02.csv)" in where_it_lives(location)[0]
+    assert "(run-02.csv)" in location_words(location)[0]
 
 
 FAINT = 0.25 * np.sign(SPEED)
@@ -144,16 +147,16 @@ FAINT = 0.25 * np.sign(SPEED)
 def test_a_gap_that_is_hardly_larger_than_the_noise_is_told_of_where_it_hangs_together() -> None:
     location = locate(residual(FAINT), rows_of(), [trial_of()], CHANNELS, [motion()])
     gap = location.channels[0]
-    assert gap.over_floor < 1.1 and gap.sureness > 4
-    assert gap.together == pytest.approx(0.25, rel=0.2)
-    (words,) = where_it_lives(location)
-    assert words.startswith("sensor.q is hardly off by more than its noise")
+    assert gap.rms < 1.1 and gap.autocorrelation_z > 4
+    assert gap.autocorrelated_rms == pytest.approx(0.25, rel=0.2)
+    (words,) = location_words(location)
+    assert words.startswith("sensor.q has a residual of about its noise")
     assert "direction of turn" in words and "run-01.csv" in words and "Hz" in words
 
 
 def test_noise_does_not_hang_together() -> None:
     sure = [
-        gap.sureness
+        gap.autocorrelation_z
         for seed in range(40)
         for gap in locate(
             residual(np.zeros(COUNT), seed), rows_of(), [trial_of()], CHANNELS, [motion()]
@@ -163,16 +166,16 @@ def test_noise_does_not_hang_together() -> None:
 
 
 def test_something_known_to_disagree_is_always_given_a_place() -> None:
-    faint = ChannelGap(
-        run="a", channel="sensor.q", over_floor=1.15, offset=0.0,
-        bands=(Band(low=0, high=1, over_floor=3.0, share=0.9),), depends=(), sureness=2.0,
-        together=0.3,
+    faint = ChannelResidual(
+        run="a", channel="sensor.q", rms=1.15, offset=0.0,
+        bands=(Band(low=0, high=1, rms=3.0, share=0.9),), dependences=(), autocorrelation_z=2.0,
+        autocorrelated_rms=0.3,
     )  # fmt: skip
     location = Location(channels=(faint,))
-    assert where_it_lives(location) == []
-    (words,) = where_it_lives(location, always=True)
+    assert location_words(location) == []
+    (words,) = location_words(location, always=True)
     assert "sensor.q" in words and "0 and 1 Hz" in words
-    assert "none of position, velocity, direction, acceleration, load" in words
+    assert "no significant dependence on position, velocity, direction, acceleration, load" in words
 
 
 def simulated(damping: float, friction: float, *, noise: float = 2e-5) -> Trial:
@@ -195,7 +198,7 @@ def simulated(damping: float, friction: float, *, noise: float = 2e-5) -> Trial:
 
 
 def missing(damping: float, friction: float) -> JointMotion:
-    machine = Machine(
+    machine = NominalModel(
         mujoco.MjSpec.from_string(PENDULUM.format(damping=0.1, friction=0)), step=0.001
     )
     trial = simulated(damping, friction)
@@ -204,20 +207,20 @@ def missing(damping: float, friction: float) -> JointMotion:
 
 def test_torque_that_the_model_does_not_explain_is_that_of_the_effect_in_its_unit() -> None:
     found = missing(damping=1.6, friction=0)
-    torque, speed = found.missing[:, 0], found.speed[:, 0]
+    torque, speed = found.residual_torque[:, 0], found.speed[:, 0]
     good = np.isfinite(torque)
     rate = float(np.polyfit(speed[good], torque[good], 1)[0])
     assert rate == pytest.approx(1.5, rel=0.02)
     left = torque[good] - rate * speed[good]
-    assert np.std(left) < 3 * found.missing_floor[0]
+    assert np.std(left) < 3 * found.residual_noise[0]
     assert found.units == ("N·m",)
 
 
 def test_of_a_machine_without_gap_only_noise_is_unexplained() -> None:
     found = missing(damping=0.1, friction=0)
-    torque = found.missing[:, 0]
+    torque = found.residual_torque[:, 0]
     rms = float(np.sqrt(np.nanmean(torque**2)))
-    assert 0.5 * found.missing_floor[0] < rms < 2 * found.missing_floor[0]
+    assert 0.5 * found.residual_noise[0] < rms < 2 * found.residual_noise[0]
 
 
 def test_dry_friction_shows_as_torque_that_goes_with_the_direction() -> None:
@@ -226,10 +229,13 @@ def test_dry_friction_shows_as_torque_that_goes_with_the_direction() -> None:
         CHANNELS[:1], [missing(damping=0.1, friction=0.8)],
     )  # fmt: skip
     gap = location.joints[0]
-    found = strongest(gap.depends)
-    assert found is not None and found.on == "direction"
-    assert gap.missing == pytest.approx(0.8, rel=0.1)
-    assert "turn got 0.7" in where_it_lives(location)[0] and "N·m" in where_it_lives(location)[0]
+    found = strongest(gap.dependences)
+    assert found is not None and found.regressor == "direction"
+    assert gap.residual == pytest.approx(0.8, rel=0.1)
+    assert (
+        "turn has a residual torque of 0.7" in location_words(location)[0]
+        and "N·m" in location_words(location)[0]
+    )
 
 
 def test_dependence_needs_blocks_and_a_regressor_that_changes() -> None:
@@ -265,16 +271,18 @@ def test_spectra_are_one_for_noise_whatever_the_rate_and_gaps() -> None:
 
 
 def test_noise_that_is_left_is_called_white_and_a_rest_is_not() -> None:
-    tests = left_over(residual(np.zeros(COUNT)), rows_of(), [trial_of()], CHANNELS, [motion()])
+    tests = residual_tests(residual(np.zeros(COUNT)), rows_of(), [trial_of()], CHANNELS, [motion()])
     assert [t.channel for t in tests] == ["sensor.q", "sensor.acc.x"]
-    assert all(t.white and not t.depends and t.trend_sureness < 3.5 for t in tests)
+    assert all(t.white and not t.dependences and t.trend_z < 3.5 for t in tests)
     assert tests[0].correlation_time == pytest.approx(1 / RATE, rel=0.3)
-    rest = left_over(residual(2 * SPEED), rows_of(), [trial_of()], CHANNELS, [motion()])[0]
+    rest = residual_tests(residual(2 * SPEED), rows_of(), [trial_of()], CHANNELS, [motion()])[0]
     assert not rest.white and rest.correlation_time > 0.05
-    assert "velocity" in {d.on for d in rest.depends} <= set(REGRESSORS)
+    assert "velocity" in {d.regressor for d in rest.dependences} <= set(REGRESSORS)
 
 
 def test_a_drift_over_a_run_is_measured() -> None:
-    tests = left_over(residual(2 * TIME / TIME[-1]), rows_of(), [trial_of()], CHANNELS, [motion()])
-    assert tests[0].trend == pytest.approx(2, abs=0.2) and tests[0].trend_sureness > 6
-    assert tests[1].trend_sureness < 4
+    tests = residual_tests(
+        residual(2 * TIME / TIME[-1]), rows_of(), [trial_of()], CHANNELS, [motion()]
+    )
+    assert tests[0].trend == pytest.approx(2, abs=0.2) and tests[0].trend_z > 6
+    assert tests[1].trend_z < 4

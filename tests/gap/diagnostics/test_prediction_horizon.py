@@ -11,7 +11,7 @@ from loose_env.gap.diagnostics.prediction_horizon import HorizonError, horizon_e
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import candidates
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.typing import Array
 from tests.gap.cases.effect_arms import PLANAR
@@ -26,11 +26,11 @@ CHANNELS = (
 FLOORS = np.array([1e-5, 1e-5, 1e-5, 1e-3, 0.02, 0.02, 0.02])
 
 
-def machine() -> Machine:
-    return Machine(mujoco.MjSpec.from_string(PLANAR), step=STEP, integrator=RK4)
+def machine() -> NominalModel:
+    return NominalModel(mujoco.MjSpec.from_string(PLANAR), step=STEP, integrator=RK4)
 
 
-def commanded(own: Machine) -> Trial:
+def commanded(own: NominalModel) -> Trial:
     """A forward run from rest, without readings."""
     time = np.arange(COUNT) * STEP
     swing = np.sin(np.outer(time, [2.1, 3.4, 5.2])) * np.minimum(time, 1.0)[:, None]
@@ -48,7 +48,7 @@ def hypothesis_of(effect: Effect | None, values: Array | None = None) -> Hypothe
     return Hypothesis(effects=(effect,), values=(own,))
 
 
-def measured(own: Machine, truth: Hypothesis, *, noise: float = 0.0) -> Trial:
+def measured(own: NominalModel, truth: Hypothesis, *, noise: float = 0.0) -> Trial:
     from dataclasses import replace
 
     trial = commanded(own)
@@ -59,7 +59,7 @@ def measured(own: Machine, truth: Hypothesis, *, noise: float = 0.0) -> Trial:
     return replace(trial, measured=shown, motion=joints)
 
 
-def errors(own: Machine, trial: Trial, hypothesis: Hypothesis) -> tuple[HorizonError, ...]:
+def errors(own: NominalModel, trial: Trial, hypothesis: Hypothesis) -> tuple[HorizonError, ...]:
     return horizon_errors(
         own, [trial], CHANNELS, FLOORS, hypothesis, every=0.5, horizons=(0.1, 0.5, 2.0), threads=1
     )
@@ -82,9 +82,9 @@ def test_the_truth_restarted_from_exact_readings_stays_on_them(kind: str) -> Non
     right = errors(own, trial, truth)
     assert [e.horizon for e in right] == [0.1, 0.5, 2.0]
     assert [e.starts for e in right] == [6, 5, 2]
-    assert all(e.over_floor < 0.05 for e in right)
+    assert all(e.rms < 0.05 for e in right)
     wrong = errors(own, trial, hypothesis_of(None))
-    assert wrong[-1].over_floor > 3 * max(right[-1].over_floor, 0.1)
+    assert wrong[-1].rms > 3 * max(right[-1].rms, 0.1)
 
 
 def test_with_noise_the_truth_is_at_the_floor_and_a_wrong_model_is_not() -> None:
@@ -93,8 +93,8 @@ def test_with_noise_the_truth_is_at_the_floor_and_a_wrong_model_is_not() -> None
     truth = hypothesis_of(effect)
     trial = measured(own, truth, noise=1.0)
     right, wrong = errors(own, trial, truth), errors(own, trial, hypothesis_of(None))
-    assert all(0.97 < e.over_floor < 1.1 for e in right)
-    assert wrong[0].over_floor > 1.2 and wrong[-1].over_floor > wrong[0].over_floor
+    assert all(0.97 < e.rms < 1.1 for e in right)
+    assert wrong[0].rms > 1.2 and wrong[-1].rms > wrong[0].rms
     assert set(right[0].by_channel) == {channel.name for channel in CHANNELS}
     assert max(wrong[-1].by_channel, key=lambda c: wrong[-1].by_channel[c]) == "sensor.encoder1"
 
@@ -108,7 +108,7 @@ def test_commands_that_change_within_a_step_are_no_error_of_their_own(
     truth = hypothesis_of(effect, np.array([value]))
     trial = measured(own, truth)
     for each in horizon_errors(own, [trial], CHANNELS, FLOORS, truth, threads=1):
-        assert each.over_floor < 0.05, (each.horizon, each.by_channel)
+        assert each.rms < 0.05, (each.horizon, each.by_channel)
 
 
 def test_missing_samples_are_skipped_and_count_for_nothing() -> None:
@@ -118,7 +118,7 @@ def test_missing_samples_are_skipped_and_count_for_nothing() -> None:
     trial.measured[::3, 1] = np.nan
     trial.measured[:, 3] = np.nan
     found = errors(own, trial, truth)
-    assert all(0.95 < e.over_floor < 1.1 for e in found)
+    assert all(0.95 < e.rms < 1.1 for e in found)
     assert "sensor.rate3" not in found[0].by_channel
 
 
@@ -145,4 +145,4 @@ def test_a_simulation_that_goes_wild_counts_as_far_off_and_is_no_error() -> None
             spec.joint("joint1").damping = [-1e7, 0, 0]
 
     found = errors(own, trial, hypothesis_of(Exploding(own, "joint1"), np.array([1.0])))
-    assert all(np.isfinite(e.over_floor) and e.over_floor > 1e3 for e in found)
+    assert all(np.isfinite(e.rms) and e.rms > 1e3 for e in found)

@@ -31,7 +31,7 @@ def test_a_number_whose_interval_includes_nothing_may_be_nothing() -> None:
     for mean, nothing in ((0.5, True), (3.0, False)):
         draws = rng.normal(mean, 1.0, (2000, 1))
         intervals, effect = around(draws, "coulomb_friction", "joint2")
-        assert intervals.may_be_nothing(effect, slice(0, 1)) is nothing
+        assert intervals.include_zero(effect, slice(0, 1)) is nothing
 
 
 def test_parts_that_trade_against_each_other_are_judged_together() -> None:
@@ -45,7 +45,7 @@ def test_parts_that_trade_against_each_other_are_judged_together() -> None:
         draws[:, 1] += -along + 0.5 * sum_of_both
         intervals, effect = around(draws, "link_com", "link2")
         assert np.all((intervals.low < 0) & (intervals.high > 0))
-        assert intervals.may_be_nothing(effect, slice(0, size)) is nothing
+        assert intervals.include_zero(effect, slice(0, size)) is nothing
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_no_interval_comes_to_hold_nothing_because_no_law_is_exact() -> None:
     comparison = SimpleNamespace(rows=SimpleNamespace(trial=np.zeros(9, dtype=int)))
     found = widened(comparison, fitted, narrow)  # type: ignore[arg-type]
     assert 1.0 < found.low[0] <= 1.00299 and found.high[0] >= 1.00301
-    assert not found.may_be_nothing(effect, slice(0, 1))
+    assert not found.include_zero(effect, slice(0, 1))
 
 
 def test_a_gain_of_a_twentieth_is_known_to_half_a_percent_of_itself() -> None:
@@ -152,4 +152,4 @@ def test_what_the_data_do_not_answer_to_may_be_anything(first: float, nothing: b
     found = bootstrap(comparison, fitted, rng)
     assert (found.low[1], found.high[1]) == (effect.parameters[1].low, effect.parameters[1].high)
     assert found.high[0] - found.low[0] < 0.2 * effect.parameters[0].scale
-    assert found.may_be_nothing(effect, slice(0, 2)) is nothing
+    assert found.include_zero(effect, slice(0, 2)) is nothing

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from loose_env.gap.fitting.confidence_intervals import Intervals
-from loose_env.gap.fitting.holdout_score import Judged
+from loose_env.gap.fitting.holdout_score import ScoredFit
 from loose_env.gap.fitting.profile_bounds import short_of_limit, short_of_nothing
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.effects.friction import ViscousFriction
@@ -23,9 +23,9 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
     return Case(tmp_path_factory.mktemp("refuting") / "recording")
 
 
-def to_the_limit(judged: Judged) -> Intervals:
+def to_the_limit(scored: ScoredFit) -> Intervals:
     """Intervals that say nothing of the last effect: each goes from bound to bound."""
-    fitted = judged.fitted
+    fitted = scored.fitted
     parameters = fitted.structure.parameters
     values = values_of(parameters, fitted.free)
     low, high = values.copy(), values.copy()
@@ -45,12 +45,12 @@ def test_an_interval_ends_short_of_a_limit_that_is_refuted(
         wet = case.effect("viscous_friction", "joint2", [DAMPING])
         given[0] = 0.02
     named = [gain] if refuted else [gain, wet]
-    judged = case.fitted([*named, case.effect("stribeck_friction", joint, given)])
-    fitted, effect = judged.fitted, judged.fitted.effects[-1]
-    own, wide = fitted.structure.slices[-1], to_the_limit(judged)
-    assert wide.may_be_nothing(effect, own)
+    scored = case.fitted([*named, case.effect("stribeck_friction", joint, given)])
+    fitted, effect = scored.fitted, scored.fitted.effects[-1]
+    own, wide = fitted.structure.slices[-1], to_the_limit(scored)
+    assert wide.include_zero(effect, own)
     found = short_of_limit(case.comparison, fitted, wide, effect)
-    assert found.may_be_nothing(effect, own) is not refuted
+    assert found.include_zero(effect, own) is not refuted
     values = values_of(effect.parameters, fitted.free[own])
     assert np.all(found.low[own] <= values)
     assert np.all(found.high[own] >= values)
@@ -69,14 +69,14 @@ class Rattling(ViscousFriction):
 
 def test_beside_stops_an_interval_ends_short_of_nothing_where_that_is_refuted(case: Case) -> None:
     wet = Rattling(case.machine, "joint2"), [DAMPING]
-    gain, idle = (case.effect("sensor_gain", name, [value]) for name, value in SENSORS)
-    for named, refuted in (([wet, gain], True), ([wet, gain, idle], False)):
-        judged = case.fitted(named)
-        fitted, effect = judged.fitted, judged.fitted.effects[-1]
-        own, wide = fitted.structure.slices[-1], to_the_limit(judged)
+    gain, insignificant = (case.effect("sensor_gain", name, [value]) for name, value in SENSORS)
+    for named, refuted in (([wet, gain], True), ([wet, gain, insignificant], False)):
+        scored = case.fitted(named)
+        fitted, effect = scored.fitted, scored.fitted.effects[-1]
+        own, wide = fitted.structure.slices[-1], to_the_limit(scored)
         found = short_of_nothing(case.comparison, fitted, wide, effect)
-        assert wide.may_be_nothing(effect, own)
-        assert found.may_be_nothing(effect, own) is not refuted
+        assert wide.include_zero(effect, own)
+        assert found.include_zero(effect, own) is not refuted
         ends = [found.low[own.start], values_of(effect.parameters, fitted.free[own])[0]]
         if refuted:  # the lead is large, so nearly all of the way is refuted
             assert 1.0 < ends[0] < ends[1] and ends[1] - ends[0] < 0.5 * (ends[1] - 1.0)
@@ -85,6 +85,6 @@ def test_beside_stops_an_interval_ends_short_of_nothing_where_that_is_refuted(ca
 
 def test_without_stops_an_interval_is_left_as_it_is(case: Case) -> None:
     wet = case.effect("viscous_friction", "joint2", [DAMPING])
-    judged = case.fitted([wet, case.effect("sensor_gain", SENSORS[0][0], [GAIN])])
-    wide = to_the_limit(judged)
-    assert short_of_nothing(case.comparison, judged.fitted, wide, judged.fitted.effects[-1]) is wide
+    scored = case.fitted([wet, case.effect("sensor_gain", SENSORS[0][0], [GAIN])])
+    wide = to_the_limit(scored)
+    assert short_of_nothing(case.comparison, scored.fitted, wide, scored.fitted.effects[-1]) is wide

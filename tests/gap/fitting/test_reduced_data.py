@@ -8,12 +8,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.gap.data.aligned_run import Trial, channels_of, lay_out
+from loose_env.gap.data.aligned_run import Trial, align_run, channels_of
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.simulation.time_step import step_with
 from loose_env.recording import Recording
 from tests.gap.cases.gap_case import STEP, nominal_structure, record
@@ -24,16 +24,16 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     return record(tmp_path_factory.mktemp("lighter") / "recording")
 
 
-def comparison_of(recording: Recording, *, parts: int, joined: int) -> Comparison:
+def comparison_of(recording: Recording, *, parts: int, joined: int) -> ResidualModel:
     """The runs at a part of the sample interval, as long as the model says or much finer."""
-    machine = Machine(
+    machine = NominalModel(
         recording.spec(), step=STEP / parts, integrator=int(mujoco.mjtIntegrator.mjINT_RK4),
-        joined=joined,
+        merged_steps=joined,
     )  # fmt: skip
     channels = channels_of(list(recording.runs))
-    trials = [lay_out(run, machine, channels, step=STEP / parts) for run in recording.runs[:2]]
+    trials = [align_run(run, machine, channels, step=STEP / parts) for run in recording.runs[:2]]
     floors = np.array([2e-5] * 3 + [2e-3] + [0.02] * 3)
-    return Comparison(machine, trials, channels, floors, threads=1)
+    return ResidualModel(machine, trials, channels, floors, threads=1)
 
 
 def beginning(effect: Effect) -> Hypothesis:
@@ -111,16 +111,18 @@ def test_what_is_sharp_takes_steps_half_as_long(recording: Recording, kind: str)
     def left(parts: int, effect: str | None, **settings: int | bool) -> np.ndarray:
         comparison = comparison_of(recording, parts=parts, joined=1)
         machine = replace(comparison.machine, **settings)  # type: ignore[arg-type]
-        own = Comparison(
+        own = ResidualModel(
             machine, comparison.trials, comparison.channels, comparison.floors, threads=1
         )
         if effect is None:
             return own.residuals([Hypothesis()])[0]
         sharp = CATALOGUE[effect](machine, "joint2")
-        assert step_with(machine, [sharp]) == machine.step / (1 if "even" in settings else 2)
+        assert step_with(machine, [sharp]) == machine.step / (
+            1 if "uniform_steps" in settings else 2
+        )
         return own.residuals([beginning(sharp)])[0]
 
-    assert np.array_equal(left(1, None, cut=2), left(1, None))
-    cut, fine = left(1, kind, cut=2), left(2, kind, even=True)
+    assert np.array_equal(left(1, None, substeps=2), left(1, None))
+    cut, fine = left(1, kind, substeps=2), left(2, kind, uniform_steps=True)
     assert np.std(cut - fine) < 1e-6 * np.std(fine)
-    assert np.std(cut - left(1, kind, even=True)) > 0
+    assert np.std(cut - left(1, kind, uniform_steps=True)) > 0

@@ -8,13 +8,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.gap.data.aligned_run import channels_of, lay_out
+from loose_env.gap.data.aligned_run import align_run, channels_of
 from loose_env.gap.fitting.gauss_newton import fit
 from loose_env.gap.fitting.refit import polished
 from loose_env.gap.model.effects.catalogue import CATALOGUE
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import free_of
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 from tests.gap.cases.gap_case import STEP, nominal_structure, record
 
 FLOORS = np.array([2e-7] * 3 + [2e-5] + [0.0005] * 3)
@@ -27,9 +27,11 @@ def test_a_weak_servo_beside_figures_at_their_tolerance_is_fitted_to_the_noise(
 ) -> None:
     recording = record(tmp_path_factory.mktemp("valley") / "recording")
     rng = np.random.default_rng(seed)
-    machine = Machine(recording.spec(), step=STEP, integrator=int(mujoco.mjtIntegrator.mjINT_RK4))
+    machine = NominalModel(
+        recording.spec(), step=STEP, integrator=int(mujoco.mjtIntegrator.mjINT_RK4)
+    )
     channels = channels_of(list(recording.runs))
-    trials = [lay_out(run, machine, channels, step=STEP) for run in recording.runs[:2]]
+    trials = [align_run(run, machine, channels, step=STEP) for run in recording.runs[:2]]
     weak = CATALOGUE["actuator_gain"](machine, "servo2")
     structure = nominal_structure(machine).plus(weak)
     count = len(structure.nuisance.parameters)
@@ -38,14 +40,14 @@ def test_a_weak_servo_beside_figures_at_their_tolerance_is_fitted_to_the_noise(
     def free(factors: float | np.ndarray, gain: float) -> np.ndarray:
         return free_of(structure.parameters, np.append(np.broadcast_to(factors, count), gain))
 
-    shown = Comparison(machine, trials, channels, FLOORS, threads=1).predict(
+    shown = ResidualModel(machine, trials, channels, FLOORS, threads=1).predict(
         [structure.hypothesis(free(factors, 0.4))]
     )[0]
     measured = [
         replace(trial, measured=values + rng.normal(0, FLOORS, values.shape))
         for trial, values in zip(trials, shown, strict=True)
     ]
-    comparison = Comparison(machine, measured, channels, FLOORS, threads=1)
+    comparison = ResidualModel(machine, measured, channels, FLOORS, threads=1)
     start = free(1.0, 0.45)
     found = fit(comparison, structure, start)
     assert comparison.residuals([structure.hypothesis(start)])[0].std() > 50

@@ -9,7 +9,7 @@ import pytest
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates, register
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from tests.gap.cases.effect_arms import (
     ARMS,
     clock,
@@ -188,7 +188,7 @@ def test_an_effect_is_there_twice_and_in_a_corrected_model_again(kind: str) -> N
             assert twice.nbody - once.nbody == once.nbody - machine.model.nbody
         spec = machine.fresh()
         effect.export(spec, values)
-        again = Machine(mujoco.MjSpec.from_string(spec.to_xml()))
+        again = NominalModel(mujoco.MjSpec.from_string(spec.to_xml()))
         for other in candidates(again, [kind]):
             if other.where in (effect.where, f"{effect.where}_{kind}"):
                 assert other.parameters and other.starts
@@ -232,7 +232,7 @@ def test_code_applies_what_the_model_cannot_express() -> None:
 def test_code_runs_whatever_sensors_are_called() -> None:
     spec = machine_of("planar").fresh()
     spec.sensor("encoder2").name = name = "angle \"2\" of 'b'"
-    machine = Machine(spec)
+    machine = NominalModel(spec)
     data = mujoco.MjData(machine.model)
     for kind, values, shown in (("sensor_bias", [0.5], 2.5), ("sensor_gain", [1.2], 2.4)):
         data.sensor(name).data[:] = 2.0
@@ -266,12 +266,12 @@ def test_what_cannot_be_is_refused() -> None:
     assert CATALOGUE["sensor_misalignment"].places(machine) == ("shake",)
     spec = machine.fresh()
     spec.option.gravity = [0, 0, 0]
-    assert CATALOGUE["base_tilt"].places(Machine(spec)) == ()
+    assert CATALOGUE["base_tilt"].places(NominalModel(spec)) == ()
     for site in list(spec.sites):
         if site.name == "tool":
             spec.sensor("shake").objname = "elsewhere"
             site.name = "elsewhere"
-    assert Machine(spec).tool == "elsewhere"
+    assert NominalModel(spec).tool == "elsewhere"
 
 
 def test_a_new_effect_joins_the_catalogue_once() -> None:
@@ -279,7 +279,7 @@ def test_a_new_effect_joins_the_catalogue_once() -> None:
         kind = "rust"
 
         @classmethod
-        def places(cls, machine: Machine) -> tuple[str, ...]:
+        def places(cls, machine: NominalModel) -> tuple[str, ...]:
             return machine.joints
 
     try:

@@ -11,7 +11,7 @@ import pytest
 
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 from tests.gap.cases.effect_arms import machine_of
 
@@ -43,14 +43,14 @@ def wheel(
     stiffness: float = 0.0,
     rest: float = 0.0,
     loads: Array | None = None,
-) -> Machine:
+) -> NominalModel:
     text = WHEEL.format(
         integrator=integrator, step=step, angle=angle, stiffness=stiffness, rest=rest
     )
-    return Machine(mujoco.MjSpec.from_string(text), loads=loads)
+    return NominalModel(mujoco.MjSpec.from_string(text), loads=loads)
 
 
-def at(machine: Machine, kind: str, where: str = "axle") -> Effect:
+def at(machine: NominalModel, kind: str, where: str = "axle") -> Effect:
     return CATALOGUE[kind](machine, where)
 
 
@@ -233,7 +233,7 @@ def test_a_split_joint_without_rotor_stays_solvable(arm: str, where: str) -> Non
     machine = machine_of(arm)
     spec = machine.fresh()
     spec.joint(where).armature = 0.0
-    bare = Machine(spec)
+    bare = NominalModel(spec)
     for kind in ("joint_compliance", "backlash"):
         effect = at(bare, kind, where)
         for start in effect.starts:
@@ -250,7 +250,7 @@ def test_a_servo_gets_as_much_to_act_on_as_it_needs_and_the_same_at_any_step(joi
     spec = machine_of("spatial").fresh()
     spec.joint("reach").armature = 0.0
     rk4, implicit = (
-        Machine(spec, step=1e-3, integrator=int(integrator), joined=joined)
+        NominalModel(spec, step=1e-3, integrator=int(integrator), merged_steps=joined)
         for integrator in (mujoco.mjtIntegrator.mjINT_RK4, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
     )
     longest = 1e-3 * max(joined // 2, 1)

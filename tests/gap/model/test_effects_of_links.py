@@ -14,7 +14,7 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.effects.link_flexibility import parts
 from loose_env.gap.model.effects.mjcf.inertia import Inertial, inertial_of, make_explicit, steiner
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 from tests.gap.cases.effect_arms import ARMS, machine_of
 
@@ -25,7 +25,7 @@ def edited(effect: Effect, *values: float) -> mujoco.MjModel:
     return spec.compile()
 
 
-def poses(machine: Machine, count: int = 4) -> Array:
+def poses(machine: NominalModel, count: int = 4) -> Array:
     model = machine.model
     spread = np.where(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE, 0.05, 0.6)
     return np.asarray(
@@ -33,7 +33,7 @@ def poses(machine: Machine, count: int = 4) -> Array:
     )
 
 
-def posed(model: mujoco.MjModel, machine: Machine, pose: Array) -> mujoco.MjData:
+def posed(model: mujoco.MjModel, machine: NominalModel, pose: Array) -> mujoco.MjData:
     """The machine's joints in a pose, whatever was added at zero."""
     data = mujoco.MjData(model)
     for name, value in zip(machine.joints, pose, strict=True):
@@ -42,7 +42,7 @@ def posed(model: mujoco.MjModel, machine: Machine, pose: Array) -> mujoco.MjData
     return data
 
 
-def inertia(model: mujoco.MjModel, data: mujoco.MjData, machine: Machine) -> Array:
+def inertia(model: mujoco.MjModel, data: mujoco.MjData, machine: NominalModel) -> Array:
     """Mass matrix of the machine's joints, whatever was added held."""
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
@@ -50,7 +50,7 @@ def inertia(model: mujoco.MjModel, data: mujoco.MjData, machine: Machine) -> Arr
     return full[np.ix_(own, own)]
 
 
-def gravity(model: mujoco.MjModel, machine: Machine, pose: Array) -> Array:
+def gravity(model: mujoco.MjModel, machine: NominalModel, pose: Array) -> Array:
     """What gravity asks of the joints at rest."""
     data = posed(model, machine, pose)
     return np.array([float(data.joint(name).qfrc_bias[0]) for name in machine.joints])
@@ -311,7 +311,7 @@ def test_inertia_can_be_read_however_it_was_written() -> None:
     spec = machine_of("spatial").fresh()
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     spec.body("hand").add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.02, 0, 0], mass=0.5)
-    ruled = Machine(spec)
+    ruled = NominalModel(spec)
     heavier = edited(CATALOGUE["link_mass"](ruled, "ram"), 0.4)
     wanted = np.array(ruled.model.body_mass)
     wanted[ruled.model.body("ram").id] += 0.4
@@ -319,7 +319,7 @@ def test_inertia_can_be_read_however_it_was_written() -> None:
 
 
 def test_links_with_several_branches_can_bend_one_after_the_other() -> None:
-    machine = Machine(mujoco.MjSpec.from_file(str(DESK_ARM)))
+    machine = NominalModel(mujoco.MjSpec.from_file(str(DESK_ARM)))
     spec = machine.fresh()
     chosen = [e for e in candidates(machine, ["link_flexibility"]) if not e.variant]
     assert {"upper_arm", "hand"} <= {effect.where for effect in chosen}
@@ -339,7 +339,7 @@ def test_links_with_several_branches_can_bend_one_after_the_other() -> None:
 
 @pytest.mark.parametrize("kind", ["structural_looseness", "joint_compliance", "backlash"])
 def test_a_link_on_a_slide_without_rotor_can_be_loose_along_it(kind: str) -> None:
-    machine = Machine(mujoco.MjSpec.from_file(str(DESK_ARM)))
+    machine = NominalModel(mujoco.MjSpec.from_file(str(DESK_ARM)))
     where = "left_finger"
     effect = CATALOGUE[kind](machine, where)
     values = np.array(effect.starts[0])

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.effects.sensors import delayed
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from tests.gap.cases.effect_arms import clock, commands, machine_of, simulate
 
 
@@ -201,7 +201,7 @@ OWN = {
 @pytest.mark.parametrize("own", OWN)
 def test_delays_add_up_in_the_written_model(own: str, integrator: str) -> None:
     xml = LATE.format(motor=own, sensor="", integrator=integrator)
-    machine = Machine(mujoco.MjSpec.from_string(xml))
+    machine = NominalModel(mujoco.MjSpec.from_string(xml))
     several = [CATALOGUE["command_delay"](machine, where) for where in ("all", "m2")]
     time = np.arange(600) * 0.002
     controls = np.sin(np.outer(time, [7.0, 9.0])) * np.minimum(2 * time, 1.0)[:, None]
@@ -223,7 +223,7 @@ def test_delays_add_up_in_the_written_model(own: str, integrator: str) -> None:
 @pytest.mark.parametrize("own", OWN)
 def test_delays_of_a_sensor_add_up_in_the_written_model(own: str) -> None:
     xml = LATE.format(motor="", sensor=own, integrator="implicitfast")
-    machine = Machine(mujoco.MjSpec.from_string(xml))
+    machine = NominalModel(mujoco.MjSpec.from_string(xml))
     late = CATALOGUE["sensor_delay"](machine, "q2")
     time = np.arange(600) * 0.002
     controls = np.sin(np.outer(time, [7.0, 9.0]))

@@ -12,7 +12,7 @@ from loose_env.gap.model.effects.mjcf.geometry import link_ends
 from loose_env.gap.model.effects.mjcf.inertia import make_explicit
 from loose_env.gap.model.element_names import naming_words
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.nominal_parameters import NominalParameters
 from loose_env.gap.output.export_mjcf import corrected_spec
 
@@ -60,15 +60,15 @@ def bare() -> str:
     return text
 
 
-def machine(text: str) -> Machine:
-    return Machine(mujoco.MjSpec.from_string(text))
+def machine(text: str) -> NominalModel:
+    return NominalModel(mujoco.MjSpec.from_string(text))
 
 
 def test_a_model_without_names_weighs_what_it_weighed() -> None:
-    named, nameless = machine(NAMED), machine(bare())
-    assert np.allclose(named.model.body_mass, nameless.model.body_mass)
-    assert np.allclose(named.model.body_inertia, nameless.model.body_inertia)
-    assert np.allclose(named.inertias, nameless.inertias)
+    named, unnamed = machine(NAMED), machine(bare())
+    assert np.allclose(named.model.body_mass, unnamed.model.body_mass)
+    assert np.allclose(named.model.body_inertia, unnamed.model.body_inertia)
+    assert np.allclose(named.inertias, unnamed.inertias)
 
 
 def test_links_without_name_are_called_after_their_joint_and_it_is_said() -> None:
@@ -86,9 +86,9 @@ def test_a_name_that_is_taken_is_not_given_again() -> None:
 
 @pytest.mark.parametrize("kind", list(CATALOGUE))
 def test_effects_are_the_same_with_and_without_names(kind: str) -> None:
-    named, nameless = machine(NAMED), machine(bare())
+    named, unnamed = machine(NAMED), machine(bare())
     read = [each for each in candidates(named, [kind]) if each.where != "v1"]  # no column has it
-    pairs = list(zip(read, candidates(nameless, [kind]), strict=True))
+    pairs = list(zip(read, candidates(unnamed, [kind]), strict=True))
     assert pairs or kind == "sensor_misalignment"
     for one, other in pairs:
         models = []
@@ -145,30 +145,30 @@ def test_a_site_of_an_inner_link_is_the_tool_only_where_there_is_no_other_and_it
 
 
 def test_nominal_figures_reach_every_drive_and_link() -> None:
-    nameless = machine(bare())
-    figures = NominalParameters(nameless, tolerance=0.03)
-    spec = nameless.fresh()
+    unnamed = machine(bare())
+    figures = NominalParameters(unnamed, tolerance=0.03)
+    spec = unnamed.fresh()
     figures.edit(spec, np.full(len(figures.parameters), 1.01))
     model = spec.compile()
     assert np.allclose(model.actuator_gainprm[:, 0], 1.01 * np.array([50, 70]))
-    moved = [model.body(link).id for link in nameless.links]
-    assert np.allclose(model.body_mass[moved], 1.01 * nameless.model.body_mass[moved])
+    moved = [model.body(link).id for link in unnamed.links]
+    assert np.allclose(model.body_mass[moved], 1.01 * unnamed.model.body_mass[moved])
 
 
 def test_the_model_that_is_written_carries_the_names() -> None:
-    nameless = machine(bare())
-    effect = CATALOGUE["link_mass"](nameless, "lift_link")
-    text = corrected_spec(nameless, Hypothesis().with_effects([(effect, np.array([0.5]))]))
+    unnamed = machine(bare())
+    effect = CATALOGUE["link_mass"](unnamed, "lift_link")
+    text = corrected_spec(unnamed, Hypothesis().with_effects([(effect, np.array([0.5]))]))
     text.compile()
     model = mujoco.MjModel.from_xml_string(text.to_xml())
     assert model.body("lift_link").mass[0] == pytest.approx(1.7)
 
 
 def test_explicit_figures_are_those_of_each_body() -> None:
-    nameless = machine(bare())
-    spec = nameless.fresh()
-    make_explicit(nameless, spec)
-    assert np.allclose(spec.compile().body_mass, nameless.model.body_mass)
+    unnamed = machine(bare())
+    spec = unnamed.fresh()
+    make_explicit(unnamed, spec)
+    assert np.allclose(spec.compile().body_mass, unnamed.model.body_mass)
 
 
 @pytest.mark.filterwarnings("ignore:compiler attribute 'settotalmass' is deprecated")

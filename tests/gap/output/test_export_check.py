@@ -17,29 +17,29 @@ from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.output.export_check import Exported, exported, played
 from loose_env.gap.output.export_mjcf import corrected_spec
 from loose_env.gap.preparation.prepare import GapProblem
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 from tests.gap.cases.exported_case import judged_with, prepared_arm
 
 
 @pytest.fixture(scope="module")
-def prepared(tmp_path_factory: pytest.TempPathFactory) -> GapProblem:
+def problem(tmp_path_factory: pytest.TempPathFactory) -> GapProblem:
     return prepared_arm(tmp_path_factory.mktemp("exported") / "r")
 
 
-def export_of(prepared: GapProblem, effect: Effect, values: list[float]) -> Exported:
-    best = judged_with(prepared, effect, values)
-    return exported(prepared.whole_held, best.fitted.hypothesis.of_model, best.held_residual)
+def export_of(problem: GapProblem, effect: Effect, values: list[float]) -> Exported:
+    best = judged_with(problem, effect, values)
+    return exported(problem.held_out_whole, best.fitted.hypothesis.of_model, best.held_out_residual)
 
 
-def test_what_acts_slowly_needs_no_finer_step(prepared: GapProblem) -> None:
-    found = export_of(prepared, ViscousFriction(prepared.machine, "joint2"), [3.0])
+def test_what_acts_slowly_needs_no_finer_step(problem: GapProblem) -> None:
+    found = export_of(problem, ViscousFriction(problem.machine, "joint2"), [3.0])
     assert found.parts == 1 and not found.matters and found.words() == []
     assert found.left == pytest.approx(found.fitted, rel=1e-3) and found.fitted < 1.1
 
 
-def export_as_fitted(prepared: GapProblem, effect: Effect, value: float) -> Exported:
+def export_as_fitted(problem: GapProblem, effect: Effect, value: float) -> Exported:
     """Held against a fit that is right: the readings are its own, and it leaves nothing."""
-    best, held = judged_with(prepared, effect, [value]), prepared.whole_held
+    best, held = judged_with(problem, effect, [value]), problem.held_out_whole
     hypothesis = best.fitted.hypothesis.of_model
     (shown,) = held.predict([hypothesis])
     measured = [trial.measured.copy() for trial in held.trials]
@@ -61,20 +61,20 @@ def export_as_fitted(prepared: GapProblem, effect: Effect, value: float) -> Expo
     ],
 )
 def test_what_is_shorter_than_a_step_is_written_with_a_finer_one(
-    kind: type[Effect], where: str, late: float, prepared: GapProblem
+    kind: type[Effect], where: str, late: float, problem: GapProblem
 ) -> None:
-    found = export_as_fitted(prepared, kind(prepared.machine, where), late)
+    found = export_as_fitted(problem, kind(problem.machine, where), late)
     assert not found.matters and found.apart < 0.3
-    assert found.parts > 1 or late > prepared.machine.step
+    assert found.parts > 1 or late > problem.machine.step
     if found.parts > 1:
-        assert found.step == pytest.approx(prepared.machine.step / found.parts)
-        assert "has a step of" in found.words()[0]
+        assert found.step == pytest.approx(problem.machine.step / found.parts)
+        assert "has a time step of" in found.words()[0]
 
 
 @pytest.mark.parametrize("rate", [60.0, 100.0, 300.0, 1000.0])
 def test_samples_need_not_fall_on_steps_of_the_model(rate: float, tmp_path: Path) -> None:
-    prepared = prepared_arm(tmp_path / "r", rate=rate)
-    found = export_of(prepared, ViscousFriction(prepared.machine, "joint2"), [3.0])
+    problem = prepared_arm(tmp_path / "r", rate=rate)
+    found = export_of(problem, ViscousFriction(problem.machine, "joint2"), [3.0])
     assert found.parts == 1 and not found.words()
     assert found.apart < 1e-3 and found.left == pytest.approx(found.fitted, rel=1e-3)
 
@@ -86,23 +86,23 @@ def test_samples_need_not_fall_on_steps_of_the_model(rate: float, tmp_path: Path
 def test_what_comes_late_begins_with_the_first_command(
     kind: type[Effect], where: str, late: float, tmp_path: Path
 ) -> None:
-    prepared = prepared_arm(tmp_path / "r", first=0.5)
-    found = export_as_fitted(prepared, kind(prepared.machine, where), late)
+    problem = prepared_arm(tmp_path / "r", first=0.5)
+    found = export_as_fitted(problem, kind(problem.machine, where), late)
     assert found.parts == 1 and found.apart < 0.1 and not found.words()
 
 
-def test_runs_that_show_nothing_by_then_are_not_tried(prepared: GapProblem) -> None:
-    best = judged_with(prepared, ViscousFriction(prepared.machine, "joint2"), [3.0])
-    held = prepared.whole_held
+def test_runs_that_show_nothing_by_then_are_not_tried(problem: GapProblem) -> None:
+    best = judged_with(problem, ViscousFriction(problem.machine, "joint2"), [3.0])
+    held = problem.held_out_whole
     unread = np.full_like(held.trials[0].measured, np.nan)
     late = [replace(held.trials[0], measured=unread), *held.trials]
-    runs = Comparison(held.machine, late, held.channels, held.floors, threads=1)
+    runs = ResidualModel(held.machine, late, held.channels, held.floors, threads=1)
     runs.trials[1] = replace(runs.trials[1], resting=False)
     assert exported(runs, best.fitted.hypothesis.of_model, np.zeros(len(runs))) == Exported()
 
 
-def test_a_filter_much_shorter_than_a_step_is_stable_in_plain_mujoco(prepared: GapProblem) -> None:
-    machine, held = prepared.machine, prepared.whole_held
+def test_a_filter_much_shorter_than_a_step_is_stable_in_plain_mujoco(problem: GapProblem) -> None:
+    machine, held = problem.machine, problem.held_out_whole
     assert machine.integrator == int(mujoco.mjtIntegrator.mjINT_RK4)
     lag = ActuatorLag(machine, "servo2")
     late = Hypothesis().with_effects([(lag, np.array([1e-5]))])
@@ -112,15 +112,15 @@ def test_a_filter_much_shorter_than_a_step_is_stable_in_plain_mujoco(prepared: G
 
 
 def test_a_file_that_lacks_what_was_fitted_is_found_out(
-    prepared: GapProblem, monkeypatch: pytest.MonkeyPatch
+    problem: GapProblem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ViscousFriction, "export", lambda *_: None)
-    found = export_of(prepared, ViscousFriction(prepared.machine, "joint2"), [3.0])
+    found = export_of(problem, ViscousFriction(problem.machine, "joint2"), [3.0])
     assert found.matters and found.parts == 1 and found.left > 3 * found.fitted
     (words,) = found.words()
-    assert found.channel in words and "does not quite do what was fitted" in words
+    assert found.channel in words and "deviates from the fit" in words
 
 
-def test_what_a_file_cannot_carry_is_not_tried(prepared: GapProblem) -> None:
-    found = export_of(prepared, SensorGain(prepared.machine, "encoder1"), [1.1])
+def test_what_a_file_cannot_carry_is_not_tried(problem: GapProblem) -> None:
+    found = export_of(problem, SensorGain(problem.machine, "encoder1"), [1.1])
     assert found == Exported() and np.isnan(found.left) and found.words() == []

@@ -16,7 +16,7 @@ from loose_env.gap.model.effects.friction import CoulombFriction, ViscousFrictio
 from loose_env.gap.model.effects.joint_elasticity import JointCompliance
 from loose_env.gap.model.effects.sensors import SensorBias, SensorGain
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.nominal_parameters import NominalParameters
 from loose_env.gap.output.export_mjcf import correction_code, write_model
 from loose_env.recording import ModelColumns
@@ -34,9 +34,9 @@ RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 ARMS = {"planar": PLANAR, "spatial": SPATIAL}
 
 
-def stepped(arm: str) -> Machine:
+def stepped(arm: str) -> NominalModel:
     """A machine with another step and integrator than its file has, as a comparison chooses."""
-    return Machine(mujoco.MjSpec.from_string(ARMS[arm]), step=0.0005, integrator=RK4)
+    return NominalModel(mujoco.MjSpec.from_string(ARMS[arm]), step=0.0005, integrator=RK4)
 
 
 def added(effect: Effect, values: Sequence[float]) -> Hypothesis:
@@ -44,7 +44,7 @@ def added(effect: Effect, values: Sequence[float]) -> Hypothesis:
     return Hypothesis().with_effects([(effect, np.array(values))])
 
 
-def one_of(machine: Machine, kind: str) -> Effect:
+def one_of(machine: NominalModel, kind: str) -> Effect:
     """The effect of a kind at its last place."""
     return candidates(machine, [kind])[-1]
 
@@ -66,7 +66,7 @@ def test_the_file_compiles_keeps_its_names_and_does_what_was_fitted(
     if not effect.in_model:
         assert effect.where in correction_code(added(effect, values))
         return
-    fine = Machine(machine.spec, step=0.0005, integrator=RK4)
+    fine = NominalModel(machine.spec, step=0.0005, integrator=RK4)
     fine.model.opt.timestep = 0.0005  # the step of the clock of the test's simulations
     simulated = with_effect(fine, type(effect)(fine, effect.where, effect.variant), values)
     readings = simulate(model, commands(fine, clock(fine)))
@@ -125,7 +125,7 @@ def test_keyframes_keep_the_positions_of_the_joints_they_name(tmp_path: Path) ->
         "</mujoco>",
         '<keyframe><key name="home" qpos="0.1 0.2 0.3" qvel="1 2 3"/></keyframe></mujoco>',
     )
-    machine = Machine(mujoco.MjSpec.from_string(xml))
+    machine = NominalModel(mujoco.MjSpec.from_string(xml))
     effect = JointCompliance(machine, "joint1")
     file = write_model(tmp_path / "model.xml", machine, added(effect, effect.starts[0]))[0]
     model = mujoco.MjModel.from_xml_path(str(file))
@@ -152,7 +152,7 @@ def test_meshes_and_files_that_are_included_are_taken_along(tmp_path: Path) -> N
         '<worldbody><body name="link"><joint name="turn"/><geom type="mesh" mesh="c"/></body>'
         '</worldbody><include file="motors.xml"/></mujoco>'
     )
-    machine = Machine(mujoco.MjSpec.from_file(str(file)))
+    machine = NominalModel(mujoco.MjSpec.from_file(str(file)))
     effect = ViscousFriction(machine, "turn")
     written = write_model(
         out / "model.xml", machine, added(effect, [2.0]), source=file, notes=["a -- b"]
@@ -182,7 +182,7 @@ def test_keyframes_keep_the_state_of_each_actuator(tmp_path: Path) -> None:
     xml = two.replace(
         "</mujoco>", '<keyframe><key ctrl="0.1 0.2 0.3" act="0.7"/></keyframe></mujoco>'
     )
-    machine = Machine(mujoco.MjSpec.from_string(xml))
+    machine = NominalModel(mujoco.MjSpec.from_string(xml))
     lag = CATALOGUE["actuator_lag"](machine, "servo1")
     file = write_model(tmp_path / "model.xml", machine, added(lag, [0.02]))[0]
     model = mujoco.MjModel.from_xml_path(str(file))

@@ -9,23 +9,23 @@ import pytest
 from loose_env.errors import InvalidData
 from loose_env.gap.output.evidence_schema import (
     Band,
-    ChannelGap,
+    ChannelResidual,
     Dependence,
-    JointGap,
-    LeftOver,
+    JointResidual,
     Location,
+    ResidualTest,
 )
 from loose_env.gap.output.result import (
     UNIT,
+    EffectLocation,
     Gap,
     GapResult,
     NamedEffect,
-    Place,
-    Ranked,
+    RankedHypothesis,
     read_result,
 )
 
-GOES = Dependence(on="direction", of="joint2", share=0.8, explained=3.2, sureness=9.0)
+GOES = Dependence(regressor="direction", joint="joint2", share=0.8, explained=3.2, z=9.0)
 
 
 def result() -> GapResult:
@@ -37,7 +37,7 @@ def result() -> GapResult:
                 where="joint2",
                 parameters={"torque": 1.32},
                 interval_95={"torque": (1.2, 1.44)},
-                ambiguous_with=(Place(kind="backlash", where="joint2"),),
+                ambiguous_with=(EffectLocation(kind="backlash", where="joint2"),),
                 units={"torque": "N·m"},
             ),
         ),
@@ -48,34 +48,36 @@ def result() -> GapResult:
             by_horizon_s={"0.1": (1.5, 1.0), "0.5": (3.0, 1.1), "2.0": (4.0, 1.2)},
         ),
         held_out_runs=("run-05.parquet",),
-        ranking=(Ranked(kind="coulomb_friction", where="joint2", held_out=1.2, bic=-310.0),),
+        ranking=(
+            RankedHypothesis(kind="coulomb_friction", where="joint2", held_out=1.2, bic=-310.0),
+        ),
         location=Location(
             channels=(
-                ChannelGap(
+                ChannelResidual(
                     run="run-01.parquet",
                     channel="sensor.joint2_pos",
-                    over_floor=4.5,
+                    rms=4.5,
                     offset=0.1,
-                    bands=(Band(low=0.0, high=1.0, over_floor=9.0, share=0.7),),
-                    depends=(GOES,),
+                    bands=(Band(low=0.0, high=1.0, rms=9.0, share=0.7),),
+                    dependences=(GOES,),
                 ),
             ),
             joints=(
-                JointGap(
-                    run="run-01.parquet", joint="joint2", unit="N·m", missing=1.3, floor=0.1,
+                JointResidual(
+                    run="run-01.parquet", joint="joint2", unit="N·m", residual=1.3, noise=0.1,
                     load=9.0,
-                    depends=(GOES,),
+                    dependences=(GOES,),
                 ),
             ),
         ),
-        left_over=(
-            LeftOver(
-                channel="sensor.joint2_pos", over_floor=1.1, autocorrelation=0.1,
-                whiteness_95=0.05, largest=0.1, correlation_time=0.002, trend=0.1,
-                trend_sureness=0.5, depends=(),
+        residual_tests=(
+            ResidualTest(
+                channel="sensor.joint2_pos", rms=1.1, autocorrelation=0.1,
+                whiteness_95=0.05, largest_autocorrelation=0.1, correlation_time=0.002, trend=0.1,
+                trend_z=0.5, dependences=(),
             ),
         ),
-        nominal_figures={"mass.link1": 1.01},
+        nominal_parameters={"mass.link1": 1.01},
         warnings=("the step is coarse",),
         settings={"tolerance": 0.03, "naming": {"most": 3}},
         code="data.sensor('x').data *= 2",

@@ -10,22 +10,22 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from loose_env.gap.data.aligned_run import channels_of, lay_out
-from loose_env.gap.diagnostics.feature_localisation import struck_channels
+from loose_env.gap.data.aligned_run import align_run, channels_of
+from loose_env.gap.diagnostics.feature_localisation import feature_channels
 from loose_env.gap.diagnostics.joint_torque_residual import joint_motion
-from loose_env.gap.fitting.holdout_score import Judge
+from loose_env.gap.fitting.holdout_score import Scorer
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.effects.friction import ViscousFriction
 from loose_env.gap.model.effects.structural_looseness import StructuralLooseness
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
-from loose_env.gap.preparation import chaotic_runs as parting
-from loose_env.gap.preparation.chaotic_runs import parting_runs
+from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.preparation import chaotic_runs as chaotic
+from loose_env.gap.preparation.chaotic_runs import chaotic_runs
 from loose_env.gap.preparation.prepare import prepare
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.settings import GapSettings
-from loose_env.gap.workflow.evidence import gather
+from loose_env.gap.workflow.evidence import diagnose_residuals
 from loose_env.gap.workflow.pipeline import GapSolution, find_gap
 from loose_env.gap.workflow.summary import result_of
 from loose_env.recording import Recording, Run, write_recording
@@ -42,7 +42,7 @@ def record(folder: Path, *, loose: bool, gap: float = 2e-4) -> Recording:
     spec = mujoco.MjSpec.from_string(LEVEL)
     spec.option.timestep = FINE
     if loose:
-        machine = Machine(mujoco.MjSpec.from_string(LEVEL), step=FINE)
+        machine = NominalModel(mujoco.MjSpec.from_string(LEVEL), step=FINE)
         effect = StructuralLooseness(machine, "link2")
         effect.edit(spec, np.array([1.0, gap, 1.0, 1e6, 0.03]))
     model = spec.compile()
@@ -65,14 +65,14 @@ def record(folder: Path, *, loose: bool, gap: float = 2e-4) -> Recording:
 
 
 def test_a_sound_arm_is_compared_sample_by_sample(tmp_path: Path) -> None:
-    prepared = prepare(record(tmp_path / "sound", loose=False), GapSettings(threads=1))
-    assert not prepared.search.parting
-    assert not prepared.search.rows.white.any()
-    assert not any("stops are struck" in warning for warning in prepared.warnings)
+    problem = prepare(record(tmp_path / "sound", loose=False), GapSettings(threads=1))
+    assert not problem.search.chaotic
+    assert not problem.search.rows.white.any()
+    assert not any("chaotic (impacts against stops)" in warning for warning in problem.warnings)
 
 
 @pytest.fixture(scope="module")
-def struck(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+def impact_fit(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     return record(tmp_path_factory.mktemp("struck") / "recording", loose=True)
 
 
@@ -92,7 +92,7 @@ def shaken(name: str, count: int, rate: float, *, still: int = 0) -> Run:
 def test_a_run_too_short_for_features_is_compared_sample_by_sample(
     rate: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    machine = Machine(mujoco.MjSpec.from_string(LEVEL), step=1e-3)
+    machine = NominalModel(mujoco.MjSpec.from_string(LEVEL), step=1e-3)
     runs = [
         shaken("long.csv", 300, rate),
         shaken("resting.csv", 450, rate, still=240),
@@ -100,37 +100,37 @@ def test_a_run_too_short_for_features_is_compared_sample_by_sample(
         shaken("unmoved.csv", 300, rate, still=300),
     ]
     channels = channels_of(runs)
-    trials = [lay_out(run, machine, channels, step=1e-3) for run in runs]
+    trials = [align_run(run, machine, channels, step=1e-3) for run in runs]
     trials[1].measured[230:] *= 5.0  # least like the model where its command rests
     floors = np.full(len(channels), 1e-5)
-    monkeypatch.setattr(parting, "PARTED", -1.0)  # whatever is drawn anew is enough
-    striking = [CATALOGUE["backlash"](machine, "joint1")]
-    found = parting_runs(machine, trials, channels, floors, striking, threads=1)
+    monkeypatch.setattr(chaotic, "PARTED", -1.0)  # whatever is drawn anew is enough
+    with_stops = [CATALOGUE["backlash"](machine, "joint1")]
+    found = chaotic_runs(machine, trials, channels, floors, with_stops, threads=1)
     assert found == {"long.csv", "resting.csv"}
-    comparison = Comparison(machine, trials, channels, floors, threads=1, parting=found)
+    comparison = ResidualModel(machine, trials, channels, floors, threads=1, chaotic=found)
     short = windowed(comparison, 6.0)
     by_features = {short.trials[t].name for t in short.features}
     assert by_features == found & {trial.name for trial in short.trials}
     assert all(len(short.trials[t].time) >= 200 for t in short.features)
 
 
-def test_struck_stops_are_compared_by_features(struck: Recording) -> None:
-    prepared = prepare(struck, GapSettings(threads=1))
-    assert prepared.search.parting == {run.name for run in struck.runs}
-    assert prepared.search.rows.white.all()
-    assert any("stops are struck" in warning for warning in prepared.warnings)
+def test_struck_stops_are_compared_by_features(impact_fit: Recording) -> None:
+    problem = prepare(impact_fit, GapSettings(threads=1))
+    assert problem.search.chaotic == {run.name for run in impact_fit.runs}
+    assert problem.search.rows.white.all()
+    assert any("chaotic (impacts against stops)" in warning for warning in problem.warnings)
 
 
 def test_features_are_weighed_by_the_noise_there_is_whatever_counts_as_noise(
-    struck: Recording,
+    impact_fit: Recording,
 ) -> None:
-    prepared = prepare(struck, GapSettings(threads=1))
-    runs = prepared.search
+    problem = prepare(impact_fit, GapSettings(threads=1))
+    runs = problem.search
     assert runs.rows.white.all()
-    louder = prepared.louder(np.full(len(runs.channels), 30.0)).search
+    louder = problem.louder(np.full(len(runs.channels), 30.0)).search
     nothing = Hypothesis()
     assert np.array_equal(runs.residuals([nothing]), louder.residuals([nothing]))
-    assert not runs.left_in_channels(np.ones(len(runs))).any()
+    assert not runs.channel_rms(np.ones(len(runs))).any()
 
 
 class Bump(ViscousFriction):
@@ -140,65 +140,69 @@ class Bump(ViscousFriction):
     has_stops = True
 
 
-def test_stops_of_ones_own_may_have_parameters_of_any_name(struck: Recording) -> None:
-    prepared = prepare(struck, GapSettings(threads=1))
-    runs = prepared.search
-    found = parting_runs(
-        prepared.machine,
+def test_stops_of_ones_own_may_have_parameters_of_any_name(impact_fit: Recording) -> None:
+    problem = prepare(impact_fit, GapSettings(threads=1))
+    runs = problem.search
+    found = chaotic_runs(
+        problem.machine,
         runs.trials,
         runs.channels,
         runs.floors,
-        [Bump(prepared.machine, "joint1")],
+        [Bump(problem.machine, "joint1")],
         threads=1,
     )
     assert found == frozenset()  # they draw nothing anew
 
 
-def test_the_loose_link_is_named_by_features(struck: Recording) -> None:
+def test_the_loose_link_is_named_by_features(impact_fit: Recording) -> None:
     kinds = ("structural_looseness", "joint_compliance", "viscous_friction")
     settings = GapSettings(threads=1, kinds=kinds, most_effects=1)
-    found = find_gap(struck, settings)
+    found = find_gap(impact_fit, settings)
     assert found.verdict == "named"
     (effect,) = found.effects
     assert (effect.kind, effect.where) == ("structural_looseness", "link2")
-    assert found.best.held_rms < 0.5 * found.base.held_rms
-    result = result_of(found, gather(found))
+    assert found.best.held_out_rms < 0.5 * found.base.held_out_rms
+    result = result_of(found, diagnose_residuals(found))
     assert result.gap.after < 0.5 * result.gap.before
     assert result.effects[0].where == "link2"
-    names = {channel.name for channel in found.problem.whole_held.channels}
+    names = {channel.name for channel in found.problem.held_out_whole.channels}
     assert set(result.gap.by_channel) == names
     before, after = result.gap.by_channel["sensor.shake.y"]
     assert before > 3 and after < 0.6 * before
-    assert {left.channel for left in result.left_over} == names
+    assert {left.channel for left in result.residual_tests} == names
 
 
-def test_where_a_run_of_struck_stops_disagrees_is_told_from_its_features(struck: Recording) -> None:
-    prepared = prepare(struck, GapSettings(threads=1))
-    base = Judge(prepared.fit, prepared.whole_held).judge(stated(prepared.fit, [], []))
-    solution = GapSolution(problem=prepared, base=base, best=base, verdict="unexplained")
-    evidence = gather(solution)
+def test_where_a_run_of_struck_stops_disagrees_is_told_from_its_features(
+    impact_fit: Recording,
+) -> None:
+    problem = prepare(impact_fit, GapSettings(threads=1))
+    base = Scorer(problem.fit, problem.held_out_whole).score(stated(problem.fit, [], []))
+    solution = GapSolution(problem=problem, base=base, best=base, verdict="unexplained")
+    evidence = diagnose_residuals(solution)
     result = result_of(solution, evidence)
-    assert {gap.run for gap in result.location.channels} == {run.name for run in struck.runs}
-    assert result.where_it_lives and all(".parquet" in words for words in result.where_it_lives)
-    assert any("Hz" in words for words in result.where_it_lives)
-    assert any("sensor.shake" in words for words in result.left)
-    assert result.left[0].startswith(f"{result.gap.after:.3g} noise standard deviations are left")
+    assert {gap.run for gap in result.location.channels} == {run.name for run in impact_fit.runs}
+    assert result.location_words and all(".parquet" in words for words in result.location_words)
+    assert any("Hz" in words for words in result.location_words)
+    assert any("sensor.shake" in words for words in result.remaining)
+    assert result.remaining[0].startswith(
+        f"{result.gap.after:.3g} noise standard deviations are left"
+    )
     page = render_gap_page(solution, evidence, result)
     assert "Spectra before and after" in page and "By how much the power of sensor.shake" in page
     assert "by features" in page and not re.search(r"\bnan\b", page, re.IGNORECASE)
 
 
-def test_a_right_model_of_struck_stops_disagrees_nowhere(struck: Recording) -> None:
+def test_a_right_model_of_struck_stops_disagrees_nowhere(impact_fit: Recording) -> None:
     """The simulation parts ways with the run, and its features, bands and motion do not."""
-    prepared = prepare(struck, GapSettings(threads=1))
-    held, machine = prepared.whole_held, prepared.machine
+    problem = prepare(impact_fit, GapSettings(threads=1))
+    held, machine = problem.held_out_whole, problem.machine
     looseness = StructuralLooseness(machine, "link2")
     right = Hypothesis(effects=(looseness,), values=(np.array([1.0, 2e-4, 1.0, 1e6, 0.03]),))
     motions = [joint_motion(machine, t, held.channels, held.floors) for t in held.trials]
     nothing = Hypothesis()
-    good, bad = (struck_channels(held, h, motions) for h in (right, nothing))
+    good, bad = (feature_channels(held, h, motions) for h in (right, nothing))
     for one, other in zip(good, bad, strict=True):
-        assert one.gap.over_floor < 2.5
+        assert one.gap.rms < 2.5
         for a, b in zip(one.gap.bands, other.gap.bands, strict=True):
-            assert a.over_floor < max(2.0, 0.7 * b.over_floor)
-    assert max(one.gap.over_floor for one in bad) > 5
+            assert a.rms < max(2.0, 0.7 * b.rms)
+    assert max(one.gap.rms for one in bad) > 5

@@ -67,12 +67,12 @@ def test_healthy_runs_are_left_out_where_there_are_suspect_ones(tmp_path: Path) 
     recording = recorded(tmp_path / "r", seconds=1.0, swings=(0.3, 0.3, 0.3))
     settings = GapSettings(threads=1)
     mixed = prepare(marked(recording, tmp_path / "mixed", "shs"), settings)
-    compared = [t.name for c in (mixed.fit, mixed.whole_held) for t in c.trials]
+    compared = [t.name for c in (mixed.fit, mixed.held_out_whole) for t in c.trials]
     assert compared == ["run-0.parquet", "run-2.parquet"]
-    assert any("run-1.parquet" in words and "left out" in words for words in mixed.warnings)
+    assert any("run-1.parquet" in words and "not used" in words for words in mixed.warnings)
     healthy = prepare(marked(recording, tmp_path / "healthy", "hhh"), settings)
-    assert len(healthy.fit.trials) + len(healthy.whole_held.trials) == 3
-    assert not any("left out" in words for words in healthy.warnings)
+    assert len(healthy.fit.trials) + len(healthy.held_out_whole.trials) == 3
+    assert not any("not used" in words for words in healthy.warnings)
 
 
 def test_one_suspect_run_among_healthy_ones_is_too_few(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from loose_env.gap.data.aligned_run import channels_of
 from loose_env.gap.model.effects.actuators import ActuatorGain
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.preparation.integrator_choice import (
     Integration,
     choose_integration,
@@ -70,7 +70,7 @@ def wave(rate: float, seconds: float, *, still: float = 0.0, interval: float = 0
 
 
 def chosen(*runs: Run, step: float = 0.01, kp: float = 100.0) -> Integration:
-    machine = Machine(mujoco.MjSpec.from_string(ARM.format(step=step, kp=kp, kv=4.0)))
+    machine = NominalModel(mujoco.MjSpec.from_string(ARM.format(step=step, kp=kp, kv=4.0)))
     return choose_integration(machine, runs, channels_of(list(runs)), threads=1)
 
 
@@ -139,10 +139,10 @@ def test_a_corrected_model_that_needs_a_finer_step_is_warned_of(tmp_path: Path) 
         runs=runs,
         file_format="csv",
     )
-    prepared = prepare(recording, GapSettings(threads=1, kinds=("viscous_friction",)))
-    held = prepared.whole_held
+    problem = prepare(recording, GapSettings(threads=1, kinds=("viscous_friction",)))
+    held = problem.held_out_whole
     assert corrected_step_words(held, Hypothesis()) == []
-    gain = ActuatorGain(prepared.machine, "servo")
+    gain = ActuatorGain(problem.machine, "servo")
     corrected = Hypothesis(effects=(gain,), values=(np.array([10.0]),))
     (words,) = corrected_step_words(held, corrected)
     assert "finer step" in words and "sensor.q" in words

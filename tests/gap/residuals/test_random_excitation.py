@@ -9,7 +9,7 @@ from scipy import signal
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.gap.data.aligned_run import Channel, Trial
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.residuals.random_excitation.features import FeatureSettings, RandomFeatures
 from loose_env.gap.residuals.random_excitation.frequency_response import CommandResponse
 from loose_env.typing import Array
@@ -152,12 +152,12 @@ def test_without_chaos_impacts_count_as_repeated() -> None:
 def test_how_much_a_simulation_draws_anew_is_measured() -> None:
     rng = np.random.default_rng(14)
     u = command(rng)
-    struck = impacts(rng)
+    impact_fit = impacts(rng)
     found = features(response(u) + impacts(rng) + noise(rng), u)
-    first = response(u) + struck
+    first = response(u) + impact_fit
     assert found.redrawn(first, first + 1e-9) < 1e-6
     assert 0.8 < found.redrawn(first, response(u) + impacts(rng)) <= 1
-    half = np.where(np.arange(COUNT)[:, None] < COUNT // 2, struck, impacts(rng))
+    half = np.where(np.arange(COUNT)[:, None] < COUNT // 2, impact_fit, impacts(rng))
     assert 0.25 < found.redrawn(first, response(u) + half) < 0.75
 
 
@@ -209,7 +209,7 @@ def test_coarse_steps_widen_the_mean() -> None:
 
 
 def test_a_trial_names_its_excited_joints() -> None:
-    machine = Machine(mujoco.MjSpec.from_string(PLANAR))
+    machine = NominalModel(mujoco.MjSpec.from_string(PLANAR))
     rng = np.random.default_rng(11)
     u = command(rng)
     controls = np.zeros((2 * COUNT - 1, 3))

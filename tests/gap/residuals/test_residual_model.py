@@ -9,7 +9,7 @@ import pytest
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.residuals.autocorrelation import Structure, largest
 from loose_env.gap.residuals.residual_model import Rows
 from loose_env.gap.selection.screening.grouping import joint_of
@@ -21,9 +21,9 @@ NOTHING = Hypothesis()
 _OF_DRIVES = ("actuator_gain", "actuator_lag", "command_delay")
 
 
-def mixed() -> tuple[Machine, list[Run]]:
+def mixed() -> tuple[NominalModel, list[Run]]:
     """A commanded run and one of motion and torque."""
-    machine = Machine(measurable(mujoco.MjSpec.from_string(PLANAR)))
+    machine = NominalModel(measurable(mujoco.MjSpec.from_string(PLANAR)))
     rng = np.random.default_rng(1)
     time = np.arange(4000) * 0.001
     controls = commands(machine, time)
@@ -104,7 +104,7 @@ def let_go(run: Run) -> Run:
 
 def test_a_free_run_shows_what_is_at_joints_named_like_their_motors() -> None:
     xml = PLANAR.replace('name="servo', 'name="joint')
-    machine = Machine(measurable(mujoco.MjSpec.from_string(xml)))
+    machine = NominalModel(measurable(mujoco.MjSpec.from_string(xml)))
     assert machine.actuators == machine.joints
     comparison = compared(machine, [let_go(mixed()[1][1])], step=0.001)
     shown = {repr(e) for e in candidates(machine) if comparison.shows(e)}
@@ -118,7 +118,7 @@ class MotorStiffness(Effect):
     kind = "motor_stiffness"
 
     @classmethod
-    def places(cls, machine: Machine) -> tuple[str, ...]:
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
         return machine.actuators
 
     def edit(self, spec: mujoco.MjSpec, values: np.ndarray) -> None:
@@ -141,16 +141,16 @@ class Creep(Effect):
     kind = "creep"
 
     @classmethod
-    def places(cls, machine: Machine) -> tuple[str, ...]:
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
         return machine.sensors
 
 
 def test_what_an_effect_acts_on_is_told_by_its_class_and_else_by_names() -> None:
-    machine = Machine(measurable(mujoco.MjSpec.from_string(PLANAR)))
+    machine = NominalModel(measurable(mujoco.MjSpec.from_string(PLANAR)))
     assert MotorStiffness(machine, "servo1").part == "actuator"
     assert CATALOGUE["payload"](machine, "tool").part == "arm"
     shared = PLANAR.replace('name="servo', 'name="joint').replace('name="encoder', 'name="joint')
-    machine = Machine(mujoco.MjSpec.from_string(shared))
+    machine = NominalModel(mujoco.MjSpec.from_string(shared))
     kinds = (MotorStiffness, MotorHold, Late, Creep, CATALOGUE["viscous_friction"])
     found = [kind(machine, "joint2") for kind in kinds]
     assert [e.part for e in found] == ["joint", "actuator", "actuator", "sensor", "joint"]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.residuals.windows import INVERSE, windowed
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.workflow.explain import explain_gap
@@ -52,7 +52,7 @@ def damped(damping: tuple[float, ...]) -> mujoco.MjSpec:
 
 def test_damping_far_above_that_of_the_machine_is_named_at_all_joints(tmp_path: Path) -> None:
     model = damped(DAMPING)
-    machine, truth = Machine(model), damped((0.0, 0.0, 0.0)).compile()
+    machine, truth = NominalModel(model), damped((0.0, 0.0, 0.0)).compile()
     rng = np.random.default_rng(8)
     runs = [
         torque_run(machine, truth, rng, rate=200.0, duration=12.0, name=f"{n}.parquet")
@@ -71,7 +71,7 @@ def test_damping_far_above_that_of_the_machine_is_named_at_all_joints(tmp_path: 
 
 
 def test_long_inverse_runs_are_looked_at_in_windows() -> None:
-    machine = Machine(damped(DAMPING))
+    machine = NominalModel(damped(DAMPING))
     rng = np.random.default_rng(8)
     runs = [
         torque_run(machine, machine.model, rng, rate=100.0, duration=30.0, name=f"run-{k}")

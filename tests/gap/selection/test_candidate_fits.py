@@ -8,19 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loose_env.gap.data.aligned_run import channels_of, lay_out
+from loose_env.gap.data.aligned_run import align_run, channels_of
 from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.fitting.gauss_newton import FitSettings, fit
-from loose_env.gap.fitting.holdout_score import Judge, Judged, lead_of
+from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer, improvement_of
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import free_of, values_of
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.acceptance import Acceptance
-from loose_env.gap.selection.candidate_fits import Trying
-from loose_env.gap.selection.revision import Exchange
-from loose_env.gap.settings import SearchSettings
+from loose_env.gap.selection.candidate_fits import CandidateFits
+from loose_env.gap.selection.revision import SwapStep
+from loose_env.gap.settings import CONFIRMED_Z, SearchSettings
 from tests.gap.cases.gap_case import DAMPING, GAIN, STEP, nominal_structure, record
 
 
@@ -29,28 +29,28 @@ class Case:
 
     def __init__(self, folder: Path) -> None:
         recording = record(folder)
-        self.machine = Machine(recording.spec(), step=STEP)
+        self.machine = NominalModel(recording.spec(), step=STEP)
         channels = channels_of(list(recording.runs))
-        trials = [lay_out(run, self.machine, channels, step=STEP) for run in recording.runs]
+        trials = [align_run(run, self.machine, channels, step=STEP) for run in recording.runs]
         floors = np.array([noise_floor(trials[0].measured[:, c]) for c in range(len(channels))])
-        self.comparison = Comparison(self.machine, trials[:-1], channels, floors, threads=1)
-        self.judge = Judge(
-            self.comparison, Comparison(self.machine, trials[-1:], channels, floors, threads=1)
+        self.comparison = ResidualModel(self.machine, trials[:-1], channels, floors, threads=1)
+        self.scorer = Scorer(
+            self.comparison, ResidualModel(self.machine, trials[-1:], channels, floors, threads=1)
         )
         self.nominal = nominal_structure(self.machine)
 
-    def fitted(self, named: list[tuple[Effect, list[float]]]) -> Judged:
+    def fitted(self, named: list[tuple[Effect, list[float]]]) -> ScoredFit:
         own = [free_of(e.parameters, np.array(v)) for e, v in named]
         start = np.concatenate([self.nominal.nominal_start, *own])
         structure = self.nominal.with_effects([e for e, _ in named])
-        return self.judge.judge(fit(self.comparison, structure, start))
+        return self.scorer.score(fit(self.comparison, structure, start))
 
     def effect(self, kind: str, where: str, values: list[float]) -> tuple[Effect, list[float]]:
         return CATALOGUE[kind](self.machine, where), values
 
-    def alone(self, base: Judged, earlier: Judged, both: Judged) -> Judged | None:
-        trying = Trying(self.comparison, self.comparison, self.judge, earlier, SearchSettings())
-        return trying.alone(both, base.fitted)
+    def alone(self, base: ScoredFit, earlier: ScoredFit, both: ScoredFit) -> ScoredFit | None:
+        candidate_fits = CandidateFits(self.comparison, self.comparison, self.scorer, earlier)
+        return candidate_fits.without_earlier(both, base.fitted)
 
 
 @pytest.fixture(scope="module")
@@ -66,8 +66,8 @@ def test_a_stand_in_is_not_needed_beside_what_it_stood_for(case: Case) -> None:
     alone = case.alone(case.fitted([gain]), case.fitted([gain, dry]), both)
     assert alone is not None
     assert [e.kind for e in alone.fitted.effects] == ["sensor_gain", "viscous_friction"]
-    lead = lead_of(both, alone)
-    assert min(lead.held, lead.fitted) < SearchSettings().held
+    improvement = improvement_of(both, alone)
+    assert min(improvement.held_out, improvement.training) < CONFIRMED_Z
 
 
 def test_of_two_effects_neither_does_alone(case: Case) -> None:
@@ -90,15 +90,17 @@ def test_what_made_an_effect_idle_may_be_the_one_too_many(case: Case) -> None:
     free = np.concatenate([before.fitted.free, *new])
     free[own] = free_of(wet[0].parameters, np.array([0.1]))
     as_is = FitSettings(iterations=0)
-    stuck = case.judge.judge(fit(case.comparison, together, free, settings=as_is))
-    acceptance = Acceptance(case.comparison, case.judge, base, before, SearchSettings())
-    rather = acceptance.rather(stuck, wet[0])
+    stuck = case.scorer.score(fit(case.comparison, together, free, settings=as_is))
+    acceptance = Acceptance(case.comparison, case.scorer, base, before, SearchSettings())
+    rather = acceptance.earlier_form(stuck, wet[0])
     assert rather is not None
     assert [e.kind for e in rather.fitted.effects] == ["viscous_friction", "sensor_gain"]
     assert rather.total < 0.5 * stuck.total
     kept = values_of(wet[0].parameters, rather.fitted.free[own])
     assert kept[0] == pytest.approx(DAMPING, rel=0.1)
-    assert acceptance.rather(case.fitted([wet, gain]), wet[0]) is None  # nothing new at its joint
+    assert (
+        acceptance.earlier_form(case.fitted([wet, gain]), wet[0]) is None
+    )  # nothing new at its joint
 
 
 def test_a_last_trace_is_not_named_however_sure_it_is(case: Case) -> None:
@@ -110,24 +112,24 @@ def test_a_last_trace_is_not_named_however_sure_it_is(case: Case) -> None:
     part, whole = (
         replace(
             case.fitted([wet, gain, bias]),
-            held_blocks=before.held_blocks * (1 - less),
-            fitted_blocks=before.fitted_blocks * (1 - less),
-            held_structure=0.0 * before.held_structure,
-            fitted_structure=0.0 * before.fitted_structure,
+            held_out_blocks=before.held_out_blocks * (1 - less),
+            training_blocks=before.training_blocks * (1 - less),
+            held_out_products=0.0 * before.held_out_products,
+            training_products=0.0 * before.training_products,
         )
         for less in (1e-3, 0.1)
     )
-    acceptance = Acceptance(case.comparison, case.judge, base, before, SearchSettings())
-    assert all(acceptance.believed(lead_of(each, before)) for each in (part, whole))
-    assert acceptance.worth_naming(whole)
-    assert not acceptance.worth_naming(part)
+    acceptance = Acceptance(case.comparison, case.scorer, base, before, SearchSettings())
+    assert all(acceptance.significant(improvement_of(each, before)) for each in (part, whole))
+    assert acceptance.accepts(whole)
+    assert not acceptance.accepts(part)
 
 
-def exchange(case: Case, base: Judged, best: Judged) -> Judged:
+def exchange(case: Case, base: ScoredFit, best: ScoredFit) -> ScoredFit:
     kinds = ("viscous_friction", "quadratic_drag", "actuator_gain", "actuator_lag")
     given = candidates(case.machine, kinds)
-    tried = Exchange(case.comparison, case.comparison, case.judge, given, base, SearchSettings())
-    return tried.better_than(best)
+    tried = SwapStep(case.comparison, case.comparison, case.scorer, given, base, SearchSettings())
+    return tried.improved(best)
 
 
 def test_what_was_named_for_a_mixture_is_exchanged_when_the_other_is_there(case: Case) -> None:

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from loose_env.gap.data.actuator_states import activations
-from loose_env.gap.data.aligned_run import Channel, Trial, channels_of, lay_out
+from loose_env.gap.data.aligned_run import Channel, Trial, align_run, channels_of
 from loose_env.gap.diagnostics.joint_torque_residual import joint_motion
 from loose_env.gap.diagnostics.localisation import locate
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.screening.data_driven_starts import missing_torque, proposals
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import Recording, Run, write_recording
@@ -30,11 +30,11 @@ SERVO = (
 NOTHING = Hypothesis()
 
 
-def compared(recording: Recording) -> Comparison:
-    machine = Machine(recording.spec(), step=STEP)
+def compared(recording: Recording) -> ResidualModel:
+    machine = NominalModel(recording.spec(), step=STEP)
     channels = channels_of(list(recording.runs))
-    trials = [lay_out(run, machine, channels, step=STEP) for run in recording.runs]
-    return Comparison(machine, trials, channels, np.ones(len(channels)), threads=1)
+    trials = [align_run(run, machine, channels, step=STEP) for run in recording.runs]
+    return ResidualModel(machine, trials, channels, np.ones(len(channels)), threads=1)
 
 
 def test_the_missing_torque_is_what_the_model_lacks(tmp_path: Path) -> None:
@@ -74,7 +74,7 @@ def test_a_ripple_finds_its_own_period(tmp_path: Path, periods: float) -> None:
             row[:] = data.sensordata
         motion = {f"joint{j + 1}": shown[:, j] for j in range(3)}
         trials.append(replace(trial, measured=shown, motion=motion))
-    comparison = Comparison(machine, trials, comparison.channels, comparison.floors, threads=1)
+    comparison = ResidualModel(machine, trials, comparison.channels, comparison.floors, threads=1)
     starts = proposals(comparison, NOTHING, [ripple])[ripple.key]
     nearest = min(starts, key=lambda start: abs(start[1] - periods))
     assert nearest[1] == pytest.approx(periods, abs=1.0)
@@ -116,7 +116,7 @@ def test_no_torque_is_missing_behind_a_filter_that_the_model_has(
     assert found is not None
     trial = comparison.trials[0]
     motion = joint_motion(comparison.machine, trial, comparison.channels, comparison.floors)
-    for missing in (found[3][:, 1], motion.missing[:, 1]):
+    for missing in (found[3][:, 1], motion.residual_torque[:, 1]):
         assert np.nanstd(missing) < 0.05 * np.nanstd(motion.load[:, 1])
     assert np.nanstd(motion.load[:, 1]) > 5.0
 
@@ -130,7 +130,7 @@ def test_what_an_actuator_of_unknown_state_gave_is_not_known(dynamics: str, tmp_
     assert ripple.starts
     trial = comparison.trials[0]
     motion = joint_motion(comparison.machine, trial, comparison.channels, comparison.floors)
-    assert np.isnan(motion.missing).all() and np.isfinite(motion.load).all()
+    assert np.isnan(motion.residual_torque).all() and np.isfinite(motion.load).all()
     rows = comparison.rows
     residual = np.random.default_rng(1).normal(size=len(comparison))
     one = np.flatnonzero(rows.trial == 0)
@@ -176,7 +176,7 @@ def test_effects_that_do_not_search_are_left_to_their_own_starts(tmp_path: Path)
 @pytest.mark.parametrize(("where", "angle"), [("link1", 0.4), ("link2", 1.9), ("link3", -0.8)])
 def test_a_loose_link_shakes_the_tool_along_its_own_direction(where: str, angle: float) -> None:
     runge_kutta = int(mujoco.mjtIntegrator.mjINT_RK4)
-    machine = Machine(mujoco.MjSpec.from_string(PLANAR), step=0.001, integrator=runge_kutta)
+    machine = NominalModel(mujoco.MjSpec.from_string(PLANAR), step=0.001, integrator=runge_kutta)
     channels = (
         *(Channel(f"sensor.encoder{k}") for k in (1, 2, 3)),
         *(Channel("sensor.shake", axis) for axis in range(3)),
@@ -195,7 +195,7 @@ def test_a_loose_link_shakes_the_tool_along_its_own_direction(where: str, angle:
     shown = Simulator(machine, [bare], channels, threads=1).predict([loose])[0][0]
     trial = replace(bare, measured=shown, motion={f"joint{k + 1}": shown[:, k] for k in range(3)})
     floors = np.array([1e-5] * 3 + [0.02] * 3)
-    comparison = Comparison(machine, [trial], channels, floors, threads=1)
+    comparison = ResidualModel(machine, [trial], channels, floors, threads=1)
     starts = proposals(comparison, NOTHING, [effect])[effect.key]
     off = min(abs((start[0] - angle + np.pi / 2) % np.pi - np.pi / 2) for start in starts)
     assert off < 0.3  # a fit gets on from there

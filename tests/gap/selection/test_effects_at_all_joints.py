@@ -42,12 +42,12 @@ def test_large_effects_stay_where_something_else_is_left(tmp_path: Path) -> None
     for effect in found.effects:
         low, high = effect.interval_95["gain"]
         assert 0.3 < low < effect.parameters["gain"] < high < 0.7
-    assert found.best.held_rms > 20
+    assert found.best.held_out_rms > 20
 
 
 def explained(found: GapSolution) -> float:
     """Share of what hung together in time that the best hypothesis explains."""
-    return 1 - found.best.structure / found.base.structure
+    return 1 - found.best.autocorrelated / found.base.autocorrelated
 
 
 @pytest.mark.parametrize(

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from loose_env.gap.model.effects.catalogue import CATALOGUE
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.selection.screening.grouping import families, frictions
 from loose_env.gap.selection.screening.screening import Screened
 from tests.gap.cases.effect_arms import machine_of
 
 
 def screened(
-    machine: Machine, kind: str, where: str, promise: float, variant: str = ""
+    machine: NominalModel, kind: str, where: str, promise: float, variant: str = ""
 ) -> Screened:
     effect = CATALOGUE[kind](machine, where, variant or None)
-    return Screened(effect=effect, values=effect.starts[0], promise=promise, sureness=5.0)
+    return Screened(effect=effect, values=effect.starts[0], predicted=promise, z=5.0)
 
 
 def test_the_kind_that_promises_most_together_comes_first() -> None:

@@ -12,20 +12,20 @@ import numpy as np
 import pytest
 
 from loose_env.gap.fitting.gauss_newton import Fit
-from loose_env.gap.fitting.holdout_score import Judge, lead_of
+from loose_env.gap.fitting.holdout_score import Scorer, improvement_of
 from loose_env.gap.fitting.model_structure import ModelStructure, nuisance_of
 from loose_env.gap.fitting.refit import refined
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import free_of
 from loose_env.gap.output.checkpoints import Stages, key_of
 from loose_env.gap.preparation.prepare import GapProblem, prepare
 from loose_env.gap.selection.acceptance import Acceptance
-from loose_env.gap.selection.checkpoint_codec import KeepInFiles
-from loose_env.gap.selection.forward_selection import Named
-from loose_env.gap.selection.revision import Exchange
-from loose_env.gap.selection.reweighted_search import Searched, beside_stops, search
+from loose_env.gap.selection.checkpoint_codec import StepFiles
+from loose_env.gap.selection.forward_selection import Selection
+from loose_env.gap.selection.revision import SwapStep
+from loose_env.gap.selection.reweighted_search import SearchResult, beside_stops, search
 from loose_env.gap.settings import GapSettings, SearchSettings
 from loose_env.gap.workflow.pipeline import GapSolution, find_gap
 from loose_env.recording import Recording, write_recording
@@ -43,7 +43,7 @@ def with_play(folder: Path) -> Recording:
     """Runs of an arm with backlash between stops of another law, and a motor that is weak."""
     spec = mujoco.MjSpec.from_string(LEVEL)
     spec.option.timestep = FINE
-    machine = Machine(mujoco.MjSpec.from_string(LEVEL), step=FINE)
+    machine = NominalModel(mujoco.MjSpec.from_string(LEVEL), step=FINE)
     play = CATALOGUE["backlash"](machine, "joint2")
     play.edit(spec, np.array([GAP, 4e3, 0.15]))
     added = spec.joints[2]
@@ -63,7 +63,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 
 
 @pytest.fixture(scope="module")
-def prepared(recording: Recording) -> GapProblem:
+def problem(recording: Recording) -> GapProblem:
     return prepare(recording, GapSettings(threads=1))
 
 
@@ -79,49 +79,51 @@ def whole(recording: Recording, kept: Path) -> tuple[GapSolution, list[str]]:
     return find_gap(recording, settings, say=lines.append, stages=stages), lines
 
 
-def test_what_is_left_in_channels_is_their_root_mean_square(prepared: GapProblem) -> None:
-    runs = prepared.search
+def test_what_is_left_in_channels_is_their_root_mean_square(problem: GapProblem) -> None:
+    runs = problem.search
     wanted = np.arange(1.0, 1.0 + len(runs.channels))
     residual = wanted[runs.rows.channel] * np.where(np.arange(len(runs)) % 2, 1.0, -1.0)
-    assert np.allclose(runs.left_in_channels(residual), wanted)
+    assert np.allclose(runs.channel_rms(residual), wanted)
 
 
-def test_louder_noise_makes_residuals_as_much_smaller(prepared: GapProblem) -> None:
-    factors = np.linspace(1.0, 5.0, len(prepared.search.channels))
-    louder = prepared.louder(factors)
+def test_louder_noise_makes_residuals_as_much_smaller(problem: GapProblem) -> None:
+    factors = np.linspace(1.0, 5.0, len(problem.search.channels))
+    louder = problem.louder(factors)
     for name in ("search", "fit", "held", "whole_held"):
-        one, other = getattr(prepared, name), getattr(louder, name)
+        one, other = getattr(problem, name), getattr(louder, name)
         before, after = (runs.residuals([NOTHING])[0] for runs in (one, other))
         assert np.allclose(after * factors[one.rows.channel], before)
     # what was the same runs stays so, or all of them would be fitted once more
-    assert (louder.fit is louder.search) == (prepared.fit is prepared.search)
-    assert (louder.held is louder.whole_held) == (prepared.held is prepared.whole_held)
+    assert (louder.fit is louder.search) == (problem.fit is problem.search)
+    assert (louder.held_out is louder.held_out_whole) == (
+        problem.held_out is problem.held_out_whole
+    )
 
 
-def test_what_was_found_in_louder_noise_is_told_in_the_noise_there_is(prepared: GapProblem) -> None:
-    louder = prepared.louder(np.full(len(prepared.search.channels), 4.0))
-    friction = CATALOGUE["viscous_friction"](prepared.machine, "joint1")
-    structure = nominal_structure(prepared.machine).plus(friction)
+def test_what_was_found_in_louder_noise_is_told_in_the_noise_there_is(problem: GapProblem) -> None:
+    louder = problem.louder(np.full(len(problem.search.channels), 4.0))
+    friction = CATALOGUE["viscous_friction"](problem.machine, "joint1")
+    structure = nominal_structure(problem.machine).plus(friction)
     free = np.append(structure.nominal_start, free_of(friction.parameters, [0.5]))
     rng = np.random.default_rng(1)
 
-    def judged(runs: GapProblem) -> Any:
+    def scored(runs: GapProblem) -> Any:
         residual = np.zeros(len(runs.fit))
         jacobian = rng.normal(size=(len(runs.fit), len(free)))
         fitted = Fit(structure=structure, free=free, residual=residual, jacobian=jacobian, cost=0.0)
         residual = runs.fit.residuals([fitted.hypothesis])[0]
-        return Judge(runs.fit, runs.whole_held).judge(replace(fitted, residual=residual))
+        return Scorer(runs.fit, runs.held_out_whole).score(replace(fitted, residual=residual))
 
-    first, second = judged(prepared), judged(louder)
-    base = Named(base=first)
-    parts = ((prepared, base), (louder, Named(base=second)))
-    found = Searched(prepared=prepared, parts=parts)
-    told = found.in_noise(second)
+    first, second = scored(problem), scored(louder)
+    base = Selection(base=first)
+    parts = ((problem, base), (louder, Selection(base=second)))
+    found = SearchResult(problem=problem, parts=parts)
+    told = found.rescored(second)
     assert np.allclose(told.fitted.residual, 4 * second.fitted.residual)
     assert np.allclose(told.fitted.jacobian, 4 * second.fitted.jacobian)
-    assert told.held_rms == pytest.approx(first.held_rms)
-    same = Searched(prepared=prepared, parts=parts[:1])
-    assert same.in_noise(first) is first
+    assert told.held_out_rms == pytest.approx(first.held_rms)
+    same = SearchResult(problem=problem, parts=parts[:1])
+    assert same.rescored(first) is first
 
 
 def test_a_weak_motor_is_found_beside_play_of_another_law(
@@ -137,16 +139,18 @@ def test_a_weak_motor_is_found_beside_play_of_another_law(
     assert own["backlash"].parameters["gap"] == pytest.approx(GAP, rel=0.05)
     low, high = own["actuator_gain"].interval_95["gain"]
     assert 0.8 < low < GAIN < high < 1.0
-    assert any("goes on with what its stops leave as noise" in line for line in lines)
+    assert any("reweighting: the residual of the stops counts as noise" in line for line in lines)
     # told in the noise there is, of which stops leave several times as much
-    assert found.base.held_rms > 1.5 * found.best.held_rms > 4
+    assert found.base.held_out_rms > 1.5 * found.best.held_out_rms > 4
 
 
 def test_noise_is_worked_out_anew_with_each_effect(
     recording: Recording, kept: Path, whole: tuple[GapSolution, list[str]]
 ) -> None:
     found, lines = whole
-    assert sum("goes on with what its stops leave as noise" in line for line in lines) == 2
+    assert (
+        sum("reweighting: the residual of the stops counts as noise" in line for line in lines) == 2
+    )
     # by its own noise the last part leaves about that much, for it is what it left before
     problem, machine = found.problem, found.problem.machine
     nuisance = nuisance_of(problem.search, machine, tolerance=problem.settings.tolerance)
@@ -156,11 +160,11 @@ def test_noise_is_worked_out_anew_with_each_effect(
         nuisance,
         candidates(machine, KINDS),
         settings=SearchSettings(most_effects=problem.settings.most_effects),
-        keep=partial(KeepInFiles, stages, machine, nuisance),
-    ).named
+        keep=partial(StepFiles, stages, machine, nuisance),
+    ).selection
     assert stages.taken_up[-1].startswith("part-3-")  # the same search, not another one
-    assert last.base.held_rms < 0.5 * found.base.held_rms
-    assert 0.5 < last.best.held_rms < 1.5
+    assert last.base.held_out_rms < 0.5 * found.base.held_out_rms
+    assert 0.5 < last.best.held_out_rms < 1.5
 
 
 def test_steps_of_both_searches_are_listed_one_after_the_other(
@@ -172,7 +176,7 @@ def test_steps_of_both_searches_are_listed_one_after_the_other(
     first = {each.step: each for each in reversed(found.ranking)}
     assert (first[1].kind, first[2].kind) == ("backlash", "actuator_gain")
     # in the noise there is; by that of its own part it leaves about one
-    assert first[2].held_out == pytest.approx(found.best.held_rms, rel=0.3)
+    assert first[2].held_out == pytest.approx(found.best.held_out_rms, rel=0.3)
 
 
 def test_an_interrupted_second_search_goes_on_where_it_was(
@@ -189,17 +193,17 @@ def test_an_interrupted_second_search_goes_on_where_it_was(
     assert again.effects == whole[0].effects and again.ranking == whole[0].ranking
 
 
-def test_what_play_beside_it_does_alone_is_no_second_effect(prepared: GapProblem) -> None:
-    runs, machine = prepared.search, prepared.machine
+def test_what_play_beside_it_does_alone_is_no_second_effect(problem: GapProblem) -> None:
+    runs, machine = problem.search, problem.machine
     nominal = nominal_structure(machine)
     play = CATALOGUE["backlash"](machine, "joint2")
     friction = CATALOGUE["viscous_friction"](machine, "joint3")
     off, right = (np.array([gap, 1.0, 0.3]) for gap in (0.6 * GAP, GAP))
     stiffness = play.parameters[1].scale
     off[1], right[1] = stiffness, stiffness
-    judge = Judge(runs, prepared.held)
+    scorer = Scorer(runs, problem.held_out)
 
-    def judged(values: Array, *, beside: bool) -> Any:
+    def scored(values: Array, *, beside: bool) -> Any:
         structure = nominal.plus(*((play, friction) if beside else (play,)))
         free = np.concatenate(
             [
@@ -213,28 +217,28 @@ def test_what_play_beside_it_does_alone_is_no_second_effect(prepared: GapProblem
             jacobian=np.zeros((len(runs), len(free))), cost=0.0,
         )  # fmt: skip
         residual = runs.residuals([fitted.hypothesis])[0]
-        return judge.judge(refined(replace(fitted, residual=residual), runs))
+        return scorer.score(refined(replace(fitted, residual=residual), runs))
 
-    before, later = judged(off, beside=False), judged(right, beside=True)
-    acceptance = Acceptance(runs, judge, before, before, SearchSettings())
-    assert acceptance.believed(lead_of(later, before))
+    before, later = scored(off, beside=False), scored(right, beside=True)
+    acceptance = Acceptance(runs, scorer, before, before, SearchSettings())
+    assert acceptance.significant(improvement_of(later, before))
     assert not acceptance.needed_beside_stops(later)
-    assert acceptance.doubt(later) == "the play beside it does as well alone"
+    assert acceptance.objection(later) == "not needed beside the part with stops"
 
 
 def test_a_part_with_stops_is_not_exchanged_in_noise_that_it_makes(
-    prepared: GapProblem, monkeypatch: pytest.MonkeyPatch
+    problem: GapProblem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    runs, machine = prepared.search, prepared.machine
+    runs, machine = problem.search, problem.machine
     effects = [CATALOGUE["backlash"](machine, "joint2"), CATALOGUE["payload"](machine, "tool")]
     free = np.concatenate([free_of(e.parameters, np.array(e.starts[0])) for e in effects])
     fitted = Fit(
         structure=ModelStructure(effects=tuple(effects)), free=free, residual=np.zeros(len(runs)),
         jacobian=np.zeros((len(runs), len(free))), cost=0.0,
     )  # fmt: skip
-    judge, tried = Judge(runs, prepared.held), list[str]()
-    best = judge.judge(fitted)
-    monkeypatch.setattr(Exchange, "_in_place_of", lambda _, effect, best: tried.append(effect.kind))
+    scorer, tried = Scorer(runs, problem.held_out), list[str]()
+    best = scorer.score(fitted)
+    monkeypatch.setattr(SwapStep, "_in_place_of", lambda _, effect, best: tried.append(effect.kind))
     for settings in (SearchSettings(), beside_stops(SearchSettings())):
-        assert Exchange(runs, runs, judge, effects, best, settings).better_than(best) is best
+        assert SwapStep(runs, runs, scorer, effects, best, settings).improved(best) is best
     assert tried == ["backlash", "payload", "payload"]

@@ -14,15 +14,15 @@ import pytest
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.effects.structural_looseness import StructuralLooseness
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.nominal_parameters import NominalParameters
 from loose_env.gap.preparation.integrator_choice import corrected_step_words
 from loose_env.gap.preparation.prepare import GapProblem, prepare
-from loose_env.gap.residuals.residual_model import Comparison
-from loose_env.gap.selection.impacts import impact_search as striking
-from loose_env.gap.selection.impacts.impact_power import Blows
-from loose_env.gap.selection.impacts.impact_search import Struck, find_striking
-from loose_env.gap.settings import GapSettings, SearchSettings
+from loose_env.gap.residuals.residual_model import ResidualModel
+from loose_env.gap.selection.impacts import impact_search as with_stops
+from loose_env.gap.selection.impacts.impact_power import ImpactPower
+from loose_env.gap.selection.impacts.impact_search import ImpactFit, find_impacts
+from loose_env.gap.settings import GapSettings
 from loose_env.recording import write_recording
 from tests.gap.cases.level_arm import FINE, LEVEL, moving
 
@@ -36,7 +36,7 @@ def prepared_arm(folder: Path, *, loose: bool = False, friction: float = 0.0) ->
     spec = mujoco.MjSpec.from_string(LEVEL)
     spec.option.timestep = FINE
     if loose:
-        machine = Machine(mujoco.MjSpec.from_string(LEVEL), step=FINE)
+        machine = NominalModel(mujoco.MjSpec.from_string(LEVEL), step=FINE)
         StructuralLooseness(machine, "link2").edit(spec, TRUE)
     spec.joint("joint2").frictionloss = friction
     speeds = [np.array([11.0 + k, 17.0 - 2 * k, 23.0 + k]) for k in range(3)]
@@ -50,32 +50,31 @@ def loose(tmp_path_factory: pytest.TempPathFactory) -> GapProblem:
     return prepared_arm(tmp_path_factory.mktemp("loose") / "r", loose=True)
 
 
-def known(prepared: GapProblem) -> Hypothesis:
+def known(problem: GapProblem) -> Hypothesis:
     """The nominal model."""
-    nominal = NominalParameters(prepared.machine, tolerance=0.03)
+    nominal = NominalParameters(problem.machine, tolerance=0.03)
     return Hypothesis(nominal=nominal, factors=np.ones(len(nominal.parameters)))
 
 
-def with_trace(prepared: GapProblem) -> Hypothesis:
+def with_trace(problem: GapProblem) -> Hypothesis:
     """The nominal model and an effect that is of no use."""
-    trace = CATALOGUE["viscous_friction"](prepared.machine, "joint3"), np.array([1e-3])
-    return known(prepared).with_effects([trace])
+    trace = CATALOGUE["viscous_friction"](problem.machine, "joint3"), np.array([1e-3])
+    return known(problem).with_effects([trace])
 
 
-def slide(prepared: GapProblem, link: str, values: np.ndarray) -> Hypothesis:
-    effect = CATALOGUE["structural_looseness"](prepared.machine, link)
+def slide(problem: GapProblem, link: str, values: np.ndarray) -> Hypothesis:
+    effect = CATALOGUE["structural_looseness"](problem.machine, link)
     return Hypothesis(effects=(effect,), values=(values,))
 
 
 def search(
-    prepared: GapProblem, kind: str, say: Callable[[str], None] = lambda _: None
-) -> Struck | None:
-    return find_striking(
-        prepared,
-        with_trace(prepared),
-        candidates(prepared.machine, (kind,)),
+    problem: GapProblem, kind: str, say: Callable[[str], None] = lambda _: None
+) -> ImpactFit | None:
+    return find_impacts(
+        problem,
+        with_trace(problem),
+        candidates(problem.machine, (kind,)),
         np.random.default_rng(0),
-        settings=SearchSettings(),
         say=say,
     )
 
@@ -85,21 +84,22 @@ def test_powers_tell_a_slide_that_no_trajectory_follows(loose: GapProblem) -> No
     # a little off in what nobody knows exactly: when stops are struck is another matter then
     near = slide(loose, "link2", TRUE * [1.0, 1.05, 1.1, 0.8, 1.2])
     whole = nominal.with_effects(near.pairs)
-    blows = Blows(loose.held, nominal)
-    assert np.allclose(blows.residuals([nothing])[0], blows.measured, atol=1e-9)
+    impact_power = ImpactPower(loose.held_out, nominal)
+    assert np.allclose(impact_power.residuals([nothing])[0], impact_power.measured, atol=1e-9)
     before, after, other = (
-        float(np.mean(r**2)) for r in blows.residuals([nothing, near, slide(loose, "link3", TRUE)])
+        float(np.mean(r**2))
+        for r in impact_power.residuals([nothing, near, slide(loose, "link3", TRUE)])
     )
     assert after < 2.0 < other and before > 10 * after
-    by_sample = np.mean(loose.held.residuals([nominal, whole]) ** 2, axis=1)
+    by_sample = np.mean(loose.held_out.residuals([nominal, whole]) ** 2, axis=1)
     assert by_sample[1] > 0.2 * by_sample[0]
 
 
 def test_the_loose_link_is_found_with_its_direction(loose: GapProblem) -> None:
     found = search(loose, "structural_looseness")
     assert found is not None and found.effect.where == "link2"
-    assert found.share > 0.85 and "link2 strikes its stops" in found.words
-    assert [effect.kind for effect in found.idle] == ["viscous_friction"]
+    assert found.explained > 0.85 and "link2 hits its stops" in found.words
+    assert [effect.kind for effect in found.insignificant] == ["viscous_friction"]
     angle, gap = found.fitted.free[0] * 0.5, found.intervals
     assert np.cos(angle - TRUE[0]) ** 2 > 0.98
     assert gap.low[1] < gap.high[1] and 0.5 < found.intervals.high[1] / TRUE[1] < 4
@@ -107,36 +107,36 @@ def test_the_loose_link_is_found_with_its_direction(loose: GapProblem) -> None:
 
 def test_what_needs_no_gap_is_no_play(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
-    monkeypatch.setattr(striking, "_EXPLAINED", 0.7)
+    monkeypatch.setattr(with_stops, "_EXPLAINED", 0.7)
     assert search(prepared_arm(tmp_path / "dry", friction=6.0), "backlash", say=said.append) is None
     # dry friction has the powers of a springy gear, which gives way without any play
     assert any("without any gap" in line for line in said)
 
 
 def test_only_runs_with_commands_are_compared_by_powers(loose: GapProblem) -> None:
-    assert Blows.worth_while(loose.held)
-    (trial,) = loose.held.trials
-    freed, struck = copy(loose.held), copy(loose.held)
+    assert ImpactPower.worth_while(loose.held_out)
+    (trial,) = loose.held_out.trials
+    freed, impact_fit = copy(loose.held_out), copy(loose.held_out)
     freed.trials = [replace(trial, form="free")]
-    struck.parting = frozenset([trial.name])
-    assert not Blows.worth_while(freed)
-    assert not Blows.worth_while(struck)
+    impact_fit.chaotic = frozenset([trial.name])
+    assert not ImpactPower.worth_while(freed)
+    assert not ImpactPower.worth_while(impact_fit)
 
 
 def test_readings_that_were_lost_cost_stretches_only_where_they_are_many(loose: GapProblem) -> None:
-    held, rng = loose.held, np.random.default_rng(3)
-    whole = len(Blows(held, known(loose)))
+    held, rng = loose.held_out, np.random.default_rng(3)
+    whole = len(ImpactPower(held, known(loose)))
     lost = [
         replace(t, measured=np.where(rng.random(t.measured.shape) < 0.05, np.nan, t.measured))
         for t in held.trials
     ]
     brief = replace(held.trials[0].until(0.02), name="brief")
-    few = Comparison(held.machine, [*lost, brief], held.channels, held.floors, threads=1)
-    blows = Blows(few, known(loose))
-    assert len(blows) == whole and len(blows.trials) == len(lost)
+    few = ResidualModel(held.machine, [*lost, brief], held.channels, held.floors, threads=1)
+    impact_power = ImpactPower(few, known(loose))
+    assert len(impact_power) == whole and len(impact_power.trials) == len(lost)
     nothing = Hypothesis()
-    assert np.isfinite(blows.residuals([nothing])).all()
+    assert np.isfinite(impact_power.residuals([nothing])).all()
 
 
 def test_no_step_is_blamed_for_blows(loose: GapProblem) -> None:
-    assert corrected_step_words(loose.whole_held, slide(loose, "link2", TRUE)) == []
+    assert corrected_step_words(loose.held_out_whole, slide(loose, "link2", TRUE)) == []

@@ -9,24 +9,24 @@ from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.fitting.gauss_newton import Fit
-from loose_env.gap.fitting.holdout_score import Judged, lead_of
+from loose_env.gap.fitting.holdout_score import ScoredFit, improvement_of
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE
-from loose_env.gap.model.nominal_model import Machine
-from loose_env.gap.output.result import Place
+from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.output.result import EffectLocation
 from loose_env.gap.residuals.autocorrelation import independent_rows
-from loose_env.gap.residuals.residual_model import Comparison
-from loose_env.gap.selection.forward_selection import Named
+from loose_env.gap.residuals.residual_model import ResidualModel
+from loose_env.gap.selection.forward_selection import Selection
 from loose_env.gap.selection.ranking import bic, indistinct, ranking_of
 from tests.gap.cases.effect_arms import PLANAR
 from tests.gap.cases.gap_case import nominal_structure
 
-MACHINE = Machine(mujoco.MjSpec.from_string(PLANAR))
+MACHINE = NominalModel(mujoco.MjSpec.from_string(PLANAR))
 NOMINAL = nominal_structure(MACHINE)
 COUNT, RATE = 4000, 100.0
 
 
-def comparison() -> Comparison:
+def comparison() -> ResidualModel:
     """Two runs of one channel, which are never simulated."""
     time = np.arange(COUNT) / RATE
     trials = [
@@ -37,13 +37,13 @@ def comparison() -> Comparison:
         )
         for k in range(2)
     ]  # fmt: skip
-    return Comparison(MACHINE, trials, (Channel("sensor.encoder1"),), np.ones(1), threads=1)
+    return ResidualModel(MACHINE, trials, (Channel("sensor.encoder1"),), np.ones(1), threads=1)
 
 
 COMPARED = comparison()
 
 
-def judged(effects: list[Effect], level: float, seed: int) -> Judged:
+def scored(effects: list[Effect], level: float, seed: int) -> ScoredFit:
     """A hypothesis that leaves white noise of this size."""
     rng = np.random.default_rng(seed)
     structure = NOMINAL.with_effects(effects)
@@ -54,11 +54,11 @@ def judged(effects: list[Effect], level: float, seed: int) -> Judged:
         jacobian=np.zeros((0, len(free))), cost=float(residual @ residual),
     )  # fmt: skip
     blocks = [COMPARED.by_block(r**2) for r in (held, residual)]
-    return Judged(
-        fitted=fitted, held_residual=held, held_blocks=blocks[0], fitted_blocks=blocks[1],
-        held_structure=np.tile(blocks[0] - blocks[0].min(), (3, 1)) + level**2,
-        fitted_structure=np.tile(blocks[1] - blocks[1].min(), (3, 1)) + level**2,
-        channel_structure=np.ones((2, 1)),
+    return ScoredFit(
+        fitted=fitted, held_out_residual=held, held_out_blocks=blocks[0], training_blocks=blocks[1],
+        held_out_products=np.tile(blocks[0] - blocks[0].min(), (3, 1)) + level**2,
+        training_products=np.tile(blocks[1] - blocks[1].min(), (3, 1)) + level**2,
+        channel_products=np.ones((2, 1)),
     )  # fmt: skip
 
 
@@ -71,19 +71,19 @@ SPRINGS = at("joint_spring", "joint1", "joint2", "joint3")
 LATE = at("command_delay", "all")
 
 
-def searched(*rivals: Judged) -> Named:
-    base = judged([], 3.0, 0)
-    named = Named(base=base, steps=[rivals[0]])
-    named.rivals = [[(each, lead_of(each, base)) for each in rivals]]
+def searched(*rivals: ScoredFit) -> Selection:
+    base = scored([], 3.0, 0)
+    named = Selection(base=base, steps=[rivals[0]])
+    named.rivals = [[(each, improvement_of(each, base)) for each in rivals]]
     return named
 
 
 def test_a_family_is_one_rival_with_all_its_places() -> None:
-    named = searched(judged(GAINS, 1.0, 1), judged(LATE, 2.0, 2))
+    named = searched(scored(GAINS, 1.0, 1), scored(LATE, 2.0, 2))
     first, second = ranking_of(named, COMPARED, COMPARED)
     assert (first.kind, first.where) == ("actuator_gain", "servo1")
     assert first.together_with == tuple(
-        Place(kind="actuator_gain", where=where) for where in ("servo2", "servo3")
+        EffectLocation(kind="actuator_gain", where=where) for where in ("servo2", "servo3")
     )
     assert [place.where for place in first.places] == ["servo1", "servo2", "servo3"]
     assert (second.kind, second.where, second.together_with) == ("command_delay", "all", ())
@@ -91,29 +91,29 @@ def test_a_family_is_one_rival_with_all_its_places() -> None:
 
 
 def test_every_member_of_a_family_is_held_against_a_rival_family_at_its_joint() -> None:
-    named = searched(judged(GAINS, 1.0, 1), judged(SPRINGS, 1.0, 2), judged(LATE, 2.5, 3))
+    named = searched(scored(GAINS, 1.0, 1), scored(SPRINGS, 1.0, 2), scored(LATE, 2.5, 3))
     for gain, spring in zip(GAINS, SPRINGS, strict=True):
         assert [e.key for e in indistinct(named, gain)] == [spring.key]
 
 
 def test_every_member_is_held_against_a_single_rival_that_explains_as_much() -> None:
-    named = searched(judged(GAINS, 1.0, 1), judged(LATE, 1.0, 2))
+    named = searched(scored(GAINS, 1.0, 1), scored(LATE, 1.0, 2))
     assert all([e.key for e in indistinct(named, gain)] == [LATE[0].key] for gain in GAINS)
 
 
 def test_a_rival_that_has_the_effect_too_or_explains_less_is_no_alternative() -> None:
-    fewer = judged([*GAINS[:2], *SPRINGS[2:]], 1.0, 2)
-    named = searched(judged(GAINS, 1.0, 1), fewer, judged(LATE, 2.0, 3))
+    fewer = scored([*GAINS[:2], *SPRINGS[2:]], 1.0, 2)
+    named = searched(scored(GAINS, 1.0, 1), fewer, scored(LATE, 2.0, 3))
     assert indistinct(named, GAINS[0]) == ()
     assert [e.key for e in indistinct(named, GAINS[2])] == [SPRINGS[2].key]
 
 
 def test_effects_of_later_steps_are_held_against_the_rivals_of_their_own_step() -> None:
-    named = searched(judged(GAINS, 2.0, 1), judged(SPRINGS, 2.0, 2))
-    second = judged([*GAINS, *LATE], 1.0, 4)
-    other = judged([*GAINS, *SPRINGS[:1]], 1.0, 5)
+    named = searched(scored(GAINS, 2.0, 1), scored(SPRINGS, 2.0, 2))
+    second = scored([*GAINS, *LATE], 1.0, 4)
+    other = scored([*GAINS, *SPRINGS[:1]], 1.0, 5)
     named.steps.append(second)
-    named.rivals.append([(each, lead_of(each, named.steps[0])) for each in (second, other)])
+    named.rivals.append([(each, improvement_of(each, named.steps[0])) for each in (second, other)])
     assert [e.key for e in indistinct(named, LATE[0])] == [SPRINGS[0].key]
     assert [e.key for e in indistinct(named, GAINS[0])] == [SPRINGS[0].key]
 

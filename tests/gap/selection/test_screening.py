@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loose_env.gap.data.aligned_run import channels_of, lay_out
+from loose_env.gap.data.aligned_run import align_run, channels_of
 from loose_env.gap.fitting.gauss_newton import fit
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.screening.screening import Screened, screen
 from tests.gap.cases.gap_case import STEP, nominal_structure, record
 
@@ -22,10 +22,10 @@ FLOORS = np.array([2e-5] * 3 + [2e-3] + [0.02] * 3)
 def screened(folder: object, bias: tuple[float, float, float]) -> dict[str, Screened]:
     """What a bias and a gain of the accelerometer promise where it has that bias [floors]."""
     recording = record(folder, runs=2)  # type: ignore[arg-type]
-    machine = Machine(recording.spec(), step=STEP)
+    machine = NominalModel(recording.spec(), step=STEP)
     channels = channels_of(list(recording.runs))
-    trials = [lay_out(run, machine, channels, step=STEP) for run in recording.runs]
-    whole = Comparison(machine, trials, channels, FLOORS, threads=1)
+    trials = [align_run(run, machine, channels, step=STEP) for run in recording.runs]
+    whole = ResidualModel(machine, trials, channels, FLOORS, threads=1)
     shown = whole.predict([Hypothesis()])[0]
     rng = np.random.default_rng(5)
     added = np.concatenate([np.zeros(4), bias]) * FLOORS
@@ -33,7 +33,7 @@ def screened(folder: object, bias: tuple[float, float, float]) -> dict[str, Scre
         replace(trial, measured=values + added + rng.normal(0, FLOORS, values.shape))
         for trial, values in zip(trials, shown, strict=True)
     ]
-    comparison = Comparison(machine, measured, channels, FLOORS, threads=1)
+    comparison = ResidualModel(machine, measured, channels, FLOORS, threads=1)
     nominal = nominal_structure(machine)
     fitted = fit(comparison, nominal, nominal.nominal_start)
     candidates = [CATALOGUE[kind](machine, "shake") for kind in ("sensor_bias", "sensor_gain")]
@@ -46,6 +46,6 @@ def test_a_bias_promises_what_it_explains_in_every_direction(
 ) -> None:
     found = screened(tmp_path_factory.mktemp("screening") / "recording", bias)
     explained = np.sum(np.square(bias)) / (7 + np.sum(np.square(bias)))
-    assert found["sensor_bias"].promise == pytest.approx(explained, abs=0.05)
+    assert found["sensor_bias"].predicted == pytest.approx(explained, abs=0.05)
     values = np.array(found["sensor_bias"].values) / FLOORS[4:]
     assert values == pytest.approx(bias, abs=0.3)

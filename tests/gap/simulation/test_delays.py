@@ -6,12 +6,11 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.fitting.gauss_newton import fit, started
-from loose_env.gap.fitting.holdout_score import Judge
+from loose_env.gap.fitting.holdout_score import Scorer
 from loose_env.gap.model.effects.catalogue import CATALOGUE
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import values_of
-from loose_env.gap.selection.candidate_fits import Trying
-from loose_env.gap.settings import SearchSettings
+from loose_env.gap.selection.candidate_fits import CandidateFits
 from loose_env.recording import Run
 from tests.gap.cases.gap_case import nominal_structure
 from tests.gap.cases.level_arm import EVERY, FINE, LEVEL, NOISE
@@ -56,18 +55,18 @@ def late_runs(count: int) -> list[Run]:
 
 
 def test_a_delay_that_is_samples_off_is_moved_to_where_it_belongs() -> None:
-    machine = Machine(mujoco.MjSpec.from_string(LEVEL))
+    machine = NominalModel(mujoco.MjSpec.from_string(LEVEL))
     comparison = compared(machine, late_runs(1200), step=FINE * EVERY / 2)
-    judge = Judge(comparison, comparison)
+    scorer = Scorer(comparison, comparison)
     nominal = nominal_structure(machine, tolerance=0.005)
-    base = judge.judge(fit(comparison, nominal, nominal.nominal_start))
-    trying = Trying(comparison, comparison, judge, base, SearchSettings())
+    base = scorer.score(fit(comparison, nominal, nominal.nominal_start))
+    candidate_fits = CandidateFits(comparison, comparison, scorer, base)
     effect, truth = CATALOGUE["sensor_delay"](machine, "shake"), LATE * FINE
     found = []
     for samples in (-2.0, -1.0, 1.0, 3.0):
         start = started(base.fitted, effect, [truth + samples * FINE * EVERY])
         stuck = fit(comparison, nominal.plus(effect), start)
-        moved = trying._shifted(stuck)
+        moved = candidate_fits._shifted(stuck)
         assert moved.cost <= stuck.cost
         found.append([float(values_of(effect.parameters, f.free[-1:])[0]) for f in (stuck, moved)])
     ended, shifted = np.array(found).T

@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 
 from loose_env.gap.fitting.gauss_newton import sensitivities
-from loose_env.gap.fitting.holdout_score import Judge
+from loose_env.gap.fitting.holdout_score import Scorer
 from loose_env.gap.fitting.initial_state import InitialStates
 from loose_env.gap.fitting.model_structure import ModelStructure, Nuisance
 from loose_env.gap.model.effects.catalogue import CATALOGUE
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.recording import Run
 from tests.gap.cases.recorded_runs import PENDULUM, compared, fitted, measurable, pendulum_run
 
 STARTS = [(1.2, 0.4), (-0.9, 1.5), (0.6, -2.0)]
 
 
-def pendulum() -> Machine:
-    return Machine(mujoco.MjSpec.from_string(PENDULUM))
+def pendulum() -> NominalModel:
+    return NominalModel(mujoco.MjSpec.from_string(PENDULUM))
 
 
 def decays(count: int, *, viscous: float, coulomb: float, noise: float = 1e-3) -> list[Run]:
@@ -93,11 +93,11 @@ def test_the_start_is_fitted_on_held_out_runs_too() -> None:
     runs = decays(3, viscous=0.004, coulomb=0.0)
     shown, hidden = compared(machine, runs[:2]), compared(machine, runs[2:])
     found, _ = fitted(shown, [CATALOGUE["viscous_friction"](machine, "pivot")])
-    judged = Judge(shown, hidden).judge(found)
+    scored = Scorer(shown, hidden).score(found)
     assert found.rms < 1.2
-    assert judged.held_rms < 1.3
+    assert scored.held_out_rms < 1.3
     as_measured = found.hypothesis.of_model
-    assert np.sqrt(np.mean(hidden.residuals([as_measured]) ** 2)) > 2 * judged.held_rms
+    assert np.sqrt(np.mean(hidden.residuals([as_measured]) ** 2)) > 2 * scored.held_out_rms
 
 
 def test_a_run_at_rest_has_no_start_to_fit() -> None:
@@ -121,7 +121,7 @@ def test_a_run_at_rest_has_no_start_to_fit() -> None:
 
 @pytest.mark.parametrize("lost", [3, 12, 20])
 def test_a_speed_that_is_lost_where_a_run_begins_is_known_as_well_as_it_says(lost: int) -> None:
-    machine = Machine(measurable(mujoco.MjSpec.from_string(PENDULUM)))
+    machine = NominalModel(measurable(mujoco.MjSpec.from_string(PENDULUM)))
     rng = np.random.default_rng(2)
     run = pendulum_run(
         rng, viscous=0.003, coulomb=0.0, start=STARTS[0], noise=1e-5, rate=1000.0, duration=1.0

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData
-from loose_env.gap.data.aligned_run import channels_of, lay_out
+from loose_env.gap.data.aligned_run import align_run, channels_of
 from loose_env.gap.data.smoothing import motion_band, smooth_motion
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.recording import Run
 from tests.gap.cases.effect_arms import PLANAR, SHARED, SPATIAL
 from tests.gap.cases.recorded_runs import compared, fitted, measurable, needed, torque_run, waves
@@ -20,17 +20,19 @@ from tests.gap.cases.recorded_runs import compared, fitted, measurable, needed, 
 NOTHING = Hypothesis()
 
 
-def arm(xml: str) -> Machine:
-    return Machine(measurable(mujoco.MjSpec.from_string(xml)))
+def arm(xml: str) -> NominalModel:
+    return NominalModel(measurable(mujoco.MjSpec.from_string(xml)))
 
 
-def edited(machine: Machine, kind: str, where: str, values: list[float]) -> mujoco.MjModel:
+def edited(machine: NominalModel, kind: str, where: str, values: list[float]) -> mujoco.MjModel:
     spec = machine.fresh()
     CATALOGUE[kind](machine, where).edit(spec, np.array(values))
     return spec.compile()
 
 
-def runs_of(machine: Machine, truth: mujoco.MjModel, count: int = 2, **given: object) -> list[Run]:
+def runs_of(
+    machine: NominalModel, truth: mujoco.MjModel, count: int = 2, **given: object
+) -> list[Run]:
     rng = np.random.default_rng(5)
     return [torque_run(machine, truth, rng, name=f"run-{k}", **given) for k in range(count)]  # type: ignore[arg-type]
 
@@ -48,7 +50,7 @@ def test_what_is_left_of_the_motions_noise_is_what_it_says(
         rate=rate, step=step, speeds=speeds, duration=12.0,
     )  # fmt: skip
     channels = channels_of([run])
-    motion = smooth_motion(lay_out(run, machine, channels, step=0.001), machine, channels)
+    motion = smooth_motion(align_run(run, machine, channels, step=0.001), machine, channels)
     truth = waves(machine, run.time, np.random.default_rng(3))
     edge = int(rate)
     for k, found in enumerate((motion.position, motion.speed, motion.acceleration)):
@@ -65,11 +67,11 @@ def test_a_speed_sensor_that_lags_does_not_spoil_the_acceleration() -> None:
     channels = channels_of([run])
     late = {k: np.roll(v, 15) if k.endswith("vel") else v for k, v in run.sensors.items()}
     alone = {k: v for k, v in run.sensors.items() if k.endswith("pos")}
-    band = smooth_motion(lay_out(run, machine, channels, step=0.002), machine, channels).band
+    band = smooth_motion(align_run(run, machine, channels, step=0.002), machine, channels).band
     errors = []
     for sensors in (run.sensors, late, alone):
         other = Run(name="run", time=run.time, sensors=sensors, torques=run.torques)
-        trial = lay_out(other, machine, channels, step=0.002)
+        trial = align_run(other, machine, channels, step=0.002)
         motion = smooth_motion(trial, machine, channels, band=band)
         errors.append(float(np.std((motion.acceleration - truth)[300:-300])))
     good, lagging, encoders = errors
@@ -325,7 +327,7 @@ def test_a_six_axis_arm_with_gravity_and_real_friction() -> None:
     file = SHARED / "ur5e_bare.xml"
     if not file.is_file():
         pytest.skip("the published arms are not beside the repository")
-    machine = Machine(measurable(mujoco.MjSpec.from_file(str(file))))
+    machine = NominalModel(measurable(mujoco.MjSpec.from_file(str(file))))
     truth = machine.fresh()
     for joint in truth.joints:
         joint.damping = np.array([4.0, 0, 0])
@@ -369,7 +371,7 @@ def test_a_comparison_is_the_same_twice() -> None:
     machine = arm(PLANAR)
     runs = runs_of(machine, machine.model, 1)
     first, second = (compared(machine, runs).residuals([NOTHING]) for _ in range(2))
-    assert isinstance(compared(machine, runs), Comparison)
+    assert isinstance(compared(machine, runs), ResidualModel)
     assert np.array_equal(first, second)
 
 

@@ -8,16 +8,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.gap.data.aligned_run import channels_of, lay_out
+from loose_env.gap.data.aligned_run import align_run, channels_of
 from loose_env.gap.data.smoothing import motion_band, smooth_motion
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from tests.gap.cases.effect_arms import PLANAR
 from tests.gap.cases.recorded_runs import compared, measurable, torque_run
 
 NOTHING = Hypothesis()
-MACHINE = Machine(measurable(mujoco.MjSpec.from_string(PLANAR)))
+MACHINE = NominalModel(measurable(mujoco.MjSpec.from_string(PLANAR)))
 SPRING = CATALOGUE["joint_compliance"](MACHINE, "joint2")
 
 
@@ -62,7 +62,7 @@ def test_a_soft_spring_shuts_out_noise_and_a_resonance_lets_it_in() -> None:
 def test_the_band_ends_with_the_motion_or_where_the_torques_noise_is_the_less(noise: float) -> None:
     run = torque_run(MACHINE, MACHINE.model, np.random.default_rng(1), noise=noise)
     channels = channels_of([run])
-    trial = lay_out(run, MACHINE, channels, step=0.001)
+    trial = align_run(run, MACHINE, channels, step=0.001)
     motion = smooth_motion(trial, MACHINE, channels)
     columns = [run.sensors[name] for name in run.sensors]
     highest = motion_band(columns, trial.rate)

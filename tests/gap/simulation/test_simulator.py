@@ -12,7 +12,7 @@ from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.initial_rest import SETTLE
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.hypothesis import Hypothesis, compiled
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.export_mjcf import corrected_spec
 from loose_env.gap.preparation.prepare import prepare
 from loose_env.gap.settings import GapSettings
@@ -81,7 +81,7 @@ def recorded() -> Trial:
 
 
 def test_a_drive_shows_the_force_of_the_sample_not_that_at_the_end_of_its_step() -> None:
-    machine = Machine(mujoco.MjSpec.from_string(PLANAR), step=STEP, integrator=RK4)
+    machine = NominalModel(mujoco.MjSpec.from_string(PLANAR), step=STEP, integrator=RK4)
     expected = fine("command_delay", "all", 0.0)
     simulator = Simulator(machine, [recorded()], CHANNELS, threads=1)
     shown = simulator.predict([Hypothesis()])[0][0]
@@ -98,7 +98,7 @@ def test_a_drive_shows_the_force_of_the_sample_not_that_at_the_end_of_its_step()
 def test_accelerations_are_read_at_the_sample_though_commands_change_within_the_step(
     kind: str, where: str, value: float
 ) -> None:
-    machine = Machine(mujoco.MjSpec.from_string(PLANAR), step=STEP, integrator=RK4)
+    machine = NominalModel(mujoco.MjSpec.from_string(PLANAR), step=STEP, integrator=RK4)
     expected = fine(kind, where, value)
     trial = recorded()
     effect = CATALOGUE[kind](machine, where)
@@ -114,7 +114,7 @@ def test_accelerations_are_read_at_the_sample_though_commands_change_within_the_
 @pytest.mark.parametrize("value", [0.0003, 0.00665])
 def test_a_late_accelerometer_shows_what_was_between_two_samples(value: float) -> None:
     """Straight lines between samples do not: the acceleration jumps with every command."""
-    machine = Machine(mujoco.MjSpec.from_string(PLANAR), step=STEP, integrator=RK4)
+    machine = NominalModel(mujoco.MjSpec.from_string(PLANAR), step=STEP, integrator=RK4)
     expected = fine("sensor_delay", "shake", value)
     effect = CATALOGUE["sensor_delay"](machine, "shake")
     simulator = Simulator(machine, [recorded()], CHANNELS, threads=1)
@@ -167,14 +167,14 @@ CHANGING = {
 }
 
 
-def geared(more: str = "") -> Machine:
-    return Machine(mujoco.MjSpec.from_string(GEARED.format(more=more)))
+def geared(more: str = "") -> NominalModel:
+    return NominalModel(mujoco.MjSpec.from_string(GEARED.format(more=more)))
 
 
 def test_forces_of_tendons_count_as_torque_on_the_joints_they_pull() -> None:
     machine = geared()
     names = ("shoulder", "elbow", "rail")
-    assert machine.with_changing_gears == ()
+    assert machine.pose_dependent_joints == ()
     assert machine.actuated_joint == {"outer": "shoulder", "pusher": "rail"}
     time = np.arange(200) * STEP
     controls = np.sin(np.outer(time, [9.0, 13.0, 17.0]))
@@ -194,7 +194,7 @@ def test_forces_of_tendons_count_as_torque_on_the_joints_they_pull() -> None:
 
 @pytest.mark.parametrize("more", CHANGING)
 def test_joints_are_known_whose_lever_changes_with_the_pose(more: str) -> None:
-    assert geared(more).with_changing_gears == CHANGING[more]
+    assert geared(more).pose_dependent_joints == CHANGING[more]
 
 
 def test_a_torque_that_no_simulation_tells_is_left_out_and_said(tmp_path: Path) -> None:
@@ -213,18 +213,18 @@ def test_a_torque_that_no_simulation_tells_is_left_out_and_said(tmp_path: Path) 
         )  # fmt: skip
     xml = GEARED.format(more=more)
     recording = write_recording(tmp_path / "r", model_xml=xml, runs=runs, file_format="csv")
-    prepared = prepare(recording, GapSettings(threads=1, kinds=("viscous_friction",)))
-    rows = prepared.search.rows
-    compared = {prepared.search.channels[k].column for k in np.unique(rows.channel)}
+    problem = prepare(recording, GapSettings(threads=1, kinds=("viscous_friction",)))
+    rows = problem.search.rows
+    compared = {problem.search.channels[k].column for k in np.unique(rows.channel)}
     assert compared == {"sensor.encoder", "torque.rail"}
-    (said,) = [line for line in prepared.warnings if line.startswith("torque.shoulder: ")]
-    assert "left out of the runs that are simulated" in said
+    (said,) = [line for line in problem.warnings if line.startswith("torque.shoulder: ")]
+    assert "not compared in the simulated runs" in said
 
 
 def test_a_delay_of_the_model_stays_at_a_finer_step() -> None:
     late = '<position name="servo2" delay="0.01" nsample="12"'
     spec = mujoco.MjSpec.from_string(PLANAR.replace('<position name="servo2"', late))
-    machine = Machine(spec, step=0.00025)
+    machine = NominalModel(spec, step=0.00025)
     model = Hypothesis().model(machine, 0.000125)
     data, shown = mujoco.MjData(model), []
     for _ in range(100):
@@ -238,7 +238,7 @@ def test_a_delay_of_the_model_stays_at_a_finer_step() -> None:
 def test_a_delay_of_the_model_holds_after_it_came_to_rest() -> None:
     late = '<position name="servo2" delay="0.01" nsample="12"'
     spec = mujoco.MjSpec.from_string(PLANAR.replace('<position name="servo2"', late))
-    machine, trial = Machine(spec, step=STEP), recorded()
+    machine, trial = NominalModel(spec, step=STEP), recorded()
     simulator = Simulator(machine, [trial], CHANNELS[:3], threads=1)
     shown = simulator.predict([Hypothesis()])[0][0]
     data = mujoco.MjData(machine.model)

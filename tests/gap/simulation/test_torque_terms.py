@@ -12,14 +12,14 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.gap.data.aligned_run import Channel, Trial, channels_of, lay_out
+from loose_env.gap.data.aligned_run import Channel, Trial, align_run, channels_of
 from loose_env.gap.diagnostics.prediction_horizon import horizon_errors
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, register
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.export_mjcf import correction_code, write_model
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.screening.data_driven_starts import missing_torque
 from loose_env.gap.simulation.inverse_dynamics import InverseDynamics
 from loose_env.gap.simulation.simulator import Simulator
@@ -48,8 +48,8 @@ NOISE = np.array([1e-5, 1e-5, 1e-5, 0.02, 0.02])
 NOTHING = Hypothesis()
 
 
-def machine(integrator: int = RK4, step: float = STEP) -> Machine:
-    return Machine(mujoco.MjSpec.from_string(PLANAR), step=step, integrator=integrator)
+def machine(integrator: int = RK4, step: float = STEP) -> NominalModel:
+    return NominalModel(mujoco.MjSpec.from_string(PLANAR), step=step, integrator=integrator)
 
 
 def of(effect: Effect, *values: float) -> Hypothesis:
@@ -194,8 +194,8 @@ def test_each_run_and_each_hypothesis_has_its_own_term() -> None:
 def test_a_term_that_is_too_steep_makes_its_own_simulation_wild_and_no_other() -> None:
     own = machine()
     steep, mild = of(LinearSpring(own, "joint2"), 1e9), of(LinearSpring(own, "joint2"), 10.0)
-    (wild,), (fit,) = Simulator(own, [trial()], CHANNELS, threads=1).predict([steep, mild])
-    assert np.isnan(wild).all() and np.isfinite(fit).all()
+    (diverged,), (fit,) = Simulator(own, [trial()], CHANNELS, threads=1).predict([steep, mild])
+    assert np.isnan(diverged).all() and np.isfinite(fit).all()
 
 
 def test_a_term_of_the_wrong_shape_says_so() -> None:
@@ -220,14 +220,14 @@ def test_restarted_from_what_was_measured_the_truth_stays_on_it() -> None:
         horizon_errors(own, [run], CHANNELS, NOISE, h, every=0.3, horizons=(0.1, 0.5), threads=1)
         for h in (term, NOTHING)
     )
-    assert all(r.over_floor < 0.05 * w.over_floor for r, w in zip(right, wrong, strict=True))
+    assert all(r.rms < 0.05 * w.rms for r, w in zip(right, wrong, strict=True))
 
 
 def test_backwards_a_linear_spring_is_the_catalogues_spring() -> None:
-    own = Machine(measurable(mujoco.MjSpec.from_string(PLANAR)))
+    own = NominalModel(measurable(mujoco.MjSpec.from_string(PLANAR)))
     run = torque_run(own, own.model, np.random.default_rng(5), duration=4.0)
     channels = channels_of([run])
-    inverse = InverseDynamics(own, [lay_out(run, own, channels, step=0.001)], channels, threads=1)
+    inverse = InverseDynamics(own, [align_run(run, own, channels, step=0.001)], channels, threads=1)
     catalogue = CATALOGUE["joint_spring"](own, "joint2")
     known = of(catalogue, *(40.0 if p.name == "stiffness" else 0.0 for p in catalogue.parameters))
     term = of(LinearSpring(own, "joint2"), 40.0)
@@ -259,7 +259,7 @@ def test_what_a_term_explains_is_no_longer_missing() -> None:
 
 
 def test_a_free_pendulum_with_a_cubic_spring() -> None:
-    own = Machine(mujoco.MjSpec.from_string(PENDULUM))
+    own = NominalModel(mujoco.MjSpec.from_string(PENDULUM))
     time = np.arange(400) * 0.01
     inertia, moment, size = 0.01 + 0.5 * 0.3**2, 0.5 * 9.81 * 0.3, 2.0
 
@@ -278,8 +278,8 @@ def test_a_free_pendulum_with_a_cubic_spring() -> None:
     assert np.abs(shown[:, 0] - truth).max() < 2e-3
 
 
-def compared_with(own: Machine, run: Trial) -> Comparison:
-    return Comparison(own, [run], CHANNELS, NOISE, threads=1)
+def compared_with(own: NominalModel, run: Trial) -> ResidualModel:
+    return ResidualModel(own, [run], CHANNELS, NOISE, threads=1)
 
 
 def test_the_code_of_the_result_applies_a_term_to_the_written_model(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.output.result import GapResult, read_result
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.workflow.explain import explain_gap
-from loose_env.gap.workflow.session import GapSession, Tried
+from loose_env.gap.workflow.session import GapSession, TriedEffect
 from loose_env.recording import Recording
 from tests.gap.cases.own_effects import CubicSpring
 from tests.gap.cases.sprung_arm import STIFFNESS, sprung
@@ -32,20 +32,20 @@ def steps(recording: Recording) -> GapSession:
 
 
 @pytest.fixture(scope="module")
-def tried(steps: GapSession) -> Tried:
+def tried(steps: GapSession) -> TriedEffect:
     return steps.try_effect(CubicSpring, "elbow")
 
 
-def test_an_effect_of_ones_own_is_fitted_and_judged(steps: GapSession, tried: Tried) -> None:
-    assert tried.before == steps.nominal.held_rms > 5
-    assert tried.held_out < 1.1 and tried.believed
-    assert tried.lead.held > 2 and tried.lead.share > 0.9
+def test_an_effect_of_ones_own_is_fitted_and_judged(steps: GapSession, tried: TriedEffect) -> None:
+    assert tried.before == steps.nominal.held_out_rms > 5
+    assert tried.held_out < 1.1 and tried.accepted
+    assert tried.improvement.held_out > 2 and tried.improvement.share > 0.9
     assert tried.parameters["size"] == pytest.approx(STIFFNESS, rel=0.05)
     assert str(tried).startswith("cubic_spring@elbow: size ") and str(tried).endswith(" believed")
     assert "cubic_spring@elbow" in tried._repr_html_()
 
 
-def test_one_of_the_catalogue_is_tried_the_same_way(steps: GapSession, tried: Tried) -> None:
+def test_one_of_the_catalogue_is_tried_the_same_way(steps: GapSession, tried: TriedEffect) -> None:
     friction = steps.try_effect("coulomb_friction", "elbow")
     assert friction.held_out > tried.held_out and friction.effect.kind == "coulomb_friction"
     again = steps.try_effect(CubicSpring(steps.machine, "elbow"), start=[30.0])
@@ -72,7 +72,7 @@ def test_what_is_added_stays_and_what_is_left_is_noise(
     assert np.polyfit(cube, before.torque, 1)[0] == pytest.approx(STIFFNESS, rel=0.2)
     assert abs(np.polyfit(cube, after.torque, 1)[0]) < 0.2 * STIFFNESS
     friction = steps.try_effect("coulomb_friction", "elbow")
-    assert friction.before == steps.best.held_rms and not friction.believed
+    assert friction.before == steps.best.held_out_rms and not friction.accepted
     (named,) = steps.named()
     low, high = named.interval_95["size"]
     assert low < named.parameters["size"] < high and high - low < 0.2 * STIFFNESS

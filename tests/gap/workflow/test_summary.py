@@ -10,11 +10,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.gap.fitting.holdout_score import Judge
+from loose_env.gap.fitting.holdout_score import Scorer
 from loose_env.gap.output.checkpoints import Stages, key_of
 from loose_env.gap.output.result import read_result
-from loose_env.gap.selection.checkpoint_codec import judged_of, plain_judged
-from loose_env.gap.workflow.evidence import Evidence, gather
+from loose_env.gap.selection.checkpoint_codec import plain_fit, restored_fit
+from loose_env.gap.workflow.evidence import ResidualDiagnostics, diagnose_residuals
 from loose_env.gap.workflow.pipeline import GapSolution
 from loose_env.gap.workflow.summary import result_of, write_gap
 from loose_env.recording import Recording, read_recording
@@ -32,16 +32,16 @@ def solution(recording: Recording) -> GapSolution:
 
 
 @pytest.fixture(scope="module")
-def evidence(solution: GapSolution) -> Evidence:
-    return gather(solution)
+def evidence(solution: GapSolution) -> ResidualDiagnostics:
+    return diagnose_residuals(solution)
 
 
 def test_the_gap_closes_by_channel_and_by_horizon(
-    solution: GapSolution, evidence: Evidence
+    solution: GapSolution, evidence: ResidualDiagnostics
 ) -> None:
     gap = result_of(solution, evidence).gap
     assert gap.before > 3 and 0.9 < gap.after < 1.2
-    held = solution.problem.whole_held
+    held = solution.problem.held_out_whole
     assert set(gap.by_channel) == {channel.name for channel in held.channels}
     before, after = gap.by_channel["sensor.encoder2"]
     assert before > 3 and 0.8 < after < 1.2
@@ -54,7 +54,7 @@ def test_the_gap_closes_by_channel_and_by_horizon(
     own = np.isin(held.rows.channel, [4, 5, 6])
     for given, residual in zip(
         gap.by_quantity["acceleration [m/s²]"],
-        (solution.base.held_residual, solution.best.held_residual),
+        (solution.base.held_out_residual, solution.best.held_out_residual),
         strict=True,
     ):
         assert given == pytest.approx(np.sqrt(np.mean(residual[own] ** 2)) * floor, rel=0.1)
@@ -63,18 +63,20 @@ def test_the_gap_closes_by_channel_and_by_horizon(
 
 
 def test_the_result_says_where_it_was_and_what_is_left(
-    solution: GapSolution, evidence: Evidence
+    solution: GapSolution, evidence: ResidualDiagnostics
 ) -> None:
     result = result_of(solution, evidence)
     runs = {gap.run for gap in result.location.channels}
     assert runs == {"run-01.csv", "run-02.csv", "run-03.csv"}
-    assert any("joint2" in words for words in result.where_it_lives)
+    assert any("joint2" in words for words in result.location_words)
     assert result.held_out_runs == ("run-03.csv",)
-    assert len(result.left_over) == len(solution.problem.whole_held.channels)
-    assert all(0.8 < left.over_floor < 1.3 for left in result.left_over)
-    assert set(result.nominal_figures.values()) == {1.0}
+    assert len(result.residual_tests) == len(solution.problem.held_out_whole.channels)
+    assert all(0.8 < left.rms < 1.3 for left in result.residual_tests)
+    assert set(result.nominal_parameters.values()) == {1.0}
     told = [words for words in result.warnings if words.startswith("these motions")]
-    assert bool(told) == bool(result.identifiability.unseen or result.identifiability.alike)
+    assert bool(told) == bool(
+        result.identifiability.unidentifiable or result.identifiability.confusable
+    )
     assert result.settings["tolerance"] == 0.03
 
 
@@ -102,25 +104,25 @@ def test_a_recording_reads_with_the_written_model_in_place_of_its_own(
 
 
 def test_unexplained_says_where_what_is_left_lives(
-    solution: GapSolution, evidence: Evidence
+    solution: GapSolution, evidence: ResidualDiagnostics
 ) -> None:
     halfway = replace(solution, verdict="unexplained", effects=())
-    said = result_of(halfway, evidence).where_it_lives
-    assert not any("joint2 got" in words for words in said)
+    said = result_of(halfway, evidence).location_words
+    assert not any("joint2 has a residual torque" in words for words in said)
 
 
 def test_what_the_corrected_model_has_without_its_being_named_is_told(
     solution: GapSolution, tmp_path: Path
 ) -> None:
-    nameless = replace(solution, verdict="unexplained", effects=())
-    result, (file, _) = write_gap(tmp_path, nameless)
+    unnamed = replace(solution, verdict="unexplained", effects=())
+    result, (file, _) = write_gap(tmp_path, unnamed)
     assert result.effects == ()
-    (told,) = [words for words in result.warnings if "without its being named" in words]
+    (told,) = [words for words in result.warnings if "not identified" in words]
     assert "viscous_friction at joint2: damping 3 N·m·s/rad" in told
     assert "sensor_gain at rate3: gain 1.25 (not in model.xml: see result.json, code)" in told
     head = file.read_text("utf-8").split("-->")[0]
-    assert "On top of the nominal model, without being named" in head
-    assert "On top of the nominal model:" not in head
+    assert "Added to the nominal model, but not identified" in head
+    assert "Added to the nominal model:" not in head
     assert "viscous_friction at joint2: damping 3 N·m·s/rad" in head
     nominal, model = solution.problem.machine.model, mujoco.MjModel.from_xml_path(str(file))
     dof = nominal.joint("joint2").dofadr[0]
@@ -128,7 +130,7 @@ def test_what_the_corrected_model_has_without_its_being_named_is_told(
 
 
 def test_what_is_named_is_not_told_of_as_nameless(
-    solution: GapSolution, evidence: Evidence, tmp_path: Path
+    solution: GapSolution, evidence: ResidualDiagnostics, tmp_path: Path
 ) -> None:
     assert solution.unnamed.pairs == ()
     result = result_of(solution, evidence)
@@ -142,36 +144,39 @@ def test_what_is_named_is_not_told_of_as_nameless(
 
 
 def test_what_is_left_after_the_named_effects_is_told_with_its_place(
-    solution: GapSolution, evidence: Evidence
+    solution: GapSolution, evidence: ResidualDiagnostics
 ) -> None:
-    assert result_of(solution, evidence).left == ()
+    assert result_of(solution, evidence).remaining == ()
     # Only the friction at joint2 was named: the sensor's gain is left, and no torque.
     problem, corrected = solution.problem, solution.corrected
-    judge = Judge(problem.fit, problem.whole_held)
+    scorer = Scorer(problem.fit, problem.held_out_whole)
     stopped = replace(
         solution,
-        best=judge.judge(stated(problem.fit, corrected.effects[:1], corrected.values[:1])),
+        best=scorer.score(stated(problem.fit, corrected.effects[:1], corrected.values[:1])),
         effects=solution.effects[:1],
     )
-    found = gather(stopped)
+    found = diagnose_residuals(stopped)
     result = result_of(stopped, found)
-    assert result.left[0] == (
-        f"{result.gap.after:.3g} noise standard deviations are left of {result.gap.before:.3g} on "
-        f"the held-out runs ({100 * result.gap.after / result.gap.before:.0f} %): something is "
-        "missing that was not named."
+    assert result.remaining[0] == (
+        f"Residual on the held-out runs: {result.gap.after:.3g} of {result.gap.before:.3g} noise "
+        f"standard deviations ({100 * result.gap.after / result.gap.before:.0f} %); a further "
+        "effect is missing that was not identified."
     )
-    assert result.left[1].startswith("sensor.rate3 is up to") and "velocity" in result.left[1]
-    assert not any("joint2 got 4." in words for words in result.left)
-    assert any("joint2 got" in words for words in result.where_it_lives)
+    assert (
+        result.remaining[1].startswith("sensor.rate3 has a residual of up to")
+        and "velocity" in result.remaining[1]
+    )
+    assert not any("joint2 has a residual torque of 4." in words for words in result.remaining)
+    assert any("joint2 has a residual torque" in words for words in result.location_words)
     written = json.loads(result.to_json())
-    assert written["left"] == list(result.left)
-    assert len({gap["run"] for gap in written["left_location"]["channels"]}) == 3
+    assert written["remaining"] == list(result.remaining)
+    assert len({gap["run"] for gap in written["remaining_location"]["channels"]}) == 3
 
 
 def test_unexplained_torque_stays_told_of_where_nothing_was_added(solution: GapSolution) -> None:
     bare = replace(solution, verdict="unexplained", effects=(), best=solution.base)
-    said = result_of(bare, gather(bare)).where_it_lives
-    assert any(words.startswith("joint2 got 4.") for words in said)
+    said = result_of(bare, diagnose_residuals(bare)).location_words
+    assert any(words.startswith("joint2 has a residual torque of 4.") for words in said)
 
 
 def test_a_judged_fit_is_kept_and_taken_up_again(
@@ -179,14 +184,14 @@ def test_a_judged_fit_is_kept_and_taken_up_again(
 ) -> None:
     key = key_of(recording, {"tolerance": 0.03})
     assert key != key_of(recording, {"tolerance": 0.04})
-    Stages(tmp_path, key)("best", lambda: plain_judged(solution.best))
+    Stages(tmp_path, key)("best", lambda: plain_fit(solution.best))
     stages = Stages(tmp_path, key)
     kept = stages("best", lambda: pytest.fail("it was made again"))
     assert stages.taken_up == ["best"]
-    back = judged_of(kept, solution.problem.machine, solution.base.fitted.structure.nuisance)
+    back = restored_fit(kept, solution.problem.machine, solution.base.fitted.structure.nuisance)
     assert [repr(e) for e in back.fitted.effects] == [repr(e) for e in solution.best.fitted.effects]
-    assert np.array_equal(back.held_residual, solution.best.held_residual)
-    assert back.held_rms == solution.best.held_rms
+    assert np.array_equal(back.held_out_residual, solution.best.held_out_residual)
+    assert back.held_out_rms == solution.best.held_out_rms
 
 
 def test_stages_of_another_version_are_made_again(

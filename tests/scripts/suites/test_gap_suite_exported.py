@@ -20,15 +20,15 @@ from tests.gap.cases.exported_case import judged_with, prepared_arm
 
 
 @pytest.fixture(scope="module")
-def prepared(tmp_path_factory: pytest.TempPathFactory) -> GapProblem:
+def problem(tmp_path_factory: pytest.TempPathFactory) -> GapProblem:
     return prepared_arm(tmp_path_factory.mktemp("exported") / "r")
 
 
-def found(prepared: GapProblem, effect: Effect, values: list[float]) -> GapSolution:
+def found(problem: GapProblem, effect: Effect, values: list[float]) -> GapSolution:
     """As the tool would have found it."""
-    best = judged_with(prepared, effect, values)
+    best = judged_with(problem, effect, values)
     named = NamedEffect(kind=effect.kind, where=effect.where, parameters={})
-    return GapSolution(problem=prepared, base=best, best=best, verdict="named", effects=(named,))
+    return GapSolution(problem=problem, base=best, best=best, verdict="named", effects=(named,))
 
 
 @pytest.mark.parametrize(
@@ -42,9 +42,9 @@ def found(prepared: GapProblem, effect: Effect, values: list[float]) -> GapSolut
     ],
 )
 def test_a_written_model_leaves_what_the_fit_leaves(
-    kind: type, where: str, values: list[float], prepared: GapProblem, tmp_path: Path
+    kind: type, where: str, values: list[float], problem: GapProblem, tmp_path: Path
 ) -> None:
-    case = found(prepared, kind(prepared.machine, where), values)
+    case = found(problem, kind(problem.machine, where), values)
     gaps = exported_gap(case, tmp_path)
     assert gaps is not None
     assert gaps[0] == pytest.approx(gaps[1], rel=0.03)
@@ -52,19 +52,17 @@ def test_a_written_model_leaves_what_the_fit_leaves(
 
 
 def test_a_model_file_without_the_effect_is_found_out(
-    prepared: GapProblem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    problem: GapProblem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    effect = ViscousFriction(prepared.machine, "joint2")
-    case = found(prepared, effect, [3.0])
+    effect = ViscousFriction(problem.machine, "joint2")
+    case = found(problem, effect, [3.0])
     monkeypatch.setattr(ViscousFriction, "export", lambda *_: None)
     gaps = exported_gap(case, tmp_path)
     assert gaps is not None and gaps[0] > 3 * gaps[1]
 
 
-def test_what_a_model_file_cannot_carry_is_not_checked(
-    prepared: GapProblem, tmp_path: Path
-) -> None:
-    effect = SensorGain(prepared.machine, "encoder1")
-    assert exported_gap(found(prepared, effect, [1.1]), tmp_path) is None
-    nothing = replace(found(prepared, effect, [1.1]), effects=())
+def test_what_a_model_file_cannot_carry_is_not_checked(problem: GapProblem, tmp_path: Path) -> None:
+    effect = SensorGain(problem.machine, "encoder1")
+    assert exported_gap(found(problem, effect, [1.1]), tmp_path) is None
+    nothing = replace(found(problem, effect, [1.1]), effects=())
     assert exported_gap(nothing, tmp_path) is None

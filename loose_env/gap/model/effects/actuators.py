@@ -10,7 +10,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.nominal_model import Machine, history_for
+from loose_env.gap.model.nominal_model import NominalModel, history_for
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
@@ -35,7 +35,7 @@ class ActuatorGain(Effect):
     nothing: ClassVar[tuple[float, ...] | None] = (1.0,)
 
     @classmethod
-    def places(cls, machine: Machine) -> tuple[str, ...]:
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return actuators whose force is linear in command, position and speed."""
         model = machine.model
         linear = np.isin(model.actuator_gaintype, [int(g) for g in _GAINS])
@@ -43,7 +43,7 @@ class ActuatorGain(Effect):
         return tuple(n for k, n in enumerate(machine.actuators) if n and linear[k])
 
     @classmethod
-    def forms(cls, machine: Machine, where: str) -> tuple[str, ...]:
+    def forms(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
         """Return all variants where there is feedback and a limit."""
         number = machine.model.actuator(where).id
         if not np.any(machine.model.actuator_biasprm[number] != 0):
@@ -82,7 +82,7 @@ class ActuatorGain(Effect):
         machine = self.machine
         if self.variant == "command" or machine.actuated_joint.get(self.where) != joint:
             return torque
-        if np.count_nonzero(machine.gears(joint)) != 1 or joint in machine.with_changing_gears:
+        if np.count_nonzero(machine.gears(joint)) != 1 or joint in machine.pose_dependent_joints:
             return torque
         return torque / float(values[0])
 
@@ -108,7 +108,7 @@ class ActuatorLag(Effect):
     shifts: ClassVar[bool] = True
 
     @classmethod
-    def places(cls, machine: Machine) -> tuple[str, ...]:
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return actuators without dynamics of their own."""
         plain = machine.model.actuator_dyntype == mujoco.mjtDyn.mjDYN_NONE
         return tuple(n for k, n in enumerate(machine.actuators) if n and plain[k])
@@ -171,7 +171,7 @@ class ActuatorLag(Effect):
         actuator.dynprm = [lag, *np.array(actuator.dynprm)[1:]]
 
 
-def clamped(machine: Machine, number: int, controls: Array) -> Array:
+def clamped(machine: NominalModel, number: int, controls: Array) -> Array:
     """Clamp commands (T,) to the actuator's range, as MuJoCo does before filtering."""
     if not machine.model.actuator_ctrllimited[number]:
         return controls
@@ -198,7 +198,7 @@ class CommandDelay(Effect):
     shifts: ClassVar[bool] = True
 
     @classmethod
-    def places(cls, machine: Machine) -> tuple[str, ...]:
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return every actuator, and "all" if there are several."""
         named = tuple(name for name in machine.actuators if name)
         return (*named, "all") if len(machine.actuators) > 1 else named

@@ -34,7 +34,7 @@ from loose_env.gap.model.effects.sensors import (
     SensorMisalignment,
 )
 from loose_env.gap.model.effects.structural_looseness import StructuralLooseness
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 
 __all__ = ["CATALOGUE", "candidates", "read_effects", "register"]
 
@@ -110,12 +110,12 @@ def register(effect: Kind) -> Kind:
     return effect
 
 
-def candidates(machine: Machine, kinds: Iterable[str] | None = None) -> list[Effect]:
+def candidates(machine: NominalModel, kinds: Iterable[str] | None = None) -> list[Effect]:
     """List all effects at all possible locations, in every variant.
 
     Parameters
     ----------
-    machine : Machine
+    machine : NominalModel
         The nominal model.
     kinds : iterable of str, optional
         Identifiers; all by default.

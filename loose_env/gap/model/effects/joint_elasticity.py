@@ -25,7 +25,7 @@ from loose_env.gap.model.effects.mjcf.joint_effect import (
     angle_unit,
     fitted_rate,
 )
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
@@ -62,7 +62,7 @@ class SplitJoint(JointEffect):
     sharp = True
 
     @classmethod
-    def places(cls, machine: Machine) -> tuple[str, ...]:
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return joints that are the last of their body."""
         return last_joints(machine)
 
@@ -151,7 +151,7 @@ class JointSpring(JointEffect):
     nothing: ClassVar[tuple[float, ...] | None] = (0.0, 0.0)
 
     @classmethod
-    def places(cls, machine: Machine) -> tuple[str, ...]:
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return joints without a nonlinear spring."""
         bent = np.any(machine.model.jnt_stiffnesspoly != 0, axis=1)
         return tuple(name for name, b in zip(machine.joints, bent, strict=True) if not b)

@@ -26,7 +26,7 @@ from loose_env.gap.model.effects.mjcf.split_body import (
     move_geoms,
     move_sites,
 )
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
@@ -60,7 +60,7 @@ class LinkFlexibility(Effect):
     variants: ClassVar[tuple[str, ...]] = ("", "across")
 
     @classmethod
-    def places(cls, machine: Machine) -> tuple[str, ...]:
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return links with mass that are not too short."""
         shortest = _SHORTEST * reach_of(machine)
         lengths = {
@@ -70,11 +70,11 @@ class LinkFlexibility(Effect):
         return tuple(link for link, length in lengths.items() if length > shortest)
 
     @classmethod
-    def forms(cls, machine: Machine, where: str) -> tuple[str, ...]:
+    def forms(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
         """Return both variants in space, one in a plane."""
         return cls.variants if normal_of(machine) is None else cls.variants[:1]
 
-    def __init__(self, machine: Machine, where: str, variant: str | None = None) -> None:
+    def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
         start, end = link_ends(machine, where)
         self._start, self._length = start, float(np.linalg.norm(end - start))

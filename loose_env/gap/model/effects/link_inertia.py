@@ -16,14 +16,14 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.geometry import link_ends, normal_of, reach_of
 from loose_env.gap.model.effects.mjcf.inertia import Inertial, inertial_of, set_inertial
 from loose_env.gap.model.effects.mjcf.joint_effect import added_name
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
 __all__ = ["BaseTilt", "LinkCom", "LinkMass", "Payload", "links_with_mass", "payload_words"]
 
 
-def links_with_mass(machine: Machine) -> tuple[str, ...]:
+def links_with_mass(machine: NominalModel) -> tuple[str, ...]:
     """Names of the links that have mass of their own."""
     mass = machine.model.body_mass
     return tuple(name for name in machine.links if mass[machine.model.body(name).id] > 0)
@@ -37,7 +37,7 @@ class LinkMass(Effect):
     nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
 
     @classmethod
-    def places(cls, machine: Machine) -> tuple[str, ...]:
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return links that have mass."""
         return links_with_mass(machine)
 
@@ -80,11 +80,11 @@ class LinkCom(Effect):
     adds_up: ClassVar[bool] = True
 
     @classmethod
-    def places(cls, machine: Machine) -> tuple[str, ...]:
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return links that have mass."""
         return links_with_mass(machine)
 
-    def __init__(self, machine: Machine, where: str, variant: str | None = None) -> None:
+    def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
         self._axes: tuple[int, ...] = (0, 1, 2)
         normal = normal_of(machine)
@@ -141,7 +141,7 @@ class Payload(Effect):
     nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
 
     @classmethod
-    def places(cls, machine: Machine) -> tuple[str, ...]:
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return the tool."""
         return ("tool",)
 
@@ -186,7 +186,7 @@ class Payload(Effect):
         body.explicitinertial = True
 
 
-def payload_words(machine: Machine) -> list[str]:
+def payload_words(machine: NominalModel) -> list[str]:
     """Describe the payload's location in a model without a tool site; else none."""
     model = machine.model
     if machine.tool:
@@ -206,7 +206,7 @@ def payload_words(machine: Machine) -> list[str]:
     ]
 
 
-def _outermost(machine: Machine) -> tuple[str, Array]:
+def _outermost(machine: NominalModel) -> tuple[str, Array]:
     """Body that represents the tool, with a position in its frame (3,) [m]."""
     model, last = machine.model, machine.model.body(machine.last_link).id
     fixed = [b for b in range(last + 1, model.nbody) if model.body_weldid[b] == last]
@@ -227,13 +227,13 @@ class BaseTilt(Effect):
     adds_up: ClassVar[bool] = True
 
     @classmethod
-    def places(cls, machine: Machine) -> tuple[str, ...]:
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return the base, if there is gravity."""
         off = machine.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
         weightless = off or not np.any(machine.model.opt.gravity)
         return () if weightless else ("base",)
 
-    def __init__(self, machine: Machine, where: str, variant: str | None = None) -> None:
+    def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
         down = machine.model.opt.gravity / np.linalg.norm(machine.model.opt.gravity)
         normal = normal_of(machine)

@@ -20,7 +20,7 @@ from loose_env.gap.model.effects.mjcf.sensor_columns import (
     reading_scale,
     vectors,
 )
-from loose_env.gap.model.nominal_model import Machine, history_for
+from loose_env.gap.model.nominal_model import NominalModel, history_for
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
@@ -46,12 +46,12 @@ class SensorBias(Effect):
     adds_up: ClassVar[bool] = True
 
     @classmethod
-    def places(cls, machine: Machine) -> tuple[str, ...]:
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return sensors of one axis or three."""
         dims = machine.model.sensor_dim
         return tuple(n for k, n in enumerate(machine.sensors) if n and int(dims[k]) in _AXES)
 
-    def __init__(self, machine: Machine, where: str, variant: str | None = None) -> None:
+    def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
         self._size = int(machine.model.sensor(where).dim[0])
         self.nothing = (0.0,) * self._size  # type: ignore[misc]
@@ -97,7 +97,7 @@ class SensorGain(Effect):
     nothing: ClassVar[tuple[float, ...] | None] = (1.0,)
 
     @classmethod
-    def places(cls, machine: Machine) -> tuple[str, ...]:
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return every sensor."""
         return tuple(name for name in machine.sensors if name)
 
@@ -143,7 +143,7 @@ class SensorDelay(Effect):
     shifts: ClassVar[bool] = True
 
     @classmethod
-    def places(cls, machine: Machine) -> tuple[str, ...]:
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return every sensor."""
         return tuple(name for name in machine.sensors if name)
 
@@ -212,7 +212,7 @@ class SensorMisalignment(Effect):
     adds_up: ClassVar[bool] = True
 
     @classmethod
-    def places(cls, machine: Machine) -> tuple[str, ...]:
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return sensors of three axes that are fixed to a site."""
         return vectors(machine)
 

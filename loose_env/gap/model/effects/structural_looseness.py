@@ -23,7 +23,7 @@ from loose_env.gap.model.effects.backlash import SOFTER, stops
 from loose_env.gap.model.effects.mjcf.extra_joint import add_extra_joint, keep_motor_side, set_stops
 from loose_env.gap.model.effects.mjcf.geometry import frame_about, normal_of, reach_of
 from loose_env.gap.model.effects.mjcf.joint_effect import added_name
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
@@ -58,12 +58,12 @@ class StructuralLooseness(Effect):
     has_stops: ClassVar[bool] = True
 
     @classmethod
-    def places(cls, machine: Machine) -> tuple[str, ...]:
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return links with room for another joint."""
         count = machine.model.body_jntnum
         return tuple(n for n in machine.links if count[machine.model.body(n).id] <= _MOST_JOINTS)
 
-    def __init__(self, machine: Machine, where: str, variant: str | None = None) -> None:
+    def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
         normal = normal_of(machine)
         self._plane: Array | None = None

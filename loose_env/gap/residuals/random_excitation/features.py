@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.gap.data.aligned_run import Channel, Trial
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.residuals.random_excitation.frequency_response import CommandResponse
 from loose_env.gap.residuals.random_excitation.frf_features import ResponseFeatures
 from loose_env.gap.residuals.random_excitation.incoherent_features import RestFeatures
@@ -145,7 +145,7 @@ class RandomFeatures:
     def of_trial(
         cls,
         trial: Trial,
-        machine: Machine,
+        machine: NominalModel,
         channels: Sequence[Channel],
         floors: Array,
         *,
@@ -304,7 +304,7 @@ class RandomRun:
 
     @classmethod
     def of_trial(
-        cls, trial: Trial, machine: Machine, channels: Sequence[Channel], floors: Array
+        cls, trial: Trial, machine: NominalModel, channels: Sequence[Channel], floors: Array
     ) -> RandomRun:
         """Features of a measured run."""
         return cls(RandomFeatures.of_trial(trial, machine, channels, floors))

@@ -15,51 +15,51 @@ import numpy as np
 
 from loose_env.gap.fitting.confidence_intervals import Intervals, joined
 from loose_env.gap.fitting.gauss_newton import Fit, cost_of, fit
-from loose_env.gap.fitting.holdout_score import Judge, Judged
+from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer
 from loose_env.gap.fitting.refit import refined
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.preparation.prepare import GapProblem
-from loose_env.gap.residuals.residual_model import Comparison
-from loose_env.gap.selection.impacts.impact_power import Blows
-from loose_env.gap.selection.impacts.impact_search import Struck, find_striking
-from loose_env.gap.selection.revision import judged_without, sure_ones
+from loose_env.gap.residuals.residual_model import ResidualModel
+from loose_env.gap.selection.impacts.impact_power import ImpactPower
+from loose_env.gap.selection.impacts.impact_search import ImpactFit, find_impacts
+from loose_env.gap.selection.revision import drop_insignificant, refit_without
 from loose_env.gap.settings import GapSettings
 
-__all__ = ["SecondLook", "second_look"]
+__all__ = ["ImpactPassResult", "impact_pass"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SecondLook:
+class ImpactPassResult:
     """Result of the impact pass."""
 
-    best: Judged
+    best: ScoredFit
     """The remaining earlier effects, with the part."""
     intervals: Intervals
     """Confidence intervals of all parameters."""
-    struck: Struck
+    impact_fit: ImpactFit
     """The part with stops."""
     dropped: list[Effect]
     """The effects that are dropped."""
 
 
-def second_look(
-    prepared: GapProblem,
-    judge: Judge,
-    best: Judged,
+def impact_pass(
+    problem: GapProblem,
+    scorer: Scorer,
+    best: ScoredFit,
     sought: Sequence[Effect],
     settings: GapSettings,
     *,
     say: Callable[[str], None] = lambda _: None,
-) -> SecondLook | None:
+) -> ImpactPassResult | None:
     """Search for a part that hits its stops where a residual is unexplained.
 
     Parameters
     ----------
     prepared : GapProblem
         The runs.
-    judge : Judge
-        Scores fits to ``prepared.fit``.
-    best : Judged
+    judge : Scorer
+        Scores fits to ``problem.fit``.
+    best : ScoredFit
         The best hypothesis, which does not explain enough.
     sought : sequence of Effect
         The catalogue at every location.
@@ -70,56 +70,56 @@ def second_look(
 
     Returns
     -------
-    SecondLook or None
+    ImpactPassResult or None
         None where there is no such part.
     """
-    if not all(map(Blows.worth_while, (prepared.search, prepared.held))):
+    if not all(map(ImpactPower.worth_while, (problem.search, problem.held_out))):
         return None
     # Impacts dominate the accelerations, whose residual is no smaller for correct parameters than
     # for wrong ones; positions and speeds are hardly affected.
-    left = prepared.fit.left_in_channels(best.fitted.residual)
-    weighed = prepared.louder(np.maximum(left, 1.0))
-    own = Judge(weighed.fit, weighed.whole_held)
+    left = problem.fit.channel_rms(best.fitted.residual)
+    weighed = problem.louder(np.maximum(left, 1.0))
+    own = Scorer(weighed.fit, weighed.held_out_whole)
     rigid = _without_slides(best, weighed, own)
     if len(rigid.fitted.effects) >= settings.most_effects:
         return None
     known, rng = rigid.fitted.hypothesis.of_model, np.random.default_rng(settings.seed)
-    struck = find_striking(prepared, known, sought, rng, say=say)
-    if struck is None:
+    impact_fit = find_impacts(problem, known, sought, rng, say=say)
+    if impact_fit is None:
         return None
-    for effect in struck.idle:
-        say(f"  {effect!r} only stood in for it and is left out")
-        rigid = judged_without(effect, rigid, weighed, own)
-    rigid, dropped, intervals = sure_ones(rigid, weighed, own, settings.seed, say=say)
-    return SecondLook(
-        best=judge.judge(_with_struck(prepared.fit, rigid.fitted, struck)),
-        intervals=joined(intervals, struck.intervals),
-        struck=struck,
-        dropped=[*struck.idle, *dropped],
+    for effect in impact_fit.insignificant:
+        say(f"  dropped {effect!r}: a proxy for the part with stops")
+        rigid = refit_without(effect, rigid, weighed, own)
+    rigid, dropped, intervals = drop_insignificant(rigid, weighed, own, settings.seed, say=say)
+    return ImpactPassResult(
+        best=scorer.score(_with_struck(problem.fit, rigid.fitted, impact_fit)),
+        intervals=joined(intervals, impact_fit.intervals),
+        impact_fit=impact_fit,
+        dropped=[*impact_fit.insignificant, *dropped],
     )
 
 
-def _without_slides(best: Judged, prepared: GapProblem, judge: Judge) -> Judged:
+def _without_slides(best: ScoredFit, problem: GapProblem, scorer: Scorer) -> ScoredFit:
     """Refit the hypothesis without slides, which the impact pass searches again."""
     structure, free = best.fitted.structure, best.fitted.free
     pairs = zip(structure.effects, best.fitted.own_free, strict=True)
     kept = [(e, own) for e, own in pairs if e.kind != "structural_looseness"]
     start = np.concatenate([free[: len(structure.nuisance.parameters)], *(own for _, own in kept)])
     rigid = structure.with_effects([e for e, _ in kept])
-    return judge.judge(refined(fit(prepared.fit, rigid, start), prepared.fit))
+    return scorer.score(refined(fit(problem.fit, rigid, start), problem.fit))
 
 
-def _with_struck(comparison: Comparison, rigid: Fit, struck: Struck) -> Fit:
+def _with_struck(comparison: ResidualModel, rigid: Fit, impact_fit: ImpactFit) -> Fit:
     """Add a part fitted by its impact power to a fit, without refitting."""
     whole = Fit(
-        structure=rigid.structure.plus(struck.effect),
-        free=np.concatenate([rigid.free, struck.fitted.free]),
+        structure=rigid.structure.plus(impact_fit.effect),
+        free=np.concatenate([rigid.free, impact_fit.fitted.free]),
         residual=np.zeros(0),
         jacobian=np.zeros((len(comparison), 0)),
         cost=0.0,
     )
     residual = comparison.residuals([whole.hypothesis])[0]
-    none = np.zeros((len(comparison), len(struck.fitted.free)))
+    none = np.zeros((len(comparison), len(impact_fit.fitted.free)))
     return replace(
         whole,
         residual=residual,

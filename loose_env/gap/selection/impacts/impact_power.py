@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Trial
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.residuals.residual_model import Comparison, Rows
+from loose_env.gap.residuals.residual_model import ResidualModel, Rows
 from loose_env.gap.settings import (
     IMPACT_WINDOW_S,
 )
 from loose_env.typing import Array
 
-__all__ = ["Blows"]
+__all__ = ["ImpactPower"]
 
 
 _FEWEST = 8
@@ -38,7 +38,7 @@ _BLOCK = 0.1
 """What hangs together [s]."""
 
 
-class Blows(Comparison):
+class ImpactPower(ResidualModel):
     """Compares forward runs by the power of their residual to a model without play.
 
     A hypothesis here is the set of effects added to that model. The residuals are logarithms of
@@ -47,7 +47,7 @@ class Blows(Comparison):
 
     Parameters
     ----------
-    comparison : Comparison
+    comparison : ResidualModel
         The runs; those that are not simulated with their commands, or are compared by features, are
         left out.
     known : Hypothesis
@@ -56,10 +56,10 @@ class Blows(Comparison):
     Raises
     ------
     ValueError
-        If no run can be compared (see `Blows.worth_while`).
+        If no run can be compared (see `ImpactPower.worth_while`).
     """
 
-    def __init__(self, comparison: Comparison, known: Hypothesis) -> None:
+    def __init__(self, comparison: ResidualModel, known: Hypothesis) -> None:
         self.known = known
         self._own = _sensors(comparison)
         super().__init__(
@@ -71,7 +71,7 @@ class Blows(Comparison):
         )
 
     @staticmethod
-    def worth_while(comparison: Comparison) -> bool:
+    def worth_while(comparison: ResidualModel) -> bool:
         """Return whether any run can be compared by impact power."""
         read = _sensors(comparison)
         return any(
@@ -168,12 +168,12 @@ class Blows(Comparison):
         return np.where(samples >= _READ * size, cut / np.maximum(samples, 1), np.nan)
 
 
-def _sensors(comparison: Comparison) -> list[int]:
+def _sensors(comparison: ResidualModel) -> list[int]:
     """Indices of the channels that are sensors."""
     return [c for c, one in enumerate(comparison.channels) if one.column.startswith("sensor.")]
 
 
-def _long_enough(comparison: Comparison, trial: Trial) -> bool:
+def _long_enough(comparison: ResidualModel, trial: Trial) -> bool:
     """Return whether a run is simulated with its commands, for two stretches or more."""
     fewest = 2 * max(_FEWEST, IMPACT_WINDOW_S * trial.rate)
     return comparison.follows(trial) and len(trial.time) >= fewest

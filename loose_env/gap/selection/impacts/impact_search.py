@@ -2,7 +2,7 @@
 
 The search compares sample by sample, where a loose link with hard impacts has a larger residual
 than no effect at all. Where it ends with an unexplained residual, parts with stops are fitted again
-with `loose_env.gap.selection.impacts.impact_power.Blows`, on top of the identified effects.
+with `loose_env.gap.selection.impacts.impact_power.ImpactPower`, on top of the identified effects.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ import numpy as np
 
 from loose_env.gap.fitting.confidence_intervals import Intervals, bootstrap, widened
 from loose_env.gap.fitting.gauss_newton import Fit, FitSettings, fit, sensitivities
-from loose_env.gap.fitting.holdout_score import sureness_of
+from loose_env.gap.fitting.holdout_score import z_score
 from loose_env.gap.fitting.model_structure import ModelStructure
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.parameter import free_of
 from loose_env.gap.preparation.prepare import GapProblem
 from loose_env.gap.residuals.windows import windowed
-from loose_env.gap.selection.impacts.impact_power import Blows
+from loose_env.gap.selection.impacts.impact_power import ImpactPower
 from loose_env.gap.selection.screening.data_driven_starts import proposals
 from loose_env.gap.settings import (
     ACCEPTED_Z,
@@ -33,7 +33,7 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["Struck", "find_striking"]
+__all__ = ["ImpactFit", "find_impacts"]
 
 
 _FITTED = 2
@@ -48,20 +48,20 @@ _ROUGH, _FINE = (FitSettings(difference=step, iterations=n) for step, n in ((0.2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Struck:
+class ImpactFit:
     """A part that hits its stops, identified by impact power."""
 
     fitted: Fit
     """The part alone, added to the known effects."""
     intervals: Intervals
     """Confidence intervals of its parameters."""
-    share: float
+    explained: float
     """Share of the impact power of held-out runs that it explains."""
-    stretch: float
+    window_s: float
     """Length of the stretches over which power is computed [s]."""
     rivals: tuple[Effect, ...] = ()
     """Effects that those runs cannot distinguish from it."""
-    idle: tuple[Effect, ...] = ()
+    insignificant: tuple[Effect, ...] = ()
     """Earlier effects that were only proxies for it."""
 
     @property
@@ -73,21 +73,21 @@ class Struck:
     def words(self) -> str:
         """Notes for the reader."""
         return (
-            f"{self.effect.where} strikes its stops at moments that no simulation repeats: it is "
-            f"named by how hard and how often it does in stretches of {self.stretch:.2g} s, of "
-            f"which it explains {100 * self.share:.0f} % on held-out runs; sample by sample the "
-            "gap shrinks less, or grows"
+            f"{self.effect.where} hits its stops at times that no simulation reproduces: it is "
+            f"identified by the impact power in windows of {self.window_s:.2g} s, of which it "
+            f"explains {100 * self.explained:.0f} % on held-out runs; sample by sample the "
+            "residual shrinks less, or grows"
         )
 
 
-def find_striking(
-    prepared: GapProblem,
+def find_impacts(
+    problem: GapProblem,
     known: Hypothesis,
     candidates: Sequence[Effect],
     rng: np.random.Generator,
     *,
     say: Callable[[str], None] = lambda _: None,
-) -> Struck | None:
+) -> ImpactFit | None:
     """Search for a part that hits its stops in runs with commands.
 
     Parameters
@@ -105,27 +105,27 @@ def find_striking(
 
     Returns
     -------
-    Struck or None
+    ImpactFit or None
         None where none explains the powers, or the one that does needs no gap for that: powers
         know nothing of moments, and a spring without play has those of much else.
     """
     there = {(e.kind, e.where) for e in known.effects}
-    striking = [c for c in candidates if _plays(c) and (c.kind, c.where) not in there]
-    short = windowed(prepared.search, SCREENING_S)
-    if not striking or not all(map(Blows.worth_while, (short, prepared.held))):
+    with_stops = [c for c in candidates if _has_clearance(c) and (c.kind, c.where) not in there]
+    short = windowed(problem.search, SCREENING_S)
+    if not with_stops or not all(map(ImpactPower.worth_while, (short, problem.held_out))):
         return None
-    say("whether something strikes its stops, by the power of what is left")
-    proposed, sorting = proposals(prepared.search, known, striking), Blows(short, known)
-    starts = {e.key: proposed.get(e.key) or e.starts for e in striking}
-    promising = [(_sorted(sorting, e, starts[e.key])[0][0], e) for e in striking]
+    say("impact pass: parts with stops, by the power of the residual")
+    proposed, sorting = proposals(problem.search, known, with_stops), ImpactPower(short, known)
+    starts = {e.key: proposed.get(e.key) or e.starts for e in with_stops}
+    promising = [(_sorted(sorting, e, starts[e.key])[0][0], e) for e in with_stops]
     promising = sorted(
         (each for each in promising if each[0] > IMPACT_PREDICTED), key=lambda p: -p[0]
     )
     for promise, effect in promising:
-        say(f"  {effect!r}: promises {promise:.3f}")
+        say(f"  {effect!r}: predicted share {promise:.3f}")
     if not promising:
         return None
-    searched, held = Blows(prepared.search, known), Blows(prepared.held, known)
+    searched, held = ImpactPower(problem.search, known), ImpactPower(problem.held_out, known)
 
     def left(hypothesis: Hypothesis) -> _Left:
         return _Left.of(hypothesis, searched, held)
@@ -135,25 +135,25 @@ def find_striking(
     best, fitted = tried[0]
     before = _Left((searched, searched.measured), (held, held.measured))
     share = _explained(held.measured, best.held[1])
-    say(f"  {fitted.effects[0]!r}: explains {share:.2f} of the powers of held-out runs")
+    say(f"  {fitted.effects[0]!r}: explains {share:.2f} of the impact power of held-out runs")
     if share < IMPACT_EXPLAINED or not best.ahead_of(before):
         return None
-    if not best.ahead_of(left(_shut(fitted))):
-        say("  it does so as well without any gap: that is no play")
+    if not best.ahead_of(left(_without_clearance(fitted))):
+        say("  rejected: no clearance is needed to explain it")
         return None
     numbers = range(len(fitted.free))
     jacobian = sensitivities(
         searched, fitted.structure, fitted.free, fitted.residual, numbers, difference=_STEP
     )
     fitted = replace(fitted, jacobian=jacobian)
-    return Struck(
+    return ImpactFit(
         fitted=fitted,
         intervals=widened(searched, fitted, bootstrap(searched, fitted, rng)),
-        share=share,
-        stretch=held.stretch,
-        idle=_idle(prepared, known, fitted.hypothesis),
+        explained=share,
+        window_s=held.stretch,
+        insignificant=_insignificant(problem, known, fitted.hypothesis),
         rivals=tuple(
-            other.effects[0] for rest, other in tried[1:] if best.lead_of(rest)[1] < TIE_Z
+            other.effects[0] for rest, other in tried[1:] if best.improvement_of(rest)[1] < TIE_Z
         ),
     )
 
@@ -162,22 +162,27 @@ def find_striking(
 class _Left:
     """Residuals of a hypothesis in the impact powers of training and held-out runs."""
 
-    fitted: tuple[Blows, Array]
-    held: tuple[Blows, Array]
+    fitted: tuple[ImpactPower, Array]
+    held: tuple[ImpactPower, Array]
 
     @classmethod
-    def of(cls, hypothesis: Hypothesis, searched: Blows, held: Blows) -> _Left:
-        return cls(*((blows, blows.residuals([hypothesis])[0]) for blows in (searched, held)))
+    def of(cls, hypothesis: Hypothesis, searched: ImpactPower, held: ImpactPower) -> _Left:
+        return cls(
+            *(
+                (impact_power, impact_power.residuals([hypothesis])[0])
+                for impact_power in (searched, held)
+            )
+        )
 
     @property
     def total(self) -> float:
         return sum(float(left @ left) for _, left in (self.fitted, self.held))
 
-    def lead_of(self, behind: _Left) -> tuple[float, float]:
+    def improvement_of(self, behind: _Left) -> tuple[float, float]:
         """Return the improvement (z) on the training runs and on the held-out runs."""
         first, second = (
-            sureness_of(blows.by_block(more**2), blows.by_block(less**2))
-            for (blows, less), (_, more) in (
+            z_score(impact_power.by_block(more**2), impact_power.by_block(less**2))
+            for (impact_power, less), (_, more) in (
                 (self.fitted, behind.fitted),
                 (self.held, behind.held),
             )
@@ -186,36 +191,42 @@ class _Left:
 
     def ahead_of(self, behind: _Left) -> bool:
         """Return whether the improvement is significant."""
-        leads = self.lead_of(behind)
+        leads = self.improvement_of(behind)
         return max(leads) >= ACCEPTED_Z and min(leads) >= CONFIRMED_Z
 
 
 def _sorted(
-    blows: Blows, effect: Effect, starts: Sequence[tuple[float, ...]]
+    impact_power: ImpactPower, effect: Effect, starts: Sequence[tuple[float, ...]]
 ) -> list[tuple[float, tuple[float, ...]]]:
     """Share of power that each start explains by itself, with the start; best first."""
-    left = blows.residuals(
+    left = impact_power.residuals(
         [Hypothesis(effects=(effect,), values=(np.array(start),)) for start in starts]
     )
-    found = [(_explained(blows.measured, r), tuple(s)) for r, s in zip(left, starts, strict=True)]
+    found = [
+        (_explained(impact_power.measured, r), tuple(s)) for r, s in zip(left, starts, strict=True)
+    ]
     return sorted(found, key=lambda each: -each[0])
 
 
-def _fitted(blows: Blows, effect: Effect, starts: Sequence[tuple[float, ...]]) -> Fit:
+def _fitted(impact_power: ImpactPower, effect: Effect, starts: Sequence[tuple[float, ...]]) -> Fit:
     """Return the best of fits from the best starts."""
     found, structure = [], ModelStructure(effects=(effect,))
-    for _, start in _sorted(blows, effect, starts)[:_FROM]:
-        rough = fit(blows, structure, free_of(effect.parameters, np.array(start)), settings=_ROUGH)
-        found.append(fit(blows, structure, rough.free, residual=rough.residual, settings=_FINE))
+    for _, start in _sorted(impact_power, effect, starts)[:_FROM]:
+        rough = fit(
+            impact_power, structure, free_of(effect.parameters, np.array(start)), settings=_ROUGH
+        )
+        found.append(
+            fit(impact_power, structure, rough.free, residual=rough.residual, settings=_FINE)
+        )
     return min(found, key=lambda each: each.cost)
 
 
-def _plays(effect: Effect) -> bool:
+def _has_clearance(effect: Effect) -> bool:
     """Return whether an effect has stops and a clearance that can be closed."""
     return effect.has_stops and any(p.name == "gap" for p in effect.parameters)
 
 
-def _shut(fitted: Fit) -> Hypothesis:
+def _without_clearance(fitted: Fit) -> Hypothesis:
     """Return the part with its smallest clearance."""
     (effect,), (values,) = fitted.effects, fitted.hypothesis.values
     shut = values.copy()
@@ -225,23 +236,23 @@ def _shut(fitted: Fit) -> Hypothesis:
     return Hypothesis(effects=(effect,), values=(shut,))
 
 
-def _idle(prepared: GapProblem, known: Hypothesis, part: Hypothesis) -> tuple[Effect, ...]:
+def _insignificant(problem: GapProblem, known: Hypothesis, part: Hypothesis) -> tuple[Effect, ...]:
     """Effects that are insignificant once the part is in the model; last first."""
     kept, own = list(known.pairs), part.pairs
     if not kept:
         return ()
     nominal = known.of_model.with_effects(())
-    searched, held = (Blows(runs, nominal) for runs in (prepared.search, prepared.held))
+    searched, held = (ImpactPower(runs, nominal) for runs in (problem.search, problem.held_out))
     none = Hypothesis()
     best = _Left.of(none.with_effects([*kept, *own]), searched, held)
-    idle: list[Effect] = []
+    insignificant: list[Effect] = []
     for pair in reversed(kept.copy()):
         without = [each for each in kept if each is not pair]
         left = _Left.of(none.with_effects([*without, *own]), searched, held)
         if not best.ahead_of(left):
-            idle.append(pair[0])
+            insignificant.append(pair[0])
             kept, best = without, left
-    return tuple(idle)
+    return tuple(insignificant)
 
 
 def _explained(before: Array, after: Array) -> float:

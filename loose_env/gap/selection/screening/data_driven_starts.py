@@ -19,7 +19,7 @@ from loose_env.gap.data.aligned_run import Trial
 from loose_env.gap.data.smoothing import Motion, smooth_motion
 from loose_env.gap.model.effect import Effect, ResidualAccelerations
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.simulation.torque_terms import torque_terms
 from loose_env.typing import Array
 
@@ -34,13 +34,13 @@ _OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 
 
 def proposals(
-    comparison: Comparison, hypothesis: Hypothesis, candidates: Sequence[Effect]
+    comparison: ResidualModel, hypothesis: Hypothesis, candidates: Sequence[Effect]
 ) -> dict[tuple[str, str, str], tuple[tuple[float, ...], ...]]:
     """Return data-driven starts by candidate key; {} where no run has commands.
 
     Parameters
     ----------
-    comparison : Comparison
+    comparison : ResidualModel
         The runs.
     hypothesis : Hypothesis
         The current hypothesis.
@@ -68,7 +68,7 @@ def proposals(
 
 
 def missing_torque(
-    comparison: Comparison, hypothesis: Hypothesis
+    comparison: ResidualModel, hypothesis: Hypothesis
 ) -> tuple[Array, Array, Array, Array] | None:
     """Motion and residual torque of all runs with commands.
 
@@ -163,13 +163,13 @@ _ACCELEROMETER_SAMPLES = 2000
 
 
 def residual_accelerations(
-    comparison: Comparison, hypothesis: Hypothesis
+    comparison: ResidualModel, hypothesis: Hypothesis
 ) -> ResidualAccelerations | None:
     """Return residuals of three-axis accelerometers in simulated runs.
 
     Parameters
     ----------
-    comparison : Comparison
+    comparison : ResidualModel
         The runs.
     hypothesis : Hypothesis
         The current hypothesis.

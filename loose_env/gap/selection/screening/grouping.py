@@ -13,7 +13,7 @@ import mujoco
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.selection.screening.screening import Screened
 
-__all__ = ["akin", "families", "frictions", "joint_of"]
+__all__ = ["confusable", "families", "frictions", "joint_of"]
 
 _ALL = "all"
 _LEAST = 0.02
@@ -50,9 +50,9 @@ def families(screened: Sequence[Screened], most: int) -> list[list[Screened]]:
         groups.setdefault((each.effect.kind, each.effect.variant), []).append(each)
     best: dict[str, tuple[float, list[Screened]]] = {}
     for (kind, _), group in groups.items():
-        least = _LEAST * group[0].promise
-        members = [each for each in group if each.promise >= least]
-        promise = sum(each.promise for each in members)
+        least = _LEAST * group[0].predicted
+        members = [each for each in group if each.predicted >= least]
+        promise = sum(each.predicted for each in members)
         if len(members) > 1 and promise > best.get(kind, (0.0, []))[0]:
             best[kind] = promise, members
     ranked = sorted(best.values(), key=lambda found: -found[0])
@@ -115,20 +115,20 @@ def joint_of(effect: Effect) -> int | None:
     return None
 
 
-def akin(effect: Effect, other: Effect) -> bool:
+def confusable(effect: Effect, other: Effect) -> bool:
     """Return whether two effects are confusable: by kind, at the same or next joint.
 
     Examples
     --------
     >>> from loose_env.arms import planar
     >>> from loose_env.gap.model.effects.catalogue import CATALOGUE
-    >>> from loose_env.gap.model.nominal_model import Machine
-    >>> machine = Machine(planar(3).spec)
+    >>> from loose_env.gap.model.nominal_model import NominalModel
+    >>> machine = NominalModel(planar(3).spec)
     >>> second = machine.joints[1]
     >>> spring = CATALOGUE["joint_spring"](machine, second)
-    >>> akin(spring, CATALOGUE["link_mass"](machine, machine.body_of(second)))
+    >>> confusable(spring, CATALOGUE["link_mass"](machine, machine.body_of(second)))
     True
-    >>> akin(spring, CATALOGUE["viscous_friction"](machine, second))
+    >>> confusable(spring, CATALOGUE["viscous_friction"](machine, second))
     False
     """
     if not any(effect.kind in group and other.kind in group for group in _ALIKE):

@@ -25,7 +25,7 @@ from loose_env.gap.fitting.model_structure import prior_of
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.sensor_columns import of_place_or_speed
 from loose_env.gap.model.parameter import Parameter, free_of
-from loose_env.gap.residuals.residual_model import Comparison
+from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.settings import (
     SECOND_START,
 )
@@ -54,16 +54,16 @@ class Screened:
     """The candidate."""
     values: tuple[float, ...]
     """Starting values of a fit."""
-    promise: float
+    predicted: float
     """Predicted share of the sum of squares explained, at most 1."""
-    sureness: float
+    z: float
     """Predicted gain over its standard deviation between blocks (z)."""
     second: tuple[float, ...] | None = None
     """Another start, far from the first, with at least half its predicted gain."""
 
 
 def screen(
-    comparison: Comparison,
+    comparison: ResidualModel,
     fitted: Fit,
     candidates: Sequence[Effect],
     *,
@@ -73,7 +73,7 @@ def screen(
 
     Parameters
     ----------
-    comparison : Comparison
+    comparison : ResidualModel
         Comparison of the runs.
     fitted : Fit
         The current hypothesis, with its sensitivities.
@@ -122,11 +122,11 @@ def screen(
         entries = [(effect, start) for _, effect, start in again.values()]
         for effect, start, signature in signatures(compared, fitted, entries, base):
             _keep(seen, _weigh(comparison, known, effect, start, signature))
-    return sorted((_best(each) for each in seen.values()), key=lambda s: -s.promise)
+    return sorted((_best(each) for each in seen.values()), key=lambda s: -s.predicted)
 
 
 def _best_starts(
-    comparison: Comparison,
+    comparison: ResidualModel,
     fitted: Fit,
     known: _Known,
     candidates: Sequence[Effect],
@@ -153,7 +153,7 @@ def _best_starts(
     found: dict[tuple[str, str, str], dict[tuple[float, ...], tuple[float, tuple[float, ...]]]] = {}
     for effect, start, signature in signatures(lighter, fitted, entries, base):
         weighed = _weigh(comparison, known, effect, start, signature)
-        promise = 0.0 if weighed is None else weighed.promise
+        promise = 0.0 if weighed is None else weighed.predicted
         own, alike = found.setdefault(effect.key, {}), _without_nuisances(effect, start)
         if alike not in own or promise > own[alike][0]:
             own[alike] = promise, start
@@ -163,7 +163,7 @@ def _best_starts(
     }
 
 
-def _starts(comparison: Comparison, effect: Effect) -> tuple[tuple[float, ...], ...]:
+def _starts(comparison: ResidualModel, effect: Effect) -> tuple[tuple[float, ...], ...]:
     """Starts of an effect for the forms of run in the recording."""
     return effect.close_starts if comparison.rows.inverse.all() else effect.starts
 
@@ -174,7 +174,7 @@ def _without_nuisances(effect: Effect, values: Sequence[float]) -> tuple[float, 
 
 
 def signatures(
-    compared: Comparison,
+    compared: ResidualModel,
     fitted: Fit,
     entries: Sequence[tuple[Effect, tuple[float, ...]]],
     base: Array,
@@ -183,7 +183,7 @@ def signatures(
 
     Parameters
     ----------
-    compared : Comparison
+    compared : ResidualModel
         Comparison used for the simulations.
     fitted : Fit
         Fit that they are added to.
@@ -210,11 +210,11 @@ def _keep(seen: dict[int, list[Screened]], found: Screened | None) -> None:
 
 def _best(found: list[Screened]) -> Screened:
     """Best start of a candidate, with another that lies far from it."""
-    first, *others = sorted(found, key=lambda s: -s.promise)
+    first, *others = sorted(found, key=lambda s: -s.predicted)
     at = free_of(first.effect.parameters, np.array(first.values))
     matter = np.array([p.centre is None for p in first.effect.parameters])
     for each in others:
-        if each.promise < SECOND_START * first.promise:
+        if each.predicted < SECOND_START * first.predicted:
             break
         off = np.abs(free_of(each.effect.parameters, np.array(each.values)) - at)
         if np.any(off[matter] > _FAR):
@@ -222,7 +222,7 @@ def _best(found: list[Screened]) -> Screened:
     return first
 
 
-def _slow_rows(comparison: Comparison) -> NDArray[np.bool_]:
+def _slow_rows(comparison: ResidualModel) -> NDArray[np.bool_]:
     """Mask of the rows whose readings vary smoothly with a shift in time (N,)."""
     slow = np.array([of_place_or_speed(comparison.machine, c.column) for c in comparison.channels])
     return slow[comparison.rows.channel] & ~comparison.rows.white
@@ -284,7 +284,7 @@ class _Known:
 
 
 def _weigh(
-    comparison: Comparison,
+    comparison: ResidualModel,
     known: _Known,
     effect: Effect,
     start: tuple[float, ...],
@@ -305,7 +305,7 @@ def _weigh(
 
 
 def _weigh_together(
-    comparison: Comparison,
+    comparison: ResidualModel,
     known: _Known,
     effect: Effect,
     axes: Sequence[tuple[float, ...]],
@@ -328,7 +328,7 @@ def _axes_of(effect: Effect) -> list[tuple[float, ...]]:
 
 
 def _screened(
-    comparison: Comparison,
+    comparison: ResidualModel,
     known: _Known,
     effect: Effect,
     values: tuple[float, ...],
@@ -342,8 +342,8 @@ def _screened(
     return Screened(
         effect=effect,
         values=values,
-        promise=float(gains.sum() / (residual @ residual)),
-        sureness=float(gains.sum() / np.sqrt(np.sum(gains**2))),
+        predicted=float(gains.sum() / (residual @ residual)),
+        z=float(gains.sum() / np.sqrt(np.sum(gains**2))),
     )
 
 

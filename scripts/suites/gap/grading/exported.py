@@ -35,14 +35,14 @@ def exported_gap(found: GapSolution, folder: Path) -> tuple[float, float] | None
         Root mean squares in noise standard deviations; None where MJCF cannot carry an effect, or
         no held-out run is one that begins at rest, has commands and is compared sample by sample.
     """
-    corrected, held = found.corrected, found.problem.whole_held
+    corrected, held = found.corrected, found.problem.held_out_whole
     if not found.effects or not all(effect.in_model for effect in corrected.effects):
         return None
     runs, machine = resting_runs(held), found.problem.machine
     if not runs:
         return None
-    step = exported(held, corrected, found.best.held_residual).step
+    step = exported(held, corrected, found.best.held_out_residual).step
     file, *_ = write_model(folder / MODEL, machine, corrected, step=step)
     model = mujoco.MjModel.from_xml_path(str(file))
-    tried = compared(held, found.best.held_residual, model, runs)
+    tried = compared(held, found.best.held_out_residual, model, runs)
     return None if tried is None else (tried[1].left, tried[1].fitted)

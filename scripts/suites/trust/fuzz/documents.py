@@ -138,7 +138,7 @@ def recording() -> dict[str, bytes]:
 @functools.cache
 def gap_result() -> bytes:
     """Result of a comparison."""
-    from loose_env.gap import Gap, GapResult, NamedEffect, Place, Ranked
+    from loose_env.gap import EffectLocation, Gap, GapResult, NamedEffect, RankedHypothesis
 
     effect = NamedEffect(
         kind="viscous_friction",
@@ -146,13 +146,13 @@ def gap_result() -> bytes:
         parameters={"damping": 3.0},
         interval_95={"damping": (2.9, 3.1)},
         units={"damping": "N·m·s/rad"},
-        ambiguous_with=(Place(kind="sensor_gain", where="angle"),),
+        ambiguous_with=(EffectLocation(kind="sensor_gain", where="angle"),),
     )
     result = GapResult(
         verdict="named",
         gap=Gap(before=3.0, after=1.0, by_channel={"angle": (3.0, 1.0)}),
         effects=(effect,),
-        ranking=(Ranked(kind="viscous_friction", where="bend", held_out=1.0, bic=-9.0),),
+        ranking=(RankedHypothesis(kind="viscous_friction", where="bend", held_out=1.0, bic=-9.0),),
         settings={"tolerance": 0.03},
     )
     return result.to_json().encode()

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.model.effects.mjcf.passive_actuators import make_it_stick
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
 __all__ = [
@@ -33,7 +33,7 @@ _USUAL = _TOUCH + (1 - _TOUCH) * 5 / 9
 """Impedance under the usual load, over its largest: at a third of the way 1 - (1 - 1/3)²."""
 
 
-def last_joints(machine: Machine) -> tuple[str, ...]:
+def last_joints(machine: NominalModel) -> tuple[str, ...]:
     """List joints that are the last of their body, behind which one can be added."""
     bodies = [int(b) for b in machine.model.jnt_bodyid]
     return tuple(
@@ -127,7 +127,7 @@ def set_stops(
     joint.solref_limit = [-np.sqrt(3) / 1.5 * stiffness * weight, -damping * weight]
 
 
-def keep_motor_side(machine: Machine, spec: mujoco.MjSpec, name: str, carried: float) -> None:
+def keep_motor_side(machine: NominalModel, spec: mujoco.MjSpec, name: str, carried: float) -> None:
     """Keep a small inertia [kg·m² or kg] on the motor side of a joint without rotor.
 
     A Runge-Kutta or Euler step is unstable for a servo that acts on too little inertia: there it is
@@ -139,14 +139,14 @@ def keep_motor_side(machine: Machine, spec: mujoco.MjSpec, name: str, carried: f
         joint.armature = max(least, _held_still(machine, name))
 
 
-def _held_still(machine: Machine, joint: str) -> float:
+def _held_still(machine: NominalModel, joint: str) -> float:
     """Least inertia [kg·m² or kg] for a stable servo at the machine's step."""
     model: mujoco.MjModel = machine.model
     own = int(model.opt.integrator) if machine.integrator is None else machine.integrator
     if own not in _EXPLICIT:
         return 0.0
     step = machine.step or float(model.opt.timestep)
-    turn = step * max(machine.joined // 2, 1) / FASTEST  # longest step allowed for a spring
+    turn = step * max(machine.merged_steps // 2, 1) / FASTEST  # longest step allowed for a spring
     squares = machine.gears(joint) ** 2
     affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
     terms = np.where(affine[:, None], model.actuator_biasprm[:, 1:3], 0.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
 __all__ = ["frame_about", "link_ends", "normal_of", "reach_of"]
@@ -14,13 +14,13 @@ __all__ = ["frame_about", "link_ends", "normal_of", "reach_of"]
 _HINGE = mujoco.mjtJoint.mjJNT_HINGE
 
 
-def _posed(machine: Machine) -> mujoco.MjData:
+def _posed(machine: NominalModel) -> mujoco.MjData:
     data = mujoco.MjData(machine.model)
     mujoco.mj_kinematics(machine.model, data)
     return data
 
 
-def normal_of(machine: Machine) -> Array | None:
+def normal_of(machine: NominalModel) -> Array | None:
     """Normal (3,) of the machine's plane of motion, world frame; None if not planar."""
     data = _posed(machine)
     turning = machine.model.jnt_type == _HINGE
@@ -32,7 +32,7 @@ def normal_of(machine: Machine) -> Array | None:
     return np.array(normal) if parallel and np.allclose(slides @ normal, 0, atol=1e-6) else None
 
 
-def reach_of(machine: Machine) -> float:
+def reach_of(machine: NominalModel) -> float:
     """Length of the machine along its bodies, from its first joint on [m]."""
     model = machine.model
     along = np.zeros(model.nbody)
@@ -46,7 +46,7 @@ def reach_of(machine: Machine) -> float:
     return max(float((along + beyond)[first:].max()), 1e-3)
 
 
-def link_ends(machine: Machine, link: str) -> tuple[Array, Array]:
+def link_ends(machine: NominalModel, link: str) -> tuple[Array, Array]:
     """Ends of a link in its body's frame: at its joint, and at the next or the tool.
 
     The end is the farthest of the bodies and sites that it carries; without any, twice the distance

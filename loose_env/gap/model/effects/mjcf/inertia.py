@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
 __all__ = ["Inertial", "inertial_of", "make_explicit", "set_inertial", "steiner"]
@@ -26,7 +26,7 @@ class Inertial:
     """Inertia about the centre, along the body's axes [kg·m²] (3, 3)."""
 
 
-def inertial_of(machine: Machine, spec: mujoco.MjSpec, body: str) -> Inertial:
+def inertial_of(machine: NominalModel, spec: mujoco.MjSpec, body: str) -> Inertial:
     """Read a body of a spec; mass from geoms is taken from the compiled model."""
     own = spec.body(body)
     taken = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
@@ -53,7 +53,7 @@ def inertial_of(machine: Machine, spec: mujoco.MjSpec, body: str) -> Inertial:
     )
 
 
-def set_inertial(machine: Machine, spec: mujoco.MjSpec, body: str, inertial: Inertial) -> None:
+def set_inertial(machine: NominalModel, spec: mujoco.MjSpec, body: str, inertial: Inertial) -> None:
     """Write a body's mass, centre and inertia, overriding its geoms."""
     if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
         # Geoms would override explicit values: all bodies get those from their geoms.
@@ -91,7 +91,7 @@ def steiner(mass: float, lever: Array) -> Array:
     return mass * (lever @ lever * np.eye(3) - np.outer(lever, lever))
 
 
-def make_explicit(machine: Machine, spec: mujoco.MjSpec) -> None:
+def make_explicit(machine: NominalModel, spec: mujoco.MjSpec) -> None:
     """Write explicit mass, centre and principal inertia to every named body.
 
     A factor on a body's ``mass`` or ``inertia`` is then effective, whether the model was written

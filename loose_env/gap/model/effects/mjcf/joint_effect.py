@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
 __all__ = ["JointEffect", "added_name", "angle_unit", "fitted_rate"]
@@ -21,7 +21,7 @@ class JointEffect(Effect):
     acts_on: ClassVar[str] = "joint"
 
     @classmethod
-    def places(cls, machine: Machine) -> tuple[str, ...]:
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return every joint."""
         return machine.joints
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 
 __all__ = ["column_of", "of_place_or_speed", "reading_scale", "vectors"]
 
@@ -23,7 +23,7 @@ def column_of(sensor: str) -> str:
     return f"sensor.{sensor}"
 
 
-def vectors(machine: Machine) -> tuple[str, ...]:
+def vectors(machine: NominalModel) -> tuple[str, ...]:
     """Names of the sensors of three axes that are fixed to a site."""
     model = machine.model
     at_site = model.sensor_objtype == mujoco.mjtObj.mjOBJ_SITE
@@ -43,7 +43,7 @@ _AT_SITE = (
 )
 
 
-def reading_scale(machine: Machine, sensor: str) -> tuple[float, str]:
+def reading_scale(machine: NominalModel, sensor: str) -> tuple[float, str]:
     """Return the smallest change of a reading that matters, and its unit."""
     model = machine.model
     number = model.sensor(sensor).id
@@ -69,7 +69,7 @@ def reading_scale(machine: Machine, sensor: str) -> tuple[float, str]:
     return scales.get(kind, (0.05, ""))
 
 
-def of_place_or_speed(machine: Machine, column: str) -> bool:
+def of_place_or_speed(machine: NominalModel, column: str) -> bool:
     """Return whether a column is a position or a speed, not an acceleration or force."""
     kind, _, name = column.partition(".")
     return kind == "sensor" and int(machine.model.sensor(name).type[0]) in _SMOOTH

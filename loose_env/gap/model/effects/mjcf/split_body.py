@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.model.effects.mjcf.joint_effect import added_name
-from loose_env.gap.model.nominal_model import Machine
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
 __all__ = ["keep_from_touching", "move_children", "move_geoms", "move_sites"]
@@ -27,7 +27,11 @@ _ROUNDING = 1e-9
 
 
 def move_children(
-    machine: Machine, spec: mujoco.MjSpec, old: mujoco.MjsBody, new: mujoco.MjsBody, along: Array
+    machine: NominalModel,
+    spec: mujoco.MjSpec,
+    old: mujoco.MjsBody,
+    new: mujoco.MjsBody,
+    along: Array,
 ) -> None:
     """Move the bodies on the far side of ``new`` from ``old`` to it, with subtrees.
 
@@ -37,7 +41,7 @@ def move_children(
 
     Parameters
     ----------
-    machine : Machine
+    machine : NominalModel
         The nominal model.
     spec : MjSpec
         The model that is edited.
@@ -79,7 +83,11 @@ def move_children(
 
 
 def move_sites(
-    machine: Machine, spec: mujoco.MjSpec, old: mujoco.MjsBody, new: mujoco.MjsBody, along: Array
+    machine: NominalModel,
+    spec: mujoco.MjSpec,
+    old: mujoco.MjsBody,
+    new: mujoco.MjsBody,
+    along: Array,
 ) -> None:
     """Move the sites on the far side of ``new`` from ``old`` to it."""
     here = np.array(new.pos)
@@ -175,7 +183,7 @@ def _elements(body: mujoco.MjsBody) -> Iterator[Any]:
         yield from _elements(child)
 
 
-def _pose(machine: Machine, body: mujoco.MjsBody) -> tuple[Array, Array | None]:
+def _pose(machine: NominalModel, body: mujoco.MjsBody) -> tuple[Array, Array | None]:
     """Pose of a body in its parent; its quaternion too if a frame lies in between."""
     if body.frame is None:
         return np.array(body.pos), None
