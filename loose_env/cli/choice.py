@@ -39,13 +39,9 @@ def add_kept(
 
 
 def take_over(
-    options: argparse.Namespace,
-    before: Any,
-    whose: str,
-    *,
-    only: Collection[str] | None = None,
+    options: argparse.Namespace, before: Any, whose: str, *, only: Collection[str] | None = None
 ) -> None:
-    """Set the options that were not given, and say which of them are not the usual ones.
+    """Set the options that were not given, and report those that differ from their defaults.
 
     Parameters
     ----------

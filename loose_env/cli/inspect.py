@@ -31,7 +31,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Look at the model and say what was found."""
+    """Inspect the model and print the result."""
     found = inspect_model(
         options.model, settings_of(options, NextSettings), settings_of(options, ModelSettings)
     )

@@ -99,7 +99,7 @@ def field_words(kind: type) -> dict[str, str]:
 
 
 def _flat(kind: type, prefix: str) -> list[tuple[str, Field[Any], Any, Any, str]]:
-    """Option name, field, type, default and words of every field, those inside included."""
+    """Option name, field, type, default and help of every field, nested ones included."""
     hints, words = get_type_hints(kind), field_words(kind)
     found = []
     for each in fields(kind):
@@ -122,7 +122,7 @@ def _bare(hint: Any) -> Any:
 
 
 def _how(hint: Any, name: str) -> dict[str, Any]:
-    """How argparse reads a value of a type."""
+    """Keywords by which argparse reads a value of a type."""
     origin, inside = get_origin(hint), get_args(hint)
     if hint is bool:
         return {"action": argparse.BooleanOptionalAction}

@@ -105,5 +105,5 @@ class OutputFolder:
 
 
 def _half_written(name: str) -> bool:
-    """Whether a file was left by a run cut short while it wrote."""
+    """True if a file was left by an interrupted write."""
     return name.startswith(".") and ".part" in name

@@ -1,4 +1,4 @@
-"""What the commands on a recording have in common: options, the folder, progress."""
+"""Options, output folder and progress of the commands on a recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A list of a file's channels that is a mapping to fill in at the same time."""
+"""List of a file's channels, written as a mapping to fill in."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _DOWN = re.compile(r"\d+-R?[XYZ]")
 
 
 def describe_sources(sources: Sequence[str], model: mujoco.MjModel | None = None) -> str:
-    r"""Describe files in the words of a mapping file: what is known as TOML, the rest as comments.
+    r"""Describe files as a mapping file: known entries as TOML, channels as comments.
 
     Every channel is a line to be uncommented; in it ``sensor.?`` is to be replaced by a column of
     the model. The text reads as TOML as it stands.

@@ -19,7 +19,7 @@ from loose_env.recording import FEWEST_SAMPLES, MOST_VALUES, ModelColumns, Run, 
 from loose_env.typing import Array
 
 Pool = Mapping[tuple[str, Path, ChannelKey], Samples]
-"""What was read: source, file and channel -> its samples."""
+"""Samples by source, file and channel."""
 
 _MOST_MISSING = 0.2
 _PREFIX = {"ctrl": "controls", "sensor": "sensors", "torque": "torques"}
@@ -27,7 +27,7 @@ _PREFIX = {"ctrl": "controls", "sensor": "sensors", "torque": "torques"}
 
 @dataclass(frozen=True, kw_only=True)
 class Joined:
-    """A run, and what was done for it in words."""
+    """A run, and the log of its processing."""
 
     run: Run
     lines: tuple[str, ...]
@@ -180,7 +180,7 @@ class _Column:
 
 
 def _factor(entry: ColumnEntry, samples: Samples, model: mujoco.MjModel) -> float:
-    """What one of the channel's values is in SI units."""
+    """Factor from the channel's values to SI units."""
     wanted = column_quantity(model, entry.column)
     name = entry.unit or samples.unit
     if not name:

@@ -1,4 +1,4 @@
-"""From files of loggers and a mapping to a recording that reads."""
+"""Import of loggers' files by a mapping into a recording."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from loose_env.recording import (
 
 @dataclass(frozen=True, kw_only=True)
 class ImportSettings:
-    """How a recording is written."""
+    """Settings of the written recording."""
 
     file_format: FileFormat = "parquet"
     """Format of the runs' tables."""
     overwrite: bool = False
-    """Whether a recording that lies at the output is replaced."""
+    """Replace an existing recording at the output."""
 
     def __post_init__(self) -> None:
         if self.file_format not in get_args(FileFormat):

@@ -17,7 +17,7 @@ from loose_env.typing import Array
 
 @dataclass(frozen=True, order=True)
 class ChannelKey:
-    """What names a channel in a file."""
+    """Identifier of a channel in a file."""
 
     channel: str
     """Column of a table, field of a message, or measured point of a universal file."""
@@ -35,7 +35,7 @@ class Samples:
     place: str
     """File and channel, as errors say it."""
     origin_ns: int
-    """Where its time is counted from [ns since 1970], or 0 where the file knows no date."""
+    """Origin of its time [ns since 1970], or 0 where the file has no date."""
     time: Array
     """Times [s] after the origin, shape (T,), increasing strictly."""
     values: Array
@@ -117,13 +117,13 @@ class Channel:
     """One channel."""
 
     key: ChannelKey
-    """What a mapping calls it."""
+    """Its identifier in a mapping."""
     first: tuple[float, ...] = ()
     """First values, as the file holds them."""
     unit: str = ""
     """Unit that the file itself gives."""
     words: str = ""
-    """What else the file says of it."""
+    """Further description in the file."""
 
 
 @dataclass(frozen=True, kw_only=True)

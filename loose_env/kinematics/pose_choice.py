@@ -18,22 +18,13 @@ from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.kinematics.seat_loads import reactions, wrench_rank
 from loose_env.typing import Array
 
-__all__ = [
-    "chebyshev_nodes",
-    "chebyshev_poses",
-    "choose_poses",
-    "worst_push",
-]
+__all__ = ["chebyshev_nodes", "chebyshev_poses", "choose_poses", "worst_push"]
 
 MOST_POSES = 50_000
 
 
 def worst_push(
-    arm: Arm,
-    pose: ArrayLike,
-    link: int | None = None,
-    *,
-    normalised: bool = True,
+    arm: Arm, pose: ArrayLike, link: int | None = None, *, normalised: bool = True
 ) -> float:
     """Minimum over directions of the load that the joints exert on a link's seat (4.2.3).
 

@@ -3,57 +3,20 @@
 Data flow: pages -> comparison -> diagnosis -> gap -> studies.
 """
 
-from loose_env.report.comparison.episode_timeline import (
-    episode_timeline,
-)
-from loose_env.report.comparison.report import (
-    write_comparison,
-)
-from loose_env.report.comparison.text import (
-    comparison_text,
-)
-from loose_env.report.diagnosis.page import (
-    write_page,
-)
-from loose_env.report.diagnosis.plan_page import (
-    write_plan_page,
-)
-from loose_env.report.diagnosis.plan_text import (
-    summary,
-)
-from loose_env.report.gap.text import (
-    ranked_words,
-    unsure,
-)
-from loose_env.report.gap.write import (
-    write_gap_report,
-)
-from loose_env.report.pages.figure_card import (
-    FigureCard,
-)
-from loose_env.report.pages.figures import (
-    WIDTH,
-    new_figure,
-    quiet_axes,
-)
-from loose_env.report.pages.palette import (
-    AGENTS,
-)
-from loose_env.report.pages.style import (
-    DARK,
-    FONT,
-    LIGHT,
-)
-from loose_env.report.pages.svg import (
-    standalone,
-    to_svg,
-)
-from loose_env.report.pages.template import (
-    paragraphs,
-    shown,
-    template,
-    write_whole,
-)
+from loose_env.report.comparison.episode_timeline import episode_timeline
+from loose_env.report.comparison.report import write_comparison
+from loose_env.report.comparison.text import comparison_text
+from loose_env.report.diagnosis.page import write_page
+from loose_env.report.diagnosis.plan_page import write_plan_page
+from loose_env.report.diagnosis.plan_text import summary
+from loose_env.report.gap.text import ranked_words, unsure
+from loose_env.report.gap.write import write_gap_report
+from loose_env.report.pages.figure_card import FigureCard
+from loose_env.report.pages.figures import WIDTH, new_figure, quiet_axes
+from loose_env.report.pages.palette import AGENTS
+from loose_env.report.pages.style import DARK, FONT, LIGHT
+from loose_env.report.pages.svg import standalone, to_svg
+from loose_env.report.pages.template import paragraphs, shown, template, write_whole
 from loose_env.report.studies import (
     FAINT,
     INK,

@@ -1,4 +1,4 @@
-"""Studies on disk: rows with everything needed to get them again, written whole or not at all.
+"""Studies on disk: rows with the settings that reproduce them, written atomically.
 
 The look that the figures of the studies share.
 """
@@ -18,7 +18,7 @@ import numpy as np
 
 
 def study_head(made_by: str, settings: Any, *, version: str, **more: Any) -> dict[str, Any]:
-    """Say what rows rest on: the script, its settings, the versions.
+    """Provenance of rows: the script, its settings, the versions.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def pyplot() -> Any:
 
 
 def save_figure(plt: Any, figure: Any, path: Path, *, dpi: int = 130) -> None:
-    """Write a figure beside its place, put it there whole, and close it."""
+    """Write a figure to a file atomically, and close it."""
     beside = path.with_suffix(f".part{path.suffix}")
     figure.savefig(beside, dpi=dpi)
     plt.close(figure)

@@ -4,33 +4,17 @@ Data flow: methods -> printed -> rigs -> shared -> ch3_modelling -> ch5_simulati
 ch6_experiments -> ch4_diagnosis.
 """
 
-from loose_env.thesis.ch6_experiments.shaken_vera.cases import (
-    printed_healthy,
-)
-from loose_env.thesis.rigs.cylindrical import (
-    cylindrical,
-)
-from loose_env.thesis.rigs.shaken_vera import (
-    PROXIMAL,
-    ShakenVeraFigures,
-    shaken_vera,
-)
-from loose_env.thesis.shared.page import (
-    render_thesis_page,
-)
-from loose_env.thesis.shared.sections import (
-    SECTIONS,
-    Outcome,
-    choose,
-    first_line,
-    run_sections,
-)
+from loose_env.thesis.ch6_experiments.shaken_vera.cases import printed_healthy
+from loose_env.thesis.rigs.cylindrical import cylindrical
+from loose_env.thesis.rigs.shaken_vera import PROXIMAL, ShakenVeraParameters, shaken_vera
+from loose_env.thesis.shared.page import render_thesis_page
+from loose_env.thesis.shared.sections import SECTIONS, Outcome, choose, first_line, run_sections
 
 __all__ = [
     "PROXIMAL",
     "SECTIONS",
     "Outcome",
-    "ShakenVeraFigures",
+    "ShakenVeraParameters",
     "choose",
     "cylindrical",
     "first_line",

@@ -3,7 +3,7 @@
 One set of parameters must explain the directions of lowest correlation and the maximum correlations
 that were printed for the healthy arm in five poses (ten numbers). The arm's closed-form answer to
 white force is compared with them; differential evolution searches within stated bounds. Nothing
-is tuned pose by pose. The result goes by hand into `ShakenVeraFigures`.
+is tuned pose by pose. The result goes by hand into `ShakenVeraParameters`.
 
 Usage: python scripts/studies/identify_shaken_vera.py [--seed 0] [--generations 40]
 """
@@ -21,7 +21,7 @@ from scipy.optimize import differential_evolution
 
 from loose_env.arms import ShakenArm
 from loose_env.statistics import axial_difference
-from loose_env.thesis import PROXIMAL, ShakenVeraFigures, printed_healthy, shaken_vera
+from loose_env.thesis import PROXIMAL, ShakenVeraParameters, printed_healthy, shaken_vera
 
 # Parameter, lowest and highest value, and whether to search on a logarithmic scale.
 BOUNDS = (
@@ -44,23 +44,23 @@ APART = 0.03
 """Hitch and accelerometer sit side by side on link 1: their distance counts from here [m]."""
 
 
-def figures_of(x: NDArray[np.float64]) -> ShakenVeraFigures:
+def parameters_of(x: NDArray[np.float64]) -> ShakenVeraParameters:
     """Turn a point of the search into parameters."""
     values = {
         name: float(np.exp(v)) if log else float(v)
         for (name, _, _, log), v in zip(BOUNDS, x, strict=True)
     }
-    return ShakenVeraFigures(**values)
+    return ShakenVeraParameters(**values)
 
 
-def healthy_cases(figures: ShakenVeraFigures, points: int = 200) -> NDArray[np.float64]:
+def healthy_cases(parameters: ShakenVeraParameters, points: int = 200) -> NDArray[np.float64]:
     """Direction of lowest correlation, from the tool's x axis [rad], and maximum correlation.
 
     Returns
     -------
     ndarray (poses, 2)
     """
-    shaken = ShakenArm(shaken_vera(figures=figures), points=points)
+    shaken = ShakenArm(shaken_vera(parameters=parameters), points=points)
     found = []
     for theta2, _, _ in printed_healthy():
         variance, c, s = shaken.at([0.0, theta2]).covariances(PROXIMAL, 1)
@@ -71,13 +71,13 @@ def healthy_cases(figures: ShakenVeraFigures, points: int = 200) -> NDArray[np.f
 
 def misfit(x: NDArray[np.float64]) -> float:
     """Mean square difference from the printed values, in the units above."""
-    figures = figures_of(x)
-    found = healthy_cases(figures)
+    parameters = parameters_of(x)
+    found = healthy_cases(parameters)
     total = 0.0
     for (direction, magnitude), (_, phi, c) in zip(found, printed_healthy(), strict=True):
         total += (axial_difference(direction, phi) / DIRECTION) ** 2
         total += ((magnitude - c) / MAGNITUDE) ** 2
-    apart = (figures.hitch - figures.accelerometer) / APART
+    apart = (parameters.hitch - parameters.accelerometer) / APART
     return (total + apart**2) / len(found)
 
 
@@ -105,13 +105,13 @@ def identify(settings: Settings) -> None:
             polish=False,
             callback=progress,
         )
-    figures = figures_of(result.x)
+    parameters = parameters_of(result.x)
     for name, _, _, _ in BOUNDS:
-        print(f"{name:22s} {getattr(figures, name):.3g}")
+        print(f"{name:22s} {getattr(parameters, name):.3g}")
     print(f"misfit {result.fun:.3f}\n")
     print("pose   direction printed, found [deg]   magnitude printed, found")
     for (theta2, phi, c), (direction, magnitude) in zip(
-        printed_healthy(), healthy_cases(figures, 400), strict=True
+        printed_healthy(), healthy_cases(parameters, 400), strict=True
     ):
         # From the tool's y axis, as the thesis counts.
         shown = [np.degrees(a) % 180 for a in (phi - np.pi / 2, direction - np.pi / 2)]

@@ -15,7 +15,7 @@ from loose_env.faults import Healthy, Preload
 from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import Accelerometer, SensorSuite
 from loose_env.statistics import transfer_function
-from loose_env.thesis import PROXIMAL, ShakenVeraFigures, shaken_vera
+from loose_env.thesis import PROXIMAL, ShakenVeraParameters, shaken_vera
 from loose_env.thesis.rigs.shaken_vera import SHAKEN_BAND
 
 RATE = 2000.0
@@ -123,7 +123,7 @@ def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(InvalidSetting, match="shaker_rms"):
         shake(force=-1.0)
     with pytest.raises(InvalidSetting, match="outer two thirds"):
-        ShakenVeraFigures(hitch=0.05)
+        ShakenVeraParameters(hitch=0.05)
     with pytest.raises(UnknownName, match="half_released"):
         shaken_vera(pin="loose")  # type: ignore[arg-type]
 

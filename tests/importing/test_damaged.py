@@ -84,11 +84,7 @@ def tried(home: Path, mapping: Callable[[str], Path], name: str, content: bytes)
 @FREELY
 @given(share=st.floats(0, 1))
 def test_files_that_were_cut(
-    home: Path,
-    mapping: Callable[[str], Path],
-    whole: dict[str, bytes],
-    name: str,
-    share: float,
+    home: Path, mapping: Callable[[str], Path], whole: dict[str, bytes], name: str, share: float
 ) -> None:
     content = whole[name]
     cut = min(int(share * len(content)), len(content) - 12)

@@ -59,9 +59,7 @@ def test_every_page_is_whole_and_loads_nothing_from_elsewhere(
     assert page.count("<svg") == page.count("<figure") == drawn
 
 
-def test_the_posterior_and_every_record_stand_in_numbers(
-    case: tuple[Arm, Diagnosis, str],
-) -> None:
+def test_the_posterior_and_every_record_stand_in_numbers(case: tuple[Arm, Diagnosis, str]) -> None:
     _, found, page = case
     said = words(page)
     best = max(found.posterior, key=lambda name: found.posterior[name])

@@ -54,7 +54,7 @@ class CsvLayout:
     skip: int = field(default=0, metadata=within(0, 10_000))
     """Lines before the line of names."""
     header: bool = True
-    """Whether there is a line of names; without one columns are called "1", "2" and so on."""
+    """True if there is a line of names; else columns are called "1", "2" and so on."""
     skip_after_header: int = field(default=0, metadata=within(0, 100))
     """Lines between the names and the numbers, such as a line of units."""
     missing: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""The units that a mapping may name, and which of them fit a column of a recording."""
+"""Units of a mapping, and the quantity of each column of a recording."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ STANDARD_GRAVITY = 9.80665
 
 @dataclass(frozen=True, kw_only=True)
 class Unit:
-    """A unit: what it measures, and how much one of it is in SI units."""
+    """A unit: its quantity, and its factor to SI units."""
 
     quantity: str
     factor: float
@@ -145,7 +145,7 @@ def unit_named(name: str, place: str) -> Unit:
 
 
 def known_units() -> str:
-    """All units in words, by what they measure."""
+    """List of all units by quantity."""
     quantities = dict.fromkeys(unit.quantity for unit in UNITS.values())
     return "; ".join(
         f"{quantity}: {' '.join(n for n, unit in UNITS.items() if unit.quantity == quantity)}"
@@ -154,7 +154,7 @@ def known_units() -> str:
 
 
 def column_quantity(model: mujoco.MjModel, column: str) -> str | None:
-    """What a column of a recording measures, or None where the model does not tell.
+    """Quantity of a column of a recording; None where the model does not determine it.
 
     Parameters
     ----------

@@ -129,7 +129,7 @@ def column_index(name: str, header: Sequence[str], channel: str) -> int:
 
 
 def number_of(cell: str, layout: CsvLayout, name: str, column: str, line: int) -> float:
-    """Read a cell; NaN where it says that the sample is missing.
+    """Read a cell; NaN for a missing sample.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def number_of(cell: str, layout: CsvLayout, name: str, column: str, line: int) -
 def _stamps(
     name: str, layout: CsvLayout, time: TimeSource
 ) -> Callable[[str, str], tuple[int, float]]:
-    """What reads a cell of time: whole nanoseconds, and the rest in seconds."""
+    """Parser of a cell of time: whole nanoseconds, and the rest in seconds."""
     if time.date_format:
         return lambda cell, place: (date_ns(cell, time.date_format, place), 0.0)
     nanos = round(unit_named(time.unit, f"{name}: time.unit").factor * 1e9)
@@ -181,5 +181,5 @@ def _cell(row: list[str], index: int) -> str:
 
 
 def _only_ending(row: list[str], header: Sequence[str]) -> bool:
-    """Whether a row lacks no more than a nameless last column, left by a separator at the end."""
+    """True if a row lacks only a nameless last column, left by a separator at the end."""
     return len(row) == len(header) - 1 and not header[-1]

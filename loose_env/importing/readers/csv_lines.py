@@ -57,10 +57,7 @@ def cells(file: IO[str], name: str, layout: CsvLayout) -> Iterator[tuple[int, li
     for _ in itertools.islice(lines, layout.skip):
         pass
     reader = csv.reader(
-        lines,
-        delimiter=layout.separator,
-        skipinitialspace=layout.separator == " ",
-        strict=True,
+        lines, delimiter=layout.separator, skipinitialspace=layout.separator == " ", strict=True
     )
     try:
         for row in reader:

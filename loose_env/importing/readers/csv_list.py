@@ -1,4 +1,4 @@
-"""What a table of a logger looks like: its separator, its names, its units, its time."""
+"""Detected layout of a logger's table: separator, names, units, time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The way to a number inside a message: ``position[elbow]``, ``linear_acceleration.x``."""
+"""Paths to numbers in a message: ``position[elbow]``, ``linear_acceleration.x``."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def _own_fields(kind: Any) -> tuple[str, ...]:
 
 
 def is_array(value: Any) -> bool:
-    """Whether a value is a list of some kind, and no text, bytes or object with fields."""
+    """True for a list of some kind, not for text, bytes or an object with fields."""
     if isinstance(value, (list, tuple)):
         return True
     return (

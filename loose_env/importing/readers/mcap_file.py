@@ -75,18 +75,18 @@ def read_mcap(
 
 
 class _Kept(NamedTuple):
-    """What is kept of one channel."""
+    """Samples kept of one channel."""
 
     path: FieldPath
     values: array[float]
     stamps: array[int]
     """Times [ns]."""
     numbers: array[int]
-    """Which message of the topic each is, from 1."""
+    """Number of each message within its topic, from 1."""
 
 
 class _Topic:
-    """What is gathered of one topic."""
+    """Samples gathered of one topic."""
 
     def __init__(self, place: str, time: TimeSource) -> None:
         self.place, self.time = place, time
@@ -183,7 +183,7 @@ class _Topic:
 
 @dataclass
 class _Seen:
-    """What is noted of a topic while it is listed."""
+    """Summary of a topic while it is listed."""
 
     kind: str
     encoding: str

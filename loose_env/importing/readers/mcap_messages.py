@@ -1,4 +1,4 @@
-"""Decoding of messages: ROS 2 (CDR), JSON, protobuf, as their channel says."""
+"""Decoding of messages by the encoding of their channel: ROS 2 (CDR), JSON, protobuf."""
 
 from __future__ import annotations
 

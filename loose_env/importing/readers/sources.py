@@ -1,4 +1,4 @@
-"""Which file a source of the mapping is, of what kind, and its channels."""
+"""Files of a mapping's sources, their kinds and channels."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def files_of_runs(mapping: ImportMapping, given: Given) -> list[dict[str, Path]]
 
 
 def kind_of(path: Path, told: FileKind | None = None) -> FileKind:
-    """Tell the kind of a file: as told, by its ending, else by its first bytes.
+    """Kind of a file: the given one, by its ending, else by its first bytes.
 
     Raises
     ------
@@ -170,7 +170,7 @@ def read_source(
 
 
 def _called(told: str, name: str, file: str, given: Given) -> str | None:
-    """What the command line calls a source: as a run tells, by its own name, or by its file's."""
+    """Key of a source's file on the command line: by the run, its own name, or its file's."""
     if told:
         return told if told in given else None
     stems = [call for call, path in given.items() if call == path.name and path.stem == name]

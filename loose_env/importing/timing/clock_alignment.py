@@ -1,4 +1,4 @@
-"""How far one clock is ahead of another, by two channels that show the same motion."""
+"""Offset between two clocks, from two channels of the same motion."""
 
 from __future__ import annotations
 

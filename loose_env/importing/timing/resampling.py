@@ -1,4 +1,4 @@
-"""One time base for channels of different rates; nothing is made up across a gap."""
+"""One time base for channels of different rates; gaps are not interpolated."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _AT_ONCE = 2_000_000
 
 
 class Resampled(NamedTuple):
-    """Values at the rows, and what was done in words."""
+    """Values at the rows, and a description of the method."""
 
     values: Array
     how: str
@@ -41,7 +41,7 @@ def median_step(time: Array) -> float:
 
 
 def is_even(time: Array) -> bool:
-    """Whether samples are evenly spaced, but for some that are missing."""
+    """True if samples are evenly spaced, missing ones aside."""
     steps = np.diff(time) / median_step(time)
     return bool(np.all(np.abs(steps - np.round(steps)) <= 2 * EVEN) and np.all(steps > 0.5))
 
@@ -162,7 +162,7 @@ def resampled(time: Array, values: Array, rows: Array, longest: float) -> Resamp
 
 
 def _inside(time: Array, rows: Array, longest: float) -> NDArray[np.bool_]:
-    """Whether a row lies between two samples that are no gap apart."""
+    """Mask of the rows between two samples that are no gap apart."""
     after = np.clip(np.searchsorted(time, rows, side="left"), 1, len(time) - 1)
     near = time[after] - time[after - 1] <= longest
     return np.asarray((rows >= time[0]) & (rows <= time[-1]) & near)

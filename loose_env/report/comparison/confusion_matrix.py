@@ -64,10 +64,7 @@ def confusion_counts(rows: Sequence[Row], hypotheses: Sequence[str]) -> NDArray[
 
 
 def confusion_matrix(
-    rows: Sequence[Row],
-    *,
-    hypotheses: Sequence[str] | None = None,
-    colour: str = AGENTS[0],
+    rows: Sequence[Row], *, hypotheses: Sequence[str] | None = None, colour: str = AGENTS[0]
 ) -> Figure:
     """Draw the confusion matrix of one agent's rows.
 

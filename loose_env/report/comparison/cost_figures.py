@@ -174,7 +174,7 @@ def _axes(entries: int, *, lines: int = 1) -> tuple[Figure, Axes]:
 
 
 def _finish(figure: Figure, axes: Axes, what: str) -> None:
-    """Leave of the frame what helps reading; say what the height means; put the legend below."""
+    """Style the axes, label their height, and put the legend below."""
     low, high = axes.get_ylim()
     step = 0.25 if high - low > 0.6 else 0.1
     ticks = np.arange(np.ceil(low / step) * step, high + 1e-9, step)

@@ -81,7 +81,7 @@ def write_comparison(
     timeline_agent: str = "",
     notes: str | Sequence[str] = (),
 ) -> Path:
-    """Write the page of a comparison: words, tables, figures, and one episode in pictures.
+    """Write the page of a comparison: text, tables, figures, and the timeline of an episode.
 
     Parameters
     ----------

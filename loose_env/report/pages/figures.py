@@ -77,10 +77,7 @@ def quiet_axes(
 
 
 def success_bars(
-    rows: Sequence[Row],
-    *,
-    colours: Mapping[str, str] | None = None,
-    chance: float | None = None,
+    rows: Sequence[Row], *, colours: Mapping[str, str] | None = None, chance: float | None = None
 ) -> Figure:
     """Draw a bar an agent: accuracy with its 95 % interval.
 

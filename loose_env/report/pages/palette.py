@@ -1,4 +1,4 @@
-"""Colours of the report's figures: one an agent, told apart by colour-blind eyes."""
+"""Colours of the report's figures: one an agent, safe for colour-blind readers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def agent_colours(agents: Sequence[str]) -> dict[str, str]:
 
 
 def is_light(colour: str) -> bool:
-    """Whether dark letters read better than white ones on a colour ``#rrggbb``.
+    """True if dark letters read better than white ones on a colour ``#rrggbb``.
 
     Examples
     --------

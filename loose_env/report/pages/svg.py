@@ -32,7 +32,7 @@ _AWAY = re.compile(r"""(?:href|src)\s*=\s*["']?\s*(?:https?:)?//|url\(\s*["']?(?
 
 
 def to_svg(figure: Figure) -> bytes:
-    """Save a figure as SVG, its letters as text, the same bytes every time."""
+    """Save a figure as SVG with letters as text, reproducible byte by byte."""
     import matplotlib
 
     buffer = io.BytesIO()

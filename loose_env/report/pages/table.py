@@ -16,7 +16,7 @@ class PageTable:
     rows: Sequence[Mapping[str, object]]
     """The keys of the first row are the columns; the first of them names the row."""
     heading: str = ""
-    """What stands above it; a table without a heading stands in the section before."""
+    """Section heading; a table without one joins the section before."""
     intro: str = ""
     """A paragraph below the heading."""
     title: str = ""

@@ -1,4 +1,4 @@
-"""What every page is made with: templates, pictures in place, files written whole."""
+"""Templates of the pages, inlined figures, and atomic writing."""
 
 from __future__ import annotations
 

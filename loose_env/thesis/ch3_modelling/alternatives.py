@@ -14,8 +14,8 @@ from loose_env.thesis.methods.looseness.modelling_alternatives import (
     ALTERNATIVES,
     MEASURES,
     AlternativeSettings,
-    Weighing,
-    weigh_alternatives,
+    Disagreement,
+    compare_alternatives,
 )
 from loose_env.thesis.methods.looseness.static_force_test import joint_torques, simulate_docked
 from loose_env.thesis.shared.sections import Table
@@ -25,7 +25,7 @@ GAP = 2e-4
 DIRECTION = (float(np.cos(np.radians(-15))), float(np.sin(np.radians(-15))), 0.0)
 """Direction of VERA's slide in link 2, -15°."""
 POSES = (0.6, 1.2, 1.9)
-"""Angles of joint 2 at which the alternatives are weighed [rad]."""
+"""Angles of joint 2 at which the alternatives are compared [rad]."""
 _EQUATIONS = ("3.1", "3.3", "3.9", "3.10", "3.17", "none", "3.20")
 
 
@@ -41,13 +41,13 @@ def loose_seat() -> StructuralLooseness:
     )
 
 
-def weigh(arm: Arm, seed: int, k: int) -> list[Weighing]:
-    """Weigh the seven alternatives in each pose; rms over the poses.
+def compare(arm: Arm, seed: int, k: int) -> list[Disagreement]:
+    """Compare the seven alternatives in each pose; rms over the poses.
 
     The excitation of pose p is drawn from ``[seed, 10 * k + p]``.
     """
     runs = [
-        weigh_alternatives(
+        compare_alternatives(
             arm, np.array([0.3, q]), loose_seat(), np.random.default_rng([seed, 10 * k + p])
         )
         for p, q in enumerate(POSES)
@@ -57,7 +57,7 @@ def weigh(arm: Arm, seed: int, k: int) -> list[Weighing]:
         return float(np.sqrt(np.mean(np.square(pick))))
 
     return [
-        Weighing(
+        Disagreement(
             name=same[0].name,
             measures=same[0].measures,
             unit=same[0].unit,
@@ -70,7 +70,7 @@ def weigh(arm: Arm, seed: int, k: int) -> list[Weighing]:
 
 
 def opening_words() -> str:
-    """Say what is weighed, on which arms and with which sensors."""
+    """Say what is compared, on which arms and with which sensors."""
     s = AlternativeSettings()
     suite = s.sensors
     return (
@@ -87,7 +87,9 @@ def opening_words() -> str:
     )
 
 
-def verdicts(flexible: list[Weighing], stiff: list[Weighing], chosen: Sequence[str]) -> list[str]:
+def verdicts(
+    flexible: list[Disagreement], stiff: list[Disagreement], chosen: Sequence[str]
+) -> list[str]:
     """Say where the gap stands out, and whether it does in those the thesis chose."""
     hidden = [w.name for w in flexible if w.against_all < 1]
     best = max(flexible, key=lambda w: w.against_all)
@@ -121,7 +123,7 @@ def verdicts(flexible: list[Weighing], stiff: list[Weighing], chosen: Sequence[s
     return [first, second]
 
 
-def finding(flexible: list[Weighing], stiff: list[Weighing], chosen: Sequence[str]) -> str:
+def finding(flexible: list[Disagreement], stiff: list[Disagreement], chosen: Sequence[str]) -> str:
     """Say in one sentence in how many models the gap stands out."""
     count = [sum(w.against_all >= 1 for w in arm) for arm in (stiff, flexible)]
     lost = [w.name for w in flexible if w.name in chosen and w.against_all < 1]
@@ -132,14 +134,14 @@ def finding(flexible: list[Weighing], stiff: list[Weighing], chosen: Sequence[st
     )
 
 
-def step_words(weighed: list[Weighing], halved: list[Weighing]) -> str:
-    """Say how far the gap's figures move when the simulation step is halved.
+def step_words(compared: list[Disagreement], halved: list[Disagreement]) -> str:
+    """Sensitivity of the gap's disagreements to halving the simulation step.
 
-    ``weighed``, ``halved``: VERA's alternatives under the same excitation, displacement first.
+    ``compared``, ``halved``: VERA's alternatives under the same excitation, displacement first.
     """
-    first, *rest = (abs(h.gap / w.gap - 1) for w, h in zip(weighed, halved, strict=True))
+    first, *rest = (abs(h.gap / w.gap - 1) for w, h in zip(compared, halved, strict=True))
     most = max(rest)
-    before, after = weighed[0], halved[0]
+    before, after = compared[0], halved[0]
     return (
         f"Halving the simulation step moves VERA's displacement figure from "
         f"{1e6 * before.gap:.0f} to {1e6 * after.gap:.0f} µm, the other alternatives by "
@@ -211,7 +213,7 @@ def what_table() -> Table:
     )
 
 
-def weighing_table(weighed: list[Weighing], arm: str) -> Table:
+def disagreement_table(compared: list[Disagreement], arm: str) -> Table:
     """Tabulate the disagreements of one arm and their ratios."""
     return Table(
         caption=f"{arm}: rms disagreement from the gap, from sensor noise and from what the "
@@ -227,6 +229,6 @@ def weighing_table(weighed: list[Weighing], arm: str) -> Table:
                 f"{w.against_noise:.2g}" if w.against_noise < 10 else f"{w.against_noise:.0f}",
                 f"{w.against_all:.2g}" if w.against_all < 10 else f"{w.against_all:.0f}",
             )
-            for w in weighed
+            for w in compared
         ),
     )

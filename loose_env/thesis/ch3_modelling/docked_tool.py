@@ -187,12 +187,7 @@ def loose_links(seed: int) -> tuple[Table, str, FigureCard]:
             caption=f"Docked arm of four joints, {POSES} poses: rms angle by which the "
             "directions disagree in each link's frame, degrees; link named; largest error of a "
             "direction, degrees.",
-            columns=(
-                "loose",
-                *(f"in link {k}" for k in range(1, arm.n + 1)),
-                "named",
-                "error, °",
-            ),
+            columns=("loose", *(f"in link {k}" for k in range(1, arm.n + 1)), "named", "error, °"),
             rows=tuple(rows),
         ),
         words,

@@ -1,4 +1,4 @@
-"""What a loose seat does to the Jacobian and to the inertia matrix (3.2.2)."""
+"""Effect of a loose seat on the Jacobian and on the inertia matrix (3.2.2)."""
 
 from __future__ import annotations
 

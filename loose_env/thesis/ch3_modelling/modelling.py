@@ -11,19 +11,19 @@ import numpy as np
 from loose_env.arms import planar, vera
 from loose_env.envs import INK, MEASURED, MUTED, SHAKEN
 from loose_env.report import FigureCard, new_figure, quiet_axes
-from loose_env.thesis.methods.looseness.modelling_alternatives import Weighing
+from loose_env.thesis.methods.looseness.modelling_alternatives import Disagreement
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 from loose_env.thesis.ch3_modelling.alternatives import (
     carried_torque,
+    compare,
+    disagreement_table,
     finding,
     opening_words,
     step_words,
     verdicts,
-    weigh,
-    weighing_table,
     what_table,
 )
 from loose_env.thesis.ch3_modelling.matrices import (
@@ -80,9 +80,9 @@ def section(seed: int) -> Section:
     """
     told = printed("modelling")
     arm = vera()
-    flexible = weigh(arm, seed, 0)
-    halved = weigh(replace(arm, timestep=arm.timestep / 2), seed, 0)
-    stiff = weigh(planar(2), seed, 1)
+    flexible = compare(arm, seed, 0)
+    halved = compare(replace(arm, timestep=arm.timestep / 2), seed, 0)
+    stiff = compare(planar(2), seed, 1)
     columns_table, columns_words = jacobian_columns()
     rank_table, rank_words = jacobian_ranks(told)
     inertia_table, inertia_words, inertia_card = inertia_condition(seed, told)
@@ -101,8 +101,8 @@ def section(seed: int) -> Section:
         ],
         tables=[
             what_table(),
-            weighing_table(flexible, "VERA, whose first bending mode lies inside the band"),
-            weighing_table(stiff, "A stiff planar arm of two links"),
+            disagreement_table(flexible, "VERA, whose first bending mode lies inside the band"),
+            disagreement_table(stiff, "A stiff planar arm of two links"),
             columns_table,
             rank_table,
             inertia_table,
@@ -134,14 +134,14 @@ def section(seed: int) -> Section:
     )
 
 
-def ratios_figure(weighed: Sequence[Weighing]) -> Figure:
+def ratios_figure(compared: Sequence[Disagreement]) -> Figure:
     """Draw two bars an alternative: the gap over noise, and over noise and model error."""
-    height = 0.52 * len(weighed) + 0.75
+    height = 0.52 * len(compared) + 0.75
     figure = new_figure(height)
     axes = figure.add_axes((0.03, 0.5 / height, 0.94, 1 - 0.62 / height))
-    values = [r for w in weighed for r in (w.against_noise, w.against_all)]
+    values = [r for w in compared for r in (w.against_noise, w.against_all)]
     low, high = 10 ** np.floor(np.log10(min(values))), 10 ** np.ceil(np.log10(max(values)))
-    for k, w in enumerate(weighed):
+    for k, w in enumerate(compared):
         y = -float(k)
         for ratio, shift, colour, word in (
             (w.against_noise, 0.11, MEASURED, "noise"),
@@ -170,7 +170,7 @@ def ratios_figure(weighed: Sequence[Weighing]) -> Figure:
         )
         axes.plot([1.0, 1.0], [y - 0.24, y + 0.22], color=INK, linewidth=1.2, zorder=3)
     axes.set_xscale("log")
-    axes.set(xlim=(low, high), ylim=(0.6 - len(weighed), 0.62))
+    axes.set(xlim=(low, high), ylim=(0.6 - len(compared), 0.62))
     axes.set_yticks([])
     ticks = 10.0 ** np.arange(np.log10(low), np.log10(high) + 0.5)
     axes.set_xticks(ticks, [f"{t:g}" for t in ticks])

@@ -1,4 +1,4 @@
-"""The comparative index and the direction errors, from the thesis's own figures."""
+"""Comparative index and direction errors, recomputed from the thesis's own data."""
 
 from __future__ import annotations
 
@@ -71,24 +71,24 @@ class IndexRow:
 
     @property
     def change_off(self) -> float:
-        """How far the printed |1 - C*| lies from what follows, 0 within rounding [1]."""
+        """Deviation of the printed |1 - C*| from the recomputed one, 0 within rounding [1]."""
         off = abs(self.change_printed - self.change)
         return off if off > _HUNDREDTH else 0.0
 
     @property
     def turn_off(self) -> float:
-        """How far the printed angle lies from what follows, whatever its sign [deg]."""
+        """Deviation of the printed angle from the recomputed one, without its sign [deg]."""
         angles = np.array([self.turn_printed - self.turn, self.turn_printed + self.turn])
         return round(float(np.abs(turns(angles, np.zeros(2))).min()), 6)
 
     @property
     def slip(self) -> bool:
-        """Whether magnitude or angle contradict table 6.4 and the text."""
+        """True if magnitude or angle contradict table 6.4 and the text."""
         return self.change_off > 0.0 or self.turn_off > STEP
 
     @property
     def remark(self) -> str:
-        """What differs, in words."""
+        """The differences as text."""
         parts = []
         if self.change_off:
             parts.append(f"magnitude {self.change_off:.2f} off")

@@ -1,4 +1,4 @@
-"""Tables 6.3 to 6.7 worked out again from the thesis's own figures: errors and the index.
+"""Tables 6.3 to 6.7 recomputed from the thesis's own data: errors and the index.
 
 The comparative index at every pose, printed and worked out again.
 """
@@ -42,7 +42,7 @@ _TURN = "φn − φ".replace(" ", "\u00a0")
 
 
 def section(seed: int) -> Section:
-    """Set tables 6.3 to 6.7 beside what follows from the thesis's own figures."""
+    """Compare tables 6.3 to 6.7 with values recomputed from the thesis's own data."""
     loose, preload, backlash = map(index_rows, ("looseness", "low_preload", "backlash"))
     errors = {name: error_summary(*directions(name)) for name in ("looseness", "backlash")}
     slips = _slips(loose, preload, backlash, errors)

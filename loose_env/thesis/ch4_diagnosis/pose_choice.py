@@ -66,9 +66,7 @@ def section(seed: int) -> Section:
                 heading="Poses",
             ),
             FigureCard(
-                image=set_figure(
-                    [(t.arm, t.poses, t.pushes) for t in trials],
-                ),
+                image=set_figure([(t.arm, t.poses, t.pushes) for t in trials]),
                 title="Chosen pose sets",
                 caption="The four poses chosen for each arm so that the least-pushed direction of "
                 "the worst seat is pushed most, per energy, and the joints differ most (by the "

@@ -28,7 +28,7 @@ class EllipsoidPanel:
     """The arm in one pose with its ellipsoid; directions in the tool frame, from its x axis."""
 
     title: str
-    """What stands above the panel."""
+    """Title of the panel."""
     pose: Array
     """Joint positions [rad] (n,)."""
     half_axes: Array
@@ -38,7 +38,7 @@ class EllipsoidPanel:
     printed: Array
     """Printed direction of the major axis, tool frame (2,)."""
     agrees: bool
-    """Whether the printed direction is that of the ellipsoid."""
+    """True if the printed direction is that of the ellipsoid."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

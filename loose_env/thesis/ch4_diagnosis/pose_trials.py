@@ -178,7 +178,7 @@ def trial_table(trials: list[Trial]) -> Table:
 
 
 def move_table(trials: list[Trial]) -> Table:
-    """How much the joints differ within the chosen sets."""
+    """Joint moves within the chosen sets."""
     return Table(
         caption="How much the joints differ between the poses of a set: smallest and mean move of "
         "any joint between any two poses, and the smallest |sin| of a move, by which (4.31) "
@@ -189,7 +189,7 @@ def move_table(trials: list[Trial]) -> Table:
 
 
 def trial_words(trials: list[Trial]) -> list[str]:
-    """What the choice of poses gains, in words."""
+    """Paragraphs on the gain from the choice of poses."""
 
     def held(key: tuple[bool, Drive]) -> str:
         return " and ".join(f"{100 * t.wins[key]:.0f} %" for t in trials)

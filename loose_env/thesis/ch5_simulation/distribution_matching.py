@@ -1,4 +1,4 @@
-"""How well marginal distribution matching finds a direction that is known (thesis 5.3.1)."""
+"""Error of marginal distribution matching for known directions (thesis 5.3.1)."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Case:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Found:
-    """What matching in the plane found in the data sets of a case."""
+    """Results of matching in the plane on the data sets of a case."""
 
     case: Case
     near: Array
@@ -82,7 +82,7 @@ class Found:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SpatialFound:
-    """What matching in space found in the data sets of a case."""
+    """Results of matching in space on the data sets of a case."""
 
     case: Case
     errors: Array

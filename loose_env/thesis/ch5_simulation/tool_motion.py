@@ -1,4 +1,4 @@
-"""Simulated motion of the loose planar arm's tool, in words, tables and contours (thesis 5.1)."""
+"""Simulated motion of the loose planar arm's tool: text, tables and contours (thesis 5.1)."""
 
 from __future__ import annotations
 

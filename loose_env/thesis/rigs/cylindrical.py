@@ -204,8 +204,4 @@ def _mass(
 
 def _box(mass: float, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Principal inertia of a box of the given sides [kg·m²]."""
-    return (
-        mass * (y**2 + z**2) / 12,
-        mass * (x**2 + z**2) / 12,
-        mass * (x**2 + y**2) / 12,
-    )
+    return (mass * (y**2 + z**2) / 12, mass * (x**2 + z**2) / 12, mass * (x**2 + y**2) / 12)

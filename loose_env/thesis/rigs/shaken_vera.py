@@ -17,8 +17,8 @@ SHAKEN_BAND = (20.0, 350.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShakenVeraFigures:
-    """Figures of the rig that the thesis does not print, one set for all its cases.
+class ShakenVeraParameters:
+    """Parameters of the rig that the thesis does not print, one set for all cases.
 
     The defaults were identified by ``scripts/studies/identify_shaken_vera.py`` from the printed
     directions and magnitudes of the five healthy cases together.
@@ -39,9 +39,9 @@ class ShakenVeraFigures:
     joint_damping: float = 1.26
     """Damping of joint 1, whose drive is turned backwards [N·m·s/rad]."""
     hitch: float = 0.160
-    """Where the stinger pushes link 1, from joint 1 [m]."""
+    """Distance of the stinger from joint 1 [m]."""
     accelerometer: float = 0.167
-    """Where link 1 carries its accelerometer, from joint 1 [m]."""
+    """Distance of link 1's accelerometer from joint 1 [m]."""
     coil_mass: float = 0.805
     """Coil and table of the shaker [kg]."""
     suspension_stiffness: float = 2.29e5
@@ -63,7 +63,7 @@ STINGER_STIFFNESS, STINGER_DAMPING, STINGER_LENGTH = 1.56e7, 50.0, 0.17
 """The threaded rod between shaker and link (6.12) [N/m, N·s/m, m]."""
 
 
-def shaken_vera(*, pin: Pin = "engaged", figures: ShakenVeraFigures | None = None) -> Arm:
+def shaken_vera(*, pin: Pin = "engaged", parameters: ShakenVeraParameters | None = None) -> Arm:
     """Build VERA on the shaker: link 1 is pushed, joint 2 is blocked by a pin.
 
     Both bending modes are in the model, since the band reaches 350 Hz, and so is the
@@ -74,8 +74,8 @@ def shaken_vera(*, pin: Pin = "engaged", figures: ShakenVeraFigures | None = Non
     pin : {"engaged", "half_released", "rigid"}
         The pin of joint 2: as in the experiments, drawn out until half of its stiffness is
         left (6.5.3), or twenty times as stiff.
-    figures : ShakenVeraFigures, optional
-        Figures of the rig.
+    parameters : ShakenVeraParameters, optional
+        Parameters of the rig.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def shaken_vera(*, pin: Pin = "engaged", figures: ShakenVeraFigures | None = Non
     stiffness = {"engaged": 1.0, "half_released": 0.5, "rigid": 20.0}
     if pin not in stiffness:
         raise UnknownName(f"unknown pin {pin!r}: {', '.join(map(repr, stiffness))}")
-    rig = ShakenVeraFigures() if figures is None else figures
+    rig = ShakenVeraParameters() if parameters is None else parameters
     spec = vera_spec(
         mode_damping=rig.link1_damping,
         link2=BendingLink2(

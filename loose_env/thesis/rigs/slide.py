@@ -140,13 +140,7 @@ def _bench(spec: mujoco.MjSpec) -> mujoco.MjsBody:
     for name, kind, axis, hz, inertia in (
         ("bench_x", slide, [c, s, 0], BENCH_MODES_HZ[0], BENCH_MASS),
         ("bench_y", slide, [-s, c, 0], BENCH_MODES_HZ[1], BENCH_MASS + load * c**2),
-        (
-            "bench_yaw",
-            hinge,
-            [0, 0, 1],
-            BENCH_MODES_HZ[2],
-            BENCH_INERTIA + load * RAILS[0] ** 2,
-        ),
+        ("bench_yaw", hinge, [0, 0, 1], BENCH_MODES_HZ[2], BENCH_INERTIA + load * RAILS[0] ** 2),
     ):
         omega = 2 * np.pi * hz
         bench.add_joint(

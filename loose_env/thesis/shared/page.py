@@ -1,4 +1,4 @@
-"""The page of the reproduction: every section, what it implements and what is left out."""
+"""Page of the reproduction: sections, implemented equations, omissions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LEFT_OUT = (
     "travel does not change what they say.",
     "Inspection by telepresence (8.3.5): it concerns the person who looks, not the statistics.",
 )
-"""What the thesis proposes as future work and no section touches, with its place."""
+"""Future work of the thesis that no section reproduces, with its reference."""
 
 _NUMBER = re.compile(r"[≈~<>≤≥]?\s*[-−+±]?\s*[\d.]")
 _LONG, _LONGER = 24, 60  # letters; a cell with more may break into lines
@@ -129,7 +129,7 @@ def _section(outcome: Outcome) -> dict[str, Any]:
 
 
 def _table(table: Table) -> dict[str, Any]:
-    """Rows with the class of each column: numbers stand right, words left and may break."""
+    """Rows with the class of each column: numbers are right-aligned, text may wrap."""
     kinds = []
     for k in range(len(table.columns)):
         cells = [row[k] for row in table.rows]

@@ -1,4 +1,4 @@
-"""Small multiples that several experiments share: correlation loops, and figures by pose."""
+"""Small multiples of several experiments: correlation loops, statistics by pose, signals."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class LoopPanel:
     """One pose: correlation loops of several states, and the direction sought."""
 
     title: str
-    """What stands above the panel."""
+    """Title of the panel."""
     loops: Sequence[tuple[ArrayLike, ArrayLike]]
     """Reference x (N,) and acceleration a (2, N) of each state, in the order of the names."""
     direction: float | None = None
@@ -38,10 +38,10 @@ class LoopPanel:
 
 @dataclass(frozen=True, kw_only=True)
 class Points:
-    """A figure with its interval at every category."""
+    """A statistic with its interval in every category."""
 
     name: str
-    """What it is, for the legend."""
+    """Name in the legend."""
     values: Sequence[float]
     """One value a category."""
     low: Sequence[float]
@@ -52,35 +52,42 @@ class Points:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Curve:
-    """A figure against direction."""
+    """A statistic against direction."""
 
     name: str
-    """What it is, for the legend."""
+    """Name in the legend."""
     angles: NDArray[np.float64]
     """Directions from the x axis [rad]."""
     values: NDArray[np.float64]
-    """The figure along each."""
+    """The statistic along each."""
 
 
-def loop_panels(panels: Sequence[LoopPanel], names: Sequence[str], *, columns: int = 3) -> Figure:
-    """Draw polar loops of correlation against direction, a panel a pose.
-
-    The tool's y axis points up, from which the thesis counts its angles; the outer circle is a
-    correlation of one. A thin line through the middle marks the direction sought.
-    """
-    rows = -(-len(panels) // columns)
-    side = WIDTH / columns
-    head = 0.32
+def square_panels(count: int, names: Sequence[str], columns: int = 3) -> tuple[Figure, list[Axes]]:
+    """Square panels without frames, so many side by side, below a legend of the states."""
+    rows, side, head = -(-count // columns), WIDTH / columns, 0.32
     height = rows * (side + 0.1) + head
     figure = new_figure(height)
     legend_row(figure, names, height)
-    angles = np.linspace(0.0, np.pi, 181)
-    for k, panel in enumerate(panels):
+    found: list[Axes] = []
+    for k in range(count):
         row, column = divmod(k, columns)
         bottom = (height - head - (row + 1) * (side + 0.1)) / height
         axes = figure.add_axes((column / columns, bottom, 1 / columns, side / height))
         axes.set_axis_off()
         axes.patch.set_alpha(0.0)
+        found.append(axes)
+    return figure, found
+
+
+def loop_panels(panels: Sequence[LoopPanel], names: Sequence[str]) -> Figure:
+    """Draw polar loops of correlation against direction, a panel a pose.
+
+    The tool's y axis points up, from which the thesis counts its angles; the outer circle is a
+    correlation of one. A thin line through the middle marks the direction sought.
+    """
+    figure, places = square_panels(len(panels), names)
+    angles = np.linspace(0.0, np.pi, 181)
+    for panel, axes in zip(panels, places, strict=True):
         axes.set(xlim=(-1.15, 1.15), ylim=(-1.1, 1.2), aspect="equal")
         turn = np.linspace(0.0, 2 * np.pi, 121)
         for radius in (0.5, 1.0):
@@ -121,7 +128,7 @@ def by_category(
     xlabel: str,
     symlog: float | None = None,
 ) -> Figure:
-    """Draw figures with intervals, side by side at every category.
+    """Draw statistics with intervals, side by side in every category.
 
     ``ylabel``, ``xlabel``: names of the axes. ``symlog``: draw logarithmically beyond this value,
     linearly within.
@@ -152,7 +159,7 @@ def by_category(
 def curves_by_direction(
     panels: Sequence[tuple[str, Sequence[Curve]]], *, direction: float, label: str
 ) -> Figure:
-    """Draw figures against direction, one panel below the other.
+    """Draw statistics against direction, one panel below the other.
 
     ``panels``: name of each panel's vertical axis, and its curves. ``direction``: direction of the
     fault, from the x axis [rad]; marked by a line.
@@ -169,11 +176,7 @@ def curves_by_direction(
             shown = (np.degrees(curve.angles) - 90) % 180
             order = np.argsort(shown)
             axes.plot(
-                shown[order],
-                curve.values[order],
-                color=colour,
-                linewidth=1.6,
-                linestyle=style,
+                shown[order], curve.values[order], color=colour, linewidth=1.6, linestyle=style
             )
         marked = (np.degrees(direction) - 90) % 180
         axes.axvline(marked, color=INK, linewidth=1.0)

@@ -1,4 +1,4 @@
-"""A section of the reproduction: words, tables that set printed beside found, figures."""
+"""Sections of the reproduction: contents, registry, and runs in parallel processes."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from loose_env.report import FigureCard, to_svg
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A table of the page; every cell is text that code has made from a figure."""
+    """A table of the page; every cell is formatted text."""
 
     caption: str
-    """What the table shows, with the number of the thesis's table or section."""
+    """Caption, with the number of the thesis's table or section."""
     columns: tuple[str, ...]
     """Headings; the first column names the row."""
     rows: tuple[tuple[str, ...], ...]
@@ -47,7 +47,7 @@ class Section:
     finding: str
     """The outcome in one sentence, printed beside found: for the table at the top of the page."""
     words: Sequence[str]
-    """Paragraphs: what was done, what the thesis found, what is found here."""
+    """Paragraphs: method, result of the thesis, result here."""
     tables: Sequence[Table] = ()
     """Tables, printed beside found."""
     cards: Sequence[FigureCard] = ()
@@ -55,7 +55,7 @@ class Section:
     equations: Mapping[str, str] = field(default_factory=dict)
     """Function that implements each equation, by its number: ``{"6.6": "module.function"}``."""
     left_out: Sequence[str] = ()
-    """What of the thesis is not reproduced here, and why."""
+    """Parts of the thesis that are not reproduced, and the reasons."""
 
 
 _PACKAGE = "loose_env.thesis"
@@ -118,7 +118,7 @@ def load(key: str) -> ModuleType:
 
 
 def first_line(key: str) -> str:
-    """Return what the module of a section says it does, or that there is none."""
+    """First line of the docstring of a section's module."""
     try:
         module = load(key)
     except UnknownName:
@@ -128,18 +128,18 @@ def first_line(key: str) -> str:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Outcome:
-    """What became of a section: the section itself, or why there is none."""
+    """Outcome of a run: the section, or the error."""
 
     key: str
     """Key of the section."""
     seconds: float
-    """How long it ran [s]."""
+    """Run time [s]."""
     section: Section | None = None
     """The section, its figures as SVG; None where it failed."""
     error: str = ""
     """The error in one line."""
     trace: str = ""
-    """Where it happened, for the terminal."""
+    """Traceback, for the terminal."""
 
 
 def run_section(key: str, seed: int) -> Outcome:

@@ -7,7 +7,7 @@ import pytest
 from loose_env.thesis.ch3_modelling import identification, modelling
 from loose_env.thesis.ch3_modelling import matrices as looseness_matrices
 from loose_env.thesis.ch3_modelling.alternatives import finding, step_words
-from loose_env.thesis.methods.looseness.modelling_alternatives import Weighing
+from loose_env.thesis.methods.looseness.modelling_alternatives import Disagreement
 from loose_env.thesis.printed import printed
 from loose_env.thesis.shared.sections import Section
 
@@ -76,23 +76,23 @@ def test_play_conditions_the_inertia_worse_than_a_slide():
     assert scaled["vera, play in joint 1"] > 10 * scaled["vera, slide at link 1"]
 
 
-def weighing(name: str, gap: float, noise: float = 1e-5) -> Weighing:
-    return Weighing(name=name, measures="", unit="m", gap=gap, noise=noise, model=0.0)
+def disagreement(name: str, gap: float, noise: float = 1e-5) -> Disagreement:
+    return Disagreement(name=name, measures="", unit="m", gap=gap, noise=noise, model=0.0)
 
 
 def test_the_step_is_said_to_matter_only_where_it_does():
-    coarse = [weighing("displacement", 20e-6), weighing("velocity", 1.00)]
-    fine = [weighing("displacement", 30e-6), weighing("velocity", 1.01)]
+    coarse = [disagreement("displacement", 20e-6), disagreement("velocity", 1.00)]
+    fine = [disagreement("displacement", 30e-6), disagreement("velocity", 1.01)]
     rough = step_words(coarse, fine)
     assert "from 20 to 30 µm" in rough
     assert "by 1 % at most" in rough
     assert "ratio of 2 (3 with the finer step) is rough" in rough
-    assert "is rough" not in step_words(coarse, [weighing("displacement", 20.2e-6), fine[1]])
+    assert "is rough" not in step_words(coarse, [disagreement("displacement", 20.2e-6), fine[1]])
 
 
 def test_the_finding_counts_the_models_in_which_the_gap_stands_out():
-    stiff = [weighing("velocity", 2e-5), weighing("acceleration", 2e-5)]
-    flexible = [weighing("velocity", 5e-6), weighing("acceleration", 2e-5)]
+    stiff = [disagreement("velocity", 2e-5), disagreement("acceleration", 2e-5)]
+    flexible = [disagreement("velocity", 5e-6), disagreement("acceleration", 2e-5)]
     words = finding(flexible, stiff, ["velocity", "acceleration"])
     assert "in 2 of 2 models on a stiff arm and in 1 of 2 on VERA" in words
     assert "of the two that the thesis chose, 1 show" in words

@@ -10,7 +10,7 @@ from loose_env.statistics import axial_difference
 from loose_env.thesis.ch6_experiments.shaken_vera.cases import (
     LOOSE_DIRECTION,
     PLAY_DIRECTION,
-    CaseFigures,
+    CaseStatistics,
     Spread,
     from_y,
     measured_cases,
@@ -29,7 +29,7 @@ PRINTED_RMS = {"looseness": 20.5, "backlash": 16.0}
 
 
 @pytest.fixture(scope="module")
-def cases() -> dict[str, list[CaseFigures]]:
+def cases() -> dict[str, list[CaseStatistics]]:
     return measured_cases(7, STATES, records=8)
 
 
@@ -52,7 +52,7 @@ def test_modes_and_pin_bring_the_healthy_directions_to_the_printed_ones() -> Non
 
 
 def test_the_simulated_healthy_arm_agrees_with_the_closed_form(
-    cases: dict[str, list[CaseFigures]],
+    cases: dict[str, list[CaseStatistics]],
 ) -> None:
     shaken = ShakenArm(shaken_vera())
     for case in cases["high preload"]:
@@ -69,7 +69,7 @@ def test_the_simulated_healthy_arm_agrees_with_the_closed_form(
     ("state", "direction"), [("looseness", LOOSE_DIRECTION), ("backlash", PLAY_DIRECTION)]
 )
 def test_the_thesis_method_is_no_worse_than_it_printed(
-    cases: dict[str, list[CaseFigures]], state: str, direction: float
+    cases: dict[str, list[CaseStatistics]], state: str, direction: float
 ) -> None:
     errors = [
         direction_errors(case, tight, direction)
@@ -85,7 +85,7 @@ def test_the_thesis_method_is_no_worse_than_it_printed(
     assert rms_over_poses(large).mean < 10.0
 
 
-def test_low_preload_is_no_alarm(cases: dict[str, list[CaseFigures]]) -> None:
+def test_low_preload_is_no_alarm(cases: dict[str, list[CaseStatistics]]) -> None:
     printed_most = 0.055
     for tight, finger in zip(cases["high preload"], cases["low preload"], strict=True):
         assert index_spread(finger, tight).mean <= printed_most
@@ -97,7 +97,7 @@ def test_low_preload_is_no_alarm(cases: dict[str, list[CaseFigures]]) -> None:
 
 
 def test_kurtosis_rises_where_the_push_reaches_the_joint(
-    cases: dict[str, list[CaseFigures]],
+    cases: dict[str, list[CaseStatistics]],
 ) -> None:
     from loose_env.thesis.ch6_experiments.shaken_vera.tables import moment_points
 
@@ -109,7 +109,7 @@ def test_kurtosis_rises_where_the_push_reaches_the_joint(
     assert abs(tight[first]) < 0.5 < 2.0 < loose[first]
 
 
-def test_records_depend_on_the_seed_alone(cases: dict[str, list[CaseFigures]]) -> None:
+def test_records_depend_on_the_seed_alone(cases: dict[str, list[CaseStatistics]]) -> None:
     again = measured_cases(7, ("backlash",), records=3)["backlash"]
     for old, new in zip(cases["backlash"], again, strict=True):
         for a, b in zip(old.measurements[:3], new.measurements, strict=True):

@@ -10,8 +10,8 @@ from loose_env.faults import StructuralLooseness
 from loose_env.thesis.methods.looseness.modelling_alternatives import (
     ALTERNATIVES,
     AlternativeSettings,
-    Weighing,
-    weigh_alternatives,
+    Disagreement,
+    compare_alternatives,
 )
 
 POSE = np.array([0.3, 1.2])
@@ -21,14 +21,14 @@ LOOSE = StructuralLooseness(
 )
 
 
-def weigh(arm, fault=LOOSE, settings=SHORT) -> dict[str, Weighing]:
+def compare(arm, fault=LOOSE, settings=SHORT) -> dict[str, Disagreement]:
     rng = np.random.default_rng(1)
-    return {w.name: w for w in weigh_alternatives(arm, POSE, fault, rng, settings=settings)}
+    return {w.name: w for w in compare_alternatives(arm, POSE, fault, rng, settings=settings)}
 
 
 @pytest.fixture(scope="module")
-def stiff() -> dict[str, Weighing]:
-    return weigh(planar(2))
+def stiff() -> dict[str, Disagreement]:
+    return compare(planar(2))
 
 
 def test_a_stiff_healthy_arm_agrees_with_every_model(stiff):
@@ -38,13 +38,13 @@ def test_a_stiff_healthy_arm_agrees_with_every_model(stiff):
 
 
 def test_a_gap_that_is_none_makes_no_difference(stiff):
-    shut = weigh(planar(2), replace(LOOSE, gap=0.0, friction=1e4))
+    shut = compare(planar(2), replace(LOOSE, gap=0.0, friction=1e4))
     for name, w in shut.items():
         assert w.gap < 0.01 * stiff[name].gap, name
 
 
 def test_bending_in_the_band_spoils_the_rigid_models_only():
-    found = weigh(vera())
+    found = compare(vera())
     for name in ("velocity", "acceleration", "constrained dynamics"):
         assert found[name].model > found[name].gap, name
     for name in ("static force", "flexible dynamics"):
@@ -59,7 +59,7 @@ def test_the_noise_of_an_accelerometer_alone(stiff):
         accelerometer=Accelerometer(noise_density=density, resolution=0.0),
         encoder=Encoder(noise=0.0, resolution=0.0),
     )
-    found = weigh(planar(2), settings=replace(SHORT, sensors=sensors, torque_noise=1e-12))
+    found = compare(planar(2), settings=replace(SHORT, sensors=sensors, torque_noise=1e-12))
     expected = density * np.sqrt(2 * (high - low))
     assert found["acceleration"].noise == pytest.approx(expected, rel=0.01)
     assert found["flexible dynamics"].noise == pytest.approx(expected, rel=0.01)

@@ -1,4 +1,4 @@
-"""Experiment One: whether the motions of a large cylindrical arm repeat (6.2.1)."""
+"""Experiment One: repeatability of a large cylindrical arm (6.2.1)."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ SHIFTED_POSE = "A"
 
 @dataclass(frozen=True, kw_only=True)
 class Repeatability:
-    """How well the strokes of a set agree."""
+    """Agreement of the strokes of a set."""
 
     spread: float
     """Rms of a stroke about the mean of its set; unit of the signal."""

@@ -45,10 +45,7 @@ def spectrum_card(sets: Mapping[str, Strokes], averages: int, settings: Guideway
     _, b = _spectrum(sets["B"].acceleration[:averages], settings.rate)
     shown = frequency <= 60.0
     figure, axes = panels(
-        ["pose A", "pose B", "A less B"],
-        across="frequency [Hz]",
-        up=[_LABEL] * 3,
-        height=0.95,
+        ["pose A", "pose B", "A less B"], across="frequency [Hz]", up=[_LABEL] * 3, height=0.95
     )
     for panel, line, colour in zip(axes, (a, b, a - b), (MEASURED, MEASURED, TRUTH), strict=True):
         panel.plot(frequency[shown], line[shown], color=colour, linewidth=1.1)

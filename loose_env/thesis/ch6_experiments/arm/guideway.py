@@ -57,7 +57,7 @@ class Guideway:
     lead: float = 0.10
     """Time before the stroke starts [s]."""
     trigger: float = 0.12
-    """When recording starts, after the start of the stroke [s]."""
+    """Start of the record, after the start of the stroke [s]."""
     record: float = 1.40
     """Length of a record [s]."""
     rate: float = 1000.0

@@ -318,6 +318,6 @@ def _readings(
         + f"The workspace's 'outer diameter' of {radius:g} m is a slip as well: twice the link "
         f"length, {2 * LINK_LENGTH:.2f} m, is the outer radius. The number of cases within both "
         f"drives' torque is {fits[0]}, {fits[1]} and {fits[2]} of {len(cases)} in the three "
-        "readings.",
+        "readings."
     ]
     return table, words

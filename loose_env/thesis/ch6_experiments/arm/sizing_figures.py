@@ -25,7 +25,7 @@ class CaseCurves:
     """One case of the sweep."""
 
     name: str
-    """What stands above its row."""
+    """Title of its row."""
     angles: Array
     """Angle of joint 2 [deg] (K,)."""
     torque: Array

@@ -14,7 +14,7 @@ STEEL = 7850.0
 
 
 def structures(told: dict[str, Any]) -> tuple[Table, list[str]]:
-    """Table and words on the frequencies, from the printed figures of the sizing."""
+    """Table and text on the frequencies, from the printed data of the sizing."""
     one, rod = told["link_1"], told["stinger"]
     figures = {
         "second_moment": one["second_moment_m4"],
@@ -89,7 +89,7 @@ def structures(told: dict[str, Any]) -> tuple[Table, list[str]]:
         f"{rod['measured_hz']:g} Hz needs an effective area "
         f"{100 * (1 - area(rod['measured_hz']) / rod['area']):.0f} % smaller than printed, or "
         "another compliance in series, so the formula does not explain it as closely as the "
-        "thesis says.",
+        "thesis says."
     ]
     return table, words
 

@@ -55,7 +55,7 @@ STATES: Mapping[str, tuple[Fault, str]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """A figure over the records of a case."""
+    """A statistic over the records of a case."""
 
     mean: float
     """Mean over the records (axial for directions)."""
@@ -79,7 +79,7 @@ class Spread:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class CaseFigures:
+class CaseStatistics:
     """One pose in one state, over all its records."""
 
     theta2: float
@@ -135,7 +135,7 @@ def from_y(angle: float) -> float:
 @lru_cache(maxsize=4)
 def measured_cases(
     seed: int, states: tuple[str, ...], *, records: int = RECORDS
-) -> dict[str, list[CaseFigures]]:
+) -> dict[str, list[CaseStatistics]]:
     """Measure every pose in every state.
 
     ``states``: keys of `STATES`. ``records``: records of every case; the first ones are the same
@@ -144,7 +144,7 @@ def measured_cases(
     return {state: _measure(state, seed, records) for state in states}
 
 
-def _measure(state: str, seed: int, records: int) -> list[CaseFigures]:
+def _measure(state: str, seed: int, records: int) -> list[CaseStatistics]:
     fault, pin = STATES[state]
     arm: Arm = shaken_vera(pin=pin)  # type: ignore[arg-type]
     angles = poses()
@@ -162,7 +162,7 @@ def _measure(state: str, seed: int, records: int) -> list[CaseFigures]:
         jobs.append(Job(slot=slot, pose=np.array([0.0, angles[pose]]), excitation=shake, rng=rng))
     measured = rig.measure_many(jobs)
     return [
-        CaseFigures(
+        CaseStatistics(
             theta2=theta2,
             state=state,
             measurements=tuple(

@@ -12,7 +12,7 @@ from loose_env.statistics import axial_difference
 from loose_env.thesis.ch6_experiments.shaken_vera.cases import (
     LOOSE_DIRECTION,
     RECORDS,
-    CaseFigures,
+    CaseStatistics,
     measured_cases,
     poses,
     printed_healthy,
@@ -45,7 +45,7 @@ from loose_env.thesis.ch6_experiments.shaken_vera.tables import (
     tool_peaks,
 )
 from loose_env.thesis.printed import printed
-from loose_env.thesis.rigs.shaken_vera import PROXIMAL, ShakenVeraFigures, shaken_vera
+from loose_env.thesis.rigs.shaken_vera import PROXIMAL, ShakenVeraParameters, shaken_vera
 from loose_env.thesis.shared.plots import rms
 from loose_env.thesis.shared.sections import Section
 
@@ -61,7 +61,7 @@ EQUATIONS: dict[str, str] = {
 
 _STATES = (TIGHT, FINGER, LOOSE, "pin half released")
 
-Cases = Mapping[str, Sequence[CaseFigures]]
+Cases = Mapping[str, Sequence[CaseStatistics]]
 
 
 def section(seed: int) -> Section:
@@ -144,7 +144,7 @@ def _misfit(angles: Sequence[float]) -> float:
 
 
 def _words(closed: Mapping[str, Sequence[float]]) -> list[str]:
-    rig = ShakenVeraFigures()
+    rig = ShakenVeraParameters()
     rigid, bending, pin = (_misfit(closed[k]) for k in ("rigid", "bending", "pin"))
     return [
         "A shaker pushes link 1, a pin blocks joint 2, and the looseness joint sits at the foot "
@@ -186,7 +186,7 @@ def _fault_words(cases: Cases, errors: Sequence[Errors]) -> list[str]:
         f"the poses; 95 % of sets of single records {ours.low:.0f}° to {ours.high:.0f}°); the "
         f"thesis printed {theirs:.1f}°. The change of transmission between "
         f"{LOW_BAND[0]:.0f} and {LOW_BAND[1]:.0f} Hz, below the modes, misses it by "
-        f"{change.mean:.0f}° over all poses.",
+        f"{change.mean:.0f}° over all poses."
     ]
     coherence = rms_over_poses([e.coherence for e in errors])
     general = rms_over_poses([e.general for e in errors])

@@ -9,7 +9,7 @@ import numpy as np
 from loose_env.report import FigureCard
 from loose_env.thesis.ch6_experiments.shaken_vera.cases import (
     PLAY_DIRECTION,
-    CaseFigures,
+    CaseStatistics,
     measured_cases,
     poses,
 )
@@ -42,7 +42,7 @@ EQUATIONS: dict[str, str] = {
 
 TIGHT, PLAY = "high preload", "backlash"
 
-Cases = Mapping[str, Sequence[CaseFigures]]
+Cases = Mapping[str, Sequence[CaseStatistics]]
 
 
 def section(seed: int) -> Section:

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from loose_env.envs import FAINT, INK, MUTED
-from loose_env.report import WIDTH, new_figure
 from loose_env.sensors import STANDARD_GRAVITY
 from loose_env.statistics import moments_by_direction, spectral_flatness
-from loose_env.thesis.ch6_experiments.shaken_vera.cases import RATE, CaseFigures, poses
+from loose_env.thesis.ch6_experiments.shaken_vera.cases import RATE, CaseStatistics, poses
 from loose_env.thesis.ch6_experiments.shaken_vera.tables import (
     coherence_by_direction,
     moment_points,
@@ -27,15 +26,15 @@ from loose_env.thesis.shared.plots import (
     LoopPanel,
     by_category,
     curves_by_direction,
-    legend_row,
     loop_panels,
+    square_panels,
 )
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-Cases = Mapping[str, Sequence[CaseFigures]]
+Cases = Mapping[str, Sequence[CaseStatistics]]
 
 
 def loop_figure(cases: Cases, states: Sequence[str], direction: float) -> Figure:
@@ -85,11 +84,7 @@ _SHARE = 0.9
 
 
 def histogram_panels(
-    cases: Mapping[str, Sequence[CaseFigures]],
-    states: Sequence[str],
-    direction: float,
-    *,
-    columns: int = 3,
+    cases: Mapping[str, Sequence[CaseStatistics]], states: Sequence[str], direction: float
 ) -> Figure:
     """Draw the contour that holds 90 % of the samples, every state in every pose.
 
@@ -97,11 +92,7 @@ def histogram_panels(
     fault, from the tool's x axis [rad]; a line marks it.
     """
     count = len(cases[states[0]])
-    rows = -(-count // columns)
-    side, head = WIDTH / columns, 0.32
-    height = rows * (side + 0.1) + head
-    figure = new_figure(height)
-    legend_row(figure, states, height)
+    figure, places = square_panels(count, states)
     samples = {
         (state, k): np.concatenate([a for _, a in cases[state][k].pairs], axis=1) / STANDARD_GRAVITY
         for state in states
@@ -109,12 +100,7 @@ def histogram_panels(
     }
     most = 1.15 * max(float(np.quantile(np.abs(a), 0.99)) for a in samples.values())
     tick = 1.0 if most < 3 else 2.0
-    for k in range(count):
-        row, column = divmod(k, columns)
-        bottom = (height - head - (row + 1) * (side + 0.1)) / height
-        axes = figure.add_axes((column / columns, bottom, 1 / columns, side / height))
-        axes.set_axis_off()
-        axes.patch.set_alpha(0.0)
+    for k, axes in enumerate(places):
         axes.set(xlim=(-1.1 * most, 1.1 * most), ylim=(-most, 1.2 * most), aspect="equal")
         end = most * np.array([np.cos(direction), np.sin(direction)])
         axes.plot([-end[0], end[0]], [-end[1], end[1]], color=INK, linewidth=1.0, zorder=1)

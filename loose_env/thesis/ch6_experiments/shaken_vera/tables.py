@@ -1,4 +1,4 @@
-"""What Experiments Five and Six share: a state beside the healthy arm, pose by pose."""
+"""Tables of Experiments Five and Six: a state beside the healthy arm, by pose."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from loose_env.statistics import (
 )
 from loose_env.thesis.ch6_experiments.shaken_vera.cases import (
     RATE,
-    CaseFigures,
+    CaseStatistics,
     Spread,
     from_y,
     poses,
@@ -55,7 +55,7 @@ class Errors:
     """That change, relative to the healthy transmission."""
 
 
-def direction_errors(case: CaseFigures, healthy: CaseFigures, direction: float) -> Errors:
+def direction_errors(case: CaseStatistics, healthy: CaseStatistics, direction: float) -> Errors:
     """Compare four estimators on the same records.
 
     ``case``, ``healthy``: records with the fault and without it, at the same pose. ``direction``:
@@ -101,12 +101,12 @@ def lowest_coherence(x: ArrayLike, a: ArrayLike) -> float:
 
 
 def rms_over_poses(errors: Sequence[Array]) -> Spread:
-    """RMS error over the poses, one figure for every set of single records [deg]."""
+    """RMS error over the poses, for every set of single records [deg]."""
     count = min(len(e) for e in errors)
     return Spread.of([float(np.sqrt(np.mean([e[k] ** 2 for e in errors]))) for k in range(count)])
 
 
-def index_spread(case: CaseFigures, healthy: CaseFigures) -> Spread:
+def index_spread(case: CaseStatistics, healthy: CaseStatistics) -> Spread:
     """Comparative index D (6.18) of single records against the mean of the healthy ones."""
     c_n, phi_n = healthy.maximum.mean, healthy.lowest.mean
     return Spread.of(
@@ -120,7 +120,7 @@ def index_spread(case: CaseFigures, healthy: CaseFigures) -> Spread:
 
 
 def moment_points(
-    cases: Sequence[CaseFigures], direction: float, name: str, *, third: bool
+    cases: Sequence[CaseStatistics], direction: float, name: str, *, third: bool
 ) -> Points:
     """Skewness (third moment) or kurtosis of the tool along a direction, pose by pose."""
     unit = np.array([np.cos(direction), np.sin(direction)])
@@ -134,7 +134,7 @@ def moment_points(
     )
 
 
-def tool_peaks(case: CaseFigures) -> tuple[float, float]:
+def tool_peaks(case: CaseStatistics) -> tuple[float, float]:
     """Median over the records of the lowest and the highest tool acceleration [g]."""
     low = np.median([a.min() for _, a in case.pairs])
     high = np.median([a.max() for _, a in case.pairs])
@@ -142,7 +142,7 @@ def tool_peaks(case: CaseFigures) -> tuple[float, float]:
 
 
 def peak_table(
-    cases: Mapping[str, Sequence[CaseFigures]],
+    cases: Mapping[str, Sequence[CaseStatistics]],
     ranges: Mapping[str, Sequence[Sequence[float]]],
     states: Mapping[str, str],
     *,
@@ -168,7 +168,7 @@ def peak_table(
 
 
 def spread_words(spread: Spread, digits: int = 2) -> str:
-    """Write a figure with its interval."""
+    """Format a value with its interval."""
     return f"{spread.mean:.{digits}f} ({spread.low:.{digits}f} to {spread.high:.{digits}f})"
 
 
@@ -234,7 +234,7 @@ def error_table(
     )
 
 
-def pin_table(tight: Sequence[CaseFigures], released: Sequence[CaseFigures]) -> Table:
+def pin_table(tight: Sequence[CaseStatistics], released: Sequence[CaseStatistics]) -> Table:
     """Maximum correlation and direction with the pin in and half drawn out (6.5.3)."""
     rows = [
         (
@@ -263,10 +263,10 @@ def axial_turn(found: float, other_deg: float) -> float:
 TIGHT, FINGER, LOOSE = "high preload", "low preload", "looseness"
 """States of the looseness joint, keys of `STATES`."""
 
-Cases = Mapping[str, Sequence[CaseFigures]]
+Cases = Mapping[str, Sequence[CaseStatistics]]
 
 
-def healthy_table(tight: Sequence[CaseFigures], closed: Mapping[str, Sequence[float]]) -> Table:
+def healthy_table(tight: Sequence[CaseStatistics], closed: Mapping[str, Sequence[float]]) -> Table:
     """The healthy arm: directions and magnitudes, with what simpler models give."""
     rows = []
     for k, (case, (theta2, phi, c)) in enumerate(zip(tight, printed_healthy(), strict=True)):
@@ -319,15 +319,7 @@ def loose_table(cases: Cases) -> Table:
     return Table(
         caption="Looseness: direction, maximum correlation and index (6.4.1, tables 6.4 and 6.5; "
         "the printed D at 56° is a slip for 0.47)",
-        columns=(
-            "θ₂",
-            "φf printed",
-            "here",
-            "Cf printed",
-            "here",
-            "D printed",
-            "here",
-        ),
+        columns=("θ₂", "φf printed", "here", "Cf printed", "here", "D printed", "here"),
         rows=tuple(rows),
     )
 
@@ -375,7 +367,7 @@ def axis_table(cases: Cases) -> Table:
     )
 
 
-def principal_axis(case: CaseFigures) -> tuple[float, float]:
+def principal_axis(case: CaseStatistics) -> tuple[float, float]:
     """Direction of the long axis of the tool's acceleration, and the aspect ratio.
 
     Returns direction from the tool's x axis [rad]; ratio of the standard deviations along the long

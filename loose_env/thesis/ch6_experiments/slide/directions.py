@@ -109,13 +109,7 @@ def angle_part(found: Angles, told: Mapping[str, Any]) -> tuple[list[str], Table
         ),
     ]
     rows = tuple(
-        (
-            f"{a:.0f}°",
-            f"{r:.1f}°",
-            f"{line:.1f}°",
-            f"{c:.3f}",
-            f"{s:.1f}°",
-        )
+        (f"{a:.0f}°", f"{r:.1f}°", f"{line:.1f}°", f"{c:.3f}", f"{s:.1f}°")
         for a, r, line, c, s in zip(
             found.alpha[::2],
             found.by_rms[::2],
@@ -138,12 +132,7 @@ def _at(found: Angles, degrees: float) -> float:
 
 
 def shares_within(
-    seed: int,
-    pairs: int,
-    *,
-    band: tuple[float, float],
-    angles: tuple[float, float],
-    percent: float,
+    seed: int, pairs: int, *, band: tuple[float, float], angles: tuple[float, float], percent: float
 ) -> NDArray[np.float64]:
     """Share of the cube's angles that come out right by rms (6.8), for several pairs.
 

@@ -1,4 +1,4 @@
-"""Experiments Two and Three: what two accelerometers and a resolver can say (6.3.1, 6.3.2)."""
+"""Experiments Two and Three: two accelerometers and a resolver (6.3.1, 6.3.2)."""
 
 from __future__ import annotations
 
@@ -58,11 +58,7 @@ def section(seed: int) -> Section:
     seen = " and ".join(f"{f:.0f} Hz" for f in _bench_peaks(records, told["bench_peaks_hz"]))
     given = " and ".join(f"{f:g} Hz" for f in told["bench_peaks_hz"])
     shares = shares_within(
-        seed,
-        PAIRS,
-        band=(low, high),
-        angles=(start, end),
-        percent=told["angle_within_percent"],
+        seed, PAIRS, band=(low, high), angles=(start, end), percent=told["angle_within_percent"]
     )
     words.append(
         f"That share depends on the pair of accelerometers: over {PAIRS} pairs drawn with 1 % of "

@@ -140,7 +140,7 @@ def velocity_card(records: SlideRecords, case: int, told: Mapping[str, Any]) -> 
 
 
 def resolver_card(turned: ResolverRecords) -> FigureCard:
-    """Draw what the resolver says beside what the link does."""
+    """Draw angle and velocity by the resolver beside those of the link."""
     count = round(0.12 * turned.rate)
     time = 1000 * np.arange(count) / turned.rate
     figure, (upper, lower) = panels(

@@ -93,7 +93,7 @@ class SlideRecords:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ResolverRecords:
-    """Link 1 driven from outside, and what its resolver says."""
+    """Link 1 driven from outside, and its resolver readings."""
 
     rate: float
     """Sampling rate [Hz]."""

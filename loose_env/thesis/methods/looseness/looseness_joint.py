@@ -62,12 +62,7 @@ def insert_looseness(
 
 
 def displaced(
-    chain: Chain,
-    link: int,
-    axis: ArrayLike,
-    displacement: float,
-    *,
-    kind: JointKind = "prismatic",
+    chain: Chain, link: int, axis: ArrayLike, displacement: float, *, kind: JointKind = "prismatic"
 ) -> Chain:
     """Move everything distal to a loose seat by the seat's displacement [m or rad].
 
@@ -91,11 +86,7 @@ def displaced(
     axes[number:] = axes[number:] @ turn.T
     anchors[number:] = moved(anchors[number:])
     return replace(
-        chain,
-        axes=axes,
-        anchors=anchors,
-        tool=moved(chain.tool),
-        tool_axes=turn @ chain.tool_axes,
+        chain, axes=axes, anchors=anchors, tool=moved(chain.tool), tool_axes=turn @ chain.tool_axes
     )
 
 

@@ -1,4 +1,4 @@
-"""The seven modelling alternatives for looseness, weighed on one simulated arm (thesis 3.2.1).
+"""The seven modelling alternatives for looseness, compared on one simulated arm (thesis 3.2.1).
 
 Every alternative predicts one measured quantity from others. What is left over is called the
 disagreement. A loose seat changes it, the sensors' noise adds to it, and what the model does not
@@ -42,7 +42,7 @@ MEASURES = (
     ("tool accelerometer, joint torques; modes known", "m/s²"),
     ("jig force, joint torques, joint angles differenced twice", "N·m"),
 )
-"""What each of them has to measure, and the unit of what it predicts."""
+"""Measured quantities of each, and the unit of its prediction."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,21 +68,21 @@ class AlternativeSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Weighing:
+class Disagreement:
     """One alternative: rms disagreements over its band, in the unit of what it predicts."""
 
     name: str
     """The alternative."""
     measures: str
-    """What has to be measured."""
+    """Measured quantities."""
     unit: str
     """Unit of the disagreement."""
     gap: float
     """Change that the gap makes in the disagreement."""
     noise: float
-    """What the sensors' noise makes."""
+    """Disagreement due to sensor noise."""
     model: float
-    """What is there in the healthy arm without noise: the model's own error."""
+    """Disagreement of the healthy arm without noise: the model error."""
 
     @property
     def against_noise(self) -> float:
@@ -108,15 +108,15 @@ class _Free:
     torque: Array
 
 
-def weigh_alternatives(
+def compare_alternatives(
     arm: Arm,
     pose: Array,
     fault: StructuralLooseness,
     rng: np.random.Generator,
     *,
     settings: AlternativeSettings | None = None,
-) -> tuple[Weighing, ...]:
-    """Weigh the seven alternatives (3.1, 3.3, 3.9, 3.10, 3.17, flexible, 3.20).
+) -> tuple[Disagreement, ...]:
+    """Compare the seven alternatives (3.1, 3.3, 3.9, 3.10, 3.17, flexible, 3.20).
 
     The free arm is shaken in its band, all joints at once. For the two alternatives with a
     constrained tool, a pin holds it; the static one is driven slowly. Healthy and loose arm get
@@ -186,7 +186,7 @@ def weigh_alternatives(
         inside = (frequency >= low - 1e-9) & (frequency <= high + 1e-9)
         healthy, loose = left_over(name, 0)[:, inside], left_over(name, 1)[:, inside]
         found.append(
-            Weighing(
+            Disagreement(
                 name=name,
                 measures=measures,
                 unit=unit,

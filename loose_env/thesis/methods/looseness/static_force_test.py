@@ -1,4 +1,4 @@
-"""The static-force test: hold the tool, drive the joints, see what moves (thesis 3.2.1, 8.1.2).
+"""The static-force test: the tool is held, the joints are driven (thesis 3.2.1, 8.1.2).
 
 With the tool held, J q̇ = 0 over all n+1 columns. Joints that still move, in an arm whose own
 columns allow no such motion, move because a seat slides: the seat's twist is minus what the
@@ -22,7 +22,7 @@ from loose_env.typing import Array
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SeatTwist:
-    """What a docked arm's joints say about the seat."""
+    """Motion of the seat inferred from a docked arm's joints."""
 
     direction: Array
     """Unit vector of the seat's motion at the tool, in the Jacobian's rows (m,); its sign is
@@ -35,7 +35,7 @@ class SeatTwist:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkAgreement:
-    """How well each link explains the directions seen in several poses."""
+    """Misfit of each link to the directions measured in several poses."""
 
     misfit: Array
     """Rms angle between the directions, turned into a link's frame, and their axial mean
@@ -208,9 +208,7 @@ def compatible_links(directions: ArrayLike, frames: ArrayLike) -> LinkAgreement:
     best = int(np.argmin(misfit))
     mean = means[best]
     return LinkAgreement(
-        misfit=misfit,
-        best=best + 1,
-        direction=mean * np.sign(mean[np.argmax(np.abs(mean))]),
+        misfit=misfit, best=best + 1, direction=mean * np.sign(mean[np.argmax(np.abs(mean))])
     )
 
 
@@ -220,7 +218,7 @@ Jig = Literal["pin", "clamp"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DockedRecord:
-    """What happened while the tool stood in its jig; true values, no sensor noise."""
+    """Record of a docked arm; true values, no sensor noise."""
 
     angles: Array
     """Joint positions less the pose [rad] (n, N)."""

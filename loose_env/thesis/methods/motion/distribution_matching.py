@@ -32,13 +32,13 @@ Model = Callable[[ArrayLike, ArrayLike], Array]
 
 @dataclass(frozen=True, kw_only=True)
 class MatchSettings:
-    """How a ridge is fitted."""
+    """Settings of the fit of a ridge."""
 
     bins: Literal["filled", "all"] = "filled"
     """Bins that are fitted. The ridge of the model has no ends, the motion has: with empty bins
     beyond its ends the fit turns towards the diagonal of the motion's outline."""
     weights: Literal["sampling", "unit"] = "sampling"
-    """What a distance is measured in. Sampling: positions in the standard deviation within a bin,
+    """Unit of the distances. Sampling: positions in the standard deviation within a bin,
     counts in the root of their mean. Unit: positions in the spread, counts in the highest."""
     iterations: int = 200
     """Iterations at most [1]."""
@@ -58,7 +58,7 @@ class Match:
     residual: float
     """Mean of the squared orthogonal distances, in the unit of the weights [1]."""
     converged: bool
-    """Whether the search stopped at a minimum of its own accord."""
+    """True if the search converged to a minimum."""
     starts: int = 1
     """Trial directions from which it was started."""
 
@@ -163,11 +163,7 @@ def search_spatial(
 
 
 def _fit(
-    model: Model,
-    found: Histogram,
-    trial: ArrayLike,
-    scale: Array,
-    settings: MatchSettings | None,
+    model: Model, found: Histogram, trial: ArrayLike, scale: Array, settings: MatchSettings | None
 ) -> tuple[Array, float, bool]:
     """Fit a model in units of the data's own spread and height; ``scale`` takes parameters back."""
     try:

@@ -135,12 +135,7 @@ def two_link_loads(
 
 
 def arm_loads(
-    arm: Arm,
-    pose: ArrayLike,
-    rates: ArrayLike,
-    accelerations: ArrayLike,
-    *,
-    gravity: bool = True,
+    arm: Arm, pose: ArrayLike, rates: ArrayLike, accelerations: ArrayLike, *, gravity: bool = True
 ) -> JointLoads:
     """Loads of any arm in one pose and motion, from MuJoCo's inverse dynamics.
 

@@ -132,9 +132,7 @@ def _by_region(
     share = rng.random(len(where))
     moves = np.maximum(share - seat.at_rest, 0.0) / (1.0 - seat.at_rest)
     return np.where(
-        where == FREE,
-        low + share * (high - low),
-        moves * np.where(where == PROXIMAL, high, low),
+        where == FREE, low + share * (high - low), moves * np.where(where == PROXIMAL, high, low)
     )
 
 
