@@ -79,13 +79,13 @@ def square_panels(count: int, names: Sequence[str], columns: int = 3) -> tuple[F
     return figure, found
 
 
-def loop_panels(panels: Sequence[LoopPanel], names: Sequence[str]) -> Figure:
+def loop_panels(panels: Sequence[LoopPanel], names: Sequence[str], columns: int = 3) -> Figure:
     """Draw polar loops of correlation against direction, a panel a pose.
 
     The tool's y axis points up, from which the thesis counts its angles; the outer circle is a
     correlation of one. A thin line through the middle marks the direction sought.
     """
-    figure, places = square_panels(len(panels), names)
+    figure, places = square_panels(len(panels), names, columns)
     angles = np.linspace(0.0, np.pi, 181)
     for panel, axes in zip(panels, places, strict=True):
         axes.set(xlim=(-1.15, 1.15), ylim=(-1.1, 1.2), aspect="equal")
