@@ -16,9 +16,9 @@ import loose_env  # noqa: E402
 from loose_env.report import DARK, FONT, LIGHT  # noqa: E402
 
 project = "loose-env"
-author = "The loose-env authors"
+author = "loose-env developers"
 version = release = loose_env.__version__
-copyright = "The loose-env authors, Apache-2.0"
+copyright = "loose-env developers, Apache-2.0"
 language = "en"
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]

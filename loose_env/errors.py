@@ -1,4 +1,4 @@
-"""What loose-env raises when it is asked for something it cannot do."""
+"""Exceptions raised by loose-env."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class InvalidData(LooseEnvError, ValueError):
 
 
 def words_of(error: BaseException) -> str:
-    """What went wrong, in one line; of the operating system's errors what can be done too.
+    """Error message in one line; for errors of the operating system with a remedy.
 
     Examples
     --------

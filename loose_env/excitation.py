@@ -11,14 +11,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from hashlib import sha256
+from typing import Annotated
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from loose_env.arms import LinearArm, LinearPose
+from loose_env.arms import CREST_FACTOR, LinearArm, LinearPose
 from loose_env.errors import InvalidSetting
+from loose_env.io import Checked, NonNegative, positive
 from loose_env.typing import Array
 
 __all__ = [
@@ -34,36 +36,24 @@ __all__ = [
 Shaping = Callable[[Array], Array]
 """Relative amplitude of the excitation at given frequencies [Hz]."""
 
-CREST_FACTOR = 3.0
-"""Peak over rms that the drive has to deliver; rarer peaks are clipped at the limit."""
-
 
 @dataclass(frozen=True, kw_only=True)
-class Excitation:
+class Excitation(Checked):
     """Random torque for one record. Joints with zero rms are held."""
 
-    torque_rms: tuple[float, ...]
+    torque_rms: tuple[NonNegative, ...]
     """Rms torque of each joint, base first [N·m]; 0 holds the joint."""
-    duration: float
+    duration: Annotated[float, positive("seconds")]
     """Length of the record [s]."""
     band: tuple[float, float]
     """Band of the excitation [Hz]."""
     shaping: tuple[Shaping | None, ...] | None = field(default=None, compare=False)
     """Spectrum of each joint's torque, from `compensation`; None for a flat one."""
-    shaker_rms: float = 0.0
+    shaker_rms: NonNegative = 0.0
     """Rms force of the shaker beside the arm [N]; 0 leaves it off."""
 
     def __post_init__(self) -> None:
-        if not np.isfinite(self.shaker_rms) or self.shaker_rms < 0:
-            raise InvalidSetting(
-                f"shaker_rms must be finite, zero or more N, got {self.shaker_rms!r}"
-            )
-        if any(not np.isfinite(t) or t < 0 for t in self.torque_rms):
-            raise InvalidSetting(
-                f"torque_rms must be finite, zero or more N·m, got {self.torque_rms}"
-            )
-        if not (np.isfinite(self.duration) and self.duration > 0):
-            raise InvalidSetting(f"duration must be positive seconds, got {self.duration!r}")
+        super().__post_init__()
         if not 0 < self.band[0] < self.band[1]:
             raise InvalidSetting(f"band must be 0 < low < high in Hz, got {self.band}")
         if self.duration * (self.band[1] - self.band[0]) < 4:
@@ -79,7 +69,7 @@ class Excitation:
 
     @property
     def excited(self) -> tuple[bool, ...]:
-        """Whether each joint is excited."""
+        """True for each joint that is excited."""
         return tuple(t > 0 for t in self.torque_rms)
 
 
@@ -138,7 +128,7 @@ def at_levels(pose: LinearPose, levels: Array, *, duration: float) -> tuple[Exci
 
 
 class SeatDrive:
-    """How hard the strongest excitation drives each seat: the yardstick for its friction.
+    """Rms load of each seat under the strongest excitation, to which friction is compared.
 
     For every joint excited alone at the top level, the nominal arm says which force a shut
     seat transmits. The best joint counts; the figure is the median over ``poses`` random

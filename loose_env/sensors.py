@@ -1,9 +1,10 @@
-"""What sensors make of motion: band, gain and cross-axis, noise, steps."""
+"""Sensor models: band, gain and cross-axis sensitivity, noise, quantisation."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from scipy.signal import upfirdn
 
 from loose_env.arms import Arm, Place
 from loose_env.errors import InvalidSetting
+from loose_env.io import Checked, NonNegative, positive
 from loose_env.typing import Array
 
 __all__ = [
@@ -25,56 +27,42 @@ __all__ = [
 ]
 
 STANDARD_GRAVITY = 9.80665
-
-
-def _check(settings: object, *names: str) -> None:
-    for name in names:
-        value = getattr(settings, name)
-        if not np.isfinite(value) or value < 0:
-            raise InvalidSetting(
-                f"{type(settings).__name__}.{name} must be finite, zero or more; got {value!r}"
-            )
+"""Standard acceleration of free fall, the unit g of data sheets [m/s²]."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Accelerometer:
+class Accelerometer(Checked):
     """A two- or three-axis accelerometer and its recorder.
 
     Gains, cross-axis sensitivity and mounting differ from arm to arm: they are part of
     `loose_env.arms.response.mismatch.Mismatch` and reach the readings as one matrix.
     """
 
-    noise_density: float = 100e-6 * STANDARD_GRAVITY
+    noise_density: NonNegative = 100e-6 * STANDARD_GRAVITY
     """White noise [m/s² per √Hz]; capacitive sensors have 22 to 300 µg/√Hz."""
-    bandwidth: float = 400.0
+    bandwidth: NonNegative = 400.0
     """Half-amplitude frequency of the recorder's low-pass [Hz]; linear-phase, delay taken out."""
-    resolution: float = 2 * 50 * STANDARD_GRAVITY / 2**16
+    resolution: NonNegative = 2 * 50 * STANDARD_GRAVITY / 2**16
     """Step of the digitiser [m/s²]: 16 bits over ±50 g."""
-
-    def __post_init__(self) -> None:
-        _check(self, *(f.name for f in fields(self)))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Encoder:
+class Encoder(Checked):
     """A joint encoder on the motor side."""
 
-    resolution: float = 2 * np.pi / 2**20
+    resolution: NonNegative = 2 * np.pi / 2**20
     """Step of the reading [rad]: 20 bits a turn."""
-    noise: float = 2e-6
+    noise: NonNegative = 2e-6
     """Rms noise of one reading before it is rounded [rad]."""
-    linear_resolution: float = 1e-6
+    linear_resolution: NonNegative = 1e-6
     """Step of the linear scale of a sliding joint [m]."""
-    linear_noise: float = 2e-7
+    linear_noise: NonNegative = 2e-7
     """Rms noise of one reading of that scale before it is rounded [m]."""
-
-    def __post_init__(self) -> None:
-        _check(self, *(f.name for f in fields(self)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class LinkAccelerometers:
-    """Which links carry an accelerometer, where, and along what it measures (8.3.3, 8.3.4).
+    """Accelerometers on links: links, location and measured axes (8.3.3, 8.3.4).
 
     Examples
     --------
@@ -85,7 +73,7 @@ class LinkAccelerometers:
     links: tuple[int, ...] | None = None
     """Numbers of the links that carry one, increasing; None for every link."""
     tangential: bool = False
-    """Whether each is a single axis along the tangent of its link's own joint motion.
+    """True for a single axis along the tangent of the link's own joint motion.
 
     Else it has the arm's axes, in the frame of the body that carries it."""
     place: Place = "distal"
@@ -124,10 +112,10 @@ class LinkAccelerometers:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensorSuite:
+class SensorSuite(Checked):
     """All sensors of an arm and the rate at which they are recorded."""
 
-    rate: float = 1000.0
+    rate: Annotated[float, positive("Hz")] = 1000.0
     """Sampling rate [Hz]."""
     accelerometer: Accelerometer = Accelerometer()
     """Accelerometer at the tool, and on every link where `link_accelerometers` is set."""
@@ -137,8 +125,7 @@ class SensorSuite:
     """Accelerometers on links (8.3.3): which, or True for one at the proximal end of each."""
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.rate) and self.rate > 0):
-            raise InvalidSetting(f"the sampling rate must be positive Hz, got {self.rate!r}")
+        super().__post_init__()
         if self.accelerometer.bandwidth >= self.rate / 2:
             raise InvalidSetting(
                 f"an accelerometer bandwidth of {self.accelerometer.bandwidth} Hz needs a "
@@ -211,7 +198,7 @@ def read_accelerometer(
     true : ndarray (steps, 3)
         Proper acceleration in the sensor frame at every simulation step [m/s²].
     sensor : Accelerometer
-        Figures of the sensor.
+        Parameters of the sensor.
     matrix : ndarray (d, 3)
         Output per true acceleration: the measured axes' gains, cross-axis and mounting.
     factor : int

@@ -138,13 +138,15 @@ def test_ideal_sensors_add_nothing() -> None:
     ],
 )
 def test_figures_below_zero_or_not_finite_are_refused(make: Any, name: str, bad: float) -> None:
-    with pytest.raises(InvalidSetting, match=rf"{make.__name__}\.{name} must be finite.*got {bad}"):
+    with pytest.raises(
+        InvalidSetting, match=rf"{make.__name__}\.{name} must be a finite number.*got {bad}"
+    ):
         make(**{name: bad})
 
 
 @pytest.mark.parametrize("rate", [0.0, -1.0, float("nan")])
 def test_a_rate_that_is_no_rate_is_refused(rate: float) -> None:
-    with pytest.raises(InvalidSetting, match=f"sampling rate must be positive Hz, got {rate}"):
+    with pytest.raises(InvalidSetting, match=f"SensorSuite.rate must be positive Hz; got {rate}"):
         SensorSuite(rate=rate)
 
 

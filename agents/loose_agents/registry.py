@@ -12,8 +12,14 @@ from collections.abc import Callable
 
 from loose_agents.core.base import Agent, Problem
 from loose_agents.core.belief_agent import BeliefAgent, Sure
-from loose_agents.core.estimators import ESTIMATORS, make_estimator
-from loose_agents.core.shipped_weights import WEIGHTS, setting_name, tuned
+from loose_agents.core.estimators import (
+    ESTIMATORS,
+    WEIGHTS,
+    make_estimator,
+    setting_name,
+    tuned,
+    tuned_stopping,
+)
 from loose_agents.policies.link_finding import LinkFindingAgent
 from loose_agents.policies.oracle import oracle_agent
 from loose_agents.policies.policies import POLICIES, make_policy
@@ -26,14 +32,9 @@ from loose_env.errors import UnknownName
 
 __all__ = ["AGENTS", "WEIGHTS", "belief_agent", "describe", "make_agent"]
 
-SURE = 0.9
-"""Probability at which an agent stops that was not tuned for its arm."""
 
-
-def belief_agent(
-    estimator: str, policy: str, problem: Problem, *, seed: int = 0, stop: float | None = None
-) -> BeliefAgent:
-    """Make an agent of an estimator and a policy.
+def belief_agent(estimator: str, policy: str, problem: Problem, *, seed: int = 0) -> BeliefAgent:
+    """Make an agent of an estimator and a policy, with the stopping rule tuned for them.
 
     Parameters
     ----------
@@ -43,16 +44,11 @@ def belief_agent(
     problem : Problem
         The nominal arm and the rules.
     seed : int
-        Seed of what it draws.
-    stop : float, optional
-        Probability at which it stops; by default the one tuned for the arm and difficulty.
+        Seed of its random draws.
     """
     made = make_estimator(estimator, problem)
-    if stop is None:
-        stop = tuned(problem).get("stop", {}).get(f"{estimator}/{policy}", SURE)
-    return BeliefAgent(
-        problem, made, make_policy(policy, problem, made), Sure(probability=stop), seed=seed
-    )
+    stopping = tuned_stopping(problem, f"{estimator}/{policy}")
+    return BeliefAgent(problem, made, make_policy(policy, problem, made), stopping, seed=seed)
 
 
 def _of(estimator: str, policy: str) -> Callable[[Problem, int], Agent]:
@@ -81,14 +77,6 @@ def _link_finding(order: Order) -> Callable[[Problem, int], Agent]:
     return make
 
 
-def _images(problem: Problem, seed: int) -> Agent:
-    return SpaceLinkFindingAgent(problem, seed=seed)
-
-
-def _oracle(problem: Problem, seed: int) -> Agent:
-    return oracle_agent(problem, seed=seed)
-
-
 def _learned(name: str, training: str = "") -> Callable[[Problem, int], Agent]:
     def make(problem: Problem, seed: int) -> Agent:
         from loose_agents.rl.learned_policy import LearnedAgent
@@ -98,7 +86,7 @@ def _learned(name: str, training: str = "") -> Callable[[Problem, int], Agent]:
             problem, WEIGHTS / (f"{folder}-{training}" if training else folder)
         )
         stop = tuned(problem).get("stop", {}).get(name)
-        if stop is not None:  # better than its own word, by training episodes
+        if stop is not None:  # earns more than the policy's own stopping, on training episodes
             agent.stopping = Sure(probability=stop)
         return agent
 
@@ -114,7 +102,10 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
     "thesis": (_link_finding("outward"), "the thesis's link finding, from the base outward"),
     "inward": (_link_finding("inward"), "the same, from the tool inward"),
     "bisection": (_link_finding("bisection"), "the same, halving the arm"),
-    "images": (_images, "predicted directions of every hypothesis, all joints at once"),
+    "images": (
+        lambda problem, seed: SpaceLinkFindingAgent(problem, seed=seed),
+        "predicted directions of every hypothesis, all joints at once",
+    ),
     "constant": (
         _of("amortised", "constant"),
         "the learned posterior, always the best single joint, random poses",
@@ -125,12 +116,15 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
     ),
     "greedy": (_of("amortised", "greedy"), "the learned posterior, the most telling record next"),
     "look_ahead": (_of("amortised", "look_ahead"), "the same, two records ahead"),
-    "oracle": (_oracle, "no agent: greedy, told the hidden direction and friction"),
+    "oracle": (
+        lambda problem, seed: oracle_agent(problem, seed=seed),
+        "no agent: greedy, told the hidden direction and friction",
+    ),
     "ppo": (_learned("ppo"), "a policy trained by PPO on the learned posterior"),
     "recurrent_ppo": (_learned("recurrent_ppo"), "the same with a memory of its own"),
     "maskable_ppo": (_learned("maskable_ppo"), "the same, allowed choices only"),
 }
-"""How each agent is made, and what it is in a few words."""
+"""Constructor and short description of each agent."""
 
 
 def describe(name: str) -> str:

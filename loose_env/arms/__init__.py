@@ -1,23 +1,12 @@
 """Arms under test: their models, their linear response, how joints are braked or servoed.
 
-Data flow: engine_warnings -> gear_parameters -> reach -> shaker -> arm -> response ->
-spec_parts -> holding -> library -> files.
+Data flow: engine_warnings -> reach -> shaker -> arm -> response -> spec_parts -> holding ->
+library -> files.
 """
 
-from loose_env.arms.arm import (
-    Arm,
-    Holding,
-    HoldKind,
-)
-from loose_env.arms.engine_warnings import (
-    quiet,
-)
-from loose_env.arms.files.load import (
-    DESK_ARM,
-    arm_from_file,
-    arm_of_model_file,
-    describe_file,
-)
+from loose_env.arms.arm import Arm, Gears, Holding, HoldKind
+from loose_env.arms.engine_warnings import quiet
+from loose_env.arms.files.load import DESK_ARM, arm_from_file, arm_of_model_file, describe_file
 from loose_env.arms.files.model_reader import (
     ModelFile,
     compile_spec,
@@ -26,35 +15,13 @@ from loose_env.arms.files.model_reader import (
     read_model_file,
     require_numbers,
 )
-from loose_env.arms.files.report import (
-    FileReport,
-    report,
-)
-from loose_env.arms.files.safe_scan import (
-    files_of,
-)
-from loose_env.arms.files.serial_chain import (
-    Chain,
-    find_chain,
-)
-from loose_env.arms.gear_parameters import (
-    Gears,
-)
-from loose_env.arms.holding.compliance import (
-    held,
-    servoed,
-    wind_up,
-    with_compliance,
-)
-from loose_env.arms.library.planar import (
-    planar,
-)
-from loose_env.arms.library.puma560 import (
-    six_axis,
-)
-from loose_env.arms.library.scara import (
-    scara,
-)
+from loose_env.arms.files.report import FileReport, report
+from loose_env.arms.files.safe_scan import files_of
+from loose_env.arms.files.serial_chain import Chain, find_chain
+from loose_env.arms.holding.compliance import held, servoed, wind_up, with_compliance
+from loose_env.arms.library.planar import planar
+from loose_env.arms.library.puma560 import six_axis
+from loose_env.arms.library.scara import scara
 from loose_env.arms.library.vera import (
     BENDING_MODE_HZ,
     BLOCK_MASS,
@@ -64,31 +31,15 @@ from loose_env.arms.library.vera import (
     vera,
     vera_spec,
 )
-from loose_env.arms.response.linear import (
-    LinearArm,
-    LinearPose,
-    Response,
-    inertance_rate,
-)
-from loose_env.arms.response.mismatch import (
-    Mismatch,
-    MismatchDraw,
-)
-from loose_env.arms.response.sensor_sites import (
-    LinkSite,
-    Place,
-    link_site,
-)
-from loose_env.arms.response.shaken import (
-    ShakenArm,
-)
-from loose_env.arms.shaker import (
-    COIL,
-    Shaker,
-    add_shaker,
-    place_shaker,
-)
+from loose_env.arms.response.linear import LinearArm, LinearPose, Response, inertance_rate
+from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
+from loose_env.arms.response.sensor_sites import LinkSite, Place, link_site
+from loose_env.arms.response.shaken import ShakenArm
+from loose_env.arms.shaker import COIL, Shaker, add_shaker, place_shaker
 from loose_env.arms.spec_parts import (
+    CREST_FACTOR,
+    FASTEST_TURN,
+    GRAVITY,
     HOLDING_MODE_HZ,
     held_inertia,
     holdings,
@@ -99,7 +50,10 @@ __all__ = [
     "BENDING_MODE_HZ",
     "BLOCK_MASS",
     "COIL",
+    "CREST_FACTOR",
     "DESK_ARM",
+    "FASTEST_TURN",
+    "GRAVITY",
     "HOLDING_MODE_HZ",
     "LINK2_MASS",
     "LINK_LENGTH",

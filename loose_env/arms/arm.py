@@ -1,4 +1,4 @@
-"""The arm under test: a MuJoCo spec, its joints in order, its tool and its figures."""
+"""The arm under test: a MuJoCo spec, its joints in order, its tool, its gears."""
 
 from __future__ import annotations
 
@@ -11,42 +11,125 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.gear_parameters import Gears
 from loose_env.arms.reach import largest_reach
 from loose_env.arms.shaker import COIL, Shaker
 from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.io import Checked, NonNegative
+from loose_env.typing import Array
 
-__all__ = ["Arm", "HoldKind", "Holding"]
+__all__ = [
+    "GEAR_DAMPING",
+    "GEAR_MODE_HZ",
+    "Arm",
+    "Gears",
+    "HoldKind",
+    "Holding",
+    "PerJoint",
+    "each_joint",
+]
 
-HoldKind = Literal["brake", "servo", "compliant"]
-"""How joints are held: by stiff brakes, by position servos, or by brakes behind elastic gears."""
+
+PerJoint = float | Sequence[float]
+
+
+GEAR_MODE_HZ = 60.0
+"""Mode of each gear with all that it carries, where no stiffness is known [Hz]: the upper part
+of the 10 to 80 Hz at which industrial arms sway on their drives, as small arms do."""
+
+
+GEAR_DAMPING = 0.05
+"""Damping ratio of that mode [1]; an estimate between steel (0.01) and a lubricated gear (0.1)."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Holding:
-    """How one kind of holding keeps each joint where it is: a spring and a damper per joint."""
+class Gears:
+    """Elastic gears of an arm: stiffness, or the mode that it gives, and damping.
 
-    stiffness: tuple[float, ...]
+    Drives of industrial arms have 1e4 to 1e6 N·m/rad, those of small wrists less.
+    """
+
+    stiffness: tuple[float, ...] | None = None
+    """Stiffness of each joint's gear, at the joint [N·m/rad, or N/m where it slides]."""
+    mode_hz: float | tuple[float, ...] = GEAR_MODE_HZ
+    """Mode of each gear, motor braked, all other gears stiff, the arm where it is heaviest for the
+    joint [Hz]. Not looked at where a stiffness is given."""
+    damping_ratio: float | tuple[float, ...] = GEAR_DAMPING
+    """Damping ratio of that mode [1]."""
+
+    def __post_init__(self) -> None:
+        for name in ("stiffness", "mode_hz", "damping_ratio"):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            values = np.atleast_1d(_numbers(value))
+            low = values < 0 if name == "damping_ratio" else values <= 0
+            if values.ndim != 1 or not np.isfinite(values).all() or low.any():
+                raise InvalidSetting(
+                    f"{name} of the gears must be finite and positive, one number or one for each "
+                    f"joint; got {value!r}"
+                )
+
+    def stiffness_and_damping(self, carried: Array) -> tuple[Array, Array]:
+        """Stiffness and damping of each gear that carries an inertia [kg·m², or kg] (n,).
+
+        Raises
+        ------
+        InvalidSetting
+            If there are not as many values as joints.
+        """
+        n = len(carried)
+        ratio = each_joint("damping_ratio", self.damping_ratio, n)
+        if self.stiffness is None:
+            stiffness = carried * (2 * np.pi * each_joint("mode_hz", self.mode_hz, n)) ** 2
+        else:
+            stiffness = each_joint("stiffness", self.stiffness, n)
+        return stiffness, 2 * ratio * np.sqrt(stiffness * carried)
+
+
+def each_joint(name: str, value: PerJoint, n: int) -> Array:
+    """Check values of the joints, one for all or one for each, and return (n,) of them."""
+    values = _numbers(value)
+    wrong = values < 0 if name == "damping_ratio" else values <= 0
+    if values.shape not in ((), (n,)) or not np.isfinite(values).all() or wrong.any():
+        raise InvalidSetting(
+            f"{name} is one positive number, or one for each of {n} joints; got {value!r}"
+        )
+    return np.broadcast_to(values, n).astype(float)
+
+
+def _numbers(value: object) -> Array:
+    """Convert to floats; NaN, which no check passes, where it is no number."""
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        return np.array(np.nan)
+
+
+HoldKind = Literal["brake", "servo", "compliant"]
+"""Holding of the joints: stiff brakes, position servos, or brakes behind elastic gears."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Holding(Checked):
+    """Brakes or servos as a spring and a damper for each joint."""
+
+    stiffness: tuple[NonNegative, ...]
     """Spring of each joint, base first [N·m/rad, or N/m where it slides]."""
-    damping: tuple[float, ...]
+    damping: tuple[NonNegative, ...]
     """Damper of each joint, base first [N·m·s/rad, or N·s/m where it slides]."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if len(self.stiffness) != len(self.damping):
             raise InvalidSetting(
                 f"a holding needs as many dampings as stiffnesses, got {len(self.damping)} "
                 f"and {len(self.stiffness)}"
             )
-        if min(self.stiffness, default=0.0) < 0 or min(self.damping, default=0.0) < 0:
-            raise InvalidSetting(
-                f"holding stiffness and damping must not be negative, got {self.stiffness} "
-                f"and {self.damping}"
-            )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Arm:
-    """A serial arm and every figure a diagnosis of it needs.
+    """A serial arm and every parameter a diagnosis of it needs.
 
     Links are numbered from the base, starting at 1; link ``i`` moves with joint ``i``.
     The spec holds bodies, joints and the tool site only: motors, brakes, sensors and the
@@ -84,9 +167,9 @@ class Arm:
     settling: float = 0.1
     """Excitation before a record, in which seat, holdings and bending modes settle [s]."""
     hold: HoldKind = "brake"
-    """How joints that are not excited are held."""
+    """Holding of the joints that are not excited."""
     gears: Gears | None = None
-    """Figures of the gears, for the time they are taken as elastic."""
+    """Parameters of the gears, used where they are elastic."""
     gear_joints: tuple[str, ...] = ()
     """Joints of the spec that are elastic gears, base first; none where gears are stiff."""
     rigid: Arm | None = None
@@ -100,17 +183,15 @@ class Arm:
         n = len(self.joints)
         if n < 1:
             raise InvalidSetting(f"arm {self.name!r} needs at least one joint")
-        for field in ("seat_bodies", "torque_limits", "joint_ranges"):
-            if len(getattr(self, field)) != n:
+        own = ("seat_bodies", "torque_limits", "joint_ranges")
+        counts = {field: len(getattr(self, field)) for field in own}
+        held = ("brake", "servo", "centring")
+        counts |= {field: len(getattr(self, field).stiffness) for field in held}
+        for field, count in counts.items():
+            if count != n:
                 raise InvalidSetting(
-                    f"arm {self.name!r}: {field} has {len(getattr(self, field))} entries, "
-                    f"one for each of {n} joints is needed"
-                )
-        for field in ("brake", "servo", "centring"):
-            if len(getattr(self, field).stiffness) != n:
-                raise InvalidSetting(
-                    f"arm {self.name!r}: {field} has {len(getattr(self, field).stiffness)} "
-                    f"entries, one for each of {n} joints is needed"
+                    f"arm {self.name!r}: {field} has {count} entries, one for each of {n} joints "
+                    "is needed"
                 )
         if self.hold not in ("brake", "servo", "compliant"):
             raise UnknownName(f"unknown hold {self.hold!r}: 'brake', 'servo' or 'compliant'")
@@ -136,7 +217,7 @@ class Arm:
 
     @property
     def holding(self) -> Holding:
-        """What holds the joints that are not excited."""
+        """Holding of the joints that are not excited."""
         return self.servo if self.hold == "servo" else self.brake
 
     @cached_property
@@ -146,12 +227,12 @@ class Arm:
 
     @cached_property
     def pose_addresses(self) -> NDArray[np.intp]:
-        """Where each joint lies in the bare arm's ``qpos`` (n,)."""
+        """Index of each joint in the bare arm's ``qpos`` (n,)."""
         return np.array([self.model.joint(name).qposadr[0] for name in self.joints], dtype=np.intp)
 
     @cached_property
     def sliding(self) -> NDArray[np.bool_]:
-        """Whether each joint slides, its figures per metre and in N; else it turns (n,)."""
+        """True for each joint that slides, with parameters per metre and in N (n,)."""
         slide = mujoco.mjtJoint.mjJNT_SLIDE
         return np.array([self.model.joint(name).type[0] == slide for name in self.joints])
 
@@ -177,7 +258,7 @@ class Arm:
         return int(link)
 
     def within_ranges(self, pose: Sequence[float] | NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Whether each joint of a pose lies in its range (n,)."""
+        """Return, for each joint of a pose, whether it lies in its range (n,)."""
         return np.array(
             [
                 r is None or r[0] - 1e-9 <= q <= r[1] + 1e-9

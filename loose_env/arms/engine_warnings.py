@@ -47,7 +47,7 @@ def quiet() -> Iterator[None]:
 
 
 _LOADED_ALREADY = getattr(os, "RTLD_NOLOAD", 0) | getattr(os, "RTLD_NOW", 0)
-"""How to open a library: only the one that is in the process already, by the import above."""
+"""Mode that opens a library only if the process has loaded it, as the import above does."""
 
 
 def _found() -> ctypes.c_void_p:

@@ -1,4 +1,4 @@
-"""How far an arm reaches: the largest distance between its first joint and its tool."""
+"""Reach of an arm: the largest distance between its first joint and its tool."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def largest_reach(
 def _best_place(
     *, slides: bool, axis: Array, tool: Array, base: Array, now: float, limits: Range
 ) -> float:
-    """Where one joint brings the tool farthest from the base, both seen from its anchor."""
+    """Position of one joint at which the tool is farthest from the base."""
     if slides:
         if limits is None:
             return now

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidSetting
+from loose_env.io import Checked, NonNegative, Positive
 
 __all__ = ["COIL", "DRIVE", "Shaker", "add_shaker", "place_shaker"]
 
@@ -20,7 +21,7 @@ _STAND = "shaker_stand"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shaker:
+class Shaker(Checked):
     """An external source of excitation, as in Experiments Two to Six.
 
     The coil slides along a line fixed to its stand and pushes one point of the arm through
@@ -33,35 +34,28 @@ class Shaker:
     body: str
     """Body of the arm that the stinger pushes."""
     point: tuple[float, float, float]
-    """Where it does, in that body's frame [m]."""
+    """Point of attack in that body's frame [m]."""
     direction: tuple[float, float, float]
     """Direction of its push, in that body's frame."""
-    coil_mass: float
+    coil_mass: Positive
     """Mass of the coil and the table on it [kg]."""
-    stinger_stiffness: float
+    stinger_stiffness: Positive
     """Stiffness of the stinger along itself [N/m] (6.12)."""
-    stinger_damping: float
+    stinger_damping: NonNegative
     """Damping of the stinger [N·s/m]."""
-    stinger_length: float
+    stinger_length: Positive
     """Length of the stinger [m]."""
-    suspension_stiffness: float
+    suspension_stiffness: NonNegative
     """Spring that centres the coil [N/m]; it takes the lowest frequencies away."""
-    suspension_damping: float
+    suspension_damping: NonNegative
     """Damping of the coil's suspension and back EMF [N·s/m]."""
     stand: str = "world"
     """Body the stand is fixed to; it takes the reaction."""
-    force_limit: float = 500.0
+    force_limit: Positive = 500.0
     """Largest force of the coil [N]."""
 
     def __post_init__(self) -> None:
-        for name in ("coil_mass", "stinger_stiffness", "stinger_length", "force_limit"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise InvalidSetting(f"a shaker's {name} must be positive, got {value!r}")
-        for name in ("stinger_damping", "suspension_stiffness", "suspension_damping"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise InvalidSetting(f"a shaker's {name} must be zero or more, got {value!r}")
+        super().__post_init__()
         if not np.linalg.norm(self.direction) > 0:
             raise InvalidSetting("a shaker's direction must not be zero")
 

@@ -11,7 +11,11 @@ from numpy.typing import NDArray
 from loose_env.arms.arm import Holding
 
 __all__ = [
+    "CREST_FACTOR",
+    "FASTEST_TURN",
+    "GRAVITY",
     "HOLDING_MODE_HZ",
+    "MOTOR_SIDE",
     "SERVO_DAMPING",
     "SERVO_MODE_HZ",
     "add_link",
@@ -27,6 +31,16 @@ SERVO_MODE_HZ = 25.0
 SERVO_DAMPING = 0.5
 """Damping ratio of that mode."""
 CENTRING_MODE_HZ = 4.0
+"""Mode of an excited joint on its centring spring: below the band."""
+GRAVITY = 9.81
+"""Gravity of the arms in the library, and 1 g of a preload [m/s²]."""
+CREST_FACTOR = 3.0
+"""Peak over rms that a drive has to deliver [1]; rarer peaks are clipped at its limit."""
+FASTEST_TURN = 1.4
+"""Largest angle by which a spring's or a stop's mode may turn in one simulation step [rad]:
+stepping is stable below 2."""
+MOTOR_SIDE = 0.05
+"""Share of a link's mass and inertia that is the flange on the motor side [1]; an estimate."""
 
 
 def new_spec(*, gravity: Sequence[float]) -> mujoco.MjSpec:

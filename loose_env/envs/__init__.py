@@ -3,81 +3,25 @@
 Data flow: faults -> settings -> episode -> rendering -> diagnosis_env -> vector_env -> sb3.
 """
 
-from loose_env.envs.diagnosis_env import (
-    DiagnosisEnv,
-)
-from loose_env.envs.episode.actions import (
-    Action,
-    ActionLayout,
-)
-from loose_env.envs.episode.batch import (
-    BatchRig,
-    EpisodeBatch,
-)
-from loose_env.envs.episode.observation import (
-    ObservationLayout,
-)
-from loose_env.envs.episode.state import (
-    Outcome,
-)
-from loose_env.envs.faults.difficulty import (
-    DIFFICULTIES,
-    Difficulty,
-    difficulty_named,
-)
-from loose_env.envs.faults.sampler import (
-    FaultSampler,
-)
-from loose_env.envs.rendering import (
-    palette,
-)
-from loose_env.envs.rendering.correlation_loop import (
-    Loop,
-    measured_loop,
-    predicted_loop,
-)
-from loose_env.envs.rendering.fault_text import (
-    fault_words,
-    hypothesis_words,
-)
-from loose_env.envs.rendering.palette import (
-    EDGE,
-    FAINT,
-    INK,
-    MEASURED,
-    MUTED,
-    PAPER,
-    SHAKEN,
-    TRUTH,
-)
-from loose_env.envs.rendering.picture import (
-    Picture,
-)
-from loose_env.envs.rendering.planar.arm import (
-    ArmDrawing,
-)
-from loose_env.envs.rendering.planar.view import (
-    PlanarView,
-    moves_in_a_plane,
-)
-from loose_env.envs.rendering.scenery import (
-    arrow,
-    draw_base,
-    draw_measure,
-    half_height,
-)
-from loose_env.envs.rendering.spatial.arm import (
-    SpaceDrawing,
-)
-from loose_env.envs.rendering.spatial.view import (
-    SpaceView,
-)
-from loose_env.envs.settings import (
-    DiagnosisSettings,
-)
-from loose_env.envs.vector_env import (
-    DiagnosisVectorEnv,
-)
+from loose_env.envs.diagnosis_env import DiagnosisEnv
+from loose_env.envs.episode.actions import Action, ActionLayout
+from loose_env.envs.episode.batch import BatchRig, EpisodeBatch
+from loose_env.envs.episode.observation import ObservationLayout
+from loose_env.envs.episode.state import Outcome
+from loose_env.envs.faults.difficulty import DIFFICULTIES, Difficulty, difficulty_named
+from loose_env.envs.faults.sampler import FaultSampler
+from loose_env.envs.rendering import palette
+from loose_env.envs.rendering.correlation import Loop, measured_loop, predicted_loop
+from loose_env.envs.rendering.fault_text import fault_words, hypothesis_words
+from loose_env.envs.rendering.palette import EDGE, FAINT, INK, MEASURED, MUTED, PAPER, SHAKEN, TRUTH
+from loose_env.envs.rendering.picture import Picture
+from loose_env.envs.rendering.planar.arm import ArmDrawing
+from loose_env.envs.rendering.planar.view import PlanarView, moves_in_a_plane
+from loose_env.envs.rendering.scenery import arrow, draw_base, draw_measure, half_height
+from loose_env.envs.rendering.spatial.arm import SpaceDrawing
+from loose_env.envs.rendering.spatial.view import SpaceView
+from loose_env.envs.settings import DiagnosisSettings
+from loose_env.envs.vector_env import DiagnosisVectorEnv
 
 __all__ = [
     "DIFFICULTIES",

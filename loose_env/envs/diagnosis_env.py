@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from loose_env.arms import Arm, MismatchDraw
 from loose_env.envs.episode.batch import BatchRig, EpisodeBatch
-from loose_env.envs.episode.raw_observation import raw_observation, raw_space
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import UnknownName
 from loose_env.excitation import Excitation
@@ -127,9 +126,7 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
         self.layout = self.batch.observations
         self.actions = self.batch.actions
         self.action_space = self.actions.space
-        self.observation_space = (
-            raw_space(arm, self.settings, self.layout) if self.settings.raw else self.layout.space
-        )
+        self.observation_space = self.batch.space
         self.render_mode = render_mode
         self._picture: Any = None
         self._seed: int | None = None
@@ -155,18 +152,17 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
         self._seed, self._number = root, number
         if self.render_mode == "human":
             self.render()
-        return self._observe(), info
+        return self.batch.shown(0), info
 
     def step(self, action: NDArray[np.int64]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Move, excite and measure; or give a verdict."""
-        episode = self.batch.episode(0)
-        if episode is None or episode.ended:
+        if not self.batch.has_episode(0) or self.batch.episode(0).ended:
             raise ResetNeeded("no episode is running: call reset() before step()")
         outcome = self.batch.step([0], [action])[0]
         if self.render_mode == "human":
             self.render()
         return (
-            self._observe(),
+            self.batch.shown(0),
             outcome.reward,
             outcome.terminated,
             outcome.truncated,
@@ -175,13 +171,9 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Allowed choices of the next action, in the form MaskablePPO takes."""
-        if self.batch.episode(0) is None:
+        if not self.batch.has_episode(0):
             raise ResetNeeded("no episode is running: call reset() before action_masks()")
         return self.batch.mask(0)
-
-    def sample_fault(self, rng: np.random.Generator) -> Fault:
-        """Draw a fault from the difficulty's ranges."""
-        return self.batch.sampler.draw(rng)
 
     def simulate(
         self,
@@ -205,17 +197,15 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
                 "no render_mode was given; make the environment with render_mode='rgb_array' "
                 "or 'human'"
             )
-        episode = self.batch.episode(0)
-        if episode is None:
+        if not self.batch.has_episode(0):
             raise ResetNeeded("no episode is running: call reset() before render()")
         if self._picture is None:
             from loose_env.envs.rendering.picture import Picture
 
             self._picture = Picture(
-                self.batch.nominal,
-                show=self.render_mode == "human",
-                sensors=self.settings.sensors,
+                self.batch.nominal, show=self.render_mode == "human", sensors=self.settings.sensors
             )
+        episode = self.batch.episode(0)
         return self._picture.draw(episode, verdict=episode.verdict)
 
     def close(self) -> None:
@@ -223,14 +213,6 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
         if self._picture is not None:
             self._picture.close()
             self._picture = None
-
-    def _observe(self) -> Any:
-        flat = self.batch.observe(0)
-        if not self.settings.raw:
-            return flat
-        episode = self.batch.episode(0)
-        last = episode.last if episode is not None else None
-        return raw_observation(self.arm, self.settings, flat, last)
 
 
 def new_seed() -> int:

@@ -84,7 +84,7 @@ class Sb3VecEnv(VecEnv):
         setattr(self.env, attr_name, value)
 
     def has_attr(self, attr_name: str) -> bool:
-        """Whether the environments have an attribute."""
+        """Return whether the environments have an attribute."""
         return hasattr(self.env, attr_name)
 
     def env_method(

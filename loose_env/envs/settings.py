@@ -3,30 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from numbers import Real
-from typing import Literal, get_args
-
-import numpy as np
+from typing import Annotated, Any, Literal, get_args
 
 from loose_env.arms import Arm
 from loose_env.envs.faults.difficulty import Difficulty, difficulty_named
-from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.errors import UnknownName
 from loose_env.faults import DEFAULT_KINDS, UNSURE, FaultKind
+from loose_env.io import Checked, Count, NonNegative, Rule, all_of, is_finite
 from loose_env.sensors import SensorSuite
 
 __all__ = ["DiagnosisSettings", "Engine", "Prices"]
 
 Engine = Literal["mujoco", "reduced"]
-"""What simulates the arms."""
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, Real) and bool(np.isfinite(float(value)))
+"""Simulation engine of the arms."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Prices:
-    """What right and wrong verdicts and measurements are worth.
+class Prices(Checked):
+    """Rewards of verdicts and prices of measurements.
 
     At these prices it pays to be unsure where the best verdict is right with less than 37.5 %:
     there p * correct + (1 - p) * wrong falls below -0.25.
@@ -42,27 +36,12 @@ class Prices:
     """Reward for calling a faulty arm healthy; None: as `wrong`."""
     unsure: float = -0.25
     """Reward for the verdict "unsure", whatever the truth: nothing is named."""
-    record: float = 0.05
+    record: NonNegative = 0.05
     """Price of one record."""
-    second: float = 0.02
+    second: NonNegative = 0.02
     """Price of one second of excitation."""
-    level: float = 0.002
+    level: NonNegative = 0.002
     """Price of one joint excited one level up, per record."""
-
-    def __post_init__(self) -> None:
-        for name in ("correct", "wrong", "false_alarm", "miss", "unsure"):
-            value = getattr(self, name)
-            optional = value is None and name in ("false_alarm", "miss")
-            if not optional and not _is_number(value):
-                raise InvalidSetting(
-                    f"the reward for {name!r} must be a finite number, got {value!r}"
-                )
-        for name in ("record", "second", "level"):
-            value = getattr(self, name)
-            if not _is_number(value) or value < 0:
-                raise InvalidSetting(
-                    f"the price per {name} must be a finite number, zero or more; got {value!r}"
-                )
 
     def verdict(self, named: str, truth: str) -> float:
         """Reward of a verdict.
@@ -92,8 +71,20 @@ class Prices:
         return self.wrong
 
 
+_MOVES = Rule(
+    "finite degrees, 0 among them", lambda moves: all_of(moves, is_finite) and 0.0 in moves
+)
+_DURATIONS = Rule(
+    "positive seconds, one or more", lambda times: all_of(times, _is_positive, least=1)
+)
+
+
+def _is_positive(value: Any) -> bool:
+    return is_finite(value) and value > 0
+
+
 @dataclass(frozen=True, kw_only=True)
-class DiagnosisSettings:
+class DiagnosisSettings(Checked):
     """Everything about the environment but the arm itself.
 
     Examples
@@ -105,43 +96,31 @@ class DiagnosisSettings:
     difficulty: str | Difficulty = "default"
     """Ranges of the hidden faults: "easy", "default", "hard" or a Difficulty."""
     kinds: tuple[FaultKind, ...] = DEFAULT_KINDS
-    """Which kinds of fault are hypotheses, "healthy" always; their order does not matter."""
+    """Kinds of fault that are hypotheses, "healthy" always; their order does not matter."""
     prices: Prices = field(default_factory=Prices)
     """Rewards and prices."""
-    max_records: int = 12
+    max_records: Count = 12
     """Records an episode may take; after the last one only a verdict is left."""
-    moves: tuple[float, ...] = (-90.0, -45.0, 0.0, 45.0, 90.0)
+    moves: Annotated[tuple[float, ...], _MOVES] = (-90.0, -45.0, 0.0, 45.0, 90.0)
     """Relative moves a joint can make before a record [deg]. A joint that slides goes in
     proportion through its range: 90 degrees are half of it."""
-    durations: tuple[float, ...] = (0.2, 0.4, 1.2)
+    durations: Annotated[tuple[float, ...], _DURATIONS] = (0.2, 0.4, 1.2)
     """Record lengths to choose from [s]."""
     sensors: SensorSuite = field(default_factory=SensorSuite)
-    """What reads the motion."""
+    """Sensors of the arm."""
     engine: Engine = "mujoco"
-    """What simulates the arms: MuJoCo's batched engine, or "reduced", the same equations about
+    """Simulation engine: MuJoCo's batched one, or "reduced", the same equations about
     the pose in a compiled loop: 5 to 8 times faster, for faults of one degree of freedom. It
     needs numba."""
     raw: bool = False
-    """Whether the observation becomes a Dict with the latest record's signals beside the
+    """True for an observation that is a Dict with the latest record's signals beside the
     statistics, and `info` carries the measurement itself."""
 
     def __post_init__(self) -> None:
         difficulty_named(self.difficulty).probabilities(self.kinds)
-        for name, kind in (("prices", Prices), ("sensors", SensorSuite)):
-            if not isinstance(getattr(self, name), kind):
-                raise InvalidSetting(
-                    f"{name} must be a {kind.__name__}, got {getattr(self, name)!r}"
-                )
         if self.engine not in get_args(Engine):
             raise UnknownName(f"engine is one of {list(get_args(Engine))}, got {self.engine!r}")
-        records = self.max_records
-        if isinstance(records, bool) or not isinstance(records, (int, np.integer)) or records < 1:
-            raise InvalidSetting(f"max_records must be a whole number, 1 or more; got {records!r}")
-        if not all(map(_is_number, self.moves)) or 0.0 not in self.moves:
-            raise InvalidSetting(f"moves must be finite degrees, 0 among them; got {self.moves!r}")
-        durations = self.durations
-        if not durations or not all(_is_number(d) and d > 0 for d in durations):
-            raise InvalidSetting(f"durations must be positive seconds, got {durations!r}")
+        super().__post_init__()
 
     @property
     def stay(self) -> int:

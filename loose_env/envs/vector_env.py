@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from loose_env.arms import Arm
 from loose_env.envs.diagnosis_env import new_seed
 from loose_env.envs.episode.batch import EpisodeBatch
-from loose_env.envs.episode.raw_observation import raw_observation, raw_space
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidAction, InvalidSetting
+from loose_env.io import is_whole
 
 __all__ = ["DiagnosisVectorEnv"]
 
@@ -40,7 +40,7 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
     threads : int
         Simulation threads; 0 takes all processors.
     true_arm : Arm, optional
-        The arm that is measured; the nominal one by default. See `loose_env.envs.episode.true_arm`.
+        The arm that is measured; the nominal one by default. See `loose_env.envs.EpisodeBatch`.
 
     Examples
     --------
@@ -78,9 +78,7 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         self.layout = self.batch.observations
         self.actions = self.batch.actions
         self.single_action_space = self.actions.space
-        self.single_observation_space = (
-            raw_space(arm, self.settings, self.layout) if self.settings.raw else self.layout.space
-        )
+        self.single_observation_space = self.batch.space
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._seeds: list[int | None] = [None] * num_envs
@@ -105,7 +103,7 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
             )
         given = dict(options or {})
         chosen = self._reset_mask(given.pop("reset_mask", None))
-        if any(self.batch.episode(int(i)) is None for i in np.flatnonzero(~chosen)):
+        if not all(self.batch.has_episode(int(i)) for i in np.flatnonzero(~chosen)):
             raise ResetNeeded("the first reset() begins all episodes: give it no reset_mask")
         seeds = self._checked_seeds(seed)
         infos: dict[str, Any] = {}
@@ -128,7 +126,7 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
                 f"actions of {self.num_envs} environments have shape "
                 f"({self.num_envs}, {len(self.actions.nvec)}), got {rows.shape}"
             )
-        if any(self.batch.episode(i) is None for i in range(self.num_envs)):
+        if not all(self.batch.has_episode(i) for i in range(self.num_envs)):
             raise ResetNeeded("no episodes are running: call reset() before step()")
         outcomes = self.batch.step(range(self.num_envs), list(rows))
         rewards = np.array([o.reward for o in outcomes])
@@ -138,7 +136,7 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         for i, outcome in enumerate(outcomes):
             info = outcome.info
             if outcome.terminated or outcome.truncated:
-                final = {"final_obs": self._single(i), "final_info": info}
+                final = {"final_obs": self.batch.shown(i), "final_info": info}
                 infos = self._add_info(infos, final, i)
                 info = self._begin(i, {})
             infos = self._add_info(infos, info, i)
@@ -161,8 +159,7 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         several = isinstance(given, (Sequence, np.ndarray)) and not isinstance(given, str)
         seeds = list(given) if several else [given]
         for seed in seeds:
-            whole = isinstance(seed, (int, np.integer)) and not isinstance(seed, bool)
-            if seed is not None and (not whole or seed < 0):
+            if seed is not None and (not is_whole(seed) or seed < 0):
                 raise InvalidSetting(f"a seed is a whole number, zero or more; got {seed!r}")
         if not several:
             first = seeds[0]
@@ -182,16 +179,8 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
             )
         return mask
 
-    def _single(self, i: int) -> Any:
-        flat = self.batch.observe(i)
-        if not self.settings.raw:
-            return flat
-        episode = self.batch.episode(i)
-        last = episode.last if episode is not None else None
-        return raw_observation(self.arm, self.settings, flat, last)
-
     def _observe(self) -> Any:
-        singles = [self._single(i) for i in range(self.num_envs)]
+        singles = [self.batch.shown(i) for i in range(self.num_envs)]
         if not self.settings.raw:
             return np.stack(singles)
         return {key: np.stack([s[key] for s in singles]) for key in singles[0]}

@@ -1,7 +1,6 @@
 """Evaluation: success rates, paired intervals, calibration, strata.
 
-Data flow: calibration -> paired_bootstrap -> seat_openness -> fault_difficulty ->
-seed_aggregates -> success_rates -> factorial -> rows -> strata.
+Data flow: calibration -> intervals -> hidden_faults -> success_rates -> rows -> strata.
 """
 
 from loose_env.evaluation.calibration import (
@@ -11,38 +10,29 @@ from loose_env.evaluation.calibration import (
     expected_calibration_error,
     reliability,
 )
-from loose_env.evaluation.factorial import (
-    Crossing,
-    crossing,
-    pareto_front,
-    success_after,
-)
-from loose_env.evaluation.fault_difficulty import (
-    HiddenFigures,
+from loose_env.evaluation.hidden_faults import (
+    FaultParameters,
     drive_over_friction,
-    hidden_figures,
+    fault_parameters,
 )
-from loose_env.evaluation.paired_bootstrap import (
+from loose_env.evaluation.intervals import (
+    SEPARATOR,
     Interval,
     bootstrap_mean,
     paired_difference,
-)
-from loose_env.evaluation.rows import (
-    configuration_hash,
-    need_format,
-    read_rows,
-    write_rows,
-)
-from loose_env.evaluation.seed_aggregates import (
-    SEPARATOR,
     runs_of,
     trained_agents,
 )
+from loose_env.evaluation.rows import configuration_hash, need_format, read_rows, write_rows
 from loose_env.evaluation.strata import (
     RATIO_EDGES,
+    Crossing,
     Division,
+    crossing,
     divisions,
+    pareto_front,
     ratio_names,
+    success_after,
 )
 from loose_env.evaluation.success_rates import (
     Row,
@@ -61,7 +51,7 @@ __all__ = [
     "Calibration",
     "Crossing",
     "Division",
-    "HiddenFigures",
+    "FaultParameters",
     "Interval",
     "Row",
     "Standing",
@@ -74,7 +64,7 @@ __all__ = [
     "divisions",
     "drive_over_friction",
     "expected_calibration_error",
-    "hidden_figures",
+    "fault_parameters",
     "need_format",
     "paired_difference",
     "pareto_front",

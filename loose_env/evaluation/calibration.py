@@ -1,4 +1,4 @@
-"""Whether an agent's probabilities mean what they say.
+"""Calibration of an agent's probabilities.
 
 A posterior is calibrated if, of all times it gave its best hypothesis the probability p, the
 best hypothesis was right in the share p. That is a statement about what the agent can see.
@@ -38,7 +38,7 @@ SMALLEST = 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reliability:
-    """How often each degree of confidence was right; bins that are not empty."""
+    """Accuracy by confidence, in bins that are not empty."""
 
     confidence: NDArray[np.float64]
     """Mean confidence (bins,)."""
@@ -132,18 +132,18 @@ def log_score(truth_probability: ArrayLike) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Claims:
-    """What an agent believed after each record of each episode."""
+    """Posterior of an agent after each record of each episode."""
 
     confidence: NDArray[np.float64]
     """Probability of the most probable hypothesis (N,)."""
     right: NDArray[np.bool_]
-    """Whether that was the truth (N,)."""
+    """True where that was the truth (N,)."""
     truth: NDArray[np.float64]
     """Probability of the truth (N,)."""
     record: NDArray[np.intp]
     """After which record, from 1 (N,)."""
     last: NDArray[np.bool_]
-    """Whether the episode's verdict followed (N,)."""
+    """True where the episode's verdict followed (N,)."""
     ratio: NDArray[np.float64]
     """Seat drive over friction of the arm; NaN where it is healthy (N,)."""
 
@@ -178,7 +178,7 @@ def claims_of(rows: Sequence[Mapping[str, Any]]) -> Claims:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """How far the probabilities of one agent can be trusted."""
+    """Calibration errors and log score of one agent."""
 
     agent: str
     """The agent."""
@@ -197,11 +197,7 @@ class Calibration:
 
 
 def calibration_of(
-    agent: str,
-    rows: Sequence[Mapping[str, Any]],
-    *,
-    edges: Sequence[float],
-    records: int = 4,
+    agent: str, rows: Sequence[Mapping[str, Any]], *, edges: Sequence[float], records: int = 4
 ) -> Calibration | None:
     """Judge the probabilities of one agent; None where it keeps none.
 

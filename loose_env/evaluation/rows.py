@@ -11,11 +11,12 @@ from typing import Any, Literal, get_args
 
 from loose_env.errors import InvalidData, UnknownName
 from loose_env.evaluation.success_rates import Row
+from loose_env.io import write_text, written_beside
 
 __all__ = ["RowsFormat", "configuration_hash", "need_format", "read_rows", "write_rows"]
 
 RowsFormat = Literal["parquet", "json"]
-"""How rows are kept."""
+"""File format of rows."""
 
 COLUMN = "configuration"
 """Column of the configuration's hash, so that rows of several files can be told apart."""
@@ -76,8 +77,8 @@ def write_rows(
 ) -> Path:
     """Write rows and their configuration into ``folder/name.parquet``, or ``.json``.
 
-    The file is written beside its final name and renamed into place. Parquet holds the
-    configuration and its hash in the metadata of the schema, and the hash in a column.
+    The file is written atomically. Parquet holds the configuration and its hash in the metadata
+    of the schema, and the hash in a column.
 
     Parameters
     ----------
@@ -98,19 +99,11 @@ def write_rows(
         The file written.
     """
     target = Path(folder) / f"{name}.{need_format(form)}"
-    target.parent.mkdir(parents=True, exist_ok=True)
-    beside = target.with_name(f".{target.name}.{os.getpid()}.part")
     digest = configuration_hash(configuration)
-    try:
-        if form == "json":
-            whole = {"configuration": configuration, "hash": digest, "rows": list(rows)}
-            beside.write_text(json.dumps(whole, indent=0) + "\n", encoding="utf-8")
-        else:
-            _write_parquet(beside, rows, configuration, digest)
-        beside.replace(target)
-    finally:
-        beside.unlink(missing_ok=True)
-    return target
+    if form == "json":
+        whole = {"configuration": configuration, "hash": digest, "rows": list(rows)}
+        return write_text(target, json.dumps(whole, indent=0) + "\n")
+    return written_beside(target, lambda path: _write_parquet(path, rows, configuration, digest))
 
 
 def read_rows(path: str | os.PathLike[str]) -> tuple[list[dict[str, Any]], dict[str, Any]]:

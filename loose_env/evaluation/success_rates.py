@@ -1,4 +1,4 @@
-"""How the agents stand after a comparison, as numbers, as a table and in words."""
+"""Success rates of a comparison, as numbers, as a table and in words."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from loose_env.errors import InvalidData, UnknownName
-from loose_env.evaluation.paired_bootstrap import (
+from loose_env.evaluation.intervals import (
     Interval,
     arm_of,
     bootstrap_mean,
@@ -31,18 +31,18 @@ __all__ = [
 ]
 
 Row = Mapping[str, Any]
-"""How one episode went: agent, seed, truth, verdict, success, link_success, poses, records,
+"""Outcome of one episode: agent, seed, truth, verdict, success, link_success, poses, records,
 seconds, reward and truncated. ``episode`` may stand beside or in place of ``seed``; tables that
 divide the episodes also take difficulty and friction_ratio, calibration the trails."""
 
 _LEVEL = 0.95
-_CHANCE = 0.05  # above this, a lead may well be luck
+_SIGNIFICANCE = 0.05  # p-value [1] of the sign test above which a lead is sampling error
 _NO_FAULT = ("healthy", UNSURE, None)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Standing:
-    """How one agent did."""
+    """Summary of one agent's episodes."""
 
     agent: str
     episodes: int
@@ -53,7 +53,7 @@ class Standing:
     high: float
     """Upper end of the same."""
     link_success: float
-    """Share of episodes in which the right place was named, whatever the kind."""
+    """Share of episodes whose verdict names the right link or joint, whatever the kind."""
     false_alarms: float
     """Share of the healthy arms on which a fault was named; NaN where none was healthy."""
     misses: float
@@ -92,10 +92,7 @@ def by_agent(rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 
 def standings(
-    rows: Sequence[Row],
-    *,
-    reference: str | None = None,
-    rng: np.random.Generator | None = None,
+    rows: Sequence[Row], *, reference: str | None = None, rng: np.random.Generator | None = None
 ) -> list[Standing]:
     """Sum up the rows of each agent; the one with the highest mean return comes first.
 
@@ -274,7 +271,7 @@ def _lead(rows: Sequence[Row], first: Standing, second: Standing) -> str:
         f"Where only one of the two best was right, it was {first.agent} on {alone} arms and "
         f"{second.agent} on {lost}:"
     )
-    if chance > _CHANCE:
-        return f"{met} such a difference may well be luck (sign test, p = {chance:.2f})."
+    if chance > _SIGNIFICANCE:
+        return f"{met} the difference is within sampling error (sign test, p = {chance:.2f})."
     shown = "p < 0.001" if chance < 0.001 else f"p = {chance:.3f}"
-    return f"{met} luck alone would hardly do that (sign test, {shown})."
+    return f"{met} the difference exceeds sampling error (sign test, {shown})."

@@ -25,7 +25,7 @@ from loose_env.faults.kinds import (
     hypotheses,
     place_of,
 )
-from loose_env.faults.preload import GRAVITY, preloaded, seat_weight
+from loose_env.faults.preload import preloaded, seat_weight
 from loose_env.faults.seat import (
     SEAT,
     SeatKind,
@@ -38,12 +38,10 @@ from loose_env.faults.seat import (
     seats_of,
     twist_of,
 )
-from loose_env.faults.seating import FASTEST_STOP, seated_spec, set_seat
+from loose_env.faults.seating import seated_spec, set_seat
 
 __all__ = [
     "DEFAULT_KINDS",
-    "FASTEST_STOP",
-    "GRAVITY",
     "KINDS",
     "SEAT",
     "SEVERAL_FAULTS",

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, get_args
+from typing import Annotated, Any, ClassVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidSetting
 from loose_env.faults.kinds import SEVERAL_FAULTS, FaultKind
+from loose_env.io import Checked, NonNegative, Rule, is_finite
 
 __all__ = [
     "Backlash",
@@ -25,9 +26,45 @@ __all__ = [
     "unit",
 ]
 
-Vector = tuple[float, float, float]
 _INDEPENDENT = 1e-3
 """Smallest singular value of unit vectors that still count as independent [1]."""
+
+
+def _points_somewhere(vector: object) -> bool:
+    given = _numbers(vector)
+    return given.shape == (3,) and bool(np.isfinite(given).all() and given.any())
+
+
+def _is_place(vector: object) -> bool:
+    given = _numbers(vector)
+    return given.shape == (3,) and bool(np.isfinite(given).all())
+
+
+def _is_two_sided(pair: Any) -> bool:
+    return np.shape(pair) == (2,) and all(is_finite(value) and value >= 0 for value in pair)
+
+
+Vector = tuple[float, float, float]
+Direction = Annotated[
+    Vector, Rule("three finite numbers, not all zero, in the link frame", _points_somewhere)
+]
+Point = Annotated[Vector, Rule("three finite numbers [m] in the link frame", _is_place)]
+Sides = Annotated[
+    tuple[float, float],
+    Rule("two finite numbers, zero or more, for the lower and the upper stop", _is_two_sided),
+]
+
+
+class _OfLink(Checked):
+    """Fault at the seat of one link."""
+
+    kind: ClassVar[str]
+    link: int
+
+    @property
+    def hypothesis(self) -> str:
+        """Name of the hypothesis that this arm belongs to."""
+        return f"{self.kind}@link{self.link}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,105 +72,77 @@ class Healthy:
     """Arm without looseness: its seat is closed."""
 
     kind: ClassVar[FaultKind] = "healthy"
-
-    @property
-    def hypothesis(self) -> str:
-        """Name of the hypothesis that this arm belongs to."""
-        return "healthy"
+    hypothesis: ClassVar[str] = "healthy"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Preload:
+class Preload(Checked):
     """Preloaded seat: a bolted flange under tension, closed by a stiff spring. No fault."""
 
     kind: ClassVar[FaultKind] = "healthy"
+    hypothesis: ClassVar[str] = "healthy"
     link: int
     """Link that carries the seat, from 1 at the base."""
-    direction: Vector
+    direction: Direction
     """Direction of the seat in the link frame."""
-    stiffness: float
+    stiffness: NonNegative
     """Stiffness of the closed seat [N/m]."""
-    damping: float = 0.0
+    damping: NonNegative = 0.0
     """Damping of the closed seat [N·s/m]."""
-
-    def __post_init__(self) -> None:
-        unit("a direction", self.direction)
-        _not_negative(stiffness=self.stiffness, damping=self.damping)
-
-    @property
-    def hypothesis(self) -> str:
-        """Name of the hypothesis that this arm belongs to."""
-        return "healthy"
 
 
 @dataclass(frozen=True, kw_only=True)
-class StructuralLooseness:
+class StructuralLooseness(_OfLink):
     """A link that slides on its flange between two stops."""
 
     kind: ClassVar[FaultKind] = "structural_looseness"
     link: int
     """Loose link, from 1 at the base."""
-    direction: Vector
+    direction: Direction
     """Direction of the slide in the link frame; its length does not matter."""
-    gap: float
+    gap: NonNegative
     """Travel from stop to stop [m]."""
-    stiffness: tuple[float, float]
+    stiffness: Sides
     """Stiffness of the lower and the upper stop [N/m]."""
-    damping: tuple[float, float] = (0.0, 0.0)
+    damping: Sides = (0.0, 0.0)
     """Damping of the lower and the upper stop [N·s/m]."""
-    friction: float = 0.0
+    friction: NonNegative = 0.0
     """Coulomb friction of the guide [N]."""
     preload: float = 0.0
     """Constant force that presses the seat on its upper stop; below zero on the lower [N]."""
 
-    def __post_init__(self) -> None:
-        unit("a direction", self.direction)
-        _not_negative(gap=self.gap, friction=self.friction)
-        _finite(preload=self.preload)
-        _two_sides(stiffness=self.stiffness, damping=self.damping)
-
-    @property
-    def hypothesis(self) -> str:
-        """Name of the hypothesis that this arm belongs to."""
-        return f"structural_looseness@link{self.link}"
-
 
 @dataclass(frozen=True, kw_only=True)
-class Backlash:
+class Backlash(Checked):
     """A joint with play between its motor side and its link side.
 
     The play is the joint's own motion: about its axis, or along it where the joint slides. There,
-    every figure is per metre and in newtons.
+    every parameter is per metre and in newtons.
     """
 
     kind: ClassVar[FaultKind] = "backlash"
     joint: int
     """Joint with play, from 1 at the base."""
-    gap: float
+    gap: NonNegative
     """Travel from stop to stop [rad, or m where the joint slides]."""
-    stiffness: tuple[float, float]
+    stiffness: Sides
     """Stiffness of the lower and the upper flank [N·m/rad, or N/m]."""
-    damping: tuple[float, float] = (0.0, 0.0)
+    damping: Sides = (0.0, 0.0)
     """Damping of the lower and the upper flank [N·m·s/rad, or N·s/m]."""
-    friction: float = 0.0
+    friction: NonNegative = 0.0
     """Coulomb friction between the two sides [N·m, or N]."""
     preload: float = 0.0
     """Constant torque or force that presses the seat on its upper stop, below zero on the lower
     [N·m, or N]."""
 
-    def __post_init__(self) -> None:
-        _not_negative(gap=self.gap, friction=self.friction)
-        _finite(preload=self.preload)
-        _two_sides(stiffness=self.stiffness, damping=self.damping)
-
     @property
     def hypothesis(self) -> str:
         """Name of the hypothesis that this arm belongs to."""
-        return f"backlash@joint{self.joint}"
+        return f"{self.kind}@joint{self.joint}"
 
 
 @dataclass(frozen=True, kw_only=True)
-class RotationalLooseness:
+class RotationalLooseness(_OfLink):
     """A link that rocks on its flange about an axis, between two stops (3.2.2).
 
     About the axis of its joint this would be `Backlash`.
@@ -142,40 +151,24 @@ class RotationalLooseness:
     kind: ClassVar[FaultKind] = "rotational_looseness"
     link: int
     """Loose link, from 1 at the base."""
-    axis: Vector
+    axis: Direction
     """Axis of the rocking in the link frame; its length does not matter."""
-    gap: float
+    gap: NonNegative
     """Angle from stop to stop [rad]."""
-    stiffness: tuple[float, float]
+    stiffness: Sides
     """Stiffness of the lower and the upper stop [N·m/rad]."""
-    damping: tuple[float, float] = (0.0, 0.0)
+    damping: Sides = (0.0, 0.0)
     """Damping of the lower and the upper stop [N·m·s/rad]."""
-    friction: float = 0.0
+    friction: NonNegative = 0.0
     """Coulomb friction of the seat [N·m]."""
     preload: float = 0.0
     """Constant torque that presses the seat on its upper stop; below zero on the lower [N·m]."""
-    pivot: Vector = (0.0, 0.0, 0.0)
+    pivot: Point = (0.0, 0.0, 0.0)
     """A point of the axis in the link frame [m]."""
-
-    def __post_init__(self) -> None:
-        unit("an axis", self.axis)
-        pivot = _numbers(self.pivot)
-        if pivot.shape != (3,) or not np.isfinite(pivot).all():
-            raise InvalidSetting(
-                f"a pivot is three finite numbers [m] in the link frame; got {self.pivot!r}"
-            )
-        _not_negative(gap=self.gap, friction=self.friction)
-        _finite(preload=self.preload)
-        _two_sides(stiffness=self.stiffness, damping=self.damping)
-
-    @property
-    def hypothesis(self) -> str:
-        """Name of the hypothesis that this arm belongs to."""
-        return f"rotational_looseness@link{self.link}"
 
 
 @dataclass(frozen=True, kw_only=True)
-class CompoundLooseness:
+class CompoundLooseness(_OfLink):
     """Link loose on its flange in two or more directions (3.2.2, 8.3.2).
 
     An undersized pin lets the link slide both ways across it: two parts. A seat loose in all
@@ -216,11 +209,6 @@ class CompoundLooseness:
         _independent("directions of the slides", slides)
         _independent("axes of the rotations", axes)
 
-    @property
-    def hypothesis(self) -> str:
-        """Name of the hypothesis that this arm belongs to."""
-        return f"compound_looseness@link{self.link}"
-
 
 LooseFault = StructuralLooseness | Backlash | RotationalLooseness | CompoundLooseness
 """A fault that leaves one seat loose, in one way or several."""
@@ -228,12 +216,13 @@ LooseFault = StructuralLooseness | Backlash | RotationalLooseness | CompoundLoos
 
 @dataclass(frozen=True, kw_only=True)
 class SeveralFaults:
-    """Several simultaneous faults of one arm. No hypothesis covers them.
+    """Several simultaneous faults of one arm; no verdict names them.
 
     Each is what it is alone, with stops, friction and a place in its gap of its own.
     """
 
     kind: ClassVar[str] = SEVERAL_FAULTS
+    hypothesis: ClassVar[str] = SEVERAL_FAULTS
     faults: tuple[LooseFault, ...]
     """Two faults or more, each on a link or joint of its own number."""
 
@@ -257,11 +246,6 @@ class SeveralFaults:
                 f"in several ways use CompoundLooseness; got places {places}"
             )
 
-    @property
-    def hypothesis(self) -> str:
-        """Label of the combined fault; no verdict corresponds to it."""
-        return SEVERAL_FAULTS
-
 
 Fault = Healthy | Preload | LooseFault | SeveralFaults
 
@@ -279,11 +263,11 @@ def unit(what: str, vector: Vector) -> NDArray[np.float64]:
     InvalidSetting
         If it is not three finite numbers, or points nowhere.
     """
-    given = _numbers(vector)
-    if given.shape != (3,) or not np.isfinite(given).all() or not np.linalg.norm(given) > 0:
+    if not _points_somewhere(vector):
         raise InvalidSetting(
             f"{what} is three finite numbers, not all zero, in the link frame; got {vector!r}"
         )
+    given = _numbers(vector)
     return np.asarray(given / np.linalg.norm(given))
 
 
@@ -304,27 +288,3 @@ def _independent(what: str, vectors: list[Vector]) -> None:
             f"the {what} must be independent, three at most: leave out those that the others "
             f"make; got {vectors}"
         )
-
-
-def _not_negative(**values: float) -> None:
-    for name, value in values.items():
-        number = _numbers(value)
-        if number.shape != () or not 0 <= number < np.inf:
-            raise InvalidSetting(f"{name} must be a finite number, zero or more; got {value!r}")
-
-
-def _finite(**values: float) -> None:
-    for name, value in values.items():
-        number = _numbers(value)
-        if number.shape != () or not np.isfinite(number):
-            raise InvalidSetting(f"{name} must be a finite number; got {value!r}")
-
-
-def _two_sides(**pairs: tuple[float, float]) -> None:
-    for name, pair in pairs.items():
-        if np.shape(pair) != (2,):
-            raise InvalidSetting(
-                f"{name} is two numbers, for the lower and the upper stop; got {pair!r}"
-            )
-        for value in pair:
-            _not_negative(**{name: value})

@@ -30,7 +30,7 @@ DEFAULT_KINDS: tuple[FaultKind, ...] = ("healthy", "structural_looseness", "back
 """The kinds of the thesis."""
 
 SEVERAL_FAULTS = "several_faults"
-"""What an arm with more than one fault falls under; no verdict can name it."""
+"""Label of an arm with more than one fault; no verdict can name it."""
 
 UNSURE = "unsure"
 """The verdict that names nothing: what was seen fits none of the hypotheses well enough."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from loose_env.arms import Arm
+from loose_env.arms import GRAVITY, Arm
 from loose_env.errors import InvalidSetting
 from loose_env.faults.faults import (
     Backlash,
@@ -21,10 +21,7 @@ from loose_env.faults.faults import (
 )
 from loose_env.faults.seat import SinglePart, twist_of
 
-__all__ = ["GRAVITY", "preloaded", "seat_weight"]
-
-GRAVITY = 9.81
-"""Acceleration of 1 g [m/s²]."""
+__all__ = ["preloaded", "seat_weight"]
 
 
 def seat_weight(arm: Arm, part: SinglePart) -> float:

@@ -23,7 +23,7 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
-from loose_env.arms import Arm
+from loose_env.arms import FASTEST_TURN, Arm
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults.faults import (
     Backlash,
@@ -37,11 +37,7 @@ from loose_env.faults.faults import (
 from loose_env.faults.seat import SeatKind, SinglePart, parts_of, seat_name, seat_names
 from loose_env.typing import Array
 
-__all__ = ["FASTEST_STOP", "seated_spec", "set_seat"]
-
-FASTEST_STOP = 1.4
-"""Largest angle [rad] by which a contact mode may turn in one simulation step."""
-
+__all__ = ["seated_spec", "set_seat"]
 
 _SOFT, _STIFF = 1e-4, 0.9999  # MuJoCo's smallest and largest constraint impedance
 _FAR = 1.0  # a stop that is never reached [m or rad]
@@ -54,7 +50,7 @@ def seated_spec(
 ) -> mujoco.MjSpec:
     """Copy the arm's spec and add a seat to ``link``: joints, stops and locks.
 
-    The spec is the same for every fault on that seat; `set_seat` writes the fault's figures
+    The spec is the same for every fault on that seat; `set_seat` writes the fault's parameters
     into the compiled model.
 
     Parameters
@@ -258,12 +254,12 @@ def _set_part(model: mujoco.MjModel, name: str, part: SinglePart) -> None:
 
 def _require_slow(what: str, stiffness: float, damping: float, weight: float, step: float) -> None:
     """Reject a spring or damper too stiff for the time step; ``weight`` is inverse mass."""
-    if stiffness * weight * step**2 > FASTEST_STOP**2:
+    if stiffness * weight * step**2 > FASTEST_TURN**2:
         mode = np.sqrt(stiffness * weight) / (2 * np.pi)
         raise InvalidSetting(
             f"{what} with a stiffness of {stiffness:g} has a contact mode of {mode:.0f} Hz, too "
-            f"fast for a step of {step:g} s; use {FASTEST_STOP**2 / weight / step**2:.3g} at "
-            f"most, or a step of {FASTEST_STOP / np.sqrt(stiffness * weight):.2g} s at most"
+            f"fast for a step of {step:g} s; use {FASTEST_TURN**2 / weight / step**2:.3g} at "
+            f"most, or a step of {FASTEST_TURN / np.sqrt(stiffness * weight):.2g} s at most"
         )
     # Stable explicit stepping of a spring and a damper needs w h (k h + 2 c) < 4.
     if weight * step * (stiffness * step + 2 * damping) >= 4:
@@ -275,10 +271,7 @@ def _require_slow(what: str, stiffness: float, damping: float, weight: float, st
 
 
 def _require_slow_together(
-    model: mujoco.MjModel,
-    names: Sequence[str],
-    fault: Fault,
-    data: mujoco.MjData | None,
+    model: mujoco.MjModel, names: Sequence[str], fault: Fault, data: mujoco.MjData | None
 ) -> None:
     """Reject stops that are too stiff for the time step when all parts are in contact."""
     scratch = mujoco.MjData(model) if data is None else data
@@ -299,8 +292,8 @@ def _require_slow_together(
 
     spring = fastest(stiffness) * step**2
     both = fastest(stiffness * step**2 + 2 * damping * step)
-    if spring > FASTEST_STOP**2 or both >= 4:
-        share = min(FASTEST_STOP**2 / max(spring, 1e-300), 4 / max(both, 1e-300))
+    if spring > FASTEST_TURN**2 or both >= 4:
+        share = min(FASTEST_TURN**2 / max(spring, 1e-300), 4 / max(both, 1e-300))
         raise InvalidSetting(
             f"the stops of {fault.hypothesis}, stiffness {stiffness.tolist()} and damping "
             f"{damping.tolist()}, are too stiff together for a step of {step:g} s; multiply all by "

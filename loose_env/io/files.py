@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Atomic writing of files: written under another name, then renamed."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-__all__ = ["write_text", "written_beside"]
+__all__ = ["write_bytes", "write_text", "written_beside"]
 
 
-def written_beside(path: Path, write: Callable[[Path], None]) -> Path:
-    """Let a file be written beside its place, and rename it into place.
+def written_beside(path: Path, write: Callable[[Path], object]) -> Path:
+    """Write a file under another name in its folder, then rename it into place.
 
     Parameters
     ----------
     path : Path
-        Where the file goes; its folder is made where there is none.
+        The file; its folder is made if it is missing.
     write : callable
-        Told where to write.
+        Writes the path it is called with.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
@@ -27,6 +27,18 @@ def written_beside(path: Path, write: Callable[[Path], None]) -> Path:
     finally:
         beside.unlink(missing_ok=True)
     return path
+
+
+def write_bytes(path: Path, data: bytes) -> Path:
+    """Write bytes, flushed to the disk before the file is renamed into place."""
+
+    def write(beside: Path) -> None:
+        with beside.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+
+    return written_beside(path, write)
 
 
 def write_text(path: Path, text: str) -> Path:
@@ -39,8 +51,4 @@ def write_text(path: Path, text: str) -> Path:
     ...     write_text(Path(place, "a", "b.txt"), "words").read_text("utf-8")
     'words'
     """
-
-    def write(beside: Path) -> None:
-        beside.write_bytes(text.encode("utf-8"))
-
-    return written_beside(path, write)
+    return written_beside(path, lambda beside: beside.write_bytes(text.encode("utf-8")))

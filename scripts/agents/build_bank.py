@@ -4,7 +4,7 @@ Usage: python scripts/agents/build_bank.py --env loose_env/Planar-v0 --episodes 
 banks/planar4
 
 A bank holds episodes of random records and the truth behind them (see
-agents/loose_agents/posterior_training/simulated_records.py). It is a folder with a file for every
+agents/loose_agents/posterior_training/record_bank.py). It is a folder with a file for every
 500 episodes; stopped at any moment, the same command goes on. Every episode has its own seed, so a
 bank is the same for any backend and number of workers.
 """
@@ -28,7 +28,7 @@ from loose_agents.posterior_training.bank_storage import (
     BankPlan,
     add_bank_options,
     build_bank,
-    build_figures,
+    build_features,
     plan_of,
 )
 
@@ -58,7 +58,7 @@ def build(options: argparse.Namespace) -> None:
     )
     if not options.records_only:
         begin = time.perf_counter()
-        store = build_figures(plan, folder, settings)
+        store = build_features(plan, folder, settings)
         made = time.perf_counter() - begin
         print(
             f"Figures of {records} records, {megabytes(store, plan):.1f} MB in {store.folder}; "

@@ -28,10 +28,9 @@ os.environ.setdefault("MKL_NUM_THREADS", "1")
 import numpy as np
 from loose_agents.benchmark.sharded import EvaluationTask, play_task, problem_of
 from loose_agents.core.base import Problem
-from loose_agents.core.estimators import ESTIMATORS
-from loose_agents.core.shipped_weights import WEIGHTS, setting_name
+from loose_agents.core.estimators import ESTIMATORS, WEIGHTS, setting_name
+from loose_agents.core.seeds import EVALUATION_SEED
 from loose_agents.evaluation.env_arguments import arguments_of
-from loose_agents.evaluation.evaluate import EVALUATION_SEED
 from loose_agents.evaluation.record_bounds import bound_line
 from loose_agents.execution.backends import BackendSettings, add_backend_options
 from loose_agents.execution.configuration_hash import canonical
@@ -58,7 +57,7 @@ NO_AGENTS = {"oracle": "knows the hidden direction and friction, which no agent 
 """Rows that are no agents, and why; their names get a star."""
 
 LINES: list[Callable[[Problem, Sequence[Row]], str]] = [bound_line]
-"""What else is to be said below the table, such as a bound on records: one line each."""
+"""Lines below the table, such as a bound on records."""
 
 BOOTSTRAP_SEED = 0
 """Seed of the resamples behind the intervals."""
@@ -132,7 +131,7 @@ def play(
 
 
 def words_of(name: str) -> str:
-    """What an agent is, in a few words."""
+    """Short description of an agent."""
     plain = name.partition(SEPARATOR)[0]
     if plain in NO_AGENTS:
         return f"{starred(name)}: no agent; it {NO_AGENTS[plain]}."
@@ -209,7 +208,7 @@ def _told(rows: Sequence[dict[str, Any]], best: str, problem: Problem) -> dict[s
 
 
 def engine_words(problem: Problem) -> str:
-    """What simulates the arms."""
+    """Simulation engine of the arms."""
     engine = getattr(problem.settings, "engine", "mujoco")
     return "MuJoCo" if engine == "mujoco" else f"the {engine} engine"
 

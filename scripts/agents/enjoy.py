@@ -1,9 +1,9 @@
-"""Play a trained policy and say, step by step, what it does and what it believes.
+"""Play a trained policy and print, step by step, its actions and its posterior.
 
 Usage: python scripts/agents/enjoy.py --algo ppo --env loose_env/Vera-v0 -f runs
 
 Takes the runs of scripts/agents/train.py, or any folder with trained weights:
---weights agents/loose_agents/weights/vera.
+--weights agents/loose_agents/weights/ppo-vera-default.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from loose_agents.rl.learned_policy import CONFIGURATION, LearnedAgent
 
 from loose_env.envs import Action, DiagnosisEnv
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.io import write_bytes
 from loose_env.registration import IDS
 
 
@@ -130,14 +131,12 @@ def believed(problem: Problem, probabilities: Sequence[float], count: int = 3) -
 
 
 def write_picture(env: DiagnosisEnv, path: Path) -> None:
-    """Write what the environment draws; beside its name, then renamed."""
+    """Write what the environment draws."""
     from matplotlib import image
 
     buffer = io.BytesIO()
     image.imsave(buffer, env.render(), format="png")
-    beside = path.with_suffix(".part")
-    beside.write_bytes(buffer.getvalue())
-    beside.replace(path)
+    write_bytes(path, buffer.getvalue())
 
 
 def play_episode(

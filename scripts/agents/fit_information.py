@@ -21,8 +21,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from loose_agents.benchmark.tuning import write_tuned
-from loose_agents.core.estimators import make_estimator
-from loose_agents.core.shipped_weights import WEIGHTS, setting_name
+from loose_agents.core.estimators import WEIGHTS, make_estimator, setting_name
 from loose_agents.execution.script_errors import errors_in_one_line
 from loose_agents.posterior_training.bank_storage import add_bank_options, plan_of, read_bank
 from loose_agents.posterior_training.information_calibration import fit_factors, transitions_of

@@ -37,6 +37,7 @@ from loose_env.diagnosis import (
 from loose_env.envs import Difficulty, FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, StructuralLooseness, hypotheses
+from loose_env.io import write_text
 from loose_env.rig import Job, SimulatedRig
 
 TABLE = Path(loose_env.__file__).parent / "diagnosis" / "opening.json"
@@ -48,7 +49,7 @@ class Found:
     """One record of one seat."""
 
     play: bool
-    """Whether the seat is the play of a joint."""
+    """True if the seat is the play of a joint."""
     ratio: float
     """Driving force over friction [1]."""
     press: float
@@ -216,9 +217,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             page = table_of([f for f in without if f.play is play])
         pages = pressed_table_of([f for f in found if f.play is play], page)
         stored[name] = _short(pages)  # type: ignore[assignment]
-    beside = options.out.with_suffix(".part")
-    beside.write_text(json.dumps(stored) + "\n")
-    beside.replace(options.out)
+    write_text(options.out, json.dumps(stored) + "\n")
     print(f"wrote {options.out}")
 
 

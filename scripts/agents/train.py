@@ -24,8 +24,9 @@ import gymnasium
 import numpy as np
 from loose_agents.core.base import Problem
 from loose_agents.core.estimators import feature_size, make_estimator
+from loose_agents.core.seeds import check_training_seed
 from loose_agents.evaluation.env_arguments import refused_in_words
-from loose_agents.evaluation.evaluate import check_training_seed, evaluate
+from loose_agents.evaluation.evaluate import evaluate
 from loose_agents.execution.script_errors import errors_in_one_line
 from loose_agents.rl.hyperparameters import (
     ALGORITHMS,

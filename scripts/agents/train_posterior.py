@@ -23,7 +23,7 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from loose_agents.core.shipped_weights import WEIGHTS, setting_name
+from loose_agents.core.estimators import WEIGHTS, setting_name
 from loose_agents.execution.backends import BackendSettings, add_backend_options
 from loose_agents.execution.script_errors import errors_in_one_line
 from loose_agents.execution.shards import Shard
@@ -31,11 +31,11 @@ from loose_agents.posterior_training.bank_storage import (
     BankPlan,
     add_bank_options,
     build_bank,
-    build_figures,
+    build_features,
     directions_of,
     plan_of,
     read_bank,
-    read_figures,
+    read_features,
     seat_features,
 )
 from loose_agents.posterior_training.novelty import fit_reference, seen_episodes, with_reference
@@ -80,7 +80,7 @@ def train(options: argparse.Namespace) -> None:
     plan, folder = plan_of(options), Path(options.out)
     backend = BackendSettings.of(options)
     build_bank(plan, folder, backend)
-    store = build_figures(plan, folder, backend)
+    store = build_features(plan, folder, backend)
     problem = plan.problem()
     if problem.hypotheses != hypotheses(problem.arm, DEFAULT_KINDS):
         raise InvalidSetting(
@@ -98,7 +98,7 @@ def train(options: argparse.Namespace) -> None:
         add_reference(out, plan, folder, held)
         return
     difficulty = difficulty_named(problem.settings.difficulty)
-    seen = read_figures(store, plan.shards[held:])
+    seen = read_features(store, plan.shards[held:])
     training = PosteriorTraining(
         seen,
         joints=problem.arm.n,
@@ -113,8 +113,8 @@ def train(options: argparse.Namespace) -> None:
     seconds = time.perf_counter() - begin
     half = held // 2  # one part sets the tempers, the other judges
     if half:
-        training.calibrate(read_figures(store, plan.shards[:half]))
-    found = training.scores(read_figures(store, plan.shards[half:held]))
+        training.calibrate(read_features(store, plan.shards[:half]))
+    found = training.scores(read_features(store, plan.shards[half:held]))
     tensors = training.tensors()
     reference = reference_of(tensors, plan, folder, held)
     write_network(

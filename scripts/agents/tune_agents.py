@@ -29,7 +29,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from loose_agents.benchmark.sharded import problem_of
 from loose_agents.benchmark.tuning import (
-    TUNING_SEED,
     Trails,
     best_constant,
     best_threshold,
@@ -38,12 +37,11 @@ from loose_agents.benchmark.tuning import (
     write_tuned,
 )
 from loose_agents.benchmark.tuning_sharded import ORACLE, Player, names_of, play_player, trained
-from loose_agents.core.shipped_weights import WEIGHTS, setting_name
+from loose_agents.core.estimators import WEIGHTS, setting_name
+from loose_agents.core.seeds import BANK_SEED, TUNING_SEED, check_training_seed
 from loose_agents.evaluation.env_arguments import arguments_of
-from loose_agents.evaluation.evaluate import check_training_seed
 from loose_agents.execution.backends import BackendSettings, add_backend_options
 from loose_agents.execution.script_errors import errors_in_one_line
-from loose_agents.posterior_training.simulated_records import BANK_SEED
 
 from loose_env.errors import InvalidSetting
 from loose_env.evaluation import bootstrap_mean

@@ -31,6 +31,7 @@ from loose_env.diagnosis import LinkFindingSettings, Order
 from loose_env.envs import BatchRig, EpisodeBatch
 from loose_env.errors import InvalidSetting
 from loose_env.faults import Fault
+from loose_env.io import write_text
 from loose_env.rig import Job, Measurement
 
 TRAINING_SEED = 1
@@ -143,10 +144,7 @@ def tune(options: argparse.Namespace) -> None:
             f"{arm.name} {order}: return {score:+.3f} on {4 * options.episodes} training episodes"
         )
         path = Path(options.out) / f"{arm.name}-{order}.json"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        beside = path.with_suffix(".part")
-        beside.write_text(json.dumps(asdict(winner), indent=1) + "\n")
-        beside.replace(path)
+        write_text(path, json.dumps(asdict(winner), indent=1) + "\n")
 
 
 def _score(

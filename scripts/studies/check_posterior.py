@@ -30,14 +30,12 @@ from typing import Any
 
 import numpy as np
 from loose_agents.core.base import Problem
-from loose_agents.core.belief_tracker import Posterior, analytic_posterior
-from loose_agents.core.shipped_weights import WEIGHTS, setting_name
-from loose_agents.evaluation.evaluate import check_training_seed
+from loose_agents.core.estimators import WEIGHTS, Posterior, analytic_posterior, setting_name
+from loose_agents.core.seeds import CHECK_SEED, check_training_seed
 from loose_agents.execution.command import option
 from loose_agents.execution.study import Row, Study, StudyRun
 from loose_agents.research.particle_calibration import CalibrationCases, calibration_cases
 from loose_agents.research.particle_check import (
-    CHECK_SEED,
     Played,
     Weighed,
     by_size,

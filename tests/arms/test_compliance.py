@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from loose_env.arms import Arm, arm_from_file, planar, scara, six_axis, vera, with_compliance
-from loose_env.arms.gear_parameters import Gears
+from loose_env.arms.arm import Gears
 from loose_env.arms.holding.compliance import compliant, fastest_turn, servoed
 from loose_env.arms.holding.gears import BARE_ROTOR
 from loose_env.arms.response.linear import LinearArm

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, arm_from_file
-from loose_env.arms.files.joint_springs import FASTEST_TURN
+from loose_env.arms import FASTEST_TURN, Arm, arm_from_file
 from loose_env.arms.files.load import describe_file
 from loose_env.arms.holding.compliance import fastest_turn
 from loose_env.arms.response.linear import LinearArm
@@ -29,12 +28,7 @@ GEAR = '<joint name="gear" axis="0 1 0" stiffness="{k}" damping="2"/>'
 
 
 def two_links(
-    *,
-    gear: str = "",
-    rotor: str = "0.3",
-    bend: str = "",
-    drives: bool = True,
-    last: str = "",
+    *, gear: str = "", rotor: str = "0.3", bend: str = "", drives: bool = True, last: str = ""
 ) -> str:
     """Two links under gravity; a gear behind the second joint, a bend in the first link."""
     limit = 'actuatorfrcrange="-60 60"' if drives else ""

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.arms.files.load import arm_from_file, describe_file
-from loose_env.arms.library.planar import CREST_FACTOR as PLANAR_CREST_FACTOR
 from loose_env.arms.response.linear import LinearArm
 from loose_env.arms.response.mismatch import MismatchDraw
 from loose_env.errors import InvalidData, InvalidSetting, LooseEnvError, UnknownName
-from loose_env.excitation import CREST_FACTOR, at_levels
+from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, Fault, Healthy, StructuralLooseness
 from loose_env.rig import SimulatedRig
 
@@ -211,9 +210,7 @@ def test_damping_and_rotor_inertia_of_nested_defaults_and_actuators_are_kept(wri
     np.testing.assert_allclose(model.dof_armature, (0.2 + 1e-4 * 50**2, 0.2, 0.01, 0.01))
 
 
-def test_ranges_are_in_radians_and_limits_are_the_tighter_of_joint_and_drive(
-    write: Write,
-) -> None:
+def test_ranges_are_in_radians_and_limits_are_the_tighter_of_joint_and_drive(write: Write) -> None:
     arm = arm_from_file(write(MIXED))
     # motor 50 x 2; joint 40 below actuator 60; 10 x 9; 3 x 2
     assert arm.torque_limits == pytest.approx((100.0, 40.0, 90.0, 6.0))
@@ -316,10 +313,6 @@ def test_most_poses_reach_the_top_level(write: Write) -> None:
             share = at_levels(at, np.eye(arm.n)[j] * arm.levels[-1], duration=1.0)[1]
             shares.append(share[j])
     assert 0.35 < np.mean(np.array(shares) >= 1.0) < 0.65
-
-
-def test_levels_leave_the_drive_the_peaks_that_excitation_has() -> None:
-    assert PLANAR_CREST_FACTOR == CREST_FACTOR  # levels are proposed with the former
 
 
 def test_brakes_hold_the_heaviest_pose_at_their_mode(write: Write) -> None:

@@ -132,7 +132,7 @@ def test_what_does_not_fit_is_refused() -> None:
     ("change", "words"),
     [
         ({"coil_mass": 0.0}, "coil_mass must be positive"),
-        ({"stinger_damping": -1.0}, "stinger_damping must be zero or more"),
+        ({"stinger_damping": -1.0}, "stinger_damping must be a finite number, zero or more"),
         ({"direction": (0.0, 0.0, 0.0)}, "direction must not be zero"),
         ({"force_limit": np.nan}, "force_limit must be positive"),
     ],

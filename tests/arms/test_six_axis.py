@@ -9,11 +9,6 @@ import pytest
 from loose_env.arms import Arm, six_axis
 from loose_env.arms.library.puma560 import TOOL
 from loose_env.arms.response.linear import LinearArm
-from loose_env.diagnosis import SensorFloor, predict, statistics_of
-from loose_env.excitation import at_levels
-from loose_env.faults import Backlash, Fault, StructuralLooseness
-from loose_env.rig import Job, SimulatedRig
-from loose_env.sensors import SensorSuite
 from loose_env.typing import Array
 
 READY = np.array([0.0, -np.pi / 2, np.pi / 2, 0.0, 0.0, 0.0])
@@ -213,75 +208,3 @@ def test_servo_holding_has_its_own_name() -> None:
     soft = six_axis(hold="servo")
     assert soft.name == "six_axis-servo"
     assert max(soft.holding.stiffness) < min(soft.brake.stiffness)
-
-
-# --- on the rig
-
-POSE = np.array([0.4, -0.6, 0.9, 0.5, 0.7, -0.3])
-FAULTS: list[Fault] = [
-    *(
-        StructuralLooseness(
-            link=i, direction=(1.0, -0.5, 0.7), gap=1e-4, stiffness=(k, k / 2), damping=(c, c)
-        )
-        for i, (k, c) in enumerate(
-            [(2e6, 800.0)] * 3 + [(3e5, 60.0), (3e5, 30.0), (2e5, 20.0)], start=1
-        )
-    ),
-    # The link side of a wrist joint is light: a stiff flank would be too fast for the step.
-    *(
-        Backlash(joint=i, gap=4e-4, stiffness=(k, k / 2), damping=(1e-3 * k, 1e-3 * k))
-        for i, k in enumerate((1e4, 1e4, 1e4, 500.0, 300.0, 30.0), start=1)
-    ),
-]
-
-
-def test_every_joint_shakes_every_loose_arm_and_every_fault_shows(
-    arm: Arm, linear: LinearArm
-) -> None:
-    rig = SimulatedRig(arm, slots=len(FAULTS) + 1)
-    for slot, fault in enumerate(FAULTS):
-        rig.mount(slot, fault)
-    departure = np.zeros((arm.n, len(FAULTS)))
-    for joint in range(arm.n):
-        levels = arm.levels[1] * np.eye(arm.n)[joint]
-        excitation, share = at_levels(linear.at(POSE), levels, duration=0.2)
-        assert share.min() == 1.0
-        *loose, healthy = rig.measure_many(
-            [
-                Job(slot=k, pose=POSE, excitation=excitation, rng=np.random.default_rng(joint))
-                for k in range(rig.slots)
-            ]
-        )
-        shaken = healthy.tool - healthy.tool.mean(axis=1, keepdims=True)
-        assert np.linalg.norm(shaken) > 0
-        for k, record in enumerate(loose):
-            assert record.failure is None
-            assert np.isfinite(record.tool).all()
-            assert np.isfinite(record.encoder).all()
-            gone = np.linalg.norm(record.tool - healthy.tool)
-            departure[joint, k] = gone / np.linalg.norm(shaken)
-    assert departure.max() < 20
-    # The joint that shows a fault best shows it well.
-    assert (departure.max(axis=0) > 0.1).all(), departure.round(4)
-
-
-@pytest.mark.parametrize("joint", range(1, 7))
-def test_a_healthy_arm_transmits_what_its_closed_form_says(
-    arm: Arm, linear: LinearArm, joint: int
-) -> None:
-    at = linear.at(POSE)
-    excitation, _ = at_levels(at, arm.levels[1] * np.eye(arm.n)[joint - 1], duration=1.2)
-    record = SimulatedRig(arm, sensors=SensorSuite.ideal()).measure(POSE, excitation)
-    found = statistics_of(record)
-    quiet = SensorFloor(joint=0.0, tool=0.0)
-    expected = predict(at, excitation, quiet)
-    column = expected.transmission[:, 0]
-    error = np.linalg.norm(found.transmission[:, joint - 1] - column)
-    assert error < 0.03 * np.linalg.norm(column)
-    # The tool's answer, line by line, is that of the linear arm.
-    fine = LinearArm(arm, points=145).at(POSE)
-    lines = slice(36, 181)
-    torque = np.fft.rfft(record.command[joint - 1])[lines]
-    tool = np.fft.rfft(record.tool)[:, lines]
-    answer = fine.response(excitation.excited).tool[..., 0].T * torque
-    assert np.linalg.norm(tool - answer) < 0.02 * np.linalg.norm(answer)

@@ -549,15 +549,15 @@ def test_a_compound_seat_that_is_none_is_refused(changes: dict[str, Any], messag
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"axis": (0.0, 0.0, 0.0)}, "an axis is three finite numbers, not all zero"),
-        ({"pivot": (0.0, float("nan"), 0.0)}, "a pivot is three finite numbers"),
-        ({"pivot": (0.0, 1.0)}, "a pivot is three finite numbers"),
+        ({"axis": (0.0, 0.0, 0.0)}, "axis must be three finite numbers, not all zero"),
+        ({"pivot": (0.0, float("nan"), 0.0)}, "pivot must be three finite numbers"),
+        ({"pivot": (0.0, 1.0)}, "pivot must be three finite numbers"),
         ({"gap": -1.0}, "gap must be a finite number, zero or more"),
-        ({"stiffness": 3.0}, "stiffness is two numbers"),
+        ({"stiffness": 3.0}, "stiffness must be two finite numbers"),
         ({"gap": "wide"}, "gap must be a finite number, zero or more; got 'wide'"),
-        ({"stiffness": ("1", "2")}, "stiffness must be a finite number.*got '1'"),
-        ({"axis": "x"}, "an axis is three finite numbers.*got 'x'"),
-        ({"pivot": None}, "a pivot is three finite numbers.*got None"),
+        ({"stiffness": ("1", "2")}, r"stiffness must be two finite numbers.*got \('1'"),
+        ({"axis": "x"}, "axis must be three finite numbers.*got 'x'"),
+        ({"pivot": None}, "pivot must be three finite numbers.*got None"),
     ],
 )
 def test_a_rotation_that_is_none_is_refused(changes: dict[str, Any], message: str) -> None:

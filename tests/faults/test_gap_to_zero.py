@@ -18,14 +18,7 @@ from loose_env.arms import Arm, LinearArm, Mismatch, MismatchDraw, planar, vera
 from loose_env.diagnosis import FaultPosterior, RecordStatistics, statistics_of
 from loose_env.envs import Difficulty, FaultSampler
 from loose_env.excitation import Excitation, at_levels
-from loose_env.faults import (
-    Backlash,
-    Fault,
-    Healthy,
-    StructuralLooseness,
-    hypotheses,
-    place_of,
-)
+from loose_env.faults import Backlash, Fault, Healthy, StructuralLooseness, hypotheses, place_of
 from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import SensorSuite
 from loose_env.typing import Array
@@ -68,11 +61,7 @@ class Bench:
         return at_levels(self.linear.at(pose), levels, duration=0.2)[0]
 
     def measured(
-        self,
-        pose: Array,
-        arms: list[tuple[Fault, int]],
-        finer: int = 1,
-        joint: int | None = None,
+        self, pose: Array, arms: list[tuple[Fault, int]], finer: int = 1, joint: int | None = None
     ) -> list[RecordStatistics]:
         """Records of several arms, each a fault and the seed of its excitation and noise."""
         rig = SimulatedRig(self.arm, slots=len(arms), timestep=self.arm.timestep / finer, threads=2)

@@ -245,7 +245,7 @@ def test_figures_below_zero_or_not_finite_are_refused(
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("bad", [1e4, (1e4,), (1e4, 1e4, 1e4)])
 def test_a_stiffness_that_is_not_one_for_each_stop_is_refused(kind: SeatKind, bad: Any) -> None:
-    with pytest.raises(InvalidSetting, match="stiffness is two numbers") as refusal:
+    with pytest.raises(InvalidSetting, match="stiffness must be two finite numbers") as refusal:
         loosened(kind, 1, stiffness=bad)
     assert repr(bad) in str(refusal.value)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from loose_env.arms import DESK_ARM, Arm, arm_from_file, planar
 from loose_env.diagnosis import ToolFrames
-from loose_env.envs.rendering.correlation_surface import Surface
+from loose_env.envs.rendering.correlation import Surface
 from loose_env.instrument import Diagnosis, Fault, Loop, NextMeasurement, RecordSeen
 
 ANGLES = np.linspace(0.0, 180.0, 91)

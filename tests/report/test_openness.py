@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 
 from loose_env.arms import LinearArm, planar
-from loose_env.evaluation.seat_openness import SeatOpenness
+from loose_env.evaluation.hidden_faults import SeatOpenness
 from loose_env.faults import Backlash, CompoundLooseness, Healthy, StructuralLooseness
 
 

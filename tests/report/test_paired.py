@@ -9,7 +9,7 @@ import pytest
 
 from loose_env.errors import InvalidData
 from loose_env.evaluation import bootstrap_mean
-from loose_env.evaluation.paired_bootstrap import paired_difference, paired_values
+from loose_env.evaluation.intervals import paired_difference, paired_values
 
 
 def rows_with(rewards: Any, *, truth: str = "healthy", seed: int = 1) -> list[dict[str, Any]]:

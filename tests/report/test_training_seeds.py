@@ -7,7 +7,7 @@ import pytest
 
 from loose_env.errors import InvalidData
 from loose_env.evaluation import runs_of, trained_agents
-from loose_env.evaluation.seed_aggregates import (
+from loose_env.evaluation.intervals import (
     interquartile_mean,
     stratified_interval,
     task_scores,

@@ -36,7 +36,7 @@ UNLIKE: dict[str, tuple[str, Mapping[str, Any]]] = {
 """Kinds of episodes: what each is in a few words, and its options."""
 
 OFF = 0.15
-"""How far each length and mass of another arm is off, up or down."""
+"""Relative deviation of each length and mass of another arm, up or down."""
 
 
 class OtherArmRig:

@@ -8,7 +8,6 @@ episode is played once, however many probabilities are weighed.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,11 +21,11 @@ from loose_agents.core.belief_agent import best_verdict
 from loose_agents.evaluation.evaluate import goes_on
 from loose_env.envs import EpisodeBatch
 from loose_env.errors import InvalidSetting
+from loose_env.io import write_text
 from loose_env.typing import Array
 
 __all__ = [
     "THRESHOLDS",
-    "TUNING_SEED",
     "Trails",
     "best_constant",
     "best_threshold",
@@ -35,9 +34,6 @@ __all__ = [
     "unseen_return",
     "write_tuned",
 ]
-
-TUNING_SEED = 20_080_000
-"""Seed of the tuning episodes; evaluation, banks and the training of policies use others."""
 
 THRESHOLDS = 1 / (1 + np.exp(-np.arange(0.0, 7.65, 0.1)))
 """Stopping probabilities that are weighed, 0.5 to 0.9995, even in log-odds."""
@@ -61,7 +57,7 @@ class Trails:
     reward: Array
     """Return, the records' price subtracted (E, K)."""
     right: NDArray[np.bool_]
-    """Whether the verdict would be right (E, K)."""
+    """Correctness of the verdict (E, K)."""
 
     def __len__(self) -> int:
         """Return the number of episodes."""
@@ -150,7 +146,7 @@ def _group(
     for slot, number in enumerate(numbers):
         batch.start(slot, seed=seed, number=number)
         if hasattr(agent, "informed"):
-            states[slot] = agent.informed(_truth(batch, slot), batch.observe(slot))
+            states[slot] = agent.informed(batch.episode(slot).fault, batch.observe(slot))
     going = list(range(len(numbers)))
     for taken in range(records + 1):
         if not going:
@@ -165,7 +161,7 @@ def _group(
             states[slot] = state
             if taken > 0:
                 p = state.probabilities
-                truth, named = _truth(batch, slot).hypothesis, best_verdict(problem, p)
+                truth, named = batch.episode(slot).fault.hypothesis, best_verdict(problem, p)
                 worth = problem.settings.prices.verdict(named, truth)
                 confidence[slot, taken - 1] = p.max()
                 reward[slot, taken - 1 :] = worth - price[slot]
@@ -179,12 +175,6 @@ def _group(
             right[slot, taken:] = False
         going = [slot for slot, o in zip(going, outcomes, strict=True) if not o.truncated]
     return {"confidence": confidence, "reward": reward, "right": right}
-
-
-def _truth(batch: EpisodeBatch, slot: int) -> Any:
-    episode = batch.episode(slot)
-    assert episode is not None
-    return episode.fault
 
 
 def best_threshold(
@@ -320,12 +310,10 @@ def write_tuned(
 ) -> None:
     """Write tuned values into a settings file, keeping its other entries.
 
-    It is written beside its name and renamed, so a reader finds the old or the new one whole.
-
     Parameters
     ----------
     path : Path
-        As `loose_agents.core.shipped_weights.tuned` reads it.
+        As `loose_agents.core.estimators.tuned` reads it.
     stop : dict
         Stopping probability by ``estimator/policy``.
     constant : sequence of int, optional
@@ -339,10 +327,4 @@ def write_tuned(
         known["constant"] = [int(level) for level in constant]
     if information is not None:
         known["information"] = dict(information)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
-        beside.write_text(json.dumps(known, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
+    write_text(path, json.dumps(known, indent=1, sort_keys=True) + "\n")

@@ -15,15 +15,13 @@ from loose_agents.benchmark.sharded import problem_of
 from loose_agents.benchmark.tuning import Trails, play_trails
 from loose_agents.core.base import EpisodeAgent, Problem
 from loose_agents.core.belief_agent import BeliefAgent, Sure
-from loose_agents.core.estimators import ESTIMATORS, make_estimator
-from loose_agents.core.shipped_weights import WEIGHTS, setting_name
+from loose_agents.core.estimators import ESTIMATORS, WEIGHTS, make_estimator, setting_name
 from loose_agents.execution.backends import BackendSettings
 from loose_agents.execution.configuration_hash import configuration_hash
 from loose_agents.execution.shard_store import ArrayCodec, ShardStore
 from loose_agents.execution.shards import Shard, run_shards, shard_of
 from loose_agents.policies.oracle import oracle_agent
-from loose_agents.policies.policies import POLICIES
-from loose_agents.policies.random_and_constant import ConstantPolicy
+from loose_agents.policies.policies import POLICIES, ConstantPolicy
 from loose_agents.registry import LEARNED, belief_agent, make_agent
 from loose_agents.rl.learned_policy import LearnedAgent
 from loose_env.errors import InvalidData, UnknownName
@@ -140,11 +138,7 @@ def play_player(
     ShardFailed
         If the trained posterior is not, or no longer, the player's.
     """
-    kept = {
-        **asdict(player),
-        "settings": problem.settings,
-        "version": loose_env.__version__,
-    }
+    kept = {**asdict(player), "settings": problem.settings, "version": loose_env.__version__}
     store = ShardStore(folder / configuration_hash(kept)[:16], kept, ArrayCodec())
     shards = shard_of(episodes, shard)
     run_shards(partial(_play, player), shards, store, settings=settings)

@@ -1,4 +1,4 @@
-"""Agent protocol, belief tracking, estimators, shipped weights.
+"""Agent protocol, seeds, belief agents, estimators with their tuned settings.
 
-Data flow: base -> belief_agent -> belief_tracker -> shipped_weights -> estimators.
+Data flow: seeds -> base -> belief_agent -> estimators.
 """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -14,8 +14,26 @@ from numpy.typing import NDArray
 from loose_env.arms import Arm, LinearArm
 from loose_env.envs import ActionLayout, DiagnosisSettings, ObservationLayout
 from loose_env.faults import UNSURE, hypotheses
+from loose_env.typing import Array
 
-__all__ = ["Agent", "EpisodeAgent", "Problem"]
+__all__ = ["PROBABILITY_FLOOR", "Agent", "EpisodeAgent", "Problem", "hypothesis_prior"]
+
+PROBABILITY_FLOOR = 1e-6
+"""Probabilities below count as this in logarithms: one arm does not decide a mean [1]."""
+
+
+def hypothesis_prior(hypotheses: Sequence[str], shares: Mapping[str, float]) -> Array:
+    """Prior probability of each hypothesis (H,): its kind's, uniform over locations.
+
+    Parameters
+    ----------
+    hypotheses : sequence of str
+        Names such as "backlash@joint2".
+    shares : mapping of str to float
+        Probability of each kind of fault; 0 where a kind is missing.
+    """
+    kinds = [name.partition("@")[0] for name in hypotheses]
+    return np.array([shares.get(kind, 0.0) / kinds.count(kind) for kind in kinds])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,8 +87,8 @@ class Agent(Protocol):
 class EpisodeAgent(ABC):
     """Agent with a separate state for every episode.
 
-    Subclasses say what a fresh memory is and how one observation and the memory make an
-    action. ``predict`` does the rest: one observation or many, memories in ``state``.
+    Subclasses define the state of a new episode and the action for one observation and state.
+    ``predict`` takes one observation or many, with one state an episode in ``state``.
     """
 
     def __init__(self, problem: Problem, *, seed: int = 0) -> None:

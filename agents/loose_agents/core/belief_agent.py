@@ -59,7 +59,7 @@ class Situation:
     observation: NDArray[np.float32]
     """The environment's flat observation."""
     pose: NDArray[np.float64]
-    """Where the joints are [rad, m where one slides] (n,)."""
+    """Joint positions [rad, m where one slides] (n,)."""
     records: int
     """Records taken so far."""
     probabilities: NDArray[np.float64]

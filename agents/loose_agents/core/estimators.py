@@ -1,30 +1,241 @@
-"""Registry of estimators, which map records to hypothesis probabilities."""
+"""Registry of estimators, and the tuned settings and weights that ship by arm and difficulty."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from loose_agents.core.base import Problem
-from loose_agents.core.belief_agent import Estimator
-from loose_env.envs import difficulty_named
-from loose_env.errors import UnknownName
+from loose_agents.core.belief_agent import Estimator, Situation, Sure, records_taken
+from loose_env.diagnosis import Belief, FaultPosterior, PosteriorSettings, RecordStatistics
+from loose_env.envs import ObservationLayout, difficulty_named
+from loose_env.errors import InvalidSetting, UnknownName
 
-__all__ = ["ESTIMATORS", "feature_size", "further_features", "make_estimator"]
+__all__ = [
+    "ESTIMATORS",
+    "WEIGHTS",
+    "Posterior",
+    "Tracker",
+    "analytic_posterior",
+    "belief_of",
+    "feature_size",
+    "further_features",
+    "make_estimator",
+    "record_from",
+    "setting_name",
+    "tuned",
+]
+
+
+WEIGHTS = Path(__file__).parents[1] / "weights"
+"""Folder of tuned settings and trained weights."""
+
+
+def tuned(problem: Problem) -> dict[str, Any]:
+    """Settings tuned on training episodes of an arm and difficulty; may be empty.
+
+    ``stop`` maps agents to the probability at which they stop, ``constant`` holds the best
+    levels of one joint, ``information`` the factors on expected information. Written by
+    scripts/agents/tune_agents.py and scripts/agents/fit_information.py.
+    """
+    path = WEIGHTS / f"{setting_name(problem)}.json"
+    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+
+
+def tuned_stopping(problem: Problem, agent: str) -> Sure:
+    """Stopping rule tuned for an agent; that of `Sure` by default where it was not tuned."""
+    return Sure(probability=tuned(problem).get("stop", {}).get(agent, Sure.probability))
+
+
+def setting_name(problem: Problem) -> str:
+    """Name of the tuned or trained item for an arm at a difficulty."""
+    difficulty = problem.settings.difficulty
+    name = difficulty if isinstance(difficulty, str) else "own"
+    return f"{problem.arm.name}-{name}"
+
+
+def record_from(
+    layout: ObservationLayout, observation: NDArray[np.float32], slot: int
+) -> RecordStatistics | None:
+    """Decode one record's statistics from an observation; None for an empty slot."""
+    row = layout.slots_of(observation)[slot]
+    if row[0] < 0.5:
+        return None
+    at = layout.groups_of(row)
+    arm = layout.arm
+    n, d = arm.n, len(arm.axes)
+    rms = at["tool_rms"]
+    covariance = np.diag(rms**2)
+    upper = np.triu_indices(d, 1)
+    covariance[upper] = at["tool_correlation"] * rms[upper[0]] * rms[upper[1]]
+    covariance.T[upper] = covariance[upper]
+    products = np.zeros((d, d))
+    products[np.triu_indices(d)] = at["lowest_direction"]
+    products = products + np.triu(products, 1).T
+    return RecordStatistics(
+        pose=at["pose"],
+        torque=at["torque"] * np.array(arm.torque_limits),
+        duration=float(at["duration"][0]),
+        transmission=at["transmission"].reshape(n, d).T,
+        transmission_by_instrument=at["transmission_by_instrument"].reshape(n, d).T,
+        joint_rms=at["joint_rms"],
+        inertia=at["inertia"],
+        tool_covariance=covariance,
+        lowest_direction=np.linalg.eigh(products)[1][:, -1],
+        lowest_coherence=float(at["coherence"][0]),
+        maximum_correlation=float(at["correlation"][0]),
+        skewness=at["skewness"],
+        kurtosis=at["kurtosis"],
+        lowest_skewness=float(at["lowest_skewness"][0]),
+        lowest_kurtosis=float(at["lowest_kurtosis"][0]),
+    )
+
+
+@dataclass
+class _Memory:
+    """Belief of one episode and the number of records in it."""
+
+    belief: Any
+    records: int = 0
+
+
+class Posterior(Protocol):
+    """Protocol of a posterior, analytic or learned, updated record by record."""
+
+    hypotheses: tuple[str, ...]
+    """Hypotheses in the order of its probabilities."""
+
+    def start(self) -> Any:
+        """Return the prior, an object with ``probabilities``."""
+        ...
+
+    def update(self, belief: Any, record: RecordStatistics) -> Any:
+        """Update with one record."""
+        ...
+
+
+class Tracker:
+    """Updates beliefs from observations, one new record at a time.
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal arm and the rules.
+    posterior : Posterior, optional
+        What weighs the records; the analytic posterior by default.
+
+    Raises
+    ------
+    InvalidSetting
+        If a kind of fault that may come up has no model in the posterior.
+    """
+
+    def __init__(self, problem: Problem, posterior: Posterior | None = None) -> None:
+        self.problem = problem
+        self.posterior = analytic_posterior(problem) if posterior is None else posterior
+        known = self.posterior.hypotheses
+        unknown = [name for name in problem.hypotheses if name not in known]
+        if unknown:
+            raise InvalidSetting(
+                f"the posterior knows nothing of {unknown}; it knows {list(known)}"
+            )
+        self._order = [known.index(name) for name in problem.hypotheses]
+
+    def begin(self) -> _Memory:
+        """Return the initial state of an episode."""
+        return _Memory(belief=self.posterior.start())
+
+    def follow(self, observation: NDArray[np.float32], memory: _Memory) -> NDArray[np.float64]:
+        """Update with the new records; return the hypotheses' probabilities."""
+        layout = self.problem.layout
+        taken = records_taken(self.problem, observation)
+        for slot in range(memory.records, taken):
+            record = record_from(layout, observation, slot)
+            if record is not None:
+                memory.belief = self.posterior.update(memory.belief, record)
+        memory.records = taken
+        return np.asarray(memory.belief.probabilities[self._order])
+
+    @property
+    def feature_size(self) -> int:
+        """Number of elements that `features` returns."""
+        n, d = self.problem.arm.n, len(self.problem.arm.axes)
+        return n * (d * (d + 1) // 2) + 2 * n
+
+    def features(self, observation: NDArray[np.float32], memory: _Memory) -> NDArray[np.float32]:
+        """Policy features in addition to the probabilities.
+
+        For every link the mean of its sliding direction's products of components, in the link's
+        frame, times the probability that it is loose; then for every fault the mean place of its
+        friction among the nodes, from -1 for the lowest to 1 for the highest.
+        """
+        belief = getattr(memory.belief, "belief", memory.belief)
+        log = logsumexp(belief.loose, axis=0)
+        top = log.max()
+        weight = np.exp(log - top)
+        n, u = belief.links, belief.directions
+        total = weight.sum() + np.exp(belief.healthy - top).sum()
+        by_direction = weight[: n * len(u)].sum(1).reshape(n, len(u)) / total
+        upper = np.triu_indices(u.shape[1])
+        products = (u[:, upper[0]] * u[:, upper[1]])[None]
+        directions = (by_direction[..., None] * products).sum(1)
+        slides = weight[: n * len(u)].reshape(n, len(u), -1).sum(1)
+        by_node = np.concatenate([slides, weight[n * len(u) :]]) + 1e-12
+        nodes = np.linspace(-1.0, 1.0, by_node.shape[1])
+        friction = by_node @ nodes / by_node.sum(1)
+        return np.concatenate([directions.ravel(), friction]).astype(np.float32)
+
+
+def belief_of(situation: Situation) -> Belief:
+    """Log-weights of locations and frictions behind a situation's probabilities.
+
+    Raises
+    ------
+    InvalidSetting
+        If its estimator keeps none: the policy needs one of the posteriors.
+    """
+    belief = getattr(situation.memory, "belief", None)
+    belief = getattr(belief, "belief", belief)
+    if not isinstance(belief, Belief):
+        raise InvalidSetting(
+            "this policy needs an estimator that keeps a posterior over places and frictions, "
+            f"not one whose memory is {type(situation.memory).__name__}"
+        )
+    return belief
+
+
+def analytic_posterior(problem: Problem) -> FaultPosterior:
+    """Build the posterior whose likelihood is derived from the nominal arm alone.
+
+    Raises
+    ------
+    InvalidSetting
+        If a kind of fault that may come up has no model in it.
+    """
+    difficulty = difficulty_named(problem.settings.difficulty)
+    return FaultPosterior(
+        problem.linear,
+        problem.settings.sensors,
+        PosteriorSettings(
+            friction=difficulty.friction,
+            mismatch=difficulty.mismatch,
+            kinds=difficulty.probabilities(problem.settings.kinds),
+        ),
+    )
 
 
 def _posterior(problem: Problem) -> Estimator:
-    from loose_agents.core.belief_tracker import Tracker
-
     return Tracker(problem)
 
 
 def _amortised(problem: Problem) -> Estimator:
-    from loose_agents.core.belief_tracker import Tracker
-    from loose_agents.core.shipped_weights import WEIGHTS, setting_name
     from loose_env.diagnosis import AmortisedPosterior
 
     difficulty = difficulty_named(problem.settings.difficulty)
@@ -42,7 +253,7 @@ ESTIMATORS: dict[str, tuple[Callable[[Problem], Estimator], str]] = {
     "posterior": (_posterior, "the analytic posterior over the faults"),
     "amortised": (_amortised, "the posterior with a learned likelihood"),
 }
-"""How each estimator is made, and what it is in a few words."""
+"""Constructor and short description of each estimator."""
 
 
 def make_estimator(name: str, problem: Problem) -> Estimator:

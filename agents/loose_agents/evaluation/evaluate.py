@@ -15,52 +15,9 @@ from loose_agents.core.belief_agent import Situation
 from loose_env.arms import Arm
 from loose_env.envs import BatchRig, DiagnosisSettings, EpisodeBatch, Outcome
 from loose_env.errors import InvalidSetting
-from loose_env.evaluation import HiddenFigures, hidden_figures
+from loose_env.evaluation import FaultParameters, fault_parameters
 
-__all__ = [
-    "EVALUATION_SEED",
-    "EVALUATION_SEEDS",
-    "AfterRecords",
-    "EpisodeRow",
-    "check_training_seed",
-    "evaluate",
-    "goes_on",
-]
-
-EVALUATION_SEEDS = range(20_260_000, 20_260_100)
-"""Seeds of episodes that no training, tuning or record bank may use."""
-
-EVALUATION_SEED = EVALUATION_SEEDS[0]
-"""Seed of the episodes that published comparisons are played on."""
-
-
-def check_training_seed(seed: int, *, count: int = 1) -> int:
-    """Return a seed reserved for training; refuse evaluation seeds.
-
-    Parameters
-    ----------
-    seed : int
-        First of the seeds.
-    count : int
-        How many are used, one after the other.
-
-    Raises
-    ------
-    InvalidSetting
-        If one of them is kept for evaluation.
-
-    Examples
-    --------
-    >>> check_training_seed(1, count=64)
-    1
-    """
-    first, last = EVALUATION_SEEDS[0], EVALUATION_SEEDS[-1]
-    if seed <= last and seed + count - 1 >= first:
-        raise InvalidSetting(
-            f"seeds {seed} to {seed + count - 1} meet those kept for evaluation, {first} to "
-            f"{last}; train with others"
-        )
-    return seed
+__all__ = ["AfterRecords", "EpisodeRow", "evaluate", "goes_on"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,9 +41,9 @@ class EpisodeRow:
     verdict: str | None
     """The one that was named."""
     success: bool
-    """Whether the two are the same."""
+    """True if the two are the same."""
     link_success: bool
-    """Whether the right place was named, whatever the kind."""
+    """True if the verdict names the right link or joint, whatever the kind."""
     poses: int
     """Poses measured in."""
     records: int
@@ -96,11 +53,11 @@ class EpisodeRow:
     excited: int
     """Joints excited, counted anew in each record."""
     price: float
-    """What the records cost."""
+    """Cost of the records."""
     reward: float
     """Return: the verdict's reward less the price."""
     truncated: bool
-    """Whether the simulation diverged."""
+    """True if the simulation diverged."""
     gap: float | None
     """Travel of the hidden seat [m, or rad where it turns]."""
     friction: float | None
@@ -122,7 +79,7 @@ class EpisodeRow:
     trail_truth: tuple[float, ...] = ()
     """Probability of the truth after each record."""
     trail_price: tuple[float, ...] = ()
-    """What the records so far cost."""
+    """Cost of the records so far."""
     trail_seconds: tuple[float, ...] = ()
     """Time of excitation so far [s]."""
 
@@ -217,7 +174,7 @@ def evaluate(
         Where measurements come from.
     true_arm : Arm, optional
         The arm that is measured, where it is not the nominal one
-        (`loose_env.envs.episode.true_arm`). What is hidden in episode k then depends on it alone,
+        (`loose_env.envs.EpisodeBatch`). What is hidden in episode k then depends on it alone,
         whatever the nominal arm.
     options : mapping, optional
         Options of every episode, as `loose_env.envs.episode.reset_options` has them.
@@ -255,7 +212,6 @@ def evaluate(
         run = running[slot] = _Run(number=number)
         if hasattr(agent, "informed"):
             episode = batch.episode(slot)
-            assert episode is not None
             run.state, run.begun = agent.informed(episode.fault, batch.observe(slot)), True
 
     for slot in range(width):
@@ -286,7 +242,6 @@ def evaluate(
 def _note(batch: EpisodeBatch, slot: int, run: _Run) -> None:
     """Log the agent's posterior after the latest record, and the cost of the record."""
     episode = batch.episode(slot)
-    assert episode is not None
     found = getattr(run.state, "probabilities", None)
     run.probabilities = None if found is None else np.array(found, dtype=float)
     if episode.records == 0:
@@ -305,8 +260,7 @@ def _row(
     """Summarise an episode as a row."""
     info, names = outcome.info, batch.hypotheses
     episode = batch.episode(slot)
-    assert episode is not None
-    hidden: HiddenFigures = hidden_figures(batch.sampler, episode.fault)
+    hidden: FaultParameters = fault_parameters(batch.sampler, episode.fault)
     truth, verdict, p = info["fault"], info["verdict"], run.probabilities
     level = batch.settings.difficulty
     return EpisodeRow(

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import stats
 
-from loose_agents.core.base import Problem
+from loose_agents.core.base import PROBABILITY_FLOOR, Problem, hypothesis_prior
 from loose_env.diagnosis import least_records
 from loose_env.envs import difficulty_named
 from loose_env.evaluation import Row, by_agent, standings, wilson
@@ -41,7 +41,6 @@ STAR = "*"
 FEWEST = 30
 """Episodes that a mean is taken of, at least."""
 
-_LEAST = 1e-6  # probabilities below count as this: one arm does not decide a mean
 _LEVEL = 0.95
 
 
@@ -56,7 +55,7 @@ class RecordBound:
     teller: str
     """Who took the record that says most."""
     record: int
-    """Which record of an episode that was, from 1."""
+    """Number of that record in its episode, from 1."""
     success: Array
     """Highest share of right verdicts after 1, 2, ... records."""
 
@@ -157,11 +156,8 @@ def _told(bound: RecordBound | None, error: float) -> str:
 
 
 def _prior(problem: Problem, level: str) -> Array:
-    """Prior of each hypothesis: locations are equally likely within a kind."""
     difficulty = difficulty_named(problem.settings.difficulty if level == "own" else level)
-    shares: Mapping[str, float] = difficulty.probabilities(problem.settings.kinds)
-    kinds = [name.partition("@")[0] for name in problem.hypotheses]
-    return np.array([shares.get(kind, 0.0) / kinds.count(kind) for kind in kinds])
+    return hypothesis_prior(problem.hypotheses, difficulty.probabilities(problem.settings.kinds))
 
 
 def _information(rows: Sequence[Row], chance: Mapping[str, float]) -> list[float]:
@@ -171,7 +167,9 @@ def _information(rows: Sequence[Row], chance: Mapping[str, float]) -> list[float
         told: Sequence[Any] = row.get("trail_truth")  # type: ignore[assignment]
         if told is not None and len(told) and chance.get(row["truth"], 0.0) > 0:
             trails.append([chance[row["truth"]], *told])
-    logs = [np.log(np.maximum(np.asarray(trail, dtype=float), _LEAST)) for trail in trails]
+    logs = [
+        np.log(np.maximum(np.asarray(trail, dtype=float), PROBABILITY_FLOOR)) for trail in trails
+    ]
     found = []
     for k in range(1, max(map(len, logs), default=0)):
         gains = np.array([log[k] - log[k - 1] for log in logs if len(log) > k])

@@ -1,9 +1,8 @@
 """Division of episodes into shards, run by any backend and number of workers.
 
 Results do not depend on the backend, the number of workers, the size of a shard or what was
-interrupted: everything random in episode k comes from ``episode_seed(seed, k)`` (as
-`loose_env.envs.episode.state.Episode.stream` does it), never from a shard, a worker or the order of
-work.
+interrupted: everything random in episode k comes from its own streams
+(`loose_env.envs.episode.state.Episode.stream`), never from a shard, a worker or the order of work.
 """
 
 from __future__ import annotations
@@ -14,8 +13,6 @@ from contextlib import closing
 from dataclasses import dataclass, fields, replace
 from typing import Any, TextIO
 
-import numpy as np
-
 from loose_agents.execution.backends import BackendSettings
 from loose_agents.execution.cluster_pools import DaskPool, RayPool, SlurmPool
 from loose_agents.execution.local_pools import LokyPool, Pool, Raised, ThreadPool, WorkerDied
@@ -23,7 +20,7 @@ from loose_agents.execution.progress import ProgressLine
 from loose_agents.execution.shard_store import ShardStore
 from loose_env.errors import InvalidSetting, LooseEnvError, UnknownName
 
-__all__ = ["Shard", "ShardFailed", "episode_seed", "map_shards", "run_shards", "shard_of"]
+__all__ = ["Shard", "ShardFailed", "map_shards", "run_shards", "shard_of"]
 
 POOLS: dict[str, Callable[[BackendSettings, int], Pool]] = {
     "loky": LokyPool,
@@ -116,24 +113,6 @@ def shard_of(total: int, size: int) -> tuple[Shard, ...]:
         Shard(index=index, start=start, stop=min(start + size, total))
         for index, start in enumerate(starts)
     )
-
-
-def episode_seed(seed: int, episode: int) -> np.random.SeedSequence:
-    """Seed of one episode, independent of shard and worker.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the whole, 0 or more.
-    episode : int
-        Number of the episode, 0 or more.
-
-    Examples
-    --------
-    >>> np.random.default_rng(episode_seed(1, 7)).integers(100, size=3).tolist()
-    [71, 29, 93]
-    """
-    return np.random.SeedSequence(seed, spawn_key=(episode,))
 
 
 def map_shards(

@@ -20,21 +20,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_agents.core.base import Problem
-from loose_agents.core.belief_agent import BeliefAgent, Policy, StoppingRule, Sure
-from loose_agents.core.belief_tracker import Tracker
-from loose_agents.core.estimators import make_estimator
-from loose_agents.core.shipped_weights import tuned
+from loose_agents.core.belief_agent import BeliefAgent, Policy, StoppingRule
+from loose_agents.core.estimators import Tracker, make_estimator, tuned_stopping
 from loose_agents.policies.policies import make_policy
 from loose_env.diagnosis import Belief, RecordStatistics
 from loose_env.envs import FaultSampler, difficulty_named
 from loose_env.errors import InvalidSetting
-from loose_env.evaluation import hidden_figures
+from loose_env.evaluation import fault_parameters
 from loose_env.faults import Backlash, Fault, StructuralLooseness
 
 __all__ = ["InformedBelief", "OracleAgent", "Told", "oracle_agent", "restricted"]
-
-SURE = 0.9
-"""Probability at which an oracle stops that was not tuned for its arm."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,9 +143,7 @@ class OracleAgent(BeliefAgent):
         self._directions = self._posterior.start().belief.directions
         self._frictions = np.asarray(estimator.posterior.frictions)  # type: ignore[union-attr]
         self._sampler = FaultSampler(
-            problem.linear,
-            difficulty_named(problem.settings.difficulty),
-            problem.settings.kinds,
+            problem.linear, difficulty_named(problem.settings.difficulty), problem.settings.kinds
         )
 
     def begin(self, rng: np.random.Generator) -> Any:
@@ -183,7 +176,7 @@ class OracleAgent(BeliefAgent):
         slide = fault if isinstance(fault, StructuralLooseness) else self._drawn(rng)
         rubbing = fault if isinstance(fault, Backlash) else slide
         u = np.asarray(slide.direction)[: self._directions.shape[1]]
-        ratio = hidden_figures(self._sampler, rubbing).friction_ratio
+        ratio = fault_parameters(self._sampler, rubbing).friction_ratio
         assert ratio is not None
         # A guide without friction is nearest to the lowest node.
         share = max(1 / ratio, 1e-12)
@@ -206,9 +199,8 @@ def oracle_agent(
     seed: int = 0,
     estimator: str = "amortised",
     policy: str = "greedy",
-    stop: float | None = None,
 ) -> OracleAgent:
-    """Make the oracle of an estimator and a policy.
+    """Make the oracle of an estimator and a policy, with the stopping rule tuned for them.
 
     Parameters
     ----------
@@ -218,8 +210,6 @@ def oracle_agent(
         Seed of what it draws.
     estimator, policy : str
         Names, as `loose_agents.registry.belief_agent` takes them.
-    stop : float, optional
-        Probability at which it stops; by default the one tuned for ``oracle/policy``.
 
     Raises
     ------
@@ -232,12 +222,5 @@ def oracle_agent(
             f"the oracle needs an estimator with a posterior over places and frictions, not "
             f"{estimator!r}"
         )
-    if stop is None:
-        stop = tuned(problem).get("stop", {}).get(f"oracle/{policy}", SURE)
-    return OracleAgent(
-        problem,
-        made,
-        make_policy(policy, problem, made),
-        Sure(probability=stop),
-        seed=seed,
-    )
+    stopping = tuned_stopping(problem, f"oracle/{policy}")
+    return OracleAgent(problem, made, make_policy(policy, problem, made), stopping, seed=seed)

@@ -1,12 +1,15 @@
-"""Registry of policies, which choose the next record."""
+"""Registry of policies, which choose the next record; the random and constant baselines."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+from numpy.typing import NDArray
+
 from loose_agents.core.base import Problem
-from loose_agents.core.belief_agent import Estimator, Policy
-from loose_agents.core.shipped_weights import tuned
+from loose_agents.core.belief_agent import Estimator, Policy, Situation
+from loose_agents.core.estimators import tuned
 from loose_env.diagnosis import (
     AmortisedPosterior,
     FaultPosterior,
@@ -17,7 +20,72 @@ from loose_env.diagnosis import (
 from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting, UnknownName
 
-__all__ = ["POLICIES", "information_of", "make_policy"]
+__all__ = [
+    "POLICIES",
+    "ConstantPolicy",
+    "RandomPolicy",
+    "information_of",
+    "make_policy",
+    "random_moves",
+]
+
+
+class RandomPolicy:
+    """Excites one random joint at a random level and duration, in random poses.
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal arm and the rules.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+
+    def choose(self, situation: Situation) -> NDArray[np.int64]:
+        """Sample an action from the episode's generator."""
+        problem, rng = self.problem, situation.rng
+        moves = random_moves(problem, situation)
+        levels = np.zeros(problem.arm.n, dtype=np.intp)
+        levels[rng.integers(problem.arm.n)] = rng.integers(1, 1 + len(problem.arm.levels))
+        duration = int(rng.integers(len(problem.settings.durations)))
+        return problem.actions.encode(moves=moves, levels=levels, duration=duration)
+
+
+def random_moves(problem: Problem, situation: Situation) -> NDArray[np.intp]:
+    """Sample an allowed move for every joint (n,)."""
+    allowed = problem.actions.allowed_moves(situation.pose)
+    return np.array([situation.rng.choice(np.flatnonzero(row)) for row in allowed])
+
+
+class ConstantPolicy:
+    """Applies a constant excitation in random poses.
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal arm and the rules.
+    levels : sequence of int
+        Level of every joint, 0 for off.
+    duration : int, optional
+        Index of the record length; the longest by default.
+    """
+
+    def __init__(
+        self, problem: Problem, levels: tuple[int, ...], *, duration: int | None = None
+    ) -> None:
+        if len(levels) != problem.arm.n or not any(levels):
+            raise InvalidSetting(
+                f"a constant policy needs a level for each of {problem.arm.n} joints, at least one "
+                f"of them above 0; got {levels}"
+            )
+        self.problem, self.levels, self.duration = problem, np.array(levels), duration
+
+    def choose(self, situation: Situation) -> NDArray[np.int64]:
+        """Move at random and apply the constant excitation."""
+        return self.problem.actions.encode(
+            moves=random_moves(self.problem, situation), levels=self.levels, duration=self.duration
+        )
 
 
 def information_of(problem: Problem, estimator: Estimator) -> RecordInformation:
@@ -38,10 +106,7 @@ def information_of(problem: Problem, estimator: Estimator) -> RecordInformation:
     if isinstance(posterior, FaultPosterior):
         mismatch = difficulty_named(problem.settings.difficulty).mismatch
         features = SeatFeatures(
-            problem.linear,
-            problem.settings.sensors,
-            mismatch,
-            directions=len(posterior.directions),
+            problem.linear, problem.settings.sensors, mismatch, directions=len(posterior.directions)
         )
         return RecordInformation(features, posterior.frictions, factors=factors)
     raise InvalidSetting(
@@ -51,14 +116,10 @@ def information_of(problem: Problem, estimator: Estimator) -> RecordInformation:
 
 
 def _random(problem: Problem, estimator: Estimator) -> Policy:
-    from loose_agents.policies.random_and_constant import RandomPolicy
-
     return RandomPolicy(problem)
 
 
 def _constant(problem: Problem, estimator: Estimator) -> Policy:
-    from loose_agents.policies.random_and_constant import ConstantPolicy
-
     best = tuned(problem).get("constant")
     levels = [0] * problem.arm.n
     levels[0] = len(problem.arm.levels)  # joint 1 moves everything behind it
@@ -66,19 +127,17 @@ def _constant(problem: Problem, estimator: Estimator) -> Policy:
 
 
 def _together(problem: Problem, estimator: Estimator) -> Policy:
-    from loose_agents.policies.random_and_constant import ConstantPolicy
-
     return ConstantPolicy(problem, (len(problem.arm.levels),) * problem.arm.n)
 
 
 def _greedy(problem: Problem, estimator: Estimator) -> Policy:
-    from loose_agents.policies.greedy import GreedyPolicy
+    from loose_agents.policies.information_policies import GreedyPolicy
 
     return GreedyPolicy(problem, information_of(problem, estimator))
 
 
 def _look_ahead(problem: Problem, estimator: Estimator) -> Policy:
-    from loose_agents.policies.look_ahead import LookAheadPolicy
+    from loose_agents.policies.information_policies import LookAheadPolicy
 
     return LookAheadPolicy(problem, information_of(problem, estimator))
 
@@ -90,7 +149,7 @@ POLICIES: dict[str, tuple[Callable[[Problem, Estimator], Policy], str]] = {
     "greedy": (_greedy, "the record that is expected to say most"),
     "look_ahead": (_look_ahead, "the record that is worth most with the next one in view"),
 }
-"""How each policy is made, and what it is in a few words."""
+"""Constructor and short description of each policy."""
 
 
 def make_policy(name: str, problem: Problem, estimator: Estimator) -> Policy:

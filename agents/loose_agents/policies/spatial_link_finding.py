@@ -2,7 +2,7 @@
 
 All joints are excited at once: the regression of the tool's motion on theirs takes them apart, and
 one record then sees a slide in any direction. Where nothing stands out, the seat may be held shut
-by gravity or friction, or strike its stops all the time: the next record is taken in another pose
+by gravity or friction, or hit its stops all the time: the next record is taken in another pose
 at another level before the arm is called healthy.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_agents.core.base import EpisodeAgent, Problem
-from loose_agents.core.belief_tracker import record_from
+from loose_agents.core.estimators import record_from
 from loose_env.diagnosis import (
     ChangeModel,
     ChangeSighting,
@@ -36,47 +36,33 @@ from loose_env.diagnosis import (
 from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation
+from loose_env.io import Checked, Count, Positive, Probability
 
 __all__ = ["Policy", "SpaceLinkFindingAgent", "SpaceLinkFindingSettings"]
 
-Policy = Literal["images", "images_one", "turns"]
-_POLICIES = ("images", "images_one", "turns")
+Policy = Literal["images", "turns"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class SpaceLinkFindingSettings:
+class SpaceLinkFindingSettings(Checked):
     """Motion and stopping criteria of the agent."""
 
     policy: Policy = "images"
-    """Predicted images with all joints moving or one at a time, or turns judged by 4.31."""
-    sure: float = 0.95
-    """Probability, of a hypothesis and its look-alikes together, at which it stops."""
-    seen: float = 1.8
+    """Predicted images with all joints moving, or turns of one joint judged by 4.31."""
+    sure: Probability = 0.95
+    """Probability, of a hypothesis and those confusable with it together, at which it stops."""
+    seen: Positive = 1.8
     """Change over what errors leave from which a record shows something loose."""
-    healthy_poses: int = 5
+    healthy_poses: Count = 5
     """Records that show nothing before the verdict healthy."""
     scales: tuple[float, ...] = (1.0, 2.0, 4.0)
     """Factors by which the directions' standard deviations may be too small."""
-    candidates: int = 1024
+    candidates: Count = 1024
     """Moves of all joints that are weighed against each other."""
-    shortlist: int = 12
+    shortlist: Count = 12
     """The best of these by direction alone, looked at again for what gravity holds shut."""
     rules: LinkFindingSettings = field(default_factory=LinkFindingSettings)
     """For turns: the order of the joints, and 4.31's thresholds and retries."""
-
-    def __post_init__(self) -> None:
-        if self.policy not in _POLICIES:
-            raise InvalidSetting(f"policy is one of {_POLICIES}, got {self.policy!r}")
-        if not 0 < self.sure < 1:
-            raise InvalidSetting(f"sure is a probability between 0 and 1, got {self.sure}")
-        if not self.seen > 0 or self.healthy_poses < 1:
-            raise InvalidSetting(
-                f"seen and healthy_poses must be positive, got {self.seen}, {self.healthy_poses}"
-            )
-        if self.candidates < 1 or self.shortlist < 1:
-            raise InvalidSetting(
-                f"candidates and shortlist count from 1, got {self.candidates} and {self.shortlist}"
-            )
 
 
 @dataclass
@@ -103,11 +89,7 @@ class SpaceLinkFindingAgent(EpisodeAgent):
     """
 
     def __init__(
-        self,
-        problem: Problem,
-        settings: SpaceLinkFindingSettings | None = None,
-        *,
-        seed: int = 0,
+        self, problem: Problem, settings: SpaceLinkFindingSettings | None = None, *, seed: int = 0
     ) -> None:
         super().__init__(problem, seed=seed)
         self.settings = SpaceLinkFindingSettings() if settings is None else settings
@@ -165,12 +147,11 @@ class SpaceLinkFindingAgent(EpisodeAgent):
             return self._name(found.best, found)
         arm, actions = self.problem.arm, self.problem.actions
         pose = self.problem.layout.pose_of(observation)
-        one = self.settings.policy == "images_one"
         where = candidate_poses(
             arm,
             pose,
             actions.moves,
-            joints="one" if one else "all",
+            joints="all",
             sliding=self.frames.slides,
             most=self.settings.candidates,
             rng=memory.rng,
@@ -221,12 +202,7 @@ class SpaceLinkFindingAgent(EpisodeAgent):
         if np.abs(others).max(initial=0.0) > 1e-6:
             return  # the direction before was seen in another pose
         memory.search = memory.search.after(
-            self.frames,
-            before,
-            seen,
-            joint=joint,
-            rules=self.settings.rules,
-            visible=visible,
+            self.frames, before, seen, joint=joint, rules=self.settings.rules, visible=visible
         )
 
     def _decide_by_turns(self, memory: _Search) -> NDArray[np.int64]:

@@ -1,5 +1,4 @@
 """Training of the learned posterior on simulated records.
 
-Data flow: simulated_records -> information_calibration -> novelty -> record_features ->
-bank_storage -> train.
+Data flow: record_bank -> information_calibration -> novelty -> bank_storage -> train.
 """

@@ -17,15 +17,16 @@ import numpy as np
 import loose_env
 from loose_agents.benchmark.sharded import problem_of
 from loose_agents.core.base import Problem
+from loose_agents.core.seeds import BANK_SEED
 from loose_agents.evaluation.env_arguments import arguments_of
 from loose_agents.execution.backends import BackendSettings
 from loose_agents.execution.shard_store import ArrayCodec, ShardStore
 from loose_agents.execution.shards import Shard, run_shards, shard_of
-from loose_agents.posterior_training.record_features import PlaceFigures, figures_of
-from loose_agents.posterior_training.simulated_records import (
-    BANK_SEED,
+from loose_agents.posterior_training.record_bank import (
     BankSettings,
     RecordBank,
+    RecordFeatures,
+    features_of_bank,
     play_episodes,
 )
 from loose_env.diagnosis import PLACE_FEATURES, RECORD_FEATURES, SeatFeatures
@@ -36,10 +37,10 @@ __all__ = [
     "BankPlan",
     "add_bank_options",
     "build_bank",
-    "build_figures",
+    "build_features",
     "plan_of",
     "read_bank",
-    "read_figures",
+    "read_features",
     "seat_features",
 ]
 
@@ -60,9 +61,9 @@ class BankPlan:
     seed: int = BANK_SEED
     """Seed of the episodes."""
     records: BankSettings = field(default_factory=BankSettings)
-    """How records are taken."""
+    """Sampling of the records."""
     directions: int = 0
-    """Sliding directions of a link that figures are worked out for; 0: 24 in the plane, 100 in
+    """Sliding directions of a link for which features are computed; 0: 24 in the plane, 100 in
     space."""
 
     @property
@@ -93,7 +94,7 @@ def build_bank(plan: BankPlan, folder: Path, settings: BackendSettings | None = 
     return store
 
 
-def build_figures(
+def build_features(
     plan: BankPlan, folder: Path, settings: BackendSettings | None = None
 ) -> ShardStore:
     """Compute the missing features of a bank, which must exist."""
@@ -103,7 +104,7 @@ def build_figures(
         "record": RECORD_FEATURES,
     }
     store = ShardStore(folder / "figures", configuration, ArrayCodec())
-    run_shards(partial(_figures_shard, plan, folder), plan.shards, store, settings=settings)
+    run_shards(partial(_features_shard, plan, folder), plan.shards, store, settings=settings)
     return store
 
 
@@ -114,9 +115,9 @@ def read_bank(plan: BankPlan, folder: Path, shards: tuple[Shard, ...] | None = N
     return RecordBank.joined([RecordBank(**part) for part in store.read_all(chosen)])
 
 
-def read_figures(store: ShardStore, shards: tuple[Shard, ...]) -> PlaceFigures:
+def read_features(store: ShardStore, shards: tuple[Shard, ...]) -> RecordFeatures:
     """Read the features of some shards."""
-    return PlaceFigures.joined([PlaceFigures(**part) for part in store.read_all(shards)])
+    return RecordFeatures.joined([RecordFeatures(**part) for part in store.read_all(shards)])
 
 
 def directions_of(plan: BankPlan) -> int:
@@ -151,11 +152,11 @@ def _bank_shard(plan: BankPlan, shard: Shard) -> dict[str, np.ndarray]:
     return vars(bank)
 
 
-def _figures_shard(plan: BankPlan, folder: Path, shard: Shard) -> dict[str, np.ndarray]:
+def _features_shard(plan: BankPlan, folder: Path, shard: Shard) -> dict[str, np.ndarray]:
     problem = _problem(plan)
     store = ShardStore(folder / "records", plan.configuration, ArrayCodec())
     features = _features(problem, directions_of(plan))
-    return vars(figures_of(problem, features, RecordBank(**store.read(shard))))
+    return vars(features_of_bank(problem, features, RecordBank(**store.read(shard))))
 
 
 @lru_cache(maxsize=1)

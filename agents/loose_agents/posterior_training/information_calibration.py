@@ -13,16 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from loose_agents.core.base import Problem
-from loose_agents.core.belief_tracker import record_from
-from loose_agents.posterior_training.simulated_records import RecordBank
+from loose_agents.core.base import PROBABILITY_FLOOR, Problem
+from loose_agents.posterior_training.record_bank import RecordBank
 from loose_env.diagnosis import AmortisedPosterior, InformationFactors, RecordInformation
 from loose_env.typing import Array
 
 __all__ = ["Transitions", "fit_factors", "transitions_of"]
 
-_SURE = 0.97  # beyond it a record has little left to say, and agents have stopped
-_LEAST = 1e-6
+_LAST_INFORMATIVE = 0.97
+"""Largest probability [1] before a record whose gain is counted: agents have stopped by then."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,22 +64,20 @@ def transitions_of(
     information = RecordInformation(
         posterior.features, posterior.frictions, factors=InformationFactors()
     )
-    observation = np.zeros(problem.layout.size, dtype=np.float32)
-    slots = problem.layout.slots_of(observation)
     rows = []
-    for episode in range(len(bank)):
-        slots[: bank.slots.shape[1]] = bank.slots[episode]
-        belief, truth = posterior.start(), int(bank.truth[episode])
-        for slot in range(records):
-            record = record_from(problem.layout, observation, slot)
+    for truth, taken in zip(bank.truth, bank.records(problem.layout), strict=True):
+        belief = posterior.start()
+        for record in taken[:records]:
             before = belief.probabilities
-            if record is None or before.max() > _SURE:
+            if record is None or before.max() > _LAST_INFORMATIVE:
                 break
             faults = information.imagine(belief.belief, rng)
             expected = information.of(faults, record.pose, record.torque, record.duration)
             belief = posterior.update(belief, record)
             after = belief.probabilities[truth]
-            gained = np.log(max(after, _LEAST)) - np.log(max(before[truth], _LEAST))
+            gained = np.log(max(after, PROBABILITY_FLOOR)) - np.log(
+                max(before[truth], PROBABILITY_FLOOR)
+            )
             rows.append((expected.information, gained, record.duration, record.excited))
     return Transitions(
         expected=np.array([r[0] for r in rows]),

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_agents.core.base import Problem
-from loose_agents.core.belief_tracker import record_from
-from loose_agents.posterior_training.simulated_records import RecordBank
+from loose_agents.posterior_training.record_bank import RecordBank
 from loose_env.diagnosis import (
     FIGURES,
     REFERENCE,
@@ -51,7 +50,7 @@ class NoveltySettings:
     tables: int = 5
     """Tables of scores: after 1, 2, ... records; the last is for so many or more."""
     regularisation: float = 1e-3
-    """Added to the variances of scaled figures."""
+    """Added to the variances of scaled features."""
     seed: int = 1
     """Seed of the mixtures' start, and of which records they are fitted to."""
 
@@ -66,16 +65,11 @@ def seen_episodes(
     problem : Problem
         Arm and rules of the bank.
     features : SeatFeatures
-        What works the figures out.
+        Feature extractor.
     bank : RecordBank
         The episodes.
     """
-    layout = problem.layout
-    observation = np.zeros(layout.size, dtype=np.float32)
-    slots = layout.slots_of(observation)
-    for episode in range(len(bank)):
-        slots[: bank.slots.shape[1]] = bank.slots[episode]
-        records = [record_from(layout, observation, slot) for slot in range(bank.slots.shape[1])]
+    for records in bank.records(problem.layout):
         seen = [Seen(*features.with_change(record)) for record in records if record is not None]
         if seen:
             yield seen

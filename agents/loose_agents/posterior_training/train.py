@@ -19,9 +19,11 @@ from scipy.optimize import minimize_scalar
 from torch import Tensor, nn
 
 from loose_agents.execution.progress import ProgressLine
-from loose_agents.posterior_training.record_features import PlaceFigures
+from loose_agents.posterior_training.record_bank import RecordFeatures
 from loose_env.diagnosis import SeatNetwork
 from loose_env.errors import InvalidData
+from loose_env.evaluation import expected_calibration_error
+from loose_env.io import written_beside
 
 __all__ = ["PosteriorTraining", "TrainingSettings"]
 
@@ -51,16 +53,18 @@ class TrainingSettings:
 class _Layers(nn.Module):
     """Trainable form of `SeatNetwork`."""
 
-    def __init__(self, figures: PlaceFigures, settings: TrainingSettings, hypotheses: int) -> None:
+    def __init__(
+        self, features: RecordFeatures, settings: TrainingSettings, hypotheses: int
+    ) -> None:
         super().__init__()
-        c, q, w = figures.place.shape[-1], figures.record.shape[-1], settings.hidden
+        c, q, w = features.place.shape[-1], features.record.shape[-1], settings.hidden
         rng = np.random.default_rng(0)
-        some = rng.choice(len(figures.place), min(3000, len(figures.place)), replace=False)
-        rows = figures.place[some].astype(np.float32).reshape(-1, c)
+        some = rng.choice(len(features.place), min(3000, len(features.place)), replace=False)
+        rows = features.place[some].astype(np.float32).reshape(-1, c)
         self.register_buffer("place_mean", torch.from_numpy(rows.mean(0)))
         self.register_buffer("place_scale", torch.from_numpy(rows.std(0) + 1e-3))
-        self.register_buffer("record_mean", torch.from_numpy(figures.record.mean(0)))
-        self.register_buffer("record_scale", torch.from_numpy(figures.record.std(0) + 1e-3))
+        self.register_buffer("record_mean", torch.from_numpy(features.record.mean(0)))
+        self.register_buffer("record_scale", torch.from_numpy(features.record.std(0) + 1e-3))
         self.place, self.record_in = nn.Linear(c, w), nn.Linear(q, w)
         self.record_out, self.hidden = nn.Linear(w, w), nn.Linear(w, w)
         self.hypothesis = nn.Linear(hypotheses, w, bias=False)
@@ -84,8 +88,8 @@ class PosteriorTraining:
 
     Parameters
     ----------
-    figures : PlaceFigures
-        Figures of the training episodes.
+    features : RecordFeatures
+        Features of the training episodes.
     joints : int
         Joints of the arm, n.
     directions : ndarray (A, axes)
@@ -98,7 +102,7 @@ class PosteriorTraining:
 
     def __init__(
         self,
-        figures: PlaceFigures,
+        features: RecordFeatures,
         *,
         joints: int,
         directions: NDArray[np.float64],
@@ -107,14 +111,14 @@ class PosteriorTraining:
     ) -> None:
         self.settings = s = TrainingSettings() if settings is None else settings
         torch.manual_seed(s.seed)
-        self.figures, self.n = figures, joints
+        self.features, self.n = features, joints
         self.directions = torch.from_numpy(directions.astype(np.float32))
         count = len(directions)
         hypothesis = np.concatenate(
             [np.repeat(np.arange(joints), count), joints + np.arange(joints)]
         )
         self.one_hot = nn.functional.one_hot(torch.from_numpy(hypothesis), 2 * joints).float()
-        self.layers = _Layers(figures, s, 2 * joints)
+        self.layers = _Layers(features, s, 2 * joints)
         self.optimiser = torch.optim.AdamW(self.layers.parameters(), weight_decay=1e-4)
         self.step = 0
         third = np.log(1 / 3)
@@ -124,18 +128,18 @@ class PosteriorTraining:
         axes = directions.shape[1]
         self.spread = 1.2 * np.pi / count if axes == 2 else np.sqrt(2 * np.pi / count) / 2
         with np.errstate(divide="ignore"):
-            level = np.log(1 / figures.ratio / friction[0]) / np.log(friction[1] / friction[0])
+            level = np.log(1 / features.ratio / friction[0]) / np.log(friction[1] / friction[0])
         node = np.floor(np.nan_to_num(level, neginf=0.0, posinf=0.0) * s.frictions)
         self.node = torch.from_numpy(np.clip(node, 0, s.frictions - 1).astype(np.int64))
 
     def rows(self, episodes: NDArray[np.intp], records: int) -> NDArray[np.intp]:
         """Indices of the first records of episodes (episodes * records,)."""
-        return (self.figures.first[episodes][:, None] + np.arange(records)).ravel()
+        return (self.features.first[episodes][:, None] + np.arange(records)).ravel()
 
     def posterior(self, rows: NDArray[np.intp], records: int) -> tuple[Tensor, Tensor, Tensor]:
         """Log-probabilities (B, R, H), log-weights (B, R, P, F), hidden layer (B R, P, W)."""
-        place = torch.from_numpy(self.figures.place[rows])
-        record = torch.from_numpy(self.figures.record[rows])
+        place = torch.from_numpy(self.features.place[rows])
+        record = torch.from_numpy(self.features.record[rows])
         each, hidden = self.layers(place, record, self.one_hot)
         total = each.reshape(-1, records, *each.shape[1:]).cumsum(1)
         log, tempered = self._log_probabilities(total, self.layers.temper[:records])
@@ -174,8 +178,8 @@ class PosteriorTraining:
         checkpoint = None if folder is None else folder / "checkpoint.pt"
         if checkpoint is not None and checkpoint.is_file():
             self._restore(checkpoint)
-        counts = np.unique(self.figures.count[self.figures.count > 0])
-        groups = [np.flatnonzero(self.figures.count == c) for c in counts]
+        counts = np.unique(self.features.count[self.features.count > 0])
+        groups = [np.flatnonzero(self.features.count == c) for c in counts]
         # Lengths take turns by how many records they hold.
         shares = np.array([len(g) * c for g, c in zip(groups, counts, strict=True)], dtype=float)
         with ProgressLine(s.steps, done=self.step, unit="steps", stream=stream) as line:
@@ -210,7 +214,7 @@ class PosteriorTraining:
         # The records of an episode have no order.
         rows = rng.permuted(rows, axis=1).ravel()  # type: ignore[assignment]
         log, total, _ = self.posterior(rows, records)
-        truth = torch.from_numpy(self.figures.truth[episodes])
+        truth = torch.from_numpy(self.features.truth[episodes])
         score = -log.gather(-1, truth[:, None, None].expand(-1, records, 1)).mean()
         return score + self.settings.further * self._further(episodes, truth, total)
 
@@ -221,7 +225,7 @@ class PosteriorTraining:
         loss = torch.zeros(())
         slides = torch.nonzero((truth >= 1) & (truth <= n)).ravel()
         if len(slides):
-            true = torch.from_numpy(self.figures.direction[episodes])[slides]
+            true = torch.from_numpy(self.features.direction[episodes])[slides]
             cosine = (true[:, : self.directions.shape[1]] @ self.directions.T).abs().clamp(max=1)
             near = torch.softmax(-((torch.arccos(cosine) / self.spread) ** 2) / 2, -1)
             own = total[:, :, : n * count].unflatten(2, (n, count))[slides, :, truth[slides] - 1]  # type: ignore[no-untyped-call]
@@ -235,22 +239,22 @@ class PosteriorTraining:
             loss = loss - log.mean() * len(plays) / len(truth)
         return loss
 
-    def calibrate(self, figures: PlaceFigures) -> None:
+    def calibrate(self, features: RecordFeatures) -> None:
         """Fit the temperatures that maximise the log score on held-out episodes.
 
         One factor for each of the first four numbers of records, one for all above, where
         held-out episodes are few. Training leaves the posterior a little less sure than it may be.
         """
         for first, last in ((1, 1), (2, 2), (3, 3), (4, 4), (5, len(self.layers.temper))):
-            chosen = np.flatnonzero(figures.count >= last)
+            chosen = np.flatnonzero(features.count >= last)
             if len(chosen) >= 50:
-                self._calibrate(figures, chosen, first, last)
+                self._calibrate(features, chosen, first, last)
 
     def _calibrate(
-        self, figures: PlaceFigures, chosen: NDArray[np.intp], first: int, last: int
+        self, features: RecordFeatures, chosen: NDArray[np.intp], first: int, last: int
     ) -> None:
-        seen, self.figures = self.figures, figures
-        truth = torch.from_numpy(figures.truth[chosen])[:, None, None]
+        seen, self.features = self.features, features
+        truth = torch.from_numpy(features.truth[chosen])[:, None, None]
         with torch.no_grad():
             temper = self.layers.temper[:last].clone()
             parts = []
@@ -268,15 +272,15 @@ class PosteriorTraining:
                 score, bounds=(-0.7, 0.7), method="bounded", options={"xatol": 0.02}
             )
             self.layers.temper[first - 1 : last] += float(best.x)
-        self.figures = seen
+        self.features = seen
 
-    def scores(self, figures: PlaceFigures, *, most: int = 4) -> list[dict[str, float]]:
+    def scores(self, features: RecordFeatures, *, most: int = 4) -> list[dict[str, float]]:
         """Scores on held-out episodes by number of records.
 
         Parameters
         ----------
-        figures : PlaceFigures
-            Figures of episodes that were not trained on.
+        features : RecordFeatures
+            Features of episodes that were not trained on.
         most : int
             Records up to which.
 
@@ -286,15 +290,15 @@ class PosteriorTraining:
             ``records``, ``episodes``, ``success``, ``score`` (mean log score of the truth, [nat])
             and ``ece`` (expected calibration error over ten bins of equal width).
         """
-        seen, self.figures = self.figures, figures
+        seen, self.features = self.features, features
         try:
-            chosen = np.flatnonzero(figures.count >= most)
+            chosen = np.flatnonzero(features.count >= most)
             parts = [chosen[i : i + 50] for i in range(0, len(chosen), 50)]
             with torch.no_grad():
                 log = torch.cat([self.posterior(self.rows(p, most), most)[0] for p in parts])
         finally:
-            self.figures = seen
-        truth = figures.truth[chosen]
+            self.features = seen
+        truth = features.truth[chosen]
         found = []
         for k in range(most):
             each = log[:, k].numpy()
@@ -305,7 +309,7 @@ class PosteriorTraining:
                     "episodes": len(chosen),
                     "success": float(right.mean()),
                     "score": float(each[np.arange(len(truth)), truth].mean()),
-                    "ece": _calibration_error(np.exp(each.max(1)), right),
+                    "ece": expected_calibration_error(np.exp(each.max(1)), right, bins=10),
                 }
             )
         return found
@@ -316,17 +320,12 @@ class PosteriorTraining:
         return {name: state[name].cpu().numpy().copy() for name in SeatNetwork.shapes}
 
     def _keep(self, path: Path) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        beside = path.with_suffix(".part")
-        torch.save(
-            {
-                "layers": self.layers.state_dict(),
-                "optimiser": self.optimiser.state_dict(),
-                "step": self.step,
-            },
-            beside,
-        )
-        beside.replace(path)
+        kept = {
+            "layers": self.layers.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "step": self.step,
+        }
+        written_beside(path, lambda beside: torch.save(kept, beside))
 
     def _restore(self, path: Path) -> None:
         try:
@@ -340,12 +339,3 @@ class PosteriorTraining:
                 f"cannot go on from {path}; remove it to begin anew: {type(error).__name__}: "
                 f"{reason}"
             ) from error
-
-
-def _calibration_error(confidence: NDArray[np.floating], right: NDArray[np.bool_]) -> float:
-    """Expected calibration error over ten confidence bins [1]."""
-    bins = np.minimum((10 * confidence).astype(int), 9)
-    return float(
-        sum(abs(float((confidence[bins == b] - right[bins == b]).sum())) for b in range(10))
-        / len(right)
-    )

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from loose_agents.core.base import Problem
-from loose_agents.core.belief_tracker import Posterior
+from loose_agents.core.estimators import Posterior
 from loose_agents.research.particle_check import Played, probabilities_of
 from loose_agents.research.particle_posterior import ParticlePosterior, SimulatedRecords
 from loose_env.diagnosis import RecordStatistics, Repeated, SyntheticLikelihood, summaries_of

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from loose_agents.core.base import Problem
 from loose_agents.core.belief_agent import Situation
-from loose_agents.core.belief_tracker import Posterior, record_from
-from loose_agents.policies.random_and_constant import RandomPolicy
+from loose_agents.core.estimators import Posterior, record_from
+from loose_agents.core.seeds import CHECK_ACTIONS, CHECK_PARTICLES
+from loose_agents.policies.policies import RandomPolicy
 from loose_agents.research.particle_posterior import ParticlePosterior
 from loose_env.diagnosis import (
     ParticleSettings,
@@ -28,7 +29,6 @@ from loose_env.report import FAINT, INK, MUTED, pyplot, save_figure
 from loose_env.typing import Array
 
 __all__ = [
-    "CHECK_SEED",
     "FLOOR",
     "AtSize",
     "Comparison",
@@ -44,13 +44,10 @@ __all__ = [
 ]
 
 
-CHECK_SEED = 19_960_000
-"""Seed of the check's episodes; training, tuning and evaluation use others."""
 FLOOR = 1e-3
 """Probabilities below this count as this in the log score: the particles tell no less apart."""
 _DRAWS = 400  # for the errors of calibration
 _NOTHING = -99.0  # log evidence of what is out of the question
-_ACTIONS, _PARTICLES = 17, 18  # streams of an episode beyond those of its own
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,10 +78,9 @@ def play(problem: Problem, batch: EpisodeBatch, *, seed: int, number: int, most:
     """
     batch.start(0, seed=seed, number=number)
     policy = RandomPolicy(problem)
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, _ACTIONS)))
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, CHECK_ACTIONS)))
     nothing = np.full(len(problem.hypotheses), 1 / len(problem.hypotheses))
     episode = batch.episode(0)
-    assert episode is not None
     statistics = []
     for taken in range(1 + number % most):
         if episode.ended:  # the simulation diverged
@@ -134,7 +130,7 @@ def particle_row(
     """
     found = []
     for run in range(runs):
-        stream = np.random.SeedSequence(seed, spawn_key=(number, _PARTICLES, run))
+        stream = np.random.SeedSequence(seed, spawn_key=(number, CHECK_PARTICLES, run))
         own = int(stream.generate_state(1)[0])
         posterior = ParticlePosterior(problem, settings, seed=own, sampler=sampler)
         started = time.process_time()
@@ -229,7 +225,7 @@ class Comparison:
     calibration_error: float
     """Its standard error, by drawing the episodes again."""
     calibrated: float
-    """What a calibrated posterior that is as sure would show in as many episodes, mean."""
+    """Mean of that error for a calibrated posterior of the same confidences."""
     distance: float
     """Total variation from the particles' probabilities, mean over episodes."""
     agreement: float

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from loose_agents.core.base import Problem
+from loose_agents.core.base import Problem, hypothesis_prior
 from loose_env.arms import MismatchDraw
 from loose_env.diagnosis import (
     Evidence,
@@ -92,7 +92,7 @@ class SimulatedRecords:
         self.records = tuple(records)
         self.mismatch = sampler.difficulty.mismatch
         self._nominal = MismatchDraw.none(problem.arm)
-        self.prior = _prior(problem, sampler)
+        self.prior = hypothesis_prior(problem.hypotheses, sampler.probabilities)
         self.variates = [self._variates_of(name) for name in problem.hypotheses]
         shown = [summaries_of(record) for record in self.records]
         self.measured = np.concatenate([np.zeros(0), *shown])
@@ -180,13 +180,6 @@ def _statistics_if_any(measurement: Measurement) -> RecordStatistics | None:
         return None
 
 
-def _prior(problem: Problem, sampler: FaultSampler) -> Array:
-    """Prior of each hypothesis: its kind's, uniform over locations (H,)."""
-    kinds = [name.partition("@")[0] for name in problem.hypotheses]
-    shares = [sampler.probabilities.get(kind, 0.0) / kinds.count(kind) for kind in kinds]
-    return np.array(shares)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ParticleBelief:
     """Particle posterior given the records so far, computed lazily."""
@@ -210,7 +203,7 @@ class ParticleBelief:
 class ParticlePosterior:
     """Bayes' rule over faults by simulating thousands of arms per set of records.
 
-    Can stand where the other posteriors stand, as in `loose_agents.core.belief_tracker.Tracker`,
+    Can stand where the other posteriors stand, as in `loose_agents.core.estimators.Tracker`,
     at seconds to minutes for each set of records. Direction, gap, friction, stops and mismatch are
     drawn as the environment draws them, and shared by the records of an arm. Records should be
     `statistics_of` measurements: what an observation shows is clipped where a ratio grows large.

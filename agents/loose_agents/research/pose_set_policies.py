@@ -131,7 +131,7 @@ class GreedySeparation:
         Moves of all joints that are weighed against each other.
     sight : callable, optional
         Makes of a situation what is known about the directions; by default `image_posterior`,
-        which reads the memory of `loose_agents.core.belief_tracker.Tracker`.
+        which reads the memory of `loose_agents.core.estimators.Tracker`.
     """
 
     def __init__(
@@ -182,7 +182,7 @@ def image_posterior(problem: Problem, situation: Situation) -> LinkPosterior:
     problem : Problem
         The nominal arm and the rules.
     situation : Situation
-        With the memory of `loose_agents.core.belief_tracker.Tracker`.
+        With the memory of `loose_agents.core.estimators.Tracker`.
 
     Raises
     ------
@@ -193,7 +193,7 @@ def image_posterior(problem: Problem, situation: Situation) -> LinkPosterior:
     if belief is None:
         raise InvalidSetting(
             "the estimator's memory holds no belief about directions; use "
-            "loose_agents.core.belief_tracker.Tracker or give another `sight`"
+            "loose_agents.core.estimators.Tracker or give another `sight`"
         )
     names, n = places(problem.arm), problem.arm.n
     weights = dict(zip(problem.hypotheses, situation.probabilities, strict=True))

@@ -16,7 +16,7 @@ from scipy.special import logsumexp
 
 from loose_agents.core.base import Problem
 from loose_agents.core.belief_agent import Policy, Situation
-from loose_agents.core.belief_tracker import Tracker
+from loose_agents.core.estimators import Tracker
 from loose_agents.registry import make_agent
 from loose_agents.research.pose_set_policies import (
     Excited,
@@ -247,7 +247,7 @@ def limit_rows(settings: Directions) -> list[Row]:
     for name in settings.arms:
         arm = ARMS[name]()
         for degrees in settings.sds:
-            # One stream for all arms: the limits differ by what is asked, not by luck.
+            # One stream for all arms: the limits differ by what is asked, not by sampling error.
             rng = np.random.default_rng([settings.seed, 99])
             best = direction_limit(
                 arm.n,
@@ -299,7 +299,7 @@ def records_block(task: Task, settings: Records) -> list[Row]:
         truth.append(k % arm.n)
         batch.start(slot, seed=settings.seed, number=k, options={"fault": links[k % arm.n]})
         hidden = batch.episode(slot)
-        assert hidden is not None and isinstance(hidden.fault, StructuralLooseness)
+        assert isinstance(hidden.fault, StructuralLooseness)
         drive = batch.sampler.drive.slide(hidden.fault.link, hidden.fault.direction)
         direction = np.array(hidden.fault.direction)[: len(arm.axes)]
         secrets.append((direction, hidden.fault.friction / drive))

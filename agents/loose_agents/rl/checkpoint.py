@@ -53,7 +53,7 @@ class StoredModel:
     described: Mapping[str, Any]
     """Settings as JSON; a pickled one is left as the text it is."""
     run: Mapping[str, Any] | None
-    """What the run remembers; None in a file of another program."""
+    """State of the run; None in a file of another program."""
 
 
 def zipped(model: Any, state: Any) -> bytes:

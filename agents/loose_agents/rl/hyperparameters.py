@@ -23,7 +23,7 @@ __all__ = [
 ]
 
 HYPERPARAMETERS = Path(__file__).parents[1] / "hyperparams"
-"""Where the hyperparameter files lie that ship with the agents."""
+"""Folder of the hyperparameter files that ship with the agents."""
 
 ALGORITHMS = {
     "ppo": ("ppo", "MlpPolicy"),

@@ -16,7 +16,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from loose_agents.core.base import EpisodeAgent, Problem
+from loose_agents.core.base import PROBABILITY_FLOOR, EpisodeAgent, Problem
 from loose_agents.core.belief_agent import (
     Estimator,
     Situation,
@@ -35,8 +35,7 @@ CONFIGURATION = "configuration.json"
 """File that says how a policy was trained, beside its weights."""
 
 FURTHER_BOUND = 5.0
-"""What an estimator shows beside its probabilities is clipped to this, either sign."""
-_LEAST = 1e-6
+"""Bound of an estimator's features beside its probabilities, either sign."""
 
 
 class PolicyForm:
@@ -95,7 +94,7 @@ class PolicyForm:
     ) -> NDArray[np.float32]:
         """Observation of the policy (features,)."""
         p = np.asarray(probabilities, dtype=float)
-        logs = np.log(np.maximum(p, _LEAST)) / 7.0
+        logs = np.log(np.maximum(p, PROBABILITY_FLOOR)) / 7.0
         entropy = -np.sum(p * np.log(np.maximum(p, 1e-12))) / np.log(max(len(p), 2))
         start = observation[: len(self.problem.layout.global_elements)]
         shown = np.zeros(0) if further is None else np.asarray(further, dtype=float)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.io import write_bytes
 
 __all__ = ["Cell", "Layer", "PolicyNetwork", "load_network", "network_of", "save_network"]
 
@@ -84,7 +84,7 @@ class PolicyNetwork:
     activation: str = "tanh"
     """Activation of all layers but the last: "tanh" or "relu"."""
     masked: bool = False
-    """Whether the policy was trained with masks, and so has to be asked with them."""
+    """True if the policy was trained with action masks, and so needs them."""
 
     def __post_init__(self) -> None:
         if self.activation not in _ACTIVATIONS:
@@ -111,10 +111,7 @@ class PolicyNetwork:
         return self.layers[-1](y), tuple(after)
 
     def choose(
-        self,
-        features: NDArray[np.float32],
-        state: State,
-        mask: NDArray[np.bool_] | None = None,
+        self, features: NDArray[np.float32], state: State, mask: NDArray[np.bool_] | None = None
     ) -> tuple[NDArray[np.int64], State]:
         """Choose the most probable option of every choice.
 
@@ -219,13 +216,7 @@ def save_network(network: PolicyNetwork, folder: str | Path) -> None:
     data = save(
         {k: np.ascontiguousarray(v) for k, v in _tensors(network).items()}, metadata=described
     )
-    target = Path(folder) / WEIGHTS
-    beside = target.with_suffix(".part")
-    with beside.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    beside.replace(target)
+    write_bytes(Path(folder) / WEIGHTS, data)
 
 
 def _check_chain(network: PolicyNetwork) -> None:
@@ -288,10 +279,7 @@ def load_network(folder: str | Path, form: _Form) -> PolicyNetwork:
         raise InvalidData(f"{path}: masked is 'true' or 'false', got {masked!r:.60}")
     try:
         network = _network(
-            tensors,
-            form.nvec,
-            activation=described.get("activation", ""),
-            masked=masked == "true",
+            tensors, form.nvec, activation=described.get("activation", ""), masked=masked == "true"
         )
         _check_chain(network)
     except (KeyError, IndexError, ValueError) as error:

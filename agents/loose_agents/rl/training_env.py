@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 LOG_FLOOR = -5.0
-"""Where the shaping cuts the log-posterior of the truth off: e^-5 is 0.7 %."""
+"""Lowest log-posterior of the truth in the shaping: e^-5 is 0.7 %."""
 
 _TRAINING, _EVALUATION = range(2)
 
@@ -153,10 +153,7 @@ class TrackedVecEnv(VecEnvWrapper):
             np.array(
                 [
                     self.form.action(
-                        choice,
-                        self._probabilities[i],
-                        self._records[i],
-                        least=self.least_records,
+                        choice, self._probabilities[i], self._records[i], least=self.least_records
                     )
                     for i, choice in enumerate(actions)
                 ]
@@ -202,7 +199,6 @@ class TrackedVecEnv(VecEnvWrapper):
         """Reset to the prior; return the policy's observation."""
         self._memories[i] = self.estimator.begin()
         episode = self.diagnosis.batch.episode(i)
-        assert episode is not None
         self._truths[i] = episode.fault.hypothesis
         features = self._follow(i, row)
         self._potentials[i] = self._potential(i)

@@ -28,11 +28,12 @@ from loose_agents.rl.learned_policy import CONFIGURATION
 from loose_agents.rl.network import WEIGHTS, PolicyNetwork, network_of, save_network
 from loose_agents.rl.training_env import TrackedVecEnv, forced_records
 from loose_env.errors import InvalidData
+from loose_env.io import write_bytes
 
 __all__ = ["RunCallback", "RunFolder", "RunState", "Schedule", "differences", "git_commit"]
 
 NOT_COMPARED = ("n_timesteps", "versions", "git_commit", "command", "trained", "options")
-"""What may differ when a run goes on."""
+"""Entries that may differ when a run is resumed."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ class RunState:
     lengths: list[list[int]] = field(default_factory=list)
     """Steps of their episodes."""
     successes: list[list[bool]] = field(default_factory=list)
-    """Whether the verdicts were right."""
+    """Correctness of their verdicts."""
     best: float = -np.inf
     """The best mean return."""
     generators: dict[str, Any] = field(default_factory=dict)
@@ -138,24 +139,14 @@ class RunState:
                 ) from error
 
 
-def write(path: Path, data: bytes) -> None:
-    """Write a file atomically: temporary file, fsync, rename."""
-    beside = path.with_name(path.name + ".part")
-    with beside.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    beside.replace(path)
-
-
 def write_model(path: Path, model: Any) -> None:
     """Write a stable-baselines3 model with the run state."""
-    write(path, zipped(model, model.run_state))
+    write_bytes(path, zipped(model, model.run_state))
 
 
 def write_json(path: Path, content: object) -> None:
     """Write JSON."""
-    write(path, (json.dumps(content, indent=1) + "\n").encode())
+    write_bytes(path, (json.dumps(content, indent=1) + "\n").encode())
 
 
 def differences(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
@@ -311,7 +302,7 @@ class RunCallback(BaseCallback):
             ep_lengths=state.lengths,
             successes=state.successes,
         )
-        write(self.folder.evaluations, buffer.getvalue())
+        write_bytes(self.folder.evaluations, buffer.getvalue())
         found = {
             "mean_reward": float(np.mean(state.returns[-1])),
             "mean_ep_length": float(np.mean(state.lengths[-1])),

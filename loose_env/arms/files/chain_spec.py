@@ -9,14 +9,12 @@ import numpy as np
 
 from loose_env.arms.files.model_reader import ModelFile
 from loose_env.arms.files.serial_chain import Chain
-from loose_env.arms.spec_parts import new_spec
+from loose_env.arms.spec_parts import MOTOR_SIDE, new_spec
 from loose_env.typing import Array
 
-__all__ = ["BARE_MOTOR_SIDE", "MOTOR_SIDE", "TOOL_SITE", "ChainSpec", "chain_spec"]
+__all__ = ["BARE_MOTOR_SIDE", "TOOL_SITE", "ChainSpec", "chain_spec"]
 
 
-MOTOR_SIDE = 0.05
-"""Share of each link's mass and inertia that is the flange on the motor side [1]; an estimate."""
 BARE_MOTOR_SIDE = 0.25
 """The same where the file gives the joint no rotor inertia: the flange stands for the rotor too."""
 TOOL_SITE = "tool"
@@ -70,7 +68,7 @@ def chain_spec(file: ModelFile, chain: Chain) -> ChainSpec:
         place, turn = _relative(data, base, data.xpos[body], data.xmat[body])
         for j in reversed(own):
             place, turn = _to_zero(m, j, place, turn)
-        figures = _lumped(m, data, [b for b in range(m.nbody) if rides[b] == body], body)
+        lumped = _lumped(m, data, [b for b in range(m.nbody) if rides[b] == body], body)
         driven = body in chain.links
         moved_name = name
         if driven:
@@ -89,10 +87,10 @@ def chain_spec(file: ModelFile, chain: Chain) -> ChainSpec:
             motor_side = MOTOR_SIDE if rotor > 0 else BARE_MOTOR_SIDE
             distal = flange.add_body(name=name)
             links.append(name)
-            _give(flange, figures, motor_side)
-            _give(distal, figures, 1 - motor_side)
+            _give(flange, lumped, motor_side)
+            _give(distal, lumped, 1 - motor_side)
         else:
-            _give(flange, figures, 1.0)
+            _give(flange, lumped, 1.0)
         parent, base = distal, body
     if chain.tool_site is None:
         place, turn = _relative(data, base, data.xpos[chain.tool_body], data.xmat[chain.tool_body])
@@ -111,9 +109,9 @@ def _riding(m: mujoco.MjModel, moving: list[int]) -> list[int]:
     return rides
 
 
-def _give(part: mujoco.MjsBody, figures: tuple[float, Array, Array, Array], share: float) -> None:
+def _give(part: mujoco.MjsBody, lumped: tuple[float, Array, Array, Array], share: float) -> None:
     """Give a body a share of a mass, with its centre, axes and moments."""
-    mass, centre, axes, moments = figures
+    mass, centre, axes, moments = lumped
     part.mass, part.ipos, part.iquat = share * mass, list(centre), _quat(axes)
     part.inertia = [share * float(x) for x in moments]
     part.explicitinertial = True
@@ -162,7 +160,7 @@ def _lumped(
     mass = float(masses.sum())
     centre = masses @ np.array([place for place, _ in frames]) / mass
     heavy = [k for k, b in enumerate(bodies) if m.body_mass[b] > 0 or m.body_inertia[b].any()]
-    if len(heavy) == 1:  # nothing to add up: the file's own figures
+    if len(heavy) == 1:  # nothing to add up: the file's own values
         return mass, frames[heavy[0]][0], frames[heavy[0]][1], m.body_inertia[bodies[heavy[0]]]
     tensor = np.zeros((3, 3))
     for b, (place, axes) in zip(bodies, frames, strict=True):

@@ -1,14 +1,17 @@
-"""Figures of the drives and levels of excitation, where a file leaves them open."""
+"""Torque limits, levels and time step of an arm, where its file leaves them open."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 
 from loose_env.arms.arm import Arm, Holding
-from loose_env.arms.holding.gears import rounded
-from loose_env.arms.library.planar import CREST_FACTOR
+from loose_env.arms.holding.compliance import fastest_turn, settling_time
+from loose_env.arms.holding.gears import WHEEL_TURN, add_wheel, inertias, poses_of, rounded
 from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.spec_parts import CREST_FACTOR, FASTEST_TURN, GRAVITY
 from loose_env.errors import InvalidData
 from loose_env.typing import Array
 
@@ -19,6 +22,7 @@ __all__ = [
     "propose_levels",
     "propose_limits",
     "stable_timestep",
+    "with_file_springs",
 ]
 
 
@@ -67,7 +71,7 @@ def propose_limits(model: mujoco.MjModel, joints: list[str], poses: Array) -> Ar
         load = np.maximum(load, np.abs(data.qfrc_bias[dofs]))
         lever = np.linalg.norm(jacobian[:, dofs], axis=0)
         # A joint whose axis meets the tool is shaken as one that lies 0.1 m beside it.
-        shake.append(full[dofs, dofs] * 9.81 * AT_LEAST / np.maximum(lever, 0.1))
+        shake.append(full[dofs, dofs] * GRAVITY * AT_LEAST / np.maximum(lever, 0.1))
     limits = _GRAVITY_SPARE * load + np.median(shake, axis=0)
     return np.array([float(f"{x:.2g}") for x in limits])
 
@@ -184,3 +188,87 @@ def _flange_weights(linear: LinearArm, poses: Array) -> Array:
     joints = linear.joint_dofs
     unit = np.eye(len(own))[:, joints]
     return np.asarray(np.linalg.solve(inertia, np.tile(unit, (len(poses), 1, 1)))[:, joints])
+
+
+_HALVINGS = 4
+
+
+def with_file_springs(arm: Arm, springs: tuple[str, ...]) -> Arm:
+    """Make an arm whose spec holds elastic joints ready for the rig.
+
+    The rig preloads the springs against gravity, as it does those of gears. Behind an open seat
+    the flange is all that is left on the spring of its drive: where it is too light for the step, a
+    part of the rotor's inertia is moved to it, so that both together stay as they were; where
+    that is not enough the step is halved. Records wait until the springs' modes have died away.
+
+    Parameters
+    ----------
+    arm : Arm
+        An arm with a step that is short enough for everything else.
+    springs : tuple of str
+        Its elastic joints, base first. None leaves the arm as it is.
+
+    Raises
+    ------
+    InvalidData
+        If a spring is too stiff for a sixteenth of the step.
+    """
+    if not springs:
+        return arm
+    arm = replace(arm, gear_joints=springs)
+    for halving in range(_HALVINGS + 1):
+        made = _with_wheels(arm, arm.timestep / 2**halving)
+        if made is not None and fastest_turn(made) <= FASTEST_TURN:
+            return replace(made, settling=settling_time(made, _lowest_damping(made)))
+    stiffness = [float(arm.model.joint(name).stiffness[0]) for name in springs]
+    raise InvalidData(
+        f"arm {arm.name!r}: the springs of joints {', '.join(springs)} with {stiffness} are too "
+        f"stiff to simulate, even with a step of {arm.timestep / 2**_HALVINGS:.1g} s; lower them "
+        "in the file, or take the joints out where they are as good as rigid"
+    )
+
+
+def _of_drives(arm: Arm) -> list[tuple[int, str]]:
+    """Springs that stand behind a drive on its flange, each with the number of its joint."""
+    m = arm.model
+    flanges = [int(m.joint(name).bodyid[0]) for name in arm.joints]
+    places = [(int(m.joint(spring).bodyid[0]), spring) for spring in arm.gear_joints]
+    return [(flanges.index(body), spring) for body, spring in places if body in flanges]
+
+
+def _with_wheels(arm: Arm, step: float) -> Arm | None:
+    """Return the arm with a step and flanges heavy enough for it; None if rotors do not suffice."""
+    spec = arm.spec.copy()
+    _, own = inertias(arm)
+    m = arm.model
+    for j, spring in _of_drives(arm):
+        stiffness = float(m.joint(spring).stiffness[0])
+        damping = float(m.joint(spring).damping[0])
+        needed = stiffness * (step / WHEEL_TURN) ** 2 + step * damping
+        joint = spec.joint(arm.joints[j])
+        moved = max(needed - float(own[j]), 0.0)
+        if joint.armature - moved < needed:
+            return None
+        if moved > 0:
+            joint.armature -= moved
+            axis = np.asarray(joint.axis, dtype=float)
+            slides = joint.type == mujoco.mjtJoint.mjJNT_SLIDE
+            add_wheel(joint.parent, moved, axis / np.linalg.norm(axis), slides=slides)
+    return replace(arm, spec=spec, timestep=step)
+
+
+def _lowest_damping(arm: Arm) -> float:
+    """Smallest damping ratio of a spring with all that it carries, the rest held [1]."""
+    m, data = arm.model, mujoco.MjData(arm.model)
+    full = np.zeros((m.nv, m.nv))
+    lowest = np.inf
+    for pose in poses_of(arm):
+        data.qpos[arm.pose_addresses] = pose
+        mujoco.mj_forward(m, data)
+        mujoco.mj_fullM(m, data, full)
+        for name in arm.gear_joints:
+            joint = m.joint(name)
+            carried = full[joint.dofadr[0], joint.dofadr[0]]
+            critical = 2 * np.sqrt(float(joint.stiffness[0]) * carried)
+            lowest = min(lowest, float(joint.damping[0]) / critical)
+    return lowest

@@ -19,8 +19,8 @@ from loose_env.arms.files.drive_limits import (
     propose_levels,
     propose_limits,
     stable_timestep,
+    with_file_springs,
 )
-from loose_env.arms.files.joint_springs import with_file_springs
 from loose_env.arms.files.model_reader import ModelFile, read_model_file
 from loose_env.arms.files.report import FileReport, FoundJoint, Payload, report
 from loose_env.arms.files.serial_chain import Chain, find_chain

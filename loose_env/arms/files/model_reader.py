@@ -30,7 +30,7 @@ _TYPES = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """What a file's actuator says about the joint it drives."""
+    """Actuator of a file: limit, rotor inertia and damping at its joint."""
 
     joint: str
     limit: float | None
@@ -52,7 +52,7 @@ class Tie:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelFile:
-    """What a file holds that matters to an arm, every element with a name."""
+    """Contents of a file that matter to an arm, every element with a name."""
 
     path: Path
     format: Literal["MJCF", "URDF"]
@@ -229,11 +229,7 @@ def _one_line(error: Exception) -> str:
 
 
 def _name_all(spec: mujoco.MjSpec) -> None:
-    for kind, elements in (
-        ("body", spec.bodies[1:]),
-        ("joint", spec.joints),
-        ("site", spec.sites),
-    ):
+    for kind, elements in (("body", spec.bodies[1:]), ("joint", spec.joints), ("site", spec.sites)):
         taken = {e.name for e in elements}
         for number, element in enumerate(elements, start=1):
             if not element.name:

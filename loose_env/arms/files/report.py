@@ -1,4 +1,4 @@
-"""What was found in an arm's file, as a table for a person."""
+"""Report of an arm's file, as a table."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Payload:
 
 @dataclass(frozen=True, kw_only=True)
 class FileReport:
-    """What was found in a file. Its text is a table."""
+    """Joints, links, tool and payload of a file. Its text is a table."""
 
     file: str
     format: Literal["MJCF", "URDF"]
@@ -52,12 +52,12 @@ class FileReport:
     tool: str
     """Site of the tool, or the body whose frame it is."""
     tool_origin: str
-    """How the tool was found."""
+    """Origin of the tool, in words."""
     payload: tuple[Payload, ...]
     gravity: tuple[float, float, float]
     """Gravity [m/s²]."""
     warnings: tuple[str, ...]
-    """What was left out or had to be assumed."""
+    """Elements left out, and assumptions."""
     springs: tuple[str, ...] = ()
     """Elastic joints, which bend and have no drive, base first."""
     spring_modes: tuple[float, ...] = ()

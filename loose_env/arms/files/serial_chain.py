@@ -32,7 +32,7 @@ class Chain:
     tool_site: int | None
     """Site of the tool; None where the body's own frame is the tool."""
     tool_origin: str
-    """How the tool was found."""
+    """Origin of the tool, in words."""
     owner: tuple[int, ...]
     """For each body of the model: the link it rides on, from 1; 0 where it stands on the
     ground."""
@@ -63,7 +63,7 @@ def find_chain(file: ModelFile, tool: str | None, joints: Sequence[str] | None) 
     springs, play = _undriven(file, every, [] if joints is None else path)
     path = [j for j in path if j not in springs and j not in play]
     warnings += [
-        f"joint {m.joint(j).name} has play and no drive: it is taken as fixed, as in a sound arm"
+        f"joint {m.joint(j).name} has play and no drive: it is taken as fixed, as in a healthy arm"
         for j in play
     ]
     if not path:

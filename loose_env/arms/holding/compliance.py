@@ -8,8 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.arm import Arm, Holding, HoldKind
-from loose_env.arms.gear_parameters import Figures, Gears, each_joint
+from loose_env.arms.arm import Arm, Gears, Holding, HoldKind, PerJoint, each_joint
 from loose_env.arms.holding.gears import (
     WHEEL_TURN,
     geared_spec,
@@ -20,7 +19,7 @@ from loose_env.arms.holding.gears import (
     rounded,
 )
 from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.spec_parts import SERVO_DAMPING, held_inertia
+from loose_env.arms.spec_parts import FASTEST_TURN, SERVO_DAMPING, held_inertia
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.typing import Array
 
@@ -35,7 +34,6 @@ __all__ = [
 ]
 
 
-_FASTEST = 1.4  # angle a gear's mode may turn in one step [rad]
 _HALVINGS = 3
 _POSES = 8
 
@@ -62,7 +60,7 @@ def held(arm: Arm, hold: HoldKind) -> Arm:
 
 
 def servoed(
-    arm: Arm, *, mode_hz: Figures | None = None, damping_ratio: Figures | None = None
+    arm: Arm, *, mode_hz: PerJoint | None = None, damping_ratio: PerJoint | None = None
 ) -> Arm:
     """Hold the joints that are not excited by closed-loop position servos.
 
@@ -105,8 +103,7 @@ def servoed(
             "damping_ratio", SERVO_DAMPING if damping_ratio is None else damping_ratio, arm.n
         )
         gains = Holding(
-            stiffness=rounded(stiffness),
-            damping=rounded(2 * ratio * np.sqrt(stiffness * inertia)),
+            stiffness=rounded(stiffness), damping=rounded(2 * ratio * np.sqrt(stiffness * inertia))
         )
     return replace(arm, name=f"{arm.name.removesuffix('-servo')}-servo", hold="servo", servo=gains)
 
@@ -114,9 +111,9 @@ def servoed(
 def with_compliance(
     arm: Arm,
     *,
-    stiffness: Figures | None = None,
-    mode_hz: Figures | None = None,
-    damping_ratio: Figures | None = None,
+    stiffness: PerJoint | None = None,
+    mode_hz: PerJoint | None = None,
+    damping_ratio: PerJoint | None = None,
 ) -> Arm:
     """Return the arm with elastic gears of a given stiffness or natural frequency.
 
@@ -170,12 +167,12 @@ def compliant(arm: Arm, gears: Gears | None = None) -> Arm:
     arm : Arm
         Any arm; one with elastic gears gets these instead.
     gears : Gears, optional
-        Figures; by default those of the arm.
+        Parameters; by default those of the arm.
 
     Raises
     ------
     InvalidSetting
-        If the figures do not fit the joints, or are too stiff for an eighth of the arm's step.
+        If the parameters do not fit the joints, or are too stiff for an eighth of the arm's step.
 
     Examples
     --------
@@ -187,7 +184,7 @@ def compliant(arm: Arm, gears: Gears | None = None) -> Arm:
     rigid = arm if arm.rigid is None else arm.rigid
     chosen = gears or arm.gears or Gears()
     carried, own = inertias(rigid)
-    stiffness, damping = chosen.figures(carried)
+    stiffness, damping = chosen.stiffness_and_damping(carried)
     rotor = rotors(rigid, carried)
     name = rigid.name.removesuffix("-servo")
     needed = np.zeros(rigid.n)
@@ -210,7 +207,7 @@ def compliant(arm: Arm, gears: Gears | None = None) -> Arm:
             timestep=step,
             settling=settling_time(rigid, slowest_ratio),
         )
-        if fastest_turn(made) <= _FASTEST:
+        if fastest_turn(made) <= FASTEST_TURN:
             return made
     worst = int(np.argmax(needed / rotor))
     raise InvalidSetting(

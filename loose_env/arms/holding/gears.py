@@ -1,4 +1,4 @@
-"""Elastic gears between the motors and the links of an arm: their figures, and their place."""
+"""Elastic gears between the motors and the links of an arm: their parameters and location."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.gear_parameters import GEAR_MODE_HZ, Figures, Gears, each_joint
+from loose_env.arms.arm import GEAR_MODE_HZ, Arm, Gears, PerJoint, each_joint
 from loose_env.arms.spec_parts import held_inertia
 from loose_env.errors import InvalidSetting
 from loose_env.typing import Array
@@ -44,16 +43,16 @@ of the stable range is left to a stop that pushes on it."""
 
 def gears_of(
     arm: Arm,
-    stiffness: Figures | None = None,
-    mode_hz: Figures | None = None,
-    damping_ratio: Figures | None = None,
+    stiffness: PerJoint | None = None,
+    mode_hz: PerJoint | None = None,
+    damping_ratio: PerJoint | None = None,
 ) -> Gears:
-    """Figures of an arm's gears, with what is given in place of its own.
+    """Parameters of an arm's gears, with what is given in place of its own.
 
     Raises
     ------
     InvalidSetting
-        If both a stiffness and a mode are given, or figures do not fit the joints.
+        If both a stiffness and a mode are given, or they do not fit the joints.
     """
     if stiffness is not None and mode_hz is not None:
         raise InvalidSetting(
@@ -169,7 +168,7 @@ def add_wheel(flange: mujoco.MjsBody, inertia: float, axis: Array, *, slides: bo
 
 
 def inertias(arm: Arm) -> tuple[Array, Array]:
-    """What each joint carries without its rotor, and its flange's share of that (n,) each."""
+    """Inertia at each joint without its rotor, and its flange's share of that (n,) each."""
     model = arm.model
     rotors = np.array([float(model.dof_armature[model.joint(j).dofadr[0]]) for j in arm.joints])
     carried = held_inertia(arm.spec, arm.joints, poses_of(arm)) - rotors
@@ -203,10 +202,10 @@ def poses_of(arm: Arm) -> Array:
     return np.array([np.zeros(arm.n), *(arm.random_pose(rng) for _ in range(24))])
 
 
-def _tuple(name: str, value: Figures, n: int) -> tuple[float, ...]:
+def _tuple(name: str, value: PerJoint, n: int) -> tuple[float, ...]:
     return tuple(float(v) for v in each_joint(name, value, n))
 
 
 def rounded(values: Array) -> tuple[float, ...]:
-    """Round figures to three digits."""
+    """Round to three digits."""
     return tuple(float(f"{v:.3g}") for v in values)

@@ -6,13 +6,17 @@ import numpy as np
 
 from loose_env.arms.arm import Arm, HoldKind
 from loose_env.arms.holding.compliance import held
-from loose_env.arms.spec_parts import add_link, holdings, new_spec
+from loose_env.arms.spec_parts import (
+    CREST_FACTOR,
+    GRAVITY,
+    MOTOR_SIDE,
+    add_link,
+    holdings,
+    new_spec,
+)
 from loose_env.errors import InvalidSetting
 
 __all__ = ["planar"]
-
-GRAVITY = 9.81
-CREST_FACTOR = 3.0
 
 
 def planar(n_links: int = 4, *, vertical: bool = False, hold: HoldKind = "brake") -> Arm:
@@ -23,7 +27,7 @@ def planar(n_links: int = 4, *, vertical: bool = False, hold: HoldKind = "brake"
     reflected rotor inertia is half the inertia it moves with the arm straight, as on
     industrial arms (PUMA 560: 1.1 and 4.7 kg·m² at the first two joints). Torque limits
     are what the top level asks of each joint with the arm straight, peaks included. Elastic
-    gears have a mode of 60 Hz each (`loose_env.arms.gear_parameters.GEAR_MODE_HZ`): for three
+    gears have a mode of 60 Hz each (`loose_env.arms.arm.GEAR_MODE_HZ`): for three
     links 3e5, 8.4e4 and 1.1e4 N·m/rad, within what industrial drives have.
 
     Parameters
@@ -62,13 +66,13 @@ def planar(n_links: int = 4, *, vertical: bool = False, hold: HoldKind = "brake"
             parent,
             i,
             at=(0.0 if i == 1 else length, 0, 0),
-            flange_mass=0.05 * mass,
+            flange_mass=MOTOR_SIDE * mass,
             rotor_inertia=0.5 * _distal_inertia(masses[i - 1 :], length, centre),
             joint_damping=0.3 * taper ** (i - 1),
         )
-        link.mass = 0.95 * mass
+        link.mass = (1 - MOTOR_SIDE) * mass
         link.ipos = [centre * length, 0, 0]
-        across = 0.95 * mass * length**2 / 12
+        across = (1 - MOTOR_SIDE) * mass * length**2 / 12
         link.inertia = [0.1 * across, across, across]
         link.explicitinertial = True
         parent = link

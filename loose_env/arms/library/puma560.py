@@ -1,15 +1,14 @@
-"""A six-axis arm with the published figures of the PUMA 560."""
+"""A six-axis arm with the published parameters of the PUMA 560."""
 
 from __future__ import annotations
 
 import mujoco
 import numpy as np
 
-from loose_env.arms.arm import Arm, HoldKind
-from loose_env.arms.gear_parameters import Gears
+from loose_env.arms.arm import Arm, Gears, HoldKind
 from loose_env.arms.holding.compliance import held
 from loose_env.arms.holding.gears import STIFFNESS_PER_TORQUE
-from loose_env.arms.spec_parts import holdings, new_spec
+from loose_env.arms.spec_parts import GRAVITY, MOTOR_SIDE, holdings, new_spec
 
 __all__ = ["TOOL", "six_axis"]
 
@@ -17,8 +16,6 @@ TOOL = (0.10, 0.0, 0.05625)
 """Accelerometer in the frame of link 6 [m]: on a bracket beside the mounting flange, which
 lies 56.25 mm before the wrist's centre. On the axis itself it would not see joint 6. The
 bracket, 0.10 m, is an estimate and has no mass."""
-MOTOR_SIDE = 0.05
-"""Share of each link's mass and inertia that is the flange on the motor side [1]; an estimate."""
 
 # Modified Denavit-Hartenberg parameters: alpha and a of the link before [rad, m], d [m].
 _DH = (
@@ -98,7 +95,7 @@ def six_axis(*, hold: HoldKind = "brake") -> Arm:
     >>> arm.n, arm.torque_limits[1]
     (6, 186.4)
     """
-    spec = new_spec(gravity=(0, 0, -9.81))
+    spec = new_spec(gravity=(0, 0, -GRAVITY))
     parent = spec.worldbody
     for i, (alpha, a, d) in enumerate(_DH):
         flange = parent.add_body(

@@ -5,11 +5,10 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from loose_env.arms.arm import Arm, HoldKind
-from loose_env.arms.gear_parameters import Gears
+from loose_env.arms.arm import Arm, Gears, HoldKind
 from loose_env.arms.holding.compliance import held
 from loose_env.arms.holding.gears import STIFFNESS_PER_TORQUE
-from loose_env.arms.spec_parts import add_link, holdings, new_spec
+from loose_env.arms.spec_parts import GRAVITY, add_link, holdings, new_spec
 
 __all__ = ["INNER", "OUTER", "STROKE", "scara"]
 
@@ -67,7 +66,7 @@ def scara(*, hold: HoldKind = "brake") -> Arm:
     >>> arm.n, arm.joint_ranges[2]
     (4, (-0.21, 0.0))
     """
-    spec = new_spec(gravity=(0, 0, -9.81))
+    spec = new_spec(gravity=(0, 0, -GRAVITY))
     parent = spec.worldbody
     places = ((0.0, 0.0, 0.0), (INNER, 0.0, 0.0), (OUTER, 0.0, 0.0), (0.0, 0.0, _BELOW))
     for i, place in enumerate(places):

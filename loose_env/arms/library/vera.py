@@ -9,7 +9,7 @@ import numpy as np
 
 from loose_env.arms.arm import Arm, HoldKind
 from loose_env.arms.holding.compliance import held
-from loose_env.arms.spec_parts import add_link, holdings, new_spec
+from loose_env.arms.spec_parts import GRAVITY, add_link, holdings, new_spec
 
 __all__ = ["BENDING_MODE_HZ", "LINK_LENGTH", "BendingLink2", "vera", "vera_spec"]
 
@@ -101,7 +101,7 @@ def vera_spec(
     mode_damping : float
         Damping ratio of link 1's bending mode.
     """
-    spec = new_spec(gravity=(0, 0, -9.81))
+    spec = new_spec(gravity=(0, 0, -GRAVITY))
     length = LINK_LENGTH
     root = length / 3
     line_density = BEAM_MASS / length
@@ -175,15 +175,15 @@ def _stiff_link2(link2: mujoco.MjsBody) -> mujoco.MjsBody:
     return link2
 
 
-def _bending_link2(link2: mujoco.MjsBody, figures: BendingLink2) -> mujoco.MjsBody:
+def _bending_link2(link2: mujoco.MjsBody, beam: BendingLink2) -> mujoco.MjsBody:
     """Split link 2 at a third of its length, as link 1; return its outer part."""
     root = LINK_LENGTH / 3
     out = LINK_LENGTH - root
     density = LINK2_MASS / LINK_LENGTH
-    link2.mass = density * root + figures.seat_mass
+    link2.mass = density * root + beam.seat_mass
     centre = density * root * root / 2 / link2.mass
     about_z = density * root**3 / 12 + density * root * (root / 2 - centre) ** 2
-    about_z += figures.seat_mass * (centre**2 + SEAT_SIDE**2 / 6)
+    about_z += beam.seat_mass * (centre**2 + SEAT_SIDE**2 / 6)
     link2.ipos = [centre, 0, 0]
     link2.inertia = [0.001, about_z, about_z]
     link2.explicitinertial = True
@@ -199,12 +199,12 @@ def _bending_link2(link2: mujoco.MjsBody, figures: BendingLink2) -> mujoco.MjsBo
         inertia=[0.001, about_z, about_z],
         explicitinertial=True,
     )
-    omega = 2 * np.pi * figures.mode_hz
+    omega = 2 * np.pi * beam.mode_hz
     stiffness = (about_z + mass * centre**2) * omega**2
     end.add_joint(
         name="bending2",
         axis=[0, 0, 1],
         stiffness=[float(stiffness), 0, 0],
-        damping=[float(2 * figures.damping * stiffness / omega), 0, 0],
+        damping=[float(2 * beam.damping * stiffness / omega), 0, 0],
     )
     return end

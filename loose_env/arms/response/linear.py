@@ -1,4 +1,4 @@
-"""How the nominal arm answers small excitation: a closed form, no simulation.
+"""Frequency response of the nominal arm to small excitation, in closed form.
 
 The arm is linearised about a pose. Joints and bending modes move; each held joint has its
 brake or servo, each excited one its soft centring spring. On top of those, the model has
@@ -53,14 +53,14 @@ class Response:
     """Torque each joint's link side transmits per torque [1], force where the joint slides
     [N per N·m], (K, n joints, m)."""
     twist: ComplexArray | None = None
-    """What each shut seat transmits per torque: forces, then moments about the link frame's
+    """Load through each shut seat per torque: forces, then moments about the link frame's
     origin [N or N·m per N·m], (K, n links, t, m); None without rotations. See
     `LinearArm.twist_dofs`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class OpenResponse:
-    """How the arm would answer through each of its seats, were it open, over the band."""
+    """Response of the arm through each of its seats, were it open, over the band."""
 
     tool_open_slide: ComplexArray
     """Change of tool acceleration per unit seat acceleration, (K, d, n links, s axes)."""
@@ -113,12 +113,7 @@ class LinearArm:
     """
 
     def __init__(
-        self,
-        arm: Arm,
-        *,
-        points: int | None = None,
-        remember: int = 512,
-        rotations: bool = False,
+        self, arm: Arm, *, points: int | None = None, remember: int = 512, rotations: bool = False
     ) -> None:
         self.arm = arm
         self.rotations = rotations
@@ -303,7 +298,7 @@ class LinearPose:
 
     @property
     def _twists(self) -> NDArray[np.intp]:
-        """Where each link's slides and rotations lie among the seats (n, t)."""
+        """Indices of each link's slides and rotations among the seats (n, t)."""
         slides, turns = self.linear.slide_dofs, self.linear.turn_dofs
         first = slides.size + len(self.linear.hinge_dofs)
         return np.concatenate(

@@ -1,4 +1,4 @@
-"""How the true arm differs from the nominal one."""
+"""Model error: deviations of the true arm from the nominal one."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidSetting
+from loose_env.io import Checked, NonNegative
 from loose_env.typing import Array
 
 __all__ = ["Mismatch", "MismatchDraw"]
@@ -18,42 +19,38 @@ _RELATIVE = ("length", "mass", "inertia", "stiffness", "damping", "gain", "cross
 
 
 @dataclass(frozen=True, kw_only=True)
-class Mismatch:
+class Mismatch(Checked):
     """Standard deviations of what the nominal model gets wrong about the true arm."""
 
-    length: float = 0.002
+    length: NonNegative = 0.002
     """Link lengths, relative."""
-    mass: float = 0.03
+    mass: NonNegative = 0.03
     """Masses of bodies, relative."""
-    inertia: float = 0.03
+    inertia: NonNegative = 0.03
     """Inertias of bodies and rotors, relative."""
-    stiffness: float = 0.10
+    stiffness: NonNegative = 0.10
     """Stiffness of bending modes, brakes and servos, relative."""
-    damping: float = 0.10
+    damping: NonNegative = 0.10
     """Damping of joints, bending modes, brakes and servos, relative."""
-    tilt: float = 1.0
+    tilt: NonNegative = 1.0
     """Tilt of the base about each horizontal axis [deg]."""
-    gain: float = 0.01
+    gain: NonNegative = 0.01
     """Gains of drives and of accelerometer axes, relative."""
-    cross_axis: float = 0.02
+    cross_axis: NonNegative = 0.02
     """Leakage of each accelerometer axis into each other one, relative."""
-    misalignment: float = 0.5
+    misalignment: NonNegative = 0.5
     """Rotation of each accelerometer about each of its axes [deg]."""
-    joint_zero: float = 0.2
+    joint_zero: NonNegative = 0.2
     """Zero of each joint encoder [deg]."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not np.isfinite(value) or value < 0:
+        super().__post_init__()
+        for name in _RELATIVE:
+            if getattr(self, name) * _CUT >= 1:
                 raise InvalidSetting(
-                    f"mismatch {field.name} is a standard deviation, zero or more; got {value!r}"
-                )
-            if field.name in _RELATIVE and value * _CUT >= 1:
-                raise InvalidSetting(
-                    f"mismatch {field.name} is relative and drawn up to {_CUT:g} standard "
-                    f"deviations: it must be below {1 / _CUT:.2f}, or a factor may turn negative; "
-                    f"got {value!r}"
+                    f"mismatch {name} is relative and drawn up to {_CUT:g} standard deviations: "
+                    f"it must be below {1 / _CUT:.2f}, or a factor may turn negative; got "
+                    f"{getattr(self, name)!r}"
                 )
 
     def scaled(self, factor: float) -> Mismatch:

@@ -1,4 +1,4 @@
-"""Where a link can carry an accelerometer, and along what its own joint moves it there.
+"""Accelerometer sites on links, and the direction in which the own joint moves them.
 
 The thesis expects wear first at the distal end of the link before a joint, in the tangential
 direction (8.3.4). That end is where the next joint sits or, of the last link, where the tool
@@ -37,7 +37,7 @@ class LinkSite:
     body: str
     """The body: of a link that bends, the part at that end."""
     position: Array
-    """Where in the body's frame [m] (3,)."""
+    """Position in the body's frame [m] (3,)."""
     tangent: Array
     """Direction in which the link's own joint moves the place, unit vector, body frame (3,)."""
     scaled_by: int

@@ -1,4 +1,4 @@
-"""How a shaken arm answers its shaker: a closed form from MuJoCo's matrices, no simulation."""
+"""Frequency response of an arm on a shaker, in closed form from MuJoCo's matrices."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
 """State, actions and observations of episodes.
 
-Data flow: pose_encoding -> actions -> observation -> raw_observation -> reset_options -> state
--> true_arm -> batch.
+Data flow: actions -> observation -> reset_options -> state -> batch.
 """

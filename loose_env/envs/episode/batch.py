@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
+from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
@@ -20,10 +21,14 @@ from loose_env.arms import Arm, LinearArm, MismatchDraw
 from loose_env.diagnosis import SensorFloor, predict, statistics_of
 from loose_env.envs.episode.actions import Action, ActionLayout
 from loose_env.envs.episode.observation import ObservationLayout
-from loose_env.envs.episode.raw_observation import RawMeasurement
-from loose_env.envs.episode.reset_options import ResetOptions
-from loose_env.envs.episode.state import Episode, Outcome
-from loose_env.envs.episode.true_arm import checked_true_arm
+from loose_env.envs.episode.reset_options import ResetOptions, checked_true_arm
+from loose_env.envs.episode.state import (
+    Episode,
+    Outcome,
+    RawMeasurement,
+    raw_observation,
+    raw_space,
+)
 from loose_env.envs.faults.difficulty import difficulty_named
 from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.envs.settings import DiagnosisSettings
@@ -39,7 +44,7 @@ _FAULT, _MISMATCH, _POSE, _RECORD = range(4)
 
 
 class BatchRig(Protocol):
-    """What the episodes need of a rig: arms in slots, measured several at once."""
+    """Protocol of a rig: arms in slots, measured several at once."""
 
     def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
         """Put a new arm into a slot."""
@@ -67,7 +72,7 @@ class EpisodeBatch:
         Where measurements come from; simulated arms by default.
     true_arm : Arm, optional
         The arm that is measured, where the nominal model is wrong about more than the mismatch
-        says; see `loose_env.envs.episode.true_arm`. The nominal arm by default.
+        says; see `loose_env.envs.episode.reset_options`. The nominal arm by default.
 
     Raises
     ------
@@ -107,9 +112,28 @@ class EpisodeBatch:
         self._episodes: list[Episode | None] = [None] * num
         self._levels = np.array([0.0, *arm.levels])
 
-    def episode(self, slot: int) -> Episode | None:
-        """Return the running episode of a slot, if there is one."""
-        return self._episodes[slot]
+    @property
+    def space(self) -> spaces.Space[Any]:
+        """Observation space of one arm: flat, or with raw signals where the settings ask."""
+        flat = self.observations
+        return raw_space(self.arm, self.settings, flat) if self.settings.raw else flat.space
+
+    def has_episode(self, slot: int) -> bool:
+        """Return whether an episode was started in a slot."""
+        return self._episodes[slot] is not None
+
+    def episode(self, slot: int) -> Episode:
+        """Return the latest episode of a slot, running or ended.
+
+        Raises
+        ------
+        ResetNeeded
+            If none was started.
+        """
+        episode = self._episodes[slot]
+        if episode is None:
+            raise ResetNeeded("no episode is running: call reset() first")
+        return episode
 
     def start(
         self, slot: int, *, seed: int, number: int, options: Mapping[str, Any] | None = None
@@ -131,14 +155,21 @@ class EpisodeBatch:
 
     def mask(self, slot: int) -> NDArray[np.bool_]:
         """Return the allowed choices of a slot's next action."""
-        episode = self._running(slot)
+        episode = self.episode(slot)
         return self.actions.mask(episode.pose, episode.records)
 
     def observe(self, slot: int) -> NDArray[np.float32]:
         """Return the flat observation of a slot."""
-        e = self._running(slot)
+        e = self.episode(slot)
         head = self.observations.globals_of(e.pose, e.records, e.seconds, e.levels)
         return np.concatenate([head, e.slots.ravel()])
+
+    def shown(self, slot: int) -> Any:
+        """Return the observation in the form that the settings ask for, flat or raw."""
+        flat = self.observe(slot)
+        if not self.settings.raw:
+            return flat
+        return raw_observation(self.arm, self.settings, flat, self.episode(slot).last)
 
     def step(self, slots: Sequence[int], actions: Sequence[Any]) -> list[Outcome]:
         """Take one step in each of the given slots; arms that measure do so together."""
@@ -147,7 +178,7 @@ class EpisodeBatch:
         jobs: list[Job] = []
         waiting: dict[int, tuple[Action, Array, dict[str, Any]]] = {}
         for slot, action in zip(slots, decoded, strict=True):
-            episode = self._running(slot)
+            episode = self.episode(slot)
             if episode.ended:
                 raise ResetNeeded("the episode has ended: call reset() before step()")
             if episode.records >= self.settings.max_records and action.verdict == 0:
@@ -226,7 +257,7 @@ class EpisodeBatch:
         info: dict[str, Any],
     ) -> Outcome:
         """Enter a record into the episode; None is a record without excitation."""
-        episode = self._running(slot)
+        episode = self.episode(slot)
         prices = self.settings.prices
         price = prices.record
         if measurement is not None:
@@ -283,12 +314,6 @@ class EpisodeBatch:
             "seconds": episode.seconds,
             "action_mask": self.actions.mask(episode.pose, episode.records),
         }
-
-    def _running(self, slot: int) -> Episode:
-        episode = self._episodes[slot]
-        if episode is None:
-            raise ResetNeeded("no episode is running: call reset() first")
-        return episode
 
 
 def _places(fault: Fault) -> set[int | None]:

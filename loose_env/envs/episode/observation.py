@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms import Arm, held_inertia
 from loose_env.diagnosis import Prediction, RecordStatistics
-from loose_env.envs.episode.pose_encoding import JointPose
+from loose_env.envs.episode.actions import JointPose
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import UnknownName
 from loose_env.typing import Array
@@ -43,7 +43,7 @@ class Element:
 
 
 class ObservationLayout:
-    """Where everything stands in the flat observation, and how it is scaled.
+    """Layout and scaling of the flat observation.
 
     Global elements come first, then ``max_records`` slots of equal layout. A slot that has
     not been measured is zero throughout.
@@ -116,11 +116,7 @@ class ObservationLayout:
         return self._global_scaling.forward(values)
 
     def slot_of(
-        self,
-        levels: NDArray[np.intp],
-        share: Array,
-        record: RecordStatistics,
-        nominal: Prediction,
+        self, levels: NDArray[np.intp], share: Array, record: RecordStatistics, nominal: Prediction
     ) -> NDArray[np.float32]:
         """Scale the elements of one record."""
         on = np.flatnonzero(record.excited)

@@ -1,10 +1,9 @@
-"""What `reset` can be asked for: a fault, a pose, a larger mismatch, a load on the seat."""
+"""Options of `reset`, and a true arm that differs from the nominal one."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -14,8 +13,67 @@ from loose_env.arms import Arm, Mismatch, MismatchDraw
 from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import KINDS, SEVERAL_FAULTS, Fault, hypotheses, is_fault, preloaded
+from loose_env.io import is_finite
 
-__all__ = ["ResetOptions"]
+__all__ = ["ResetOptions", "checked_true_arm"]
+
+
+def checked_true_arm(true_arm: Arm | None, arm: Arm) -> Arm:
+    """Return the arm that is measured: the nominal one where none is given.
+
+    Parameters
+    ----------
+    true_arm : Arm, optional
+        The arm that is measured. Its drives carry what gravity puts on it, as servos do.
+    arm : Arm
+        The nominal arm.
+
+    Raises
+    ------
+    InvalidSetting
+        If they differ in their joints, ranges, tool axes or band: a pose or a record of one would
+        mean something else on the other.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar, with_compliance
+    >>> checked_true_arm(with_compliance(planar(2), mode_hz=60.0), planar(2)).name
+    'planar2-compliant'
+    >>> checked_true_arm(planar(3), planar(2))
+    Traceback (most recent call last):
+        ...
+    loose_env.errors.InvalidSetting: the true arm 'planar3' differs from the nominal arm \
+'planar2' in joints: ('joint1', 'joint2', 'joint3') and ('joint1', 'joint2')...
+    """
+    if true_arm is None:
+        return arm
+    if not isinstance(true_arm, Arm):
+        raise InvalidSetting(f"true_arm is an Arm, as `arm_from_file` makes it; got {true_arm!r}")
+    for name in ("joints", "sliding", "joint_ranges", "axes", "band"):
+        own, other = getattr(true_arm, name), getattr(arm, name)
+        if not _alike(own, other):
+            raise InvalidSetting(
+                f"the true arm {true_arm.name!r} differs from the nominal arm {arm.name!r} in "
+                f"{name}: {own} and {other}; both are to be moved and read alike"
+            )
+    if (true_arm.shaker is None) != (arm.shaker is None) or true_arm.probes != arm.probes:
+        raise InvalidSetting(
+            f"the true arm {true_arm.name!r} has another shaker or other probes than the nominal "
+            f"arm {arm.name!r}; both are to be moved and read alike"
+        )
+    return true_arm
+
+
+def _alike(own: object, other: object) -> bool:
+    """Return whether values are equal, numbers to rounding."""
+    if isinstance(own, np.ndarray):
+        return bool(np.array_equal(own, np.asarray(other)))
+    if isinstance(own, (tuple, list)) and isinstance(other, (tuple, list)):
+        return len(own) == len(other) and all(map(_alike, own, other))
+    if isinstance(own, float) and isinstance(other, float):
+        return bool(np.isclose(own, other, rtol=1e-9, atol=1e-12))
+    return own == other
+
 
 _KNOWN = ("fault", "pose", "mismatch_scale", "preload_g")
 
@@ -100,11 +158,7 @@ class ResetOptions:
 def _number(name: str, given: Any, default: float) -> float:
     if given is None:
         return default
-    if (
-        isinstance(given, (bool, np.bool_))
-        or not isinstance(given, Real)
-        or not np.isfinite(float(given))
-    ):
+    if not is_finite(given):
         raise InvalidSetting(f"{name} must be a finite number, got {given!r}")
     return float(given)
 

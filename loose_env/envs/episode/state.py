@@ -1,24 +1,22 @@
-"""Episodes: the rules of the diagnosis, for any number of arms at once.
-
-The single and the vector environment are thin shells around `EpisodeBatch`, so that both
-give the same episode bit for bit. Every random draw comes from a stream of its own, keyed by
-(seed, episode, stream, record): what an agent does, how many arms run beside it and what ran
-before change nothing.
-"""
+"""State of one episode, and its latest record as raw signals."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
+from loose_env.arms import Arm
+from loose_env.envs.episode.observation import ObservationLayout
+from loose_env.envs.settings import DiagnosisSettings
 from loose_env.faults import Fault
 from loose_env.rig import Measurement
 from loose_env.typing import Array
 
-__all__ = ["Episode", "Outcome"]
+__all__ = ["Episode", "Outcome", "RawMeasurement", "raw_observation", "raw_space"]
 
 
 @dataclass(kw_only=True, eq=False)
@@ -30,7 +28,6 @@ class Episode:
     fault: Fault
     pose: Array
     slots: NDArray[np.float32]
-    steps: int = 0
     records: int = 0
     seconds: float = 0.0
     levels: int = 0
@@ -49,9 +46,67 @@ class Episode:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What one step gave."""
+    """Result of one step."""
 
     reward: float
     terminated: bool
     truncated: bool
     info: dict[str, Any]
+
+
+_LIMIT = 1e3  # bound of every channel: signals beyond it are clipped
+
+
+class RawMeasurement(Measurement):
+    """A measurement as it stands in `info`: equal to another one of the same values."""
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Measurement) and all(
+            np.array_equal(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)
+        )
+
+
+def raw_space(arm: Arm, settings: DiagnosisSettings, layout: ObservationLayout) -> spaces.Dict:
+    """Space of the statistics and the latest record's signals, padded to the longest record."""
+    n, d, count = arm.n, len(arm.axes), _longest(settings)
+
+    def box(*shape: int) -> spaces.Box:
+        return spaces.Box(-_LIMIT, _LIMIT, shape, dtype=np.float32)
+
+    return spaces.Dict(
+        {
+            "statistics": layout.space,
+            "command": box(n, count),
+            "encoder": box(n, count),
+            "tool": box(d, count),
+        }
+    )
+
+
+def raw_observation(
+    arm: Arm, settings: DiagnosisSettings, flat: NDArray[np.float32], last: Measurement | None
+) -> dict[str, NDArray[np.float32]]:
+    """Lay the signals of the latest record beside the statistics.
+
+    The command is in N·m, or N where the joint slides; the encoder in mrad, or mm, off the
+    commanded pose; the tool in m/s².
+    """
+    n, d, count = arm.n, len(arm.axes), _longest(settings)
+    signals = {
+        "command": np.zeros((n, count), dtype=np.float32),
+        "encoder": np.zeros((n, count), dtype=np.float32),
+        "tool": np.zeros((d, count), dtype=np.float32),
+    }
+    if last is not None and last.failure is None:
+        channels = {
+            "command": last.command,
+            "encoder": 1e3 * (last.encoder[:, 1:-1] - last.pose[:, None]),
+            "tool": last.tool,
+        }
+        for name, channel in channels.items():
+            signals[name][:, : channel.shape[1]] = np.clip(channel, -_LIMIT, _LIMIT)
+    return {"statistics": flat, **signals}
+
+
+def _longest(settings: DiagnosisSettings) -> int:
+    return round(max(settings.durations) * settings.sensors.rate)

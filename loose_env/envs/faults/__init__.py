@@ -1,4 +1,4 @@
 """Hidden faults: difficulty, seats and their sampling.
 
-Data flow: difficulty -> seat_stops -> compound_seats -> sampler.
+Data flow: difficulty -> seats -> sampler.
 """

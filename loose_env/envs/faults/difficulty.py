@@ -1,4 +1,4 @@
-"""How hard the hidden faults are to find: ranges from which they are drawn."""
+"""Difficulty of hidden faults: ranges from which they are drawn."""
 
 from __future__ import annotations
 
@@ -10,11 +10,7 @@ import numpy as np
 
 from loose_env.arms import Mismatch
 from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.faults import (
-    DEFAULT_KINDS,
-    KINDS,
-    checked_kinds,
-)
+from loose_env.faults import DEFAULT_KINDS, KINDS, checked_kinds
 
 __all__ = ["DIFFICULTIES", "Difficulty", "difficulty_named"]
 
@@ -45,7 +41,7 @@ class Difficulty:
     contact_damping: Range = (0.05, 0.3)
     """Damping ratio of a stop against the seat's effective mass, uniform [1]."""
     mismatch: Mismatch = field(default_factory=Mismatch)
-    """How far the nominal model is off."""
+    """Model error of the nominal arm."""
     kinds: Mapping[str, float] | None = None
     """Probability of each kind of fault; places are uniform within a kind.
 

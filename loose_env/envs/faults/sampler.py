@@ -1,4 +1,4 @@
-"""How hard the hidden faults are to find: ranges from which they are drawn."""
+"""Sampler of hidden faults for one arm."""
 
 from __future__ import annotations
 
@@ -8,9 +8,14 @@ from functools import cached_property
 import numpy as np
 
 from loose_env.arms import Arm, LinearArm
-from loose_env.envs.faults.compound_seats import FurtherSeats, direction_from, log_uniform, uniform
 from loose_env.envs.faults.difficulty import Difficulty
-from loose_env.envs.faults.seat_stops import SeatMasses
+from loose_env.envs.faults.seats import (
+    FurtherSeats,
+    SeatMasses,
+    direction_from,
+    log_uniform,
+    uniform,
+)
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import SeatDrive
 from loose_env.faults import (

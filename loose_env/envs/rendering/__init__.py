@@ -1,5 +1,5 @@
 """Pictures of an episode.
 
-Data flow: correlation_loop -> correlation_surface -> fault_text -> palette -> caption ->
-scenery -> planar -> spatial -> picture.
+Data flow: correlation -> fault_text -> palette -> caption -> scenery -> planar -> spatial ->
+picture.
 """

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from loose_env.arms import LinearArm
 from loose_env.envs.episode.state import Episode
-from loose_env.envs.rendering.correlation_loop import LoopPair
-from loose_env.envs.rendering.correlation_surface import SurfacePair
+from loose_env.envs.rendering.correlation import Loop, Pair, Surface
 from loose_env.envs.rendering.fault_text import (
     fault_words,
     hypothesis_words,
@@ -45,7 +44,7 @@ def header_lines(
     linear: LinearArm,
     episode: Episode,
     measurement: Measurement | None,
-    loops: LoopPair | SurfacePair | None,
+    loops: Pair[Loop] | Pair[Surface] | None,
     verdict: str | None,
 ) -> Iterator[Line]:
     """Say what the picture shows; the truth first, once it is out."""

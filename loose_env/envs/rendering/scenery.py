@@ -1,4 +1,4 @@
-"""What stands round the arm: its base, which way gravity pulls, a measure of length."""
+"""Surroundings of the arm: its base, the direction of gravity, a scale bar."""
 
 from __future__ import annotations
 
@@ -12,13 +12,26 @@ from loose_env.typing import Array
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["arrow", "draw_base", "draw_measure", "half_height"]
+__all__ = ["arrow", "draw_base", "draw_measure", "half_height", "number_size", "unit_vector"]
 
 
 def half_height(axes: Axes) -> float:
     """Half the height of the drawing [m]."""
     low, high = axes.get_ylim()
     return 0.5 * (high - low)
+
+
+def unit_vector(vector: Array) -> Array:
+    """Vector of length one; a zero vector stays zero."""
+    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-12))
+
+
+def number_size(axes: Axes, radius: float, share: float, smallest: float) -> float:
+    """Font size of a joint's number [pt]: a share of the radius [m], within limits."""
+    low, high = axes.transData.transform([(0.0, 0.0), (radius, 0.0)])
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    return float(np.clip(share * (high[0] - low[0]) * 72.0 / figure.dpi, smallest, 11.0))
 
 
 def arrow(

@@ -64,7 +64,6 @@ def episode_timeline(
     picture = Picture(batch.nominal, show=False, sensors=settings.sensors)
     batch.start(0, seed=seed, number=number)
     episode = batch.episode(0)
-    assert episode is not None
     cards = [FigureCard(image=to_svg(picture.figure(episode)), caption="The first pose")]
     state: Any = None
     info: dict[str, Any] = {}

@@ -88,7 +88,7 @@ def diagnosis() -> dict[str, Any]:
     """Posterior over the faults after one record and after two."""
     import gymnasium
     from loose_agents.core.base import Problem
-    from loose_agents.core.belief_tracker import Tracker
+    from loose_agents.core.estimators import Tracker
 
     env: Any = gymnasium.make("loose_env/Vera-v0", durations=DURATIONS).unwrapped
     tracker = Tracker(Problem.of(env.arm, env.settings))

@@ -102,9 +102,7 @@ def test_an_episode_that_diverged_ends_there(
             assert episode is not None
             if (episode.number, episode.records) == (0, 2) and not outcomes[k].terminated:
                 outcomes[k] = replace(
-                    outcomes[k],
-                    truncated=True,
-                    info=outcomes[k].info | self._truth(episode, None),
+                    outcomes[k], truncated=True, info=outcomes[k].info | self._truth(episode, None)
                 )
         return outcomes
 

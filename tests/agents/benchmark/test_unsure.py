@@ -12,10 +12,10 @@ from loose_agents.benchmark.out_of_distribution import OFF, OtherArmRig, UnlikeT
 from loose_agents.core.base import Problem
 from loose_agents.core.belief_agent import BeliefAgent, Sure, surprise_of
 from loose_agents.execution.shard_store import ArrayCodec, ShardStore
-from loose_agents.policies.random_and_constant import RandomPolicy
+from loose_agents.policies.policies import RandomPolicy
 from loose_agents.posterior_training.bank_storage import BankPlan
 from loose_agents.posterior_training.novelty import NoveltySettings, fit_reference, with_reference
-from loose_agents.posterior_training.simulated_records import BankSettings, play_episodes
+from loose_agents.posterior_training.record_bank import BankSettings, play_episodes
 
 from loose_env.arms import Mismatch, MismatchDraw, planar
 from loose_env.diagnosis import (

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from loose_agents.core.base import Problem
-from loose_agents.core.belief_tracker import Tracker
-from loose_agents.core.estimators import ESTIMATORS
+from loose_agents.core.estimators import ESTIMATORS, Tracker
 from loose_agents.evaluation.evaluate import evaluate
 from loose_agents.policies.oracle import OracleAgent, Told, oracle_agent, restricted
 from loose_agents.registry import belief_agent, make_agent

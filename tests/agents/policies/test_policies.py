@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from loose_agents.core.base import Problem
 from loose_agents.core.belief_agent import Situation
-from loose_agents.core.belief_tracker import Tracker
-from loose_agents.policies.candidate_records import candidate_at, excitations, poses
-from loose_agents.policies.policies import POLICIES, information_of, make_policy
-from loose_agents.policies.random_and_constant import ConstantPolicy
+from loose_agents.core.estimators import Tracker
+from loose_agents.policies.information_policies import candidate_at, excitations, poses
+from loose_agents.policies.policies import POLICIES, ConstantPolicy, information_of, make_policy
 
 from loose_env.arms import planar
 from loose_env.envs import DiagnosisSettings

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 
 import numpy as np
 import pytest
@@ -11,12 +12,15 @@ from loose_agents.core.base import Problem
 from loose_agents.posterior_training.bank_storage import (
     BankPlan,
     build_bank,
-    build_figures,
+    build_features,
     read_bank,
-    read_figures,
+    read_features,
 )
-from loose_agents.posterior_training.record_features import figures_of
-from loose_agents.posterior_training.simulated_records import BankSettings, play_episodes
+from loose_agents.posterior_training.record_bank import (
+    BankSettings,
+    features_of_bank,
+    play_episodes,
+)
 from loose_agents.posterior_training.train import PosteriorTraining, TrainingSettings
 
 from loose_env.arms import Mismatch, planar
@@ -46,7 +50,7 @@ def features(problem):
 
 @pytest.fixture(scope="module")
 def figures(problem, bank, features):
-    return figures_of(problem, features, bank)
+    return features_of_bank(problem, features, bank)
 
 
 def training(figures, **given):
@@ -87,7 +91,7 @@ def test_the_pass_in_numpy_is_that_of_torch(problem, bank, features, figures):
         SeatNetwork(made.tensors()),
         directions=DIRECTIONS,
     )
-    from loose_agents.core.belief_tracker import record_from
+    from loose_agents.core.estimators import record_from
 
     observation = np.zeros(problem.layout.size, dtype=np.float32)
     slots = problem.layout.slots_of(observation)
@@ -120,7 +124,8 @@ def test_training_learns_and_resumes_to_the_same_weights(figures, tmp_path):
     second.train(tmp_path, stream=log)
     # A log gets whole lines, from where the first one was stopped.
     lines = log.getvalue().splitlines()
-    assert [line.split()[0] for line in lines] == ["105/150", "120/150", "135/150", "150/150"]
+    shares = [re.search(r"\d+/150", line) for line in lines]
+    assert [share and share[0] for share in shares] == ["115/150", "130/150", "145/150", "150/150"]
     assert all(" loss " in line for line in lines)
     assert second.step == 150
     for name, tensor in whole.tensors().items():
@@ -136,9 +141,9 @@ def test_banks_on_disk_resume_and_read_back(tmp_path):
         directions=6,
     )
     build_bank(plan, tmp_path)
-    store = build_figures(plan, tmp_path)
+    store = build_features(plan, tmp_path)
     bank = read_bank(plan, tmp_path)
     assert len(bank) == 12
-    found = read_figures(store, plan.shards)
+    found = read_features(store, plan.shards)
     assert found.place.shape[:2] == (int((bank.slots[:, :, 0] > 0.5).sum()), 2 * 6 + 2)
     assert np.array_equal(found.truth, bank.truth)

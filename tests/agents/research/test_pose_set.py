@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from loose_agents.core.base import Problem
 from loose_agents.core.belief_agent import BeliefAgent, Situation, Sure
-from loose_agents.core.belief_tracker import Tracker
+from loose_agents.core.estimators import Tracker
 from loose_agents.evaluation.evaluate import evaluate
 from loose_agents.registry import make_agent
 from loose_agents.research.pose_set_policies import (

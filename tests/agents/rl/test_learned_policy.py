@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from loose_agents.core.base import Problem
 from loose_agents.core.belief_agent import BeliefAgent, Sure
-from loose_agents.core.belief_tracker import Tracker, record_from
-from loose_agents.core.shipped_weights import setting_name
+from loose_agents.core.estimators import Tracker, record_from, setting_name
 from loose_agents.evaluation.evaluate import EpisodeRow, evaluate
-from loose_agents.policies.random_and_constant import RandomPolicy
+from loose_agents.policies.policies import RandomPolicy
 from loose_agents.registry import make_agent
 from loose_agents.rl.learned_policy import CONFIGURATION, LearnedAgent, PolicyForm
 from loose_agents.rl.network import FORMAT, load_network, network_of, save_network

@@ -129,20 +129,20 @@ def test_a_record_too_short_for_the_band_is_refused_before_the_first_step() -> N
 @pytest.mark.parametrize("name", ["record", "second", "level"])
 @pytest.mark.parametrize("value", [-0.1, NAN, INF, "1", None])
 def test_a_price_is_a_finite_number_zero_or_more(name: str, value: Any) -> None:
-    with refused(InvalidSetting, f"per {name}", "finite number, zero or more", repr(value)):
+    with refused(InvalidSetting, f"Prices.{name}", "finite number, zero or more", repr(value)):
         Prices(**{name: value})
 
 
 @pytest.mark.parametrize("name", ["correct", "wrong", "false_alarm", "miss", "unsure"])
 @pytest.mark.parametrize("value", [NAN, INF, -INF, "1"])
 def test_a_reward_is_a_finite_number(name: str, value: Any) -> None:
-    with refused(InvalidSetting, repr(name), "finite number", repr(value)):
+    with refused(InvalidSetting, f"Prices.{name}", "finite number", repr(value)):
         Prices(**{name: value})
 
 
 @pytest.mark.parametrize("name", ["correct", "wrong", "unsure"])
 def test_only_the_special_rewards_can_be_left_out(name: str) -> None:
-    with refused(InvalidSetting, repr(name), "None"):
+    with refused(InvalidSetting, f"Prices.{name}", "None"):
         Prices(**{name: None})
     assert Prices(false_alarm=None, miss=None) == Prices()
 
@@ -209,10 +209,7 @@ def test_an_unknown_fault_is_refused_with_the_hypotheses(make_env: MakeEnv, faul
     [
         (Backlash(joint=3, gap=1e-4, stiffness=(1e3, 1e3)), 3),
         (Backlash(joint=0, gap=1e-4, stiffness=(1e3, 1e3)), 0),
-        (
-            StructuralLooseness(link=7, direction=(1.0, 0.0, 0.0), gap=1e-4, stiffness=(1e4, 1e4)),
-            7,
-        ),
+        (StructuralLooseness(link=7, direction=(1.0, 0.0, 0.0), gap=1e-4, stiffness=(1e4, 1e4)), 7),
     ],
 )
 def test_a_fault_of_a_link_the_arm_lacks_is_refused(

@@ -386,7 +386,7 @@ def test_a_third_of_the_arms_is_of_each_kind_and_places_are_equally_likely(
     env = make_env(n_links=4)
     rng = np.random.default_rng(0)
     draws = 3000
-    found = Counter(env.sample_fault(rng).hypothesis for _ in range(draws))
+    found = Counter(env.batch.sampler.draw(rng).hypothesis for _ in range(draws))
     assert set(found) == set(env.hypotheses)
     expected = [draws / 3] + [draws / 3 / 4] * 8
     assert stats.chisquare([found[name] for name in env.hypotheses], expected).pvalue > 0.01
@@ -438,7 +438,7 @@ def test_simulate_leaves_the_running_episode_alone(make_env: MakeEnv) -> None:
         env.reset(seed=0)
     for _ in range(2):
         disturbed.simulate(LOOSE, np.zeros(2), shaking, np.random.default_rng(0))
-        disturbed.sample_fault(np.random.default_rng(0))
+        disturbed.batch.sampler.draw(np.random.default_rng(0))
         expected, found = (env.step(shake(env, 1, 1))[0] for env in (plain, disturbed))
         np.testing.assert_array_equal(found, expected)
 
@@ -448,7 +448,7 @@ def test_a_sampled_fault_can_be_simulated_and_hidden(make_env: MakeEnv) -> None:
     rng = np.random.default_rng(2)
     shaking = Excitation(torque_rms=(0.5, 0.5), duration=0.2, band=env.arm.band)
     for _ in range(6):
-        fault = env.sample_fault(rng)
+        fault = env.batch.sampler.draw(rng)
         assert env.simulate(fault, np.zeros(2), shaking, rng).failure is None
         env.reset(seed=0, options={"fault": fault})
 
@@ -456,6 +456,6 @@ def test_a_sampled_fault_can_be_simulated_and_hidden(make_env: MakeEnv) -> None:
 def test_the_registered_environment_offers_both() -> None:
     env = gymnasium.make("loose_env:loose_env/Vera-v0").unwrapped
     assert isinstance(env, DiagnosisEnv)
-    first, again = (env.sample_fault(np.random.default_rng(3)) for _ in range(2))
+    first, again = (env.batch.sampler.draw(np.random.default_rng(3)) for _ in range(2))
     assert first == again
     env.close()

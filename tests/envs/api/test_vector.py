@@ -182,9 +182,7 @@ def test_a_reset_mask_takes_seeds_and_options(make_env: MakeEnv, make_vector: Ma
     np.testing.assert_array_equal(observation[0], single.reset(seed=0)[0])
 
 
-def test_options_reach_every_environment_and_hold_for_one_episode(
-    make_vector: MakeVector,
-) -> None:
+def test_options_reach_every_environment_and_hold_for_one_episode(make_vector: MakeVector) -> None:
     env = make_vector(n_links=2, num_envs=8)
     env.reset(seed=0, options={"fault": "structural_looseness@link1", "pose": [0.5, 1.0]})
     observation = env.step(going_on(env))[0]

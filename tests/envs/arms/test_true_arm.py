@@ -121,11 +121,7 @@ def test_it_can_be_made_by_name_and_by_file(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("true", "said"),
-    [
-        (planar(3), "in joints"),
-        (planar(2, vertical=True), None),
-        ("arm.xml", "true_arm is an Arm"),
-    ],
+    [(planar(3), "in joints"), (planar(2, vertical=True), None), ("arm.xml", "true_arm is an Arm")],
 )
 def test_an_arm_that_is_moved_or_read_otherwise_is_refused(true: Any, said: str | None) -> None:
     if said is None:  # gravity may differ

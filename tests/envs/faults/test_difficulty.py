@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from loose_env.arms import LinearArm, Mismatch, planar, vera
+from loose_env.arms import FASTEST_TURN, LinearArm, Mismatch, planar, vera
 from loose_env.envs.faults.difficulty import DIFFICULTIES, Difficulty, difficulty_named
 from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.excitation import SeatDrive, at_levels
-from loose_env.faults import FASTEST_STOP, Backlash, Healthy, StructuralLooseness, hypotheses
+from loose_env.faults import Backlash, Healthy, StructuralLooseness, hypotheses
 from loose_env.rig import PlantShop
 
 ARMS = {arm.name: arm for arm in (planar(3), planar(4, vertical=True), vera())}
@@ -141,7 +141,7 @@ def seat_masses(arm: str, fault: StructuralLooseness | Backlash) -> tuple[float,
 @pytest.mark.parametrize("arm", ARMS)
 def test_stops_are_as_stiff_and_damped_as_stated_each_side_its_own(arm: str) -> None:
     rng = np.random.default_rng(2)
-    fastest = 0.85 * FASTEST_STOP / ARMS[arm].timestep
+    fastest = 0.85 * FASTEST_TURN / ARMS[arm].timestep
     for name in hypotheses(ARMS[arm])[1:]:
         for _ in range(10):
             fault = sampler(arm, "default").draw(rng, hypothesis=name)

@@ -14,9 +14,9 @@ from scipy import stats
 
 from loose_env.arms import Arm, LinearArm, arm_from_file, planar, scara, six_axis, vera
 from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.faults.compound_seats import PIVOT
 from loose_env.envs.faults.difficulty import DIFFICULTIES, Difficulty
 from loose_env.envs.faults.sampler import FaultSampler
+from loose_env.envs.faults.seats import PIVOT
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import InvalidSetting, UnknownName

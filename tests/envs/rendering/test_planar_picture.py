@@ -15,7 +15,7 @@ from loose_env.arms import Arm, LinearArm, planar, scara, vera
 from loose_env.diagnosis import SensorFloor, predict
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.episode.state import Episode
-from loose_env.envs.rendering.correlation_loop import measured_loop, predicted_loop
+from loose_env.envs.rendering.correlation import measured_loop, predicted_loop
 from loose_env.envs.rendering.picture import Picture
 from loose_env.envs.rendering.planar.view import PlanarView
 from loose_env.envs.settings import DiagnosisSettings

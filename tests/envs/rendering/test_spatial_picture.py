@@ -16,8 +16,8 @@ from matplotlib.colors import to_rgb
 from loose_env.arms import DESK_ARM, LinearArm, planar, scara, six_axis
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.episode.state import Episode
-from loose_env.envs.rendering.correlation_loop import loop_of
-from loose_env.envs.rendering.correlation_surface import (
+from loose_env.envs.rendering.correlation import (
+    loop_of,
     measured_surface,
     predicted_surface,
     surface_of,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from loose_agents.core.base import Problem
-from loose_agents.evaluation.evaluate import EVALUATION_SEED
+from loose_agents.core.seeds import EVALUATION_SEED
 
 from loose_env.arms import planar, vera
 from loose_env.envs import DiagnosisSettings

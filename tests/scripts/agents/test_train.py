@@ -91,7 +91,9 @@ def test_a_run_leaves_a_policy_that_plays(
     assert len(re.findall(r"verdict \S+, truth \S+: (right|wrong), return", words)) == 2
     enjoy.main([*play, "--weights", str(export), "--n-timesteps", "1"])
     assert "\n1 episodes: success" in capsys.readouterr().out
-    with pytest.raises(SystemExit, match=r"enjoy: .* does not take .*'durations': 0\.2"):
+    with pytest.raises(
+        SystemExit, match=r"enjoy: .*durations must be positive seconds, .*got 0\.2"
+    ):
         enjoy.main([*play, "--weights", str(export), "--env-kwargs", "durations:0.2"])
 
 
@@ -264,7 +266,10 @@ def test_a_model_is_continued_in_a_new_run(train: ModuleType, tmp_path: Path) ->
         (["--env-kwargs", "n_links:2", "colour:1"], "unknown arguments"),
         (["--env-kwargs", "n_links:__import__('os')"], "--env-kwargs n_links: cannot read"),
         (["--env-kwargs", "raw:True"], "leave raw out"),
-        (["--env-kwargs", "durations:0.2"], "does not take {'durations': 0.2}"),
+        (
+            ["--env-kwargs", "durations:0.2"],
+            "durations must be positive seconds, one or more; got 0.2",
+        ),
         (["-params", "gama:0.9"], "gama"),
         (["-params", "normalize:True"], "normalize"),
         (["-params", "policy:CnnPolicy"], "MlpPolicy"),

@@ -21,7 +21,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
-from scipy.special import erf
 
 from loose_env.diagnosis.likelihood.axial_likelihood import log_mean_bingham
 from loose_env.errors import InvalidSetting
@@ -31,7 +30,6 @@ __all__ = [
     "bingham_width",
     "direction_limit",
     "one_by_one_share",
-    "one_move_success",
     "scattered_axes",
 ]
 
@@ -146,7 +144,7 @@ def direction_limit(
     Examples
     --------
     >>> found = direction_limit(6, 2, np.radians(5.0), 2, np.random.default_rng(0))
-    >>> found.round(2).tolist()  # one_move_success has 0.966 for normal scatter
+    >>> found.round(2).tolist()  # normal scatter has 0.966: erf(pi / (4 n s))
     [0.17, 0.97]
     """
     for name, value in (("links", links), ("poses", poses), ("samples", samples)):
@@ -167,27 +165,6 @@ def direction_limit(
         inside = int(np.searchsorted(volume, 1 / links))
         found[t - 1] = 1 / links if t == 1 else min(1.0, inside / samples)
     return np.maximum.accumulate(found)
-
-
-def one_move_success(links: int, sd: float) -> float:
-    """Success after one move in the plane with normal scatter: erf(pi / (4 n s)).
-
-    The n images stand pi/n apart on the half turn of axes; the difference of two directions
-    scatters by the root of two times s.
-
-    Parameters
-    ----------
-    links : int
-        Links in question.
-    sd : float
-        Standard deviation s of one direction [rad].
-
-    Examples
-    --------
-    >>> [round(1 - one_move_success(6, np.radians(sd)), 2) for sd in (5.0, 10.0, 20.0)]
-    [0.03, 0.29, 0.6]
-    """
-    return float(erf(np.pi / (4 * links * sd)))
 
 
 def one_by_one_share(links: int, poses: int) -> float:

@@ -1,4 +1,4 @@
 """Drawing of planar arms.
 
-Data flow: view -> arm -> correlation_loop -> scene.
+Data flow: view -> arm -> scene.
 """

@@ -10,14 +10,8 @@ from numpy.typing import NDArray
 
 from loose_env.envs.rendering.palette import BODY, EDGE, INK, ON_SHAKEN, PAPER, SHAKEN, TRUTH
 from loose_env.envs.rendering.planar.view import PlanarPose
-from loose_env.envs.rendering.scenery import arrow, half_height
-from loose_env.faults import (
-    Backlash,
-    Fault,
-    RotationalLooseness,
-    StructuralLooseness,
-    parts_of,
-)
+from loose_env.envs.rendering.scenery import arrow, half_height, number_size, unit_vector
+from loose_env.faults import Backlash, Fault, RotationalLooseness, StructuralLooseness, parts_of
 from loose_env.typing import Array
 
 if TYPE_CHECKING:
@@ -86,7 +80,7 @@ class ArmDrawing:
                 float(centre[1]),
                 str(j + 1),
                 color=ON_SHAKEN if on else (PAPER if held else INK),
-                fontsize=_number_size(axes, r),
+                fontsize=number_size(axes, r, 1.15, 4.5),
                 fontweight="bold",
                 ha="center",
                 va="center_baseline",
@@ -124,7 +118,7 @@ class ArmDrawing:
             elif isinstance(part, RotationalLooseness):
                 where = part.link - 1
                 pivot = pose.joints[where] + pose.seats[where] @ np.asarray(part.pivot, dtype=float)
-                out = _unit(pose.ends[where] - pose.joints[where])
+                out = unit_vector(pose.ends[where] - pose.joints[where])
                 radius = 0.13 * half_height(axes)
                 _arc(axes, pivot, out, radius, color=INK, zorder=8.5)
             elif isinstance(part, Backlash):
@@ -163,8 +157,8 @@ class ArmDrawing:
         """Draw the arrow of a shaken joint, round the side where no link is."""
         centre = pose.joints[j]
         radius = max(2.0 * float(self.radii[j]), 0.08 * half_height(axes))
-        out = _unit(pose.ends[j] - centre)
-        back = _unit(pose.joints[j - 1] - centre) if j > 0 else -out
+        out = unit_vector(pose.ends[j] - centre)
+        back = unit_vector(pose.joints[j - 1] - centre) if j > 0 else -out
         free = -(out + back)
         if np.linalg.norm(free) < 0.35:
             free = np.array([-out[1], out[0]])
@@ -207,16 +201,3 @@ def _placed(axes: Axes, pose: PlanarPose, j: int) -> Transform:
     along = pose.ends[j] - pose.joints[j]
     turn = Affine2D().rotate(float(np.arctan2(along[1], along[0])))
     return turn.translate(float(pose.joints[j, 0]), float(pose.joints[j, 1])) + axes.transData
-
-
-def _number_size(axes: Axes, radius: float) -> float:
-    """Font size [pt] that fits a joint of a radius [m]."""
-    low, high = axes.transData.transform([(0.0, 0.0), (radius, 0.0)])
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    return float(np.clip(1.15 * (high[0] - low[0]) * 72.0 / figure.dpi, 4.5, 11.0))
-
-
-def _unit(vector: Array) -> Array:
-    unit: Array = vector / max(float(np.linalg.norm(vector)), 1e-12)
-    return unit

@@ -1,4 +1,4 @@
-"""Where the parts of a planar arm lie in its plane of motion."""
+"""Pose of a planar arm's parts in its plane of motion."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class PlanarPose:
 
 
 def moves_in_a_plane(arm: Arm) -> bool:
-    """Whether all joint axes are parallel and the accelerometer measures two axes.
+    """Return whether all joint axes are parallel and the accelerometer measures two axes.
 
     Examples
     --------
@@ -91,7 +91,7 @@ class PlanarView:
         gravity = np.asarray(arm.model.opt.gravity, dtype=float)
         within = gravity - (gravity @ normal) * normal
         self.vertical = float(np.linalg.norm(within)) > 0.1 * float(np.linalg.norm(gravity))
-        """Whether gravity pulls within the plane, down in the picture."""
+        """True if gravity acts within the plane, down in the picture."""
         if self.vertical:
             right = np.cross(-within, normal)
         else:

@@ -1,4 +1,4 @@
 """Drawing of arms in space.
 
-Data flow: correlation_surface -> shapes -> view -> arm -> scene.
+Data flow: view -> shapes -> arm -> scene.
 """

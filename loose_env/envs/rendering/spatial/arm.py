@@ -22,16 +22,10 @@ from loose_env.envs.rendering.palette import (
     SHAKEN,
     TRUTH,
 )
-from loose_env.envs.rendering.scenery import arrow, half_height
+from loose_env.envs.rendering.scenery import arrow, half_height, number_size, unit_vector
 from loose_env.envs.rendering.spatial.shapes import Prism, draw_rod, draw_turn
 from loose_env.envs.rendering.spatial.view import SpacePose
-from loose_env.faults import (
-    Backlash,
-    Fault,
-    RotationalLooseness,
-    StructuralLooseness,
-    parts_of,
-)
+from loose_env.faults import Backlash, Fault, RotationalLooseness, StructuralLooseness, parts_of
 from loose_env.typing import Array
 
 if TYPE_CHECKING:
@@ -125,11 +119,7 @@ class SpaceDrawing:
             column.draw(axes, face=PAPER, cap=PAPER, zorder=2)
 
     def arm(
-        self,
-        axes: Axes,
-        pose: SpacePose,
-        excited: NDArray[np.bool_] | None,
-        loose: Collection[int],
+        self, axes: Axes, pose: SpacePose, excited: NDArray[np.bool_] | None, loose: Collection[int]
     ) -> None:
         """Draw links and joints, the nearer ones over the others.
 
@@ -199,12 +189,12 @@ class SpaceDrawing:
             elif isinstance(part, StructuralLooseness):
                 where = part.link - 1
                 middle = pose.joints[where] + 0.45 * (pose.ends[where] - pose.joints[where])
-                along = _unit(pose.seats[where] @ np.asarray(part.direction, dtype=float))
+                along = unit_vector(pose.seats[where] @ np.asarray(part.direction, dtype=float))
                 self._slide(axes, middle, along)
             elif isinstance(part, RotationalLooseness):
                 turn = pose.seats[part.link - 1]
                 pivot = pose.origins[part.link - 1] + turn @ np.asarray(part.pivot, dtype=float)
-                axis = _unit(turn @ np.asarray(part.axis, dtype=float))
+                axis = unit_vector(turn @ np.asarray(part.axis, dtype=float))
                 size = 0.14 * half_height(axes)
                 draw_turn(axes, pivot, axis, size, color=INK, zorder=8.5)
 
@@ -227,12 +217,7 @@ class SpaceDrawing:
         arrow(axes, start, end, color=INK, width=1.9, zorder=8.5, both=True, halo=True)
 
     def _joint(
-        self,
-        axes: Axes,
-        pose: SpacePose,
-        j: int,
-        excited: NDArray[np.bool_] | None,
-        order: float,
+        self, axes: Axes, pose: SpacePose, j: int, excited: NDArray[np.bool_] | None, order: float
     ) -> None:
         on = excited is not None and bool(excited[j])
         held = excited is not None and not on
@@ -249,7 +234,7 @@ class SpaceDrawing:
             float(place[1]),
             str(j + 1),
             color=(ON_SHAKEN if on else (PAPER if held else INK)),
-            fontsize=_number_size(axes, body.radius),
+            fontsize=number_size(axes, body.radius, 1.25, 5.5),
             fontweight="bold",
             ha="center",
             va="center_baseline",
@@ -289,16 +274,3 @@ class SpaceDrawing:
         ring = Circle(place, size, facecolor=PAPER, edgecolor=INK, linewidth=1.6, zorder=8.5)
         axes.add_patch(ring)
         axes.add_patch(Circle(place, 0.3 * size, facecolor=INK, zorder=8.6))
-
-
-def _unit(vector: Array) -> Array:
-    unit: Array = vector / max(float(np.linalg.norm(vector)), 1e-12)
-    return unit
-
-
-def _number_size(axes: Axes, radius: float) -> float:
-    """Font size [pt] that fits a joint of a radius [m]."""
-    low, high = axes.transData.transform([(0.0, 0.0), (radius, 0.0)])
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    return float(np.clip(1.25 * (high[0] - low[0]) * 72.0 / figure.dpi, 5.5, 11.0))

@@ -1,4 +1,4 @@
-"""Where the parts of an arm in space lie, as a camera far away sees them."""
+"""Pose of an arm's parts in space, in an axonometric view."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["SpacePose", "SpaceView"]
 
 
 _AZIMUTH, _ELEVATION = np.radians(-58.0), np.radians(20.0)
-"""Where the camera stands: round the vertical from the x axis, and above the horizon [rad]."""
+"""Azimuth of the camera from the x axis, and elevation above the horizon [rad]."""
 _NEAR = 0.06
 """Distance over the reach below which two joints, or a joint and an axis, are drawn as one."""
 
@@ -36,7 +36,7 @@ class SpacePose:
     origins: Array
     """Origin of each link's frame [m] (n, 3)."""
     foot: Array
-    """Where the base stands: below the first joint [m] (3,)."""
+    """Foot of the base, below the first joint [m] (3,)."""
     floor: Array
     """Two unit vectors along what the base stands on, as columns, and its normal (3, 3)."""
 

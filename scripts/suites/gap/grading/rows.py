@@ -39,7 +39,7 @@ def write_rows(path: Path, configuration: Any, rows: Sequence[Row]) -> Path:
     lines = [json.dumps({"format": FORMAT, "configuration": configuration}, sort_keys=True)]
     lines += [json.dumps(row) for row in rows]
     text = "\n".join(lines) + "\n"
-    return written_beside(path, lambda beside: beside.write_text(text, encoding="utf-8") and None)  # type: ignore[arg-type]
+    return written_beside(path, lambda beside: beside.write_text(text, encoding="utf-8") and None)
 
 
 def take_rows(path: Path, store: ShardStore) -> int:

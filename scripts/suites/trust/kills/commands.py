@@ -216,7 +216,7 @@ def _trained(out: Path) -> Any:
     (checkpoint,) = out.rglob("checkpoint.zip")
     run = read_model(checkpoint).run
     assert run is not None
-    names = sorted(str(p.relative_to(out)) for p in out.rglob("*") if p.suffix != ".part")
+    names = sorted(str(p.relative_to(out)) for p in out.rglob("*") if ".part" not in p.name)
     return run["counters"], _evaluations(next(out.rglob("evaluations.npz"))), names
 
 

@@ -1,4 +1,4 @@
-"""The figures of a hidden fault that decide how hard it is to find."""
+"""Parameters of a hidden fault that decide how hard it is to find."""
 
 from __future__ import annotations
 
@@ -6,8 +6,13 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms import LinearArm
+from loose_env.diagnosis import predict_seats
 from loose_env.envs import FaultSampler
-from loose_env.evaluation.seat_openness import SeatOpenness
+from loose_env.excitation import at_levels
 from loose_env.faults import (
     Backlash,
     Fault,
@@ -21,12 +26,76 @@ from loose_env.faults import (
     twist_of,
 )
 
-__all__ = ["HiddenFigures", "drive_over_friction", "hidden_figures"]
+__all__ = ["FaultParameters", "SeatOpenness", "drive_over_friction", "fault_parameters"]
+
+
+class SeatOpenness:
+    """Drives the seats of an arm as hard as its levels allow, in a number of poses.
+
+    Parameters
+    ----------
+    linear : LinearArm
+        The nominal arm.
+    poses : int
+        Random poses tried; they are the same every time.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> openness = SeatOpenness(LinearArm(planar(2)))
+    >>> seat = StructuralLooseness(
+    ...     link=2, direction=(0, 1, 0), gap=1e-4, stiffness=(1e4, 1e4), friction=10.0
+    ... )
+    >>> openness.ratio(seat) > 1
+    True
+    """
+
+    def __init__(self, linear: LinearArm, poses: int = 12) -> None:
+        self._arm = arm = linear.arm
+        self._linear = LinearArm(arm, points=8, remember=poses)
+        rng = np.random.default_rng(0)
+        self._drives: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
+        top = np.full(arm.n, arm.levels[-1])
+        for _ in range(poses):
+            pose = arm.random_pose(rng)
+            played, _share = at_levels(self._linear.at(pose), top, duration=1.0)
+            torque = np.array(played.torque_rms)
+            if torque.any():  # not where gravity leaves the drives nothing
+                self._drives.append((pose, torque))
+
+    def ratio(self, fault: Fault) -> float | None:
+        """Rms force on the shut seat over friction and gravity's load, in the best pose [1].
+
+        All joints are shaken at the top level. None for faults without one seat that slides.
+        """
+        n = self._arm.n
+        if isinstance(fault, StructuralLooseness):
+            u = np.asarray(fault.direction, dtype=float)[: len(self._arm.axes)]
+            place = self._arm.link_number(fault.link) - 1
+        elif isinstance(fault, Backlash):
+            u = np.eye(len(self._arm.axes))[0]
+            place = n + self._arm.link_number(fault.joint) - 1
+        else:
+            return None
+        direction = (u / np.linalg.norm(u))[None]
+        best = 0.0
+        for pose, torque in self._drives:
+            channels = int((torque > 0).sum()) + len(self._arm.axes)
+            seat = predict_seats(
+                self._linear.at(pose),
+                torque,
+                direction,
+                np.zeros(channels),
+                places=np.array([place]),
+            )
+            held = fault.friction + float(seat.load[0])
+            best = max(best, float(seat.force[0]) / held if held > 0 else np.inf)
+        return best
 
 
 @dataclass(frozen=True, kw_only=True)
-class HiddenFigures:
-    """Figures of one hidden fault; all None where nothing is loose."""
+class FaultParameters:
+    """Parameters of one hidden fault; all None where nothing is loose."""
 
     gap: float | None = None
     """Travel from stop to stop, of the widest part [m, or rad where it turns]."""
@@ -44,7 +113,7 @@ class HiddenFigures:
     play in a joint."""
 
 
-def hidden_figures(sampler: FaultSampler, fault: Fault) -> HiddenFigures:
+def fault_parameters(sampler: FaultSampler, fault: Fault) -> FaultParameters:
     """Say how hard a fault is driven, and what else decides whether it can be seen.
 
     Parameters
@@ -63,7 +132,7 @@ def hidden_figures(sampler: FaultSampler, fault: Fault) -> HiddenFigures:
     >>> sampler = FaultSampler(LinearArm(vera()), Difficulty(friction=(0.25, 0.25)))
     >>> rng = np.random.default_rng(0)
     >>> fault = sampler.draw(rng, hypothesis="structural_looseness@link2")
-    >>> round(hidden_figures(sampler, fault).friction_ratio, 6)
+    >>> round(fault_parameters(sampler, fault).friction_ratio, 6)
     4.0
     """
     found = [
@@ -72,7 +141,7 @@ def hidden_figures(sampler: FaultSampler, fault: Fault) -> HiddenFigures:
         if not isinstance(part, (Healthy, Preload))
     ]
     if not found:
-        return HiddenFigures()
+        return FaultParameters()
     ratio, best = max(found, key=lambda pair: pair[0])
     direction = None
     if isinstance(best, StructuralLooseness):
@@ -80,7 +149,7 @@ def hidden_figures(sampler: FaultSampler, fault: Fault) -> HiddenFigures:
     elif isinstance(best, RotationalLooseness):
         direction = best.axis
     assert not isinstance(best, (Healthy, Preload))
-    return HiddenFigures(
+    return FaultParameters(
         gap=float(max(gaps_of(fault))),
         friction=float(best.friction),
         friction_ratio=ratio,

@@ -7,6 +7,7 @@ Episodes are numbered; number k of a seed is the same wherever and whenever it i
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,16 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_agents.core.base import Problem
-from loose_env.envs import EpisodeBatch
+from loose_agents.core.estimators import record_from
+from loose_agents.core.seeds import BANK_ACTIONS
+from loose_env.diagnosis import PLACE_FEATURES, RECORD_FEATURES, RecordStatistics, SeatFeatures
+from loose_env.envs import EpisodeBatch, ObservationLayout
 from loose_env.evaluation import drive_over_friction
 from loose_env.faults import Fault, StructuralLooseness
 from loose_env.typing import Array
 
-__all__ = ["BANK_SEED", "BankSettings", "RecordBank", "play_episodes"]
-
-BANK_SEED = 19_950_000
-"""Seed of the banks' episodes; evaluation and training of policies use others."""
-_ACTIONS = 16  # stream of the random actions, beyond those of the episode itself
+__all__ = ["BankSettings", "RecordBank", "RecordFeatures", "features_of_bank", "play_episodes"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +62,14 @@ class RecordBank:
     def __len__(self) -> int:
         return len(self.truth)
 
+    def records(self, layout: ObservationLayout) -> Iterator[list[RecordStatistics | None]]:
+        """Iterate over the episodes: statistics of each record, None for an empty slot."""
+        observation = np.zeros(layout.size, dtype=np.float32)
+        slots, count = layout.slots_of(observation), self.slots.shape[1]
+        for episode in self.slots:
+            slots[:count] = episode
+            yield [record_from(layout, observation, slot) for slot in range(count)]
+
     def part(self, chosen: Any) -> RecordBank:
         """Return a subset of the episodes."""
         return RecordBank(**{name: values[chosen] for name, values in vars(self).items()})
@@ -92,7 +100,7 @@ def play_episodes(
     problem : Problem
         Arm and rules; the engine of its settings simulates.
     settings : BankSettings
-        How records are taken.
+        Sampling of the records.
     seed : int
         Seed of the bank.
     start, stop : int
@@ -115,14 +123,14 @@ def play_episodes(
             going = [
                 slot
                 for slot, number in enumerate(numbers)
-                if taken < _records(settings, number, most) and not _of(batch, slot).ended
+                if taken < _records(settings, number, most) and not batch.episode(slot).ended
             ]
             if not going:
                 break
             batch.step(going, [_action(problem, batch, s, settings, draws[s]) for s in going])
         for slot, number in enumerate(numbers):
-            slots[number - start] = _of(batch, slot).slots[:longest]
-            faults.append(_of(batch, slot).fault)
+            slots[number - start] = batch.episode(slot).slots[:longest]
+            faults.append(batch.episode(slot).fault)
     return RecordBank(
         slots=slots,
         truth=np.array([problem.hypotheses.index(f.hypothesis) for f in faults]),
@@ -139,16 +147,12 @@ def _ratio(batch: EpisodeBatch, fault: Fault) -> float:
 
 
 def _stream(seed: int, number: int) -> np.random.SeedSequence:
-    return np.random.SeedSequence(seed, spawn_key=(number, _ACTIONS))
+    return np.random.SeedSequence(seed, spawn_key=(number, BANK_ACTIONS))
 
 
 def _records(settings: BankSettings, number: int, most: int) -> int:
     long = settings.long_every and number % settings.long_every == 0
     return most if long else min(settings.records, most)
-
-
-def _of(batch: EpisodeBatch, slot: int) -> Any:
-    return batch.episode(slot)
 
 
 def _direction(fault: Fault) -> tuple[float, ...]:
@@ -167,7 +171,7 @@ def _action(
 ) -> NDArray[np.int64]:
     """Sample a record: random moves, excited joints and levels, and duration."""
     n = problem.arm.n
-    allowed = problem.actions.allowed_moves(_of(batch, slot).pose)
+    allowed = problem.actions.allowed_moves(batch.episode(slot).pose)
     moves = np.array([rng.choice(np.flatnonzero(row)) for row in allowed])
     kind = rng.random()
     on = np.ones(n, dtype=bool)
@@ -182,3 +186,65 @@ def _action(
     if rng.random() < 0.5:  # the longest is the one most often worth its price
         duration = int(np.argmax(problem.settings.durations))
     return problem.actions.encode(moves=moves, levels=level * on, duration=duration)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RecordFeatures:
+    """Features of N records of E episodes, grouped by episode."""
+
+    place: NDArray[np.float16]
+    """By place, `PLACE_FEATURES` (N, P, C)."""
+    record: NDArray[np.float32]
+    """Of the record, `RECORD_FEATURES` (N, Q)."""
+    count: NDArray[np.int64]
+    """Records of each episode (E,)."""
+    truth: NDArray[np.int64]
+    """Index of the true hypothesis: healthy, slides, plays (E,)."""
+    direction: NDArray[np.float32]
+    """Sliding direction, zero for other faults (E, 3)."""
+    ratio: NDArray[np.float32]
+    """Drive of the top level over friction; infinite on healthy arms (E,)."""
+
+    @classmethod
+    def joined(cls, parts: list[RecordFeatures]) -> RecordFeatures:
+        """Concatenate the features of several shards."""
+        return cls(
+            **{
+                name: np.concatenate([getattr(part, name) for part in parts])
+                for name in vars(parts[0])
+            }
+        )
+
+    @property
+    def first(self) -> NDArray[np.int64]:
+        """Index of the first record of each episode (E,)."""
+        return np.asarray(np.cumsum(self.count) - self.count)
+
+
+def features_of_bank(problem: Problem, features: SeatFeatures, bank: RecordBank) -> RecordFeatures:
+    """Compute the features of all records of a bank.
+
+    Parameters
+    ----------
+    problem : Problem
+        Arm and rules of the bank.
+    features : SeatFeatures
+        What works them out.
+    bank : RecordBank
+        The episodes.
+    """
+    taken = bank.slots[:, :, 0] > 0.5
+    total = int(taken.sum())
+    place = np.zeros((total, features.places, len(PLACE_FEATURES)), dtype=np.float16)
+    record = np.zeros((total, len(RECORD_FEATURES)), dtype=np.float32)
+    every = (found for episode in bank.records(problem.layout) for found in episode)
+    for k, found in enumerate(found for found in every if found is not None):
+        place[k], record[k] = features.of(found)
+    return RecordFeatures(
+        place=place,
+        record=record,
+        count=taken.sum(1),
+        truth=bank.truth,
+        direction=bank.direction.astype(np.float32),
+        ratio=bank.ratio.astype(np.float32),
+    )

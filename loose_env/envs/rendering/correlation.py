@@ -1,27 +1,128 @@
-"""How well the tool follows the shaken joints along every direction in space."""
+"""Correlation of the tool with the shaken joints, by direction: in the plane and in space."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Generic, TypeVar
 
 import numpy as np
 from scipy.linalg import eigh
 
 from loose_env.diagnosis import Prediction
-from loose_env.envs.rendering.correlation_loop import record_of
 from loose_env.rig import Measurement
-from loose_env.statistics import Covariances, covariances
+from loose_env.statistics import (
+    Covariances,
+    acceleration_from_angle,
+    axial_angle,
+    bandpass,
+    correlation_loop_from,
+    covariances,
+    lowest_coherence_direction_from,
+)
 from loose_env.typing import Array
 
 __all__ = [
+    "Loop",
+    "Pair",
     "Section",
     "Surface",
-    "SurfacePair",
+    "loop_of",
+    "measured_loop",
     "measured_surface",
+    "predicted_loop",
     "predicted_surface",
     "surface_of",
 ]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Loop:
+    """The correlation loop of one record, in the plane of the tool."""
+
+    points: Array
+    """r(phi) along every direction phi of the tool frame [1] (K, 2)."""
+    lowest: Array
+    """Direction of lowest correlation, tool frame, unit vector (2,)."""
+    maximum: float
+    """Highest correlation over directions [1]."""
+    peak: Array
+    """Covariance with the excitation: the side to which the loop lies (2,)."""
+
+    def facing(self, other: Loop) -> Loop:
+        """Turn the loop to the same side as another one."""
+        if self.peak @ other.peak >= 0:
+            return self
+        return Loop(points=-self.points, lowest=self.lowest, maximum=self.maximum, peak=-self.peak)
+
+
+def loop_of(cov: Covariances) -> Loop:
+    """Trace the loop of a record with one or several shaken joints.
+
+    Of several joints, the sum that correlates highest with the tool counts: the first
+    canonical variate. It is uncorrelated with the tool along the direction of lowest
+    coherence, so the loop has its notch there.
+
+    Examples
+    --------
+    >>> x = [[1.0, -1.0, 1.0, -1.0]]
+    >>> a = [[1.0, -1.0, 1.0, -1.0], [1.0, 1.0, -1.0, -1.0]]
+    >>> loop = loop_of(covariances(x, a))
+    >>> loop.lowest.tolist(), loop.maximum
+    ([0.0, 1.0], 1.0)
+    """
+    lowest = lowest_coherence_direction_from(cov)
+    # The canonical directions of the tool are perpendicular under its covariance.
+    across = cov.aa @ lowest.direction
+    weights = np.linalg.solve(cov.xx, cov.xa @ np.array([across[1], -across[0]]))
+    weights = _upward(weights, cov)
+    one = Covariances(
+        xx=np.array([[weights @ cov.xx @ weights]]),
+        xa=(weights @ cov.xa)[None],
+        aa=cov.aa,
+        count=cov.count,
+    )
+    angles = axial_angle(lowest.direction) + _half_turn()
+    radius = correlation_loop_from(one, angles)
+    return Loop(
+        points=radius[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1),
+        lowest=lowest.direction,
+        maximum=float(np.sqrt(lowest.coherences.max())),
+        peak=one.xa[0],
+    )
+
+
+def _half_turn() -> Array:
+    """Angles from 0 to pi, dense near both ends, where the correlation passes zero [rad]."""
+    near = np.geomspace(1e-5, 0.1, 60)
+    return np.unique(np.concatenate([np.linspace(0.0, np.pi, 361), near, np.pi - near]))
+
+
+def _upward(weights: Array, cov: Covariances) -> Array:
+    """Sign of a weighted sum of joints in which most of its power counts as positive."""
+    return -weights if np.sum(weights * np.sqrt(np.diag(cov.xx))) < 0 else weights
+
+
+def _measured(measurement: Measurement) -> Covariances:
+    """Covariances of the shaken joints' accelerations and the tool's, in the band."""
+    on = np.flatnonzero(measurement.excited)
+    rate, band = measurement.rate, measurement.excitation.band
+    joint = acceleration_from_angle(measurement.encoder[on], rate, band)
+    return covariances(joint, bandpass(measurement.tool, rate, band))
+
+
+def _predicted(prediction: Prediction) -> Covariances:
+    return Covariances(xx=prediction.joint, xa=prediction.joint_tool, aa=prediction.tool, count=0)
+
+
+def measured_loop(measurement: Measurement) -> Loop:
+    """Trace the loop of a measurement in the plane."""
+    return loop_of(_measured(measurement))
+
+
+def predicted_loop(prediction: Prediction) -> Loop:
+    """Trace the loop that the nominal, healthy arm would show."""
+    return loop_of(_predicted(prediction))
 
 
 _STILL = 1e-12
@@ -35,7 +136,7 @@ class Section:
     """The surface cut by a plane through two axes of the tool frame."""
 
     axes: tuple[int, int]
-    """Which of the measured axes span the plane."""
+    """Measured axes that span the plane."""
     points: Array
     """r(u) u for directions u in the plane [1] (K, 2)."""
     lowest: Array | None
@@ -70,10 +171,8 @@ class Surface:
         """Cut the surface by the plane of two measured axes."""
         across = np.array([-self.peak[second], self.peak[first]])
         start = float(np.arctan2(across[1], across[0])) if across.any() else 0.0
-        # Close to the notch the correlation turns fast, so the angles crowd there.
-        near = np.geomspace(1e-5, 0.1, 60)
-        turn = np.unique(np.concatenate([np.linspace(0.0, np.pi, 361), near, np.pi - near]))
-        flat = np.stack([np.cos(start + turn), np.sin(start + turn)], axis=1)
+        angles = start + _half_turn()
+        flat = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         directions = np.zeros((len(flat), len(self.peak)))
         directions[:, [first, second]] = flat
         radius = self.along(directions)
@@ -94,12 +193,15 @@ class Surface:
         return Surface(peak=-self.peak, tool=self.tool)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SurfacePair:
-    """What a record shows, and what it would show on the healthy arm."""
+Shape = TypeVar("Shape", Loop, Surface)
 
-    measured: Surface
-    healthy: Surface
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pair(Generic[Shape]):
+    """Correlation that a record shows, and that the nominal healthy arm would show."""
+
+    measured: Shape
+    healthy: Shape
 
 
 def surface_of(cov: Covariances) -> Surface:
@@ -123,23 +225,18 @@ def surface_of(cov: Covariances) -> Surface:
     if len(cov.xx) > 1:
         by_joint = np.linalg.solve(cov.xx, cov.xa)
         _, vectors = eigh(cov.xa.T @ by_joint, _widened(cov.aa))
-        weights = by_joint @ vectors[:, -1]
-        # The sign of a sum is free: take the one in which most of it counts upwards.
-        if np.sum(weights * np.sqrt(np.diag(cov.xx))) < 0:
-            weights = -weights
+        weights = _upward(by_joint @ vectors[:, -1], cov)
     return Surface(peak=weights @ cov.xa / np.sqrt(weights @ cov.xx @ weights), tool=cov.aa)
 
 
 def measured_surface(measurement: Measurement) -> Surface:
     """Take the surface of a measurement."""
-    return surface_of(covariances(*record_of(measurement)))
+    return surface_of(_measured(measurement))
 
 
 def predicted_surface(prediction: Prediction) -> Surface:
     """Take the surface that the nominal, healthy arm would show."""
-    return surface_of(
-        Covariances(xx=prediction.joint, xa=prediction.joint_tool, aa=prediction.tool, count=0)
-    )
+    return surface_of(_predicted(prediction))
 
 
 def _widened(tool: Array) -> Array:

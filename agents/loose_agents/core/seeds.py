@@ -1,0 +1,60 @@
+"""Seeds and random streams of the agents: one table, so that no two uses meet."""
+
+from __future__ import annotations
+
+from loose_env.errors import InvalidSetting
+
+__all__ = [
+    "BANK_ACTIONS",
+    "BANK_SEED",
+    "CHECK_ACTIONS",
+    "CHECK_PARTICLES",
+    "CHECK_SEED",
+    "EVALUATION_SEED",
+    "EVALUATION_SEEDS",
+    "TUNING_SEED",
+    "check_training_seed",
+]
+
+EVALUATION_SEEDS = range(20_260_000, 20_260_100)
+"""Seeds of episodes that no training, tuning or record bank may use."""
+EVALUATION_SEED = EVALUATION_SEEDS[0]
+"""Seed of the episodes that published comparisons are played on."""
+TUNING_SEED = 20_080_000
+"""Seed of the episodes on which stopping thresholds are tuned."""
+BANK_SEED = 19_950_000
+"""Seed of the episodes of record banks."""
+CHECK_SEED = 19_960_000
+"""Seed of the episodes on which fast posteriors are compared with particles."""
+
+BANK_ACTIONS, CHECK_ACTIONS, CHECK_PARTICLES = 16, 17, 18
+"""Streams of an episode for random actions and particles, beyond those the environment uses."""
+
+
+def check_training_seed(seed: int, *, count: int = 1) -> int:
+    """Return a seed for training; refuse evaluation seeds.
+
+    Parameters
+    ----------
+    seed : int
+        First of the seeds.
+    count : int
+        Number of consecutive seeds.
+
+    Raises
+    ------
+    InvalidSetting
+        If one of them is reserved for evaluation.
+
+    Examples
+    --------
+    >>> check_training_seed(1, count=64)
+    1
+    """
+    first, last = EVALUATION_SEEDS[0], EVALUATION_SEEDS[-1]
+    if seed <= last and seed + count - 1 >= first:
+        raise InvalidSetting(
+            f"seeds {seed} to {seed + count - 1} meet those kept for evaluation, {first} to "
+            f"{last}; train with others"
+        )
+    return seed

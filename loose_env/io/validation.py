@@ -1,0 +1,178 @@
+"""Validation of settings: types and ranges stated in the annotations of a dataclass.
+
+A field is annotated with its type, or with one of the rules below, such as
+``rate: Positive = 1000.0``; `Checked` refuses values that do not satisfy it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from functools import cache
+from numbers import Integral, Real
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from loose_env.errors import InvalidSetting
+
+__all__ = [
+    "Checked",
+    "Count",
+    "NonNegative",
+    "Positive",
+    "Probability",
+    "Rule",
+    "all_of",
+    "check_fields",
+    "is_finite",
+    "is_whole",
+    "positive",
+]
+
+
+@dataclass(frozen=True)
+class Rule:
+    """Condition on a value, written as metadata of an annotated field."""
+
+    words: str
+    """Allowed values, as an error states them."""
+    allows: Callable[[Any], bool]
+    """Function that returns True for an allowed value."""
+
+
+def is_finite(value: object) -> bool:
+    """Return whether a value is one finite real number; truth values are none."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return False
+    try:
+        return math.isfinite(float(value))
+    except OverflowError:
+        return False
+
+
+def is_whole(value: object) -> bool:
+    """Return whether a value is a whole number; truth values are none."""
+    return isinstance(value, Integral) and not isinstance(value, bool)
+
+
+NonNegative = Annotated[
+    float, Rule("a finite number, zero or more", lambda x: is_finite(x) and x >= 0)
+]
+"""Number from zero."""
+Positive = Annotated[float, Rule("positive and finite", lambda x: is_finite(x) and x > 0)]
+"""Number above zero."""
+Probability = Annotated[
+    float, Rule("a probability between 0 and 1", lambda x: is_finite(x) and 0 < x < 1)
+]
+"""Number above 0 and below 1."""
+Count = Annotated[int, Rule("a whole number, 1 or more", lambda x: is_whole(x) and x >= 1)]
+"""Whole number from 1."""
+
+
+def positive(unit: str) -> Rule:
+    """Rule of a number above zero, with its unit."""
+    return Rule(f"positive {unit}", lambda value: is_finite(value) and value > 0)
+
+
+def all_of(values: object, allows: Callable[[Any], bool], *, least: int = 0) -> bool:
+    """Return whether a value is a sequence of so many entries that a condition allows."""
+    return (
+        isinstance(values, Sequence)
+        and not isinstance(values, str)
+        and len(values) >= least
+        and all(map(allows, values))
+    )
+
+
+class Checked:
+    """Base of settings dataclasses that check their fields when they are made."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+def check_fields(settings: Any) -> None:
+    """Refuse values that the annotations of a dataclass do not allow.
+
+    Numbers, words, one of several words, tuples, dataclasses and optional fields are checked;
+    fields of any other type are not.
+
+    Raises
+    ------
+    InvalidSetting
+        Naming the first such field, the allowed values and the value given.
+
+    Examples
+    --------
+    >>> @dataclass(frozen=True)
+    ... class Own(Checked):
+    ...     most: int = 3
+    ...     share: NonNegative | None = None
+    >>> Own(share=1).share
+    1
+    >>> Own(most=2.5)
+    Traceback (most recent call last):
+    ...
+    loose_env.errors.InvalidSetting: Own.most must be a whole number; got 2.5
+    """
+    kind: Any = type(settings)
+    for name, hint in _hints(kind):
+        value = getattr(settings, name)
+        words = _unmet(hint, value)
+        if words:
+            raise InvalidSetting(f"{kind.__name__}.{name} must be {words}; got {value!r:.200}")
+
+
+@cache
+def _hints(kind: Any) -> tuple[tuple[str, Any], ...]:
+    hints = get_type_hints(kind, include_extras=True)
+    return tuple((each.name, hints[each.name]) for each in fields(kind))
+
+
+def _unmet(hint: Any, value: Any) -> str:
+    """Allowed values where a value is none of them; "" where it is one."""
+    origin, inside = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        rules = [rule for rule in inside[1:] if isinstance(rule, Rule)]
+        return next((rule.words for rule in rules if not rule.allows(value)), "")
+    if origin in (Union, UnionType):
+        if value is None and NoneType in inside:
+            return ""
+        unmet = [_unmet(one, value) for one in inside if one is not NoneType]
+        return "" if "" in unmet else " or ".join(unmet)
+    if origin is Literal:
+        return "" if value in inside else f"one of {', '.join(map(repr, inside))}"
+    if origin is tuple:
+        return _unmet_entries(inside, value)
+    if hint in _PLAIN:
+        words, fits = _PLAIN[hint]
+        return "" if fits(value) else words
+    if isinstance(hint, type) and hasattr(hint, "__dataclass_fields__"):
+        return "" if isinstance(value, hint) else f"a {hint.__name__}"
+    return ""
+
+
+def _unmet_entries(inside: Sequence[Any], value: Any) -> str:
+    """As `_unmet`, for a tuple, list or array."""
+    if len(inside) == 2 and inside[1] is Ellipsis:
+        count, each = None, inside[0]
+    else:
+        count, each = len(inside), inside[0]
+    try:
+        entries = None if isinstance(value, str) else tuple(value)
+    except TypeError:
+        entries = None
+    unmet = None
+    if entries is not None and count in (None, len(entries)):
+        unmet = next(filter(None, (_unmet(each, entry) for entry in entries)), "")
+    if unmet is None:
+        unmet = _unmet(each, object()) or "of the right type"
+    return unmet and f"{'several' if count is None else count} values, each {unmet}"
+
+
+_PLAIN: dict[Any, tuple[str, Callable[[Any], bool]]] = {
+    float: ("a finite number", is_finite),
+    int: ("a whole number", is_whole),
+    str: ("text", lambda value: isinstance(value, str)),
+}
