@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import time
 from collections.abc import Sequence
@@ -12,6 +11,7 @@ import mujoco
 
 from loose_env.importing.mapping.mapping_file import MAPPING_FORMAT
 from loose_env.importing.mapping.units import column_quantity
+from loose_env.importing.readers.csv_list import quoted
 from loose_env.importing.readers.sources import given_files, list_file
 from loose_env.importing.samples import Channel, FileList, Stream
 from loose_env.recording import ModelColumns, joint_sensors
@@ -46,7 +46,7 @@ def describe_sources(sources: Sequence[str], model: mujoco.MjModel | None = None
     >>> from pathlib import Path
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     log = Path(folder, "daq.csv")
-    ...     _ = log.write_text("time [s],elbow [rad]\n0.0,0.10\n0.1,0.12\n0.2,0.15\n")
+    ...     _ = log.writequoted("time [s],elbow [rad]\n0.0,0.10\n0.1,0.12\n0.2,0.15\n")
     ...     "elbow" in describe_sources([str(log)])
     True
     """
@@ -56,14 +56,14 @@ def describe_sources(sources: Sequence[str], model: mujoco.MjModel | None = None
         while name in lists:  # run-01.mcap and run-01.csv
             name, count = f"{_name(given)}-{count}", count + 1
         lists[name] = list_file(path)
-    lines = [f"format = {_text(MAPPING_FORMAT)}", 'model = "model.xml"  # MJCF, beside this file']
+    lines = [f"format = {quoted(MAPPING_FORMAT)}", 'model = "model.xml"  # MJCF, beside this file']
     if model is not None:
         lines += ["", "# Columns that the model allows:"]
         for column in ModelColumns.of(model).known:
             quantity = column_quantity(model, column)
-            lines.append(f"#   {_text(column)}{f'  {quantity}' if quantity else ''}")
+            lines.append(f"#   {quoted(column)}{f'  {quantity}' if quantity else ''}")
     for name, each in lists.items():
-        lines += ["", f"[sources.{name}]", f"file = {_text(each.name)}", f'kind = "{each.kind}"']
+        lines += ["", f"[sources.{name}]", f"file = {quoted(each.name)}", f'kind = "{each.kind}"']
         lines += each.options
     lines += [
         "",
@@ -125,22 +125,17 @@ def _likely(channel: Channel, model: mujoco.MjModel | None) -> str:
 
 
 def _channel_line(name: str, channel: Channel, column: str) -> str:
-    parts = [f"source = {_text(name)}"]
+    parts = [f"source = {quoted(name)}"]
     if channel.key.topic:
-        parts.append(f"topic = {_text(channel.key.topic)}")
-    parts.append(f"channel = {_text(channel.key.channel)}")
+        parts.append(f"topic = {quoted(channel.key.topic)}")
+    parts.append(f"channel = {quoted(channel.key.channel)}")
     if channel.unit:
-        parts.append(f"unit = {_text(channel.unit)}")
+        parts.append(f"unit = {quoted(channel.unit)}")
     if _DOWN.fullmatch(channel.key.channel):
         parts.append("sign = -1")  # the recorder counts it against the axis
     seen = ", ".join(f"{value:.6g}" for value in channel.first)
     note = "; ".join(filter(None, (seen, _comment(channel.words))))
-    return f"{_text(column)} = {{ {', '.join(parts)} }}{f'  # {note}' if note else ''}"
-
-
-def _text(words: str) -> str:
-    """Text as TOML takes it, which is as JSON does but for one control character."""
-    return json.dumps(words, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return f"{quoted(column)} = {{ {', '.join(parts)} }}{f'  # {note}' if note else ''}"
 
 
 def _comment(words: str) -> str:

@@ -15,7 +15,7 @@ from loose_env.importing.join_runs import Joined, joined_run, shifts_of
 from loose_env.importing.mapping.mapping import ImportMapping
 from loose_env.importing.mapping.mapping_file import read_mapping
 from loose_env.importing.readers.sources import files_of_runs, given_files, read_source
-from loose_env.importing.samples import ChannelKey, Samples
+from loose_env.importing.samples import ChannelKey, Samples, unreadable
 from loose_env.recording import (
     FileFormat,
     ModelColumns,
@@ -131,7 +131,7 @@ def _compiled(path: Path) -> mujoco.MjModel:
     try:
         file, kind, spec = load_spec(path)
     except OSError as error:
-        raise InvalidData(f"{path.name}: it cannot be read: {error.strerror or error}") from None
+        raise unreadable(path.name, error) from None
     if kind != "mujoco":
         raise InvalidData(f"{file.name}: a URDF; a recording's model is an MJCF, <mujoco>")
     return compile_spec(spec, file)

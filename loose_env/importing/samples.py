@@ -53,6 +53,11 @@ class Samples:
         return self.time + (self.origin_ns - origin_ns) * 1e-9
 
 
+def unreadable(name: str, error: OSError) -> InvalidData:
+    """Error for a file that the system does not read."""
+    return InvalidData(f"{name}: it cannot be read: {error.strerror or error}")
+
+
 def checked(
     place: str,
     time: Array,

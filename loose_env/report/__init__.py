@@ -3,6 +3,7 @@
 Data flow: pages -> comparison -> diagnosis -> gap -> studies.
 """
 
+from loose_env.envs import FAINT, INK, MUTED
 from loose_env.report.comparison.episode_timeline import episode_timeline
 from loose_env.report.comparison.report import write_comparison
 from loose_env.report.comparison.text import comparison_text
@@ -18,9 +19,6 @@ from loose_env.report.pages.style import DARK, FONT, LIGHT
 from loose_env.report.pages.svg import standalone, to_svg
 from loose_env.report.pages.template import paragraphs, shown, template, write_whole
 from loose_env.report.studies import (
-    FAINT,
-    INK,
-    MUTED,
     pyplot,
     rounded,
     save_figure,

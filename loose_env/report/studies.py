@@ -16,6 +16,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from loose_env.envs import FAINT, INK, MUTED
+
 
 def study_head(made_by: str, settings: Any, *, version: str, **more: Any) -> dict[str, Any]:
     """Provenance of rows: the script, its settings, the versions.
@@ -88,10 +90,6 @@ def rounded(value: Any, digits: int = 4) -> Any:
     if isinstance(value, (list, tuple)):
         return [rounded(part, digits) for part in value]
     return float(f"{value:.{digits}g}") if isinstance(value, float) else value
-
-
-INK, MUTED, FAINT = "#1b2128", "#66717d", "#c9d0d7"
-"""Colours of text, of what stands behind it, and of lines that only frame."""
 
 
 def pyplot() -> Any:

@@ -9,9 +9,7 @@ import mujoco
 
 from loose_env.errors import InvalidData
 from loose_env.recording import nearest
-
-STANDARD_GRAVITY = 9.80665
-"""[m/s²], by definition."""
+from loose_env.sensors import STANDARD_GRAVITY
 
 
 @dataclass(frozen=True, kw_only=True)

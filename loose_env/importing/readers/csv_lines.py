@@ -11,6 +11,7 @@ from typing import IO
 
 from loose_env.errors import InvalidData
 from loose_env.importing.mapping.mapping import CsvLayout
+from loose_env.importing.samples import unreadable
 
 _LONGEST_LINE = 2**20
 _MOST_COLUMNS = 10_000
@@ -40,7 +41,7 @@ def open_text(path: Path, name: str, encoding: str) -> Iterator[IO[str]]:
             "'cp1252' or 'utf-16' with the source"
         ) from None
     except OSError as error:
-        raise InvalidData(f"{name}: it cannot be read: {error.strerror or error}") from None
+        raise unreadable(name, error) from None
 
 
 def cells(file: IO[str], name: str, layout: CsvLayout) -> Iterator[tuple[int, list[str]]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -144,11 +145,11 @@ def _time_line(names: list[str], rows: list[list[str]], layout: CsvLayout) -> st
             unit = _unit_in(each)
             known = bool(unit) and unit_named(unit, each).quantity == "time" if unit else False
             if bare in _TIME_NAMES or known or "time" in bare:
-                return f'time = {{ column = {_quoted(each)}, unit = "{unit if known else "s"}" }}'
+                return f'time = {{ column = {quoted(each)}, unit = "{unit if known else "s"}" }}'
             continue
         try:
             date_ns(cell, "iso", "")
-            return f'time = {{ column = {_quoted(each)}, date_format = "iso" }}'
+            return f'time = {{ column = {quoted(each)}, date_format = "iso" }}'
         except InvalidData:
             continue
     return "time = { rate_hz = 1000 }  # no column of time was found: say the rate"
@@ -159,7 +160,7 @@ def _options(layout: CsvLayout) -> list[str]:
     lines = []
     for key in ("separator", "decimal", "encoding"):
         if getattr(layout, key) != getattr(plain, key):
-            lines.append(f"{key} = {_quoted(getattr(layout, key))}")
+            lines.append(f"{key} = {quoted(getattr(layout, key))}")
     for key in ("skip", "skip_after_header"):
         if getattr(layout, key):
             lines.append(f"{key} = {getattr(layout, key)}")
@@ -168,9 +169,8 @@ def _options(layout: CsvLayout) -> list[str]:
     return lines
 
 
-def _quoted(words: str) -> str:
-    import json
-
+def quoted(words: str) -> str:
+    """Quote text for TOML, whose strings are JSON's but for one control character."""
     return json.dumps(words, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 

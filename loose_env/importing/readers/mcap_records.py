@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from loose_env.errors import InvalidData, MissingExtra
+from loose_env.importing.samples import unreadable
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -87,7 +88,7 @@ def walk(path: Path, name: str, topics: frozenset[str] | None = None) -> Iterato
         with path.open("rb") as file:
             yield from _Walk(file, path.stat().st_size, name, topics).messages()
     except OSError as error:
-        raise InvalidData(f"{name}: it cannot be read: {error.strerror or error}") from None
+        raise unreadable(name, error) from None
 
 
 class _Walk:

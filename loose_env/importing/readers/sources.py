@@ -19,7 +19,7 @@ from loose_env.importing.readers.csv_list import list_csv
 from loose_env.importing.readers.mcap_file import list_mcap, read_mcap
 from loose_env.importing.readers.mcap_records import MAGIC
 from loose_env.importing.readers.uff_file import list_uff, read_uff
-from loose_env.importing.samples import ChannelKey, FileList, Samples
+from loose_env.importing.samples import ChannelKey, FileList, Samples, unreadable
 from loose_env.importing.timing.even_stamps import straightened
 from loose_env.recording import nearest
 
@@ -122,7 +122,7 @@ def kind_of(path: Path, told: FileKind | None = None) -> FileKind:
         with path.open("rb") as file:
             start = file.read(len(MAGIC))
     except OSError as error:
-        raise InvalidData(f"{path.name}: it cannot be read: {error.strerror or error}") from None
+        raise unreadable(path.name, error) from None
     if start == MAGIC:
         return "mcap"
     ending = path.suffix.lower()

@@ -14,7 +14,15 @@ import numpy as np
 from loose_env.errors import InvalidData, MissingExtra
 from loose_env.importing.mapping.mapping import TimeSource
 from loose_env.importing.mapping.units import unit_named
-from loose_env.importing.samples import Channel, ChannelKey, FileList, Samples, Stream, checked
+from loose_env.importing.samples import (
+    Channel,
+    ChannelKey,
+    FileList,
+    Samples,
+    Stream,
+    checked,
+    unreadable,
+)
 from loose_env.recording import nearest
 from loose_env.typing import Array
 
@@ -147,7 +155,7 @@ def _headers(path: Path, name: str) -> list[_Set]:
             raise InvalidData(f"{name}: {size} bytes; at most {_MOST_BYTES} are read, export less")
         marks = len(_MARK.findall(path.read_bytes()))
     except OSError as error:
-        raise InvalidData(f"{name}: it cannot be read: {error.strerror or error}") from None
+        raise unreadable(name, error) from None
     if marks == 0:
         raise InvalidData(f"{name}: no universal file: it has no lines '    -1'")
     if marks % 2:

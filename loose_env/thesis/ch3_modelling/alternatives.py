@@ -18,10 +18,9 @@ from loose_env.thesis.methods.looseness.modelling_alternatives import (
     compare_alternatives,
 )
 from loose_env.thesis.methods.looseness.static_force_test import joint_torques, simulate_docked
+from loose_env.thesis.rigs.slide import LOOSE_GAP
 from loose_env.thesis.shared.sections import Table
 
-GAP = 2e-4
-"""Travel of the loose seat [m], as on VERA."""
 DIRECTION = (float(np.cos(np.radians(-15))), float(np.sin(np.radians(-15))), 0.0)
 """Direction of VERA's slide in link 2, -15°."""
 POSES = (0.6, 1.2, 1.9)
@@ -34,7 +33,7 @@ def loose_seat() -> StructuralLooseness:
     return StructuralLooseness(
         link=2,
         direction=DIRECTION,
-        gap=GAP,
+        gap=LOOSE_GAP,
         stiffness=(2e5, 2e5),
         damping=(20.0, 20.0),
         friction=0.1,
@@ -77,7 +76,7 @@ def opening_words() -> str:
         "Every model of an arm predicts one measured quantity from others. What is left over, the "
         "disagreement, holds three things: what a loose seat does, the noise of the sensors, and "
         "what the model leaves out. The thesis lists seven models and weighs them in words. Here "
-        f"each is computed on the same two simulated arms with a gap of {GAP * 1e3:g} mm in "
+        f"each is computed on the same two simulated arms with a gap of {LOOSE_GAP * 1e3:g} mm in "
         f"link 2, in {len(POSES)} poses. Sensors: encoders with "
         f"{suite.encoder.noise * 1e6:.0f} µrad rms and {suite.encoder.resolution * 1e6:.1f} µrad "
         f"steps, an accelerometer with {suite.accelerometer.noise_density / 9.80665e-6:.0f} µg "

@@ -25,6 +25,7 @@ from loose_env.thesis.methods.looseness.static_force_test import (
     seat_twist,
     simulate_docked,
 )
+from loose_env.thesis.rigs.slide import LOOSE_GAP
 from loose_env.thesis.shared.sections import Table
 from loose_env.typing import Array
 
@@ -32,8 +33,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-GAP = 2e-4
-"""Travel of the loose seat [m]."""
 SLOPE = (0.6, 0.8, 0.0)
 """Direction of the slide in its link's frame."""
 POSES = 5
@@ -57,7 +56,7 @@ def _wiggle(arm: Arm, pose: Array, fault: Fault, jig: Jig, rng: np.random.Genera
 
 def _slide(link: int) -> StructuralLooseness:
     return StructuralLooseness(
-        link=link, direction=SLOPE, gap=GAP, stiffness=(1e6, 1e6), damping=(100.0, 100.0)
+        link=link, direction=SLOPE, gap=LOOSE_GAP, stiffness=(1e6, 1e6), damping=(100.0, 100.0)
     )
 
 

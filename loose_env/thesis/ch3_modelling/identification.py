@@ -7,7 +7,7 @@ import numpy as np
 from loose_env.arms import planar
 from loose_env.errors import InvalidData
 from loose_env.kinematics import Chain, geometric_jacobian
-from loose_env.thesis.ch3_modelling.docked_tool import GAP, SLOPE, loose_links, motion_counts
+from loose_env.thesis.ch3_modelling.docked_tool import SLOPE, loose_links, motion_counts
 from loose_env.thesis.methods.looseness.looseness_joint import insert_looseness
 from loose_env.thesis.methods.looseness.parameter_recursion import (
     distended_angles,
@@ -17,6 +17,7 @@ from loose_env.thesis.methods.looseness.parameter_recursion import (
 )
 from loose_env.thesis.methods.looseness.static_force_test import link_frames
 from loose_env.thesis.printed import printed
+from loose_env.thesis.rigs.slide import LOOSE_GAP
 from loose_env.thesis.shared.sections import Section, Table
 
 EQUATIONS: dict[str, str] = {
@@ -172,7 +173,7 @@ def _recursion(seed: int, told: dict[str, object]) -> tuple[Table, list[str]]:
         )
         + "Motion of a loose seat that is taken for the joint's is no small error either: "
         f"{1e3 * speed:g} mm/s shift the joint, and a length by {1e3 * worst:.0f} mm, while the "
-        f"gap is {1e3 * GAP:g} mm.",
+        f"gap is {1e3 * LOOSE_GAP:g} mm.",
     ]
     return table, words
 

@@ -16,7 +16,7 @@ from loose_env.report import FigureCard, new_figure, quiet_axes
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-from loose_env.thesis.ch3_modelling.alternatives import GAP, POSES, loose_seat
+from loose_env.thesis.ch3_modelling.alternatives import POSES, loose_seat
 from loose_env.thesis.methods.looseness.looseness_joint import (
     backlash_condition,
     changed_columns,
@@ -26,6 +26,7 @@ from loose_env.thesis.methods.looseness.looseness_joint import (
     link_of_changed_columns,
     seated_inertia,
 )
+from loose_env.thesis.rigs.slide import LOOSE_GAP
 from loose_env.thesis.shared.sections import Table
 
 _FRAMES: tuple[tuple[Frame, str], ...] = (
@@ -42,7 +43,7 @@ def jacobian_columns() -> tuple[Table, str]:
     rows, right, world_distal, base_proximal = [], 0, True, True
     largest = 0.0
     for link in range(1, chain.n + 1):
-        loose = displaced(chain, link, [0.6, 0.8, 0.0], GAP / 2)
+        loose = displaced(chain, link, [0.6, 0.8, 0.0], LOOSE_GAP / 2)
         cells = [str(link)]
         for frame, _ in _FRAMES:
             before, after = geometric_jacobian(chain, frame), geometric_jacobian(loose, frame)
@@ -59,7 +60,7 @@ def jacobian_columns() -> tuple[Table, str]:
                 world_distal &= bool(changed[:link].all() and not changed[link:].any())
         rows.append(tuple(cells))
     words = (
-        f"A seat that stands at its stop, {GAP / 2 * 1e3:g} mm off, changes columns of the "
+        f"A seat that stands at its stop, {LOOSE_GAP / 2 * 1e3:g} mm off, changes columns of the "
         "Jacobian. In tool coordinates the columns beyond the seat stay, as the thesis says, and "
         f"the last column that changes names the link ({right} of {chain.n} here). For world "
         "coordinates the thesis says that the columns before the seat stay (3.33). That is so "
@@ -134,7 +135,7 @@ def inertia_condition(seed: int, told: dict[str, object]) -> tuple[Table, str, F
         rows.append((f"{arm.name}, nothing loose", *_medians(nominal), "–"))
         for link in range(1, arm.n + 1):
             slide = StructuralLooseness(
-                link=link, direction=(0.6, 0.8, 0.0), gap=GAP, stiffness=(1e5, 1e5)
+                link=link, direction=(0.6, 0.8, 0.0), gap=LOOSE_GAP, stiffness=(1e5, 1e5)
             )
             found = [condition_of(seated_inertia(arm, q, slide)) for q in poses]
             worst["slide"] = max(worst["slide"], float(np.median([c.scaled for c in found])))

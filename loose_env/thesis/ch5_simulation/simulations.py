@@ -44,7 +44,6 @@ from loose_env.typing import Array
 _PLANAR = "loose_env.thesis.methods.motion.loose_planar_arm"
 _SEAT = "loose_env.thesis.methods.motion.seat_motion"
 _RIDGE = "loose_env.thesis.methods.motion.gaussian_ridge"
-_TRIAL = "loose_env.thesis.methods.motion.gaussian_ridge"
 EQUATIONS: dict[str, str] = {
     "3.70": "loose_env.thesis.methods.motion.histogram.marginal",
     "3.71": f"{_PLANAR}.nominal_jacobian",
@@ -54,9 +53,9 @@ EQUATIONS: dict[str, str] = {
     "4.4": f"{_RIDGE}.along",
     "4.5": f"{_RIDGE}.planar_ridge",
     "4.6": f"{_RIDGE}.planar_ridge",
-    "4.7": f"{_TRIAL}.variance_trial",
+    "4.7": f"{_RIDGE}.variance_trial",
     "4.8": f"{_RIDGE}.exponent_from_sd",
-    "4.9": f"{_TRIAL}.planar_trial",
+    "4.9": f"{_RIDGE}.planar_trial",
     "5.1": f"{_SEAT}.region_probabilities",
     "5.2": f"{_SEAT}.region_probabilities",
     "5.3": f"{_PLANAR}.tool_position",

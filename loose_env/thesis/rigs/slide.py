@@ -9,14 +9,15 @@ import numpy as np
 
 from loose_env.arms import Arm, Holding, Shaker, new_spec
 from loose_env.faults import Preload, StructuralLooseness
+from loose_env.thesis.rigs.shaken_vera import SHAKEN_BAND
 
 Stinger = Literal["threaded_rod", "stiff"]
 Mount = Literal["bolted", "loose"]
 
 SLIDE, BENCH = "slide_accelerometer", "bench_accelerometer"
 """Probes on the slide and on the bench under it; their first axes lie along the sliding motion."""
-SLIDE_BAND = (20.0, 350.0)
-"""White noise played to the shaker [Hz] (6.1.6)."""
+LOOSE_GAP = 2e-4
+"""Travel of the looseness joint, its stops turned back by a quarter turn [m] (6.3.3)."""
 
 SLIDE_MASS = 0.50
 """Slide with its attachments [kg] (6.3.2)."""
@@ -100,7 +101,7 @@ def slide_rig(
         torque_limits=(100.0,),
         joint_ranges=((-0.01, 0.01),),
         levels=(1.0, 3.0, 9.0),
-        band=SLIDE_BAND,
+        band=SHAKEN_BAND,
         brake=Holding(stiffness=(1e7,), damping=(1e3,)),
         servo=Holding(stiffness=(2e4,), damping=(1e2,)),
         centring=Holding(stiffness=(0.0,), damping=(0.0,)),  # the shaker's suspension centres it
@@ -204,7 +205,7 @@ def loosened(*, link: int, direction: Direction) -> StructuralLooseness:
     return StructuralLooseness(
         link=link,
         direction=direction,
-        gap=2e-4,
+        gap=LOOSE_GAP,
         stiffness=(4e6, 2.4e6),
         damping=(1600.0, 960.0),
         friction=0.3,

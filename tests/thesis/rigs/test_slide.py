@@ -15,7 +15,8 @@ from loose_env.rig import SimulatedRig
 from loose_env.sensors import Accelerometer, SensorSuite
 from loose_env.statistics import axial_difference, lowest_correlation_direction
 from loose_env.thesis.printed import printed
-from loose_env.thesis.rigs.slide import SLIDE, SLIDE_BAND, Stinger, slide_rig
+from loose_env.thesis.rigs.shaken_vera import SHAKEN_BAND
+from loose_env.thesis.rigs.slide import SLIDE, Stinger, slide_rig
 
 
 def answer(stinger: Stinger, band: tuple[float, float], step: float) -> ShakenResponse:
@@ -57,7 +58,7 @@ def test_healthy_lowest_correlation_lies_across_the_motion(degrees):
     angle = float(np.radians(degrees))
     sensors = SensorSuite(rate=2000.0, accelerometer=Accelerometer(bandwidth=900.0))
     rig = SimulatedRig(slide_rig(cube_angle=angle), sensors=sensors)
-    shake = Excitation(torque_rms=(0.0,), duration=1.0, band=SLIDE_BAND, shaker_rms=3.0)
+    shake = Excitation(torque_rms=(0.0,), duration=1.0, band=SHAKEN_BAND, shaker_rms=3.0)
     run = rig.measure(np.zeros(1), shake, rng=np.random.default_rng(3))
     assert run.failure is None
     found = lowest_correlation_direction(run.probes[SLIDE][0], run.tool)

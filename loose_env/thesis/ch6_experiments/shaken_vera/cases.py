@@ -105,6 +105,10 @@ class CaseStatistics:
         return Spread.of([maximum_correlation(x, a).value for x, a in self.pairs])
 
 
+Cases = Mapping[str, Sequence[CaseStatistics]]
+"""Cases of every state, in the order of the poses."""
+
+
 def poses() -> tuple[float, ...]:
     """Angles of joint 2 in the five pose cases [rad]."""
     return tuple(float(np.radians(t)) for t in printed("tables")["theta2_deg"])

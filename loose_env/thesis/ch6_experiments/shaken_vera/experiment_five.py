@@ -12,7 +12,7 @@ from loose_env.statistics import axial_difference
 from loose_env.thesis.ch6_experiments.shaken_vera.cases import (
     LOOSE_DIRECTION,
     RECORDS,
-    CaseStatistics,
+    Cases,
     measured_cases,
     poses,
     printed_healthy,
@@ -60,8 +60,6 @@ EQUATIONS: dict[str, str] = {
 """Function of each equation."""
 
 _STATES = (TIGHT, FINGER, LOOSE, "pin half released")
-
-Cases = Mapping[str, Sequence[CaseStatistics]]
 
 
 def section(seed: int) -> Section:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from loose_env.report import FigureCard
 from loose_env.thesis.ch6_experiments.shaken_vera.cases import (
     PLAY_DIRECTION,
-    CaseStatistics,
+    Cases,
     measured_cases,
     poses,
 )
@@ -41,8 +41,6 @@ EQUATIONS: dict[str, str] = {
 """Function of each equation."""
 
 TIGHT, PLAY = "high preload", "backlash"
-
-Cases = Mapping[str, Sequence[CaseStatistics]]
 
 
 def section(seed: int) -> Section:

@@ -5,7 +5,7 @@ The tool's motion in the plane: contours of its histogram, and its long axis.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from loose_env.envs import FAINT, INK, MUTED
 from loose_env.sensors import STANDARD_GRAVITY
 from loose_env.statistics import moments_by_direction, spectral_flatness
-from loose_env.thesis.ch6_experiments.shaken_vera.cases import RATE, CaseStatistics, poses
+from loose_env.thesis.ch6_experiments.shaken_vera.cases import RATE, Cases, poses
 from loose_env.thesis.ch6_experiments.shaken_vera.tables import (
     coherence_by_direction,
     moment_points,
@@ -32,9 +32,6 @@ from loose_env.thesis.shared.plots import (
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-Cases = Mapping[str, Sequence[CaseStatistics]]
 
 
 def loop_figure(cases: Cases, states: Sequence[str], direction: float) -> Figure:
@@ -83,9 +80,7 @@ _BINS = 31
 _SHARE = 0.9
 
 
-def histogram_panels(
-    cases: Mapping[str, Sequence[CaseStatistics]], states: Sequence[str], direction: float
-) -> Figure:
+def histogram_panels(cases: Cases, states: Sequence[str], direction: float) -> Figure:
     """Draw the contour that holds 90 % of the samples, every state in every pose.
 
     ``cases``: cases of every state, in the order of the poses. ``direction``: direction of the

@@ -23,6 +23,7 @@ from loose_env.statistics import (
 )
 from loose_env.thesis.ch6_experiments.shaken_vera.cases import (
     RATE,
+    Cases,
     CaseStatistics,
     Spread,
     from_y,
@@ -142,7 +143,7 @@ def tool_peaks(case: CaseStatistics) -> tuple[float, float]:
 
 
 def peak_table(
-    cases: Mapping[str, Sequence[CaseStatistics]],
+    cases: Cases,
     ranges: Mapping[str, Sequence[Sequence[float]]],
     states: Mapping[str, str],
     *,
@@ -262,8 +263,6 @@ def axial_turn(found: float, other_deg: float) -> float:
 
 TIGHT, FINGER, LOOSE = "high preload", "low preload", "looseness"
 """States of the looseness joint, keys of `STATES`."""
-
-Cases = Mapping[str, Sequence[CaseStatistics]]
 
 
 def healthy_table(tight: Sequence[CaseStatistics], closed: Mapping[str, Sequence[float]]) -> Table:

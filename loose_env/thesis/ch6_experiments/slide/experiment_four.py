@@ -23,15 +23,8 @@ from loose_env.statistics import (
 from loose_env.thesis.ch6_experiments.shaken_vera.cases import RATE, Spread, from_y
 from loose_env.thesis.ch6_experiments.shaken_vera.tables import axis_words, percent, spread_words
 from loose_env.thesis.printed import printed
-from loose_env.thesis.rigs.slide import (
-    BENCH,
-    SLIDE,
-    SLIDE_BAND,
-    Mount,
-    finger_tight,
-    loosened,
-    slide_rig,
-)
+from loose_env.thesis.rigs.shaken_vera import SHAKEN_BAND
+from loose_env.thesis.rigs.slide import BENCH, SLIDE, Mount, finger_tight, loosened, slide_rig
 from loose_env.thesis.shared.plots import LoopPanel, Points, by_category, loop_panels
 from loose_env.thesis.shared.sections import Section, Table
 from loose_env.typing import Array
@@ -121,7 +114,7 @@ def trials(seed: int, state: str, mount: Mount, *, records: int = RECORDS) -> tu
     any number.
     """
     found = []
-    shake = Excitation(torque_rms=(0.0,), duration=1.2, band=SLIDE_BAND, shaker_rms=FORCE)
+    shake = Excitation(torque_rms=(0.0,), duration=1.2, band=SHAKEN_BAND, shaker_rms=FORCE)
     sensors = SensorSuite(rate=RATE, accelerometer=Accelerometer(bandwidth=0.45 * RATE))
     for k, degrees in enumerate(printed("experiment_four")["looseness_angle_deg"]):
         angle = float(np.radians(degrees))
