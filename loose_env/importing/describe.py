@@ -46,7 +46,7 @@ def describe_sources(sources: Sequence[str], model: mujoco.MjModel | None = None
     >>> from pathlib import Path
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     log = Path(folder, "daq.csv")
-    ...     _ = log.writequoted("time [s],elbow [rad]\n0.0,0.10\n0.1,0.12\n0.2,0.15\n")
+    ...     _ = log.write_text("time [s],elbow [rad]\n0.0,0.10\n0.1,0.12\n0.2,0.15\n")
     ...     "elbow" in describe_sources([str(log)])
     True
     """
