@@ -36,7 +36,7 @@ PARTS = (
 
 AGENTS = (
     "core/base",
-    "core/belief_tracker",
+    "core/estimators",
     "core/belief_agent",
     "evaluation/evaluate",
     "policies/policies",

@@ -60,7 +60,7 @@ MEANINGS = {
     "skewness, kurtosis": "shape of the tool's motion along an axis, not limited to the band; "
     "kurtosis is counted from that of a Gaussian, so both are 0 for one",
     "lowest_skewness, lowest_kurtosis": "the same along the direction of `lowest_direction`",
-    "nominal_*": "the same statistic as the nominal, sound arm would show it",
+    "nominal_*": "the same statistic as the nominal, healthy arm would show it",
     "now.*": "the pose in which the arm is now",
     "spent.records, spent.seconds, spent.levels": "what has been spent: records as a share of "
     "those allowed, seconds of excitation, levels added up over joints and records",

@@ -312,7 +312,7 @@ def test_the_words_say_who_won_and_whether_it_may_be_sampling_error() -> None:
     assert first.startswith("The best by return was a: right on 18 of 20 arms (90 %)")
     assert then == "Then came b (17 of 20, 3.5 records) and c (2 of 20, 3.5 records)."
     assert "sampling error" in lead and "p = 1.00" in lead
-    assert "hardly" in who_won([*rows_of("a", 18), *rows_of("c", 2)])[-1]
+    assert "exceeds sampling error" in who_won([*rows_of("a", 18), *rows_of("c", 2)])[-1]
     assert len(who_won(rows_of("a", 18))) == 1
 
 

@@ -138,7 +138,9 @@ def test_a_run_killed_while_it_tidies_up_plays_again(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(("where", "stays"), [("gather", True), ("write_gap_page", False)])
+@pytest.mark.parametrize(
+    ("where", "stays"), [("diagnose_residuals", True), ("write_gap_page", False)]
+)
 def test_no_old_result_stands_beside_a_new_model(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str, stays: bool
 ) -> None:
@@ -150,7 +152,11 @@ def test_no_old_result_stands_beside_a_new_model(
         raise KeyboardInterrupt
 
     tmp_path.joinpath("result.json").write_text("of an earlier run")
-    for module, name in ((summary, "gather"), (summary, "result_of"), (report, "write_gap_page")):
+    for module, name in (
+        (summary, "diagnose_residuals"),
+        (summary, "result_of"),
+        (report, "write_gap_page"),
+    ):
         monkeypatch.setattr(module, name, killed if name == where else lambda *_, **__: None)
     found: Any = SimpleNamespace(problem=None)
     with pytest.raises(KeyboardInterrupt):

@@ -226,13 +226,14 @@ def location_words(location: Location, *, most: int = 3, always: bool = False) -
     >>> gap = ChannelResidual(
     ...     run="a.csv",
     ...     channel="sensor.q",
-    ...     over_floor=8.0,
+    ...     rms=8.0,
     ...     offset=0.1,
-    ...     depends=(),
-    ...     bands=(Band(low=0, high=1, over_floor=9.0, share=0.9),),
+    ...     dependences=(),
+    ...     bands=(Band(low=0, high=1, rms=9.0, share=0.9),),
     ... )
-    >>> location_words(Location(channels=(gap,)))
-    ['sensor.q is up to 8.0 noise standard deviations off (a.csv), most of it between 0 and 1 Hz.']
+    >>> location_words(Location(channels=(gap,)))[0].split(", ")  # doctest: +NORMALIZE_WHITESPACE
+    ['sensor.q has a residual of up to 8.0 noise standard deviations (a.csv)',
+    'most of it between 0 and 1 Hz.']
     """
     torques = _torque_words(location.joints, most)
     large = _worst([g for g in location.channels if g.rms >= VISIBLE_RMS], faint=False)

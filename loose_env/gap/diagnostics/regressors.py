@@ -94,7 +94,7 @@ def dependence(
     >>> speed = np.sin(np.arange(3000) / 50)
     >>> friction = np.sign(speed) + rng.normal(0, 1, 3000)
     >>> found = dependence(friction, direction_of(speed), np.arange(3000) // 300)
-    >>> bool(0.4 < found.share < 0.55), bool(found.sureness > 5)
+    >>> bool(0.4 < found.share < 0.55), bool(found.z > 5)
     (True, True)
     """
     good = np.isfinite(residual) & np.isfinite(regressor)

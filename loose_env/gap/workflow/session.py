@@ -162,7 +162,7 @@ class GapSession:
     ...     )
     ...     steps = GapSession(recording, GapSettings(threads=1))
     >>> tried = steps.try_effect("viscous_friction", "pivot")
-    >>> round(tried.parameters["damping"], 2), tried.held_out < 0.01 * tried.before, tried.believed
+    >>> round(tried.parameters["damping"], 2), tried.held_out < 0.01 * tried.before, tried.accepted
     (0.02, True, True)
     """
 

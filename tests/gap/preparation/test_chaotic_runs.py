@@ -103,7 +103,7 @@ def test_a_run_too_short_for_features_is_compared_sample_by_sample(
     trials = [align_run(run, machine, channels, step=1e-3) for run in runs]
     trials[1].measured[230:] *= 5.0  # least like the model where its command rests
     floors = np.full(len(channels), 1e-5)
-    monkeypatch.setattr(chaotic, "PARTED", -1.0)  # whatever is drawn anew is enough
+    monkeypatch.setattr(chaotic, "CHAOTIC_SHARE", -1.0)  # whatever is drawn anew is enough
     with_stops = [CATALOGUE["backlash"](machine, "joint1")]
     found = chaotic_runs(machine, trials, channels, floors, with_stops, threads=1)
     assert found == {"long.csv", "resting.csv"}
@@ -184,9 +184,7 @@ def test_where_a_run_of_struck_stops_disagrees_is_told_from_its_features(
     assert result.location_words and all(".parquet" in words for words in result.location_words)
     assert any("Hz" in words for words in result.location_words)
     assert any("sensor.shake" in words for words in result.remaining)
-    assert result.remaining[0].startswith(
-        f"{result.gap.after:.3g} noise standard deviations are left"
-    )
+    assert result.remaining[0].startswith(f"Residual on the held-out runs: {result.gap.after:.3g}")
     page = render_gap_page(solution, evidence, result)
     assert "Spectra before and after" in page and "By how much the power of sensor.shake" in page
     assert "by features" in page and not re.search(r"\bnan\b", page, re.IGNORECASE)

@@ -89,7 +89,7 @@ def test_what_is_left_in_channels_is_their_root_mean_square(problem: GapProblem)
 def test_louder_noise_makes_residuals_as_much_smaller(problem: GapProblem) -> None:
     factors = np.linspace(1.0, 5.0, len(problem.search.channels))
     louder = problem.louder(factors)
-    for name in ("search", "fit", "held", "whole_held"):
+    for name in ("search", "fit", "held_out", "held_out_whole"):
         one, other = getattr(problem, name), getattr(louder, name)
         before, after = (runs.residuals([NOTHING])[0] for runs in (one, other))
         assert np.allclose(after * factors[one.rows.channel], before)
@@ -121,7 +121,7 @@ def test_what_was_found_in_louder_noise_is_told_in_the_noise_there_is(problem: G
     told = found.rescored(second)
     assert np.allclose(told.fitted.residual, 4 * second.fitted.residual)
     assert np.allclose(told.fitted.jacobian, 4 * second.fitted.jacobian)
-    assert told.held_out_rms == pytest.approx(first.held_rms)
+    assert told.held_out_rms == pytest.approx(first.held_out_rms)
     same = SearchResult(problem=problem, parts=parts[:1])
     assert same.rescored(first) is first
 

@@ -41,7 +41,7 @@ def test_an_effect_of_ones_own_is_fitted_and_judged(steps: GapSession, tried: Tr
     assert tried.held_out < 1.1 and tried.accepted
     assert tried.improvement.held_out > 2 and tried.improvement.share > 0.9
     assert tried.parameters["size"] == pytest.approx(STIFFNESS, rel=0.05)
-    assert str(tried).startswith("cubic_spring@elbow: size ") and str(tried).endswith(" believed")
+    assert str(tried).startswith("cubic_spring@elbow: size ") and str(tried).endswith("; accepted")
     assert "cubic_spring@elbow" in tried._repr_html_()
 
 
@@ -83,9 +83,9 @@ def test_what_is_added_stays_and_what_is_left_is_noise(
 
 
 def test_what_cannot_be_tried_is_refused(steps: GapSession) -> None:
-    with pytest.raises(InvalidSetting, match=r"cubic_spring needs a place, one of \['elbow'\]"):
+    with pytest.raises(InvalidSetting, match=r"cubic_spring needs a location, one of \['elbow'\]"):
         steps.try_effect(CubicSpring)
-    with pytest.raises(InvalidSetting, match="leave 'elbow' out"):
+    with pytest.raises(InvalidSetting, match="leave out 'elbow'"):
         steps.try_effect(CubicSpring(steps.machine, "elbow"), "elbow")
     with pytest.raises(UnknownName, match="shoulder"):
         steps.try_effect(CubicSpring, "shoulder")

@@ -30,7 +30,7 @@ from scripts.suites.gap.cases.sensing import Noise, add_noise
 from scripts.suites.gap.cases.true_arm import TrueArm
 from scripts.suites.gap.effects.catalogue import CATALOGUE, OUTSIDE, kinds
 from scripts.suites.gap.effects.types import Effect
-from scripts.suites.gap.grading.separability import ResidualModel
+from scripts.suites.gap.grading.separability import Comparison
 from scripts.suites.gap.simulator.arms import planar3
 from scripts.suites.gap.simulator.build import TOLERANCE, Factors
 
@@ -248,7 +248,7 @@ def test_tilt_and_first_encoder_of_a_planar_arm_are_one_and_friction_is_neither(
         noise=noise,
         sizes=({"size": 0.02, "visible": 0.01, "ratio": 2.0},),
     )
-    comparison = ResidualModel(tilted)
+    comparison = Comparison(tilted)
     assert not comparison.separable(0, ("encoder_offset", "joint1"))
     assert comparison.separable(0, ("coulomb_friction", "joint1"))
     assert comparison.separable(0, ("encoder_offset", "nowhere"))
