@@ -89,21 +89,31 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 positive = st.floats(1e-3, 1e3)
-choices = st.builds(
-    NextSettings,
-    gap_mm=positive,
-    noise_ug=positive,
-    rate_hz=st.sampled_from([100.0, 333.3, 1000.0, 5000.0]),
-    seconds=st.floats(0.2, 2.0),
-    most_tool=positive,
-    torque_share=st.floats(0.01, 1.0),
-    ground_m=st.none() | st.floats(-2, 2),
-    poses=st.integers(1, 3),
-    band_low=st.none() | st.floats(1, 50),
-    band_high=st.none() | st.floats(51, 400),
-    in_turn=st.integers(1, 3),
-    margin=st.floats(0, 0.4),
-    seed=st.integers(0, 2**62),
+
+
+def ends(rate: float) -> st.SearchStrategy[float | None]:
+    """Upper ends of a band that a rate [Hz] allows; others are refused before any plan."""
+    most = min(400.0, NextSettings(rate_hz=rate).allowed_hz)
+    return st.none() | st.floats(51, most) if most > 51 else st.none()
+
+
+choices = st.sampled_from([100.0, 333.3, 1000.0, 5000.0]).flatmap(
+    lambda rate: st.builds(
+        NextSettings,
+        gap_mm=positive,
+        noise_ug=positive,
+        rate_hz=st.just(rate),
+        seconds=st.floats(0.2, 2.0),
+        most_tool=positive,
+        torque_share=st.floats(0.01, 1.0),
+        ground_m=st.none() | st.floats(-2, 2),
+        poses=st.integers(1, 3),
+        band_low=st.none() | st.floats(1, 50),
+        band_high=ends(rate),
+        in_turn=st.integers(1, 3),
+        margin=st.floats(0, 0.4),
+        seed=st.integers(0, 2**62),
+    )
 )
 owns = st.builds(PlanSettings, ramp_s=st.floats(0, 1), hold_s=st.floats(0, 1), pose_deg=st.just(()))
 stands = st.builds(
