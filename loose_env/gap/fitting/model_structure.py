@@ -12,13 +12,12 @@ import numpy as np
 from loose_env.gap.fitting.initial_state import InitialStates
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.nominal_parameters import NominalParameters
 from loose_env.gap.model.parameter import Parameter, free_of, values_of
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.typing import Array
 
-__all__ = ["ModelStructure", "Nuisance", "nuisance_of", "prior_of"]
+__all__ = ["ModelStructure", "Nuisance", "initial_states_of", "nuisance_of", "prior_of"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -117,23 +116,26 @@ class ModelStructure:
         )
 
 
-def nuisance_of(comparison: ResidualModel, machine: NominalModel, *, tolerance: float) -> Nuisance:
+def nuisance_of(comparison: ResidualModel, *, tolerance: float) -> Nuisance:
     """Nuisance parameters of some runs.
 
     Parameters
     ----------
     comparison : ResidualModel
         The training runs.
-    machine : NominalModel
-        The nominal model.
     tolerance : float
         Relative tolerance of the nominal parameters.
     """
-    initial = InitialStates(comparison.machine, comparison.trials, comparison.channels)
     return Nuisance(
-        initial=initial if initial.moving else None,
-        nominal=NominalParameters(machine, tolerance=tolerance),
+        initial=initial_states_of(comparison),
+        nominal=NominalParameters(comparison.machine, tolerance=tolerance),
     )
+
+
+def initial_states_of(comparison: ResidualModel) -> InitialStates | None:
+    """Initial states of the runs that begin in motion; None where all begin at rest."""
+    initial = InitialStates(comparison.machine, comparison.trials, comparison.channels)
+    return initial if initial.moving else None
 
 
 def prior_of(parameters: Sequence[Parameter]) -> tuple[Array, Array]:

@@ -133,7 +133,7 @@ def drop_insignificant(
     seed: int,
     *,
     say: Callable[[str], None] = lambda _: None,
-) -> tuple[ScoredFit, list[Effect], Intervals]:
+) -> tuple[ScoredFit, Intervals]:
     """Drop effects whose 95 % intervals include zero, and refit the others.
 
     Parameters
@@ -151,10 +151,9 @@ def drop_insignificant(
 
     Returns
     -------
-    (ScoredFit, list of Effect, Intervals)
-        The reduced fit, the dropped effects, and the intervals of the reduced fit.
+    (ScoredFit, Intervals)
+        The reduced fit, and its intervals.
     """
-    dropped: list[Effect] = []
     while True:
         rng = np.random.default_rng(seed)
         fitted = best.fitted
@@ -167,9 +166,8 @@ def drop_insignificant(
                 found = short_of_nothing(problem.fit, fitted, found, effect)
         doubtful = [effect for effect, own in named if found.include_zero(effect, own)]
         if not doubtful:
-            return best, dropped, widened(problem.fit, fitted, found)
+            return best, widened(problem.fit, fitted, found)
         say(f"  dropped {doubtful[-1]!r}: its 95 % confidence interval includes zero")
-        dropped.append(doubtful[-1])
         best = refit_without(doubtful[-1], best, problem, scorer)
 
 

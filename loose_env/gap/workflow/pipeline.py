@@ -12,7 +12,7 @@ from loose_env.arms import quiet
 from loose_env.gap.fitting.confidence_intervals import Intervals
 from loose_env.gap.fitting.gauss_newton import Fit, fit
 from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer, explained_share
-from loose_env.gap.fitting.model_structure import Nuisance, nuisance_of
+from loose_env.gap.fitting.model_structure import Nuisance, initial_states_of, nuisance_of
 from loose_env.gap.fitting.refit import settled
 from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.effects.catalogue import candidates
@@ -112,7 +112,7 @@ def find_gap(
 def _solved(problem: GapProblem, say: Say, stages: Stage) -> GapSolution:
     """Search, refit to more of the runs, drop insignificant effects, decide."""
     settings, machine = problem.settings, problem.machine
-    nuisance = nuisance_of(problem.search, machine, tolerance=settings.tolerance)
+    nuisance = nuisance_of(problem.search, tolerance=settings.tolerance)
     kinds = settings.kinds or None
     sought = [c for c in candidates(machine, kinds) if problem.search.shows(c)]
     naming = SearchSettings(most_effects=settings.most_effects)
@@ -125,8 +125,8 @@ def _solved(problem: GapProblem, say: Say, stages: Stage) -> GapSolution:
     whole, scorer = (Scorer(runs.fit, runs.held_out_whole) for runs in (problem, reweighted))
     if problem.fit is not problem.search or problem.held_out is not problem.held_out_whole:
         say("final fit: more of the runs")
-        own = nuisance_of(problem.fit, machine, tolerance=settings.tolerance)
-        longer = replace(nuisance, initial=own.initial)  # windows have other initial states
+        # windows have other initial states
+        longer = replace(nuisance, initial=initial_states_of(problem.fit))
         kept = keep("", longer)
         base = kept.scored("nominal-whole", lambda: whole.score(_refit(problem, base, longer)))
         if best.fitted.effects:
@@ -138,7 +138,7 @@ def _solved(problem: GapProblem, say: Say, stages: Stage) -> GapSolution:
     if have_stops(best.fitted.effects):
         stops, kept = best, keep("", best.fitted.structure.nuisance)
         best = kept.scored("settled", lambda: scorer.score(settled(reweighted.fit, stops.fitted)))
-    best, _, intervals = drop_insignificant(best, reweighted, scorer, settings.seed, say=say)
+    best, intervals = drop_insignificant(best, reweighted, scorer, settings.seed, say=say)
     best = found.rescored(best) if best.fitted.effects else base
     verdict, impact_fit = _verdict(base, best), None
     if verdict == "unexplained":

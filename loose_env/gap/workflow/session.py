@@ -178,9 +178,7 @@ class GapSession:
             self.problem: GapProblem = prepare(recording, self.settings)
             search = self.problem.search
             tolerance = self.settings.tolerance
-            nominal = ModelStructure(
-                nuisance=nuisance_of(search, self.machine, tolerance=tolerance)
-            )
+            nominal = ModelStructure(nuisance=nuisance_of(search, tolerance=tolerance))
             self._judge = Scorer(search, self.problem.held_out_whole)
             self.nominal = self._judge.score(fit(search, nominal, nominal.nominal_start))
         self.best = self.nominal

@@ -157,7 +157,7 @@ def fitted(
     tolerance: float = 0.005,
 ) -> tuple[Fit, list[Array]]:
     """Fit effects beside the nuisance parameters; values of each of the effects."""
-    nuisance = nuisance_of(comparison, comparison.machine, tolerance=tolerance)
+    nuisance = nuisance_of(comparison, tolerance=tolerance)
     structure = ModelStructure(nuisance=nuisance, effects=tuple(effects))
     begin = [free_of(e.parameters, np.array(e.starts[start % len(e.starts)])) for e in effects]
     found = fit(comparison, structure, np.concatenate([structure.nominal_start, *begin]))

@@ -153,7 +153,7 @@ def test_noise_is_worked_out_anew_with_each_effect(
     )
     # by its own noise the last part leaves about that much, for it is what it left before
     problem, machine = found.problem, found.problem.machine
-    nuisance = nuisance_of(problem.search, machine, tolerance=problem.settings.tolerance)
+    nuisance = nuisance_of(problem.search, tolerance=problem.settings.tolerance)
     stages = Stages(kept, key_of(recording, {}))
     last = search(
         problem,

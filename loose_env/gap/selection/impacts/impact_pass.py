@@ -38,8 +38,6 @@ class ImpactPassResult:
     """Confidence intervals of all parameters."""
     impact_fit: ImpactFit
     """The part with stops."""
-    dropped: list[Effect]
-    """The effects that are dropped."""
 
 
 def impact_pass(
@@ -90,12 +88,11 @@ def impact_pass(
     for effect in impact_fit.insignificant:
         say(f"  dropped {effect!r}: a proxy for the part with stops")
         rigid = refit_without(effect, rigid, weighed, own)
-    rigid, dropped, intervals = drop_insignificant(rigid, weighed, own, settings.seed, say=say)
+    rigid, intervals = drop_insignificant(rigid, weighed, own, settings.seed, say=say)
     return ImpactPassResult(
         best=scorer.score(_with_struck(problem.fit, rigid.fitted, impact_fit)),
         intervals=joined(intervals, impact_fit.intervals),
         impact_fit=impact_fit,
-        dropped=[*impact_fit.insignificant, *dropped],
     )
 
 
