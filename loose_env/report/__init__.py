@@ -20,6 +20,7 @@ from loose_env.report.pages.svg import standalone, to_svg
 from loose_env.report.pages.template import paragraphs, shown, template, write_whole
 from loose_env.report.studies import (
     pyplot,
+    read_study,
     rounded,
     save_figure,
     stored_rows,
@@ -44,6 +45,7 @@ __all__ = [
     "pyplot",
     "quiet_axes",
     "ranked_words",
+    "read_study",
     "rounded",
     "save_figure",
     "shown",

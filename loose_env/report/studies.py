@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 
 from loose_env.envs import FAINT, INK, MUTED
+from loose_env.errors import InvalidData
 
 
 def study_head(made_by: str, settings: Any, *, version: str, **more: Any) -> dict[str, Any]:
@@ -78,9 +79,28 @@ def stored_rows(path: Path, head: dict[str, Any]) -> list[dict[str, Any]]:
     """Rows of an earlier study, whole or interrupted, if it rests on the same; else none."""
     if not path.exists():
         return []
-    stored = json.loads(path.read_text(encoding="utf-8"))
+    stored = read_study(path)
     same = all(stored.get(key) == value for key, value in head.items())
     return list(stored["rows"]) if same else []
+
+
+def read_study(path: Path) -> dict[str, Any]:
+    """Read the file of a study: its rows, and what they rest on.
+
+    Raises
+    ------
+    InvalidData
+        If it is no whole JSON file, or none of a study.
+    """
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise InvalidData(
+            f"{path} is no whole JSON file ({error}); remove it, or give another"
+        ) from error
+    if not isinstance(stored, dict) or not isinstance(stored.get("rows"), list):
+        raise InvalidData(f"{path} holds no rows of a study; remove it, or give another file")
+    return stored
 
 
 def rounded(value: Any, digits: int = 4) -> Any:

@@ -9,12 +9,14 @@ import argparse
 import re
 from pathlib import Path
 
-__all__ = ["PAGE", "main", "threshold_table", "with_table"]
+from loose_agents.execution.script_errors import errors_in_one_line
+from loose_agents.execution.study import write_between
+
+__all__ = ["PAGE", "SOURCE", "main", "threshold_table"]
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCE = ROOT / "loose_env" / "gap" / "settings.py"
 PAGE = ROOT / "docs" / "gap.md"
-BEGIN, END = "<!-- thresholds: begin -->", "<!-- thresholds: end -->"
 _ENTRY = re.compile(
     r'^(?:# (?P<part>[^\n]+)|(?P<name>[A-Z][A-Z_]+) = (?P<value>\S+)\n"""(?P<meaning>.+?)""")$',
     re.MULTILINE | re.DOTALL,
@@ -42,19 +44,18 @@ def threshold_table(source: str) -> str:
     return "\n".join(rows)
 
 
-def with_table(page: str, table: str) -> str:
-    """Replace what stands between the marks of a page by a table."""
-    before, _, rest = page.partition(BEGIN)
-    return f"{before}{BEGIN}\n{table}\n{END}{rest.partition(END)[2]}"
-
-
 def main() -> None:
     """Print the table, or write it into the page."""
+    with errors_in_one_line("threshold_table"):
+        _run()
+
+
+def _run() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--docs", action="store_true", help="write it into docs/gap.md")
     table = threshold_table(SOURCE.read_text(encoding="utf-8"))
     if parser.parse_args().docs:
-        PAGE.write_text(with_table(PAGE.read_text(encoding="utf-8"), table), encoding="utf-8")
+        write_between(PAGE, table)
     else:
         print(table)
 

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import ast
 import inspect
-import itertools
-import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, Field, field, fields
-from functools import cache
 from types import NoneType, UnionType
 from typing import Any, Literal, NoReturn, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from loose_agents.execution.script_errors import errors_in_one_line
+from loose_env.cli import field_words
 
 __all__ = [
     "OneLineParser",
@@ -94,8 +91,9 @@ def add_options(parser: argparse.ArgumentParser, kind: type[Any]) -> None:
         shown = [each for each in own if each.init and not each.metadata.get("hidden")]
         title = (home.__doc__ or "").partition("\n")[0].rstrip(".")
         target: Any = parser if home is kind or not shown else parser.add_argument_group(title)
+        words = field_words(home)
         for each in shown:
-            _add_option(target, each, hints[each.name], _docstrings(home).get(each.name, ""))
+            _add_option(target, each, hints[each.name], words.get(each.name, "").rstrip("."))
 
 
 def options_of(
@@ -186,19 +184,3 @@ def _default_words(each: Field[Any], words: str) -> str:
     shown = value if isinstance(value, tuple) else (value,)
     words = " ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in shown)
     return f"; default: {words or 'none'}"
-
-
-@cache
-def _docstrings(kind: type[Any]) -> dict[str, str]:
-    """Docstrings that stand below the fields of a class, each in one line."""
-    try:
-        body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
-    except (OSError, TypeError):
-        return {}
-    assert isinstance(body, ast.ClassDef)
-    return {
-        one.target.id: " ".join(str(other.value.value).split()).rstrip(".")
-        for one, other in itertools.pairwise(body.body)
-        if isinstance(one, ast.AnnAssign) and isinstance(one.target, ast.Name)
-        if isinstance(other, ast.Expr) and isinstance(other.value, ast.Constant)
-    }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
@@ -19,7 +18,7 @@ from loose_agents.execution.script_errors import errors_in_one_line
 from loose_agents.execution.shards import map_shards
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.io import restored, write_text
-from loose_env.report import rounded, stored_rows, study_head, write_study
+from loose_env.report import read_study, rounded, stored_rows, study_head, write_study
 
 __all__ = ["ClusterRun", "Row", "Study", "StudyRun", "write_between"]
 
@@ -165,12 +164,14 @@ class Study(Generic[S, O]):
         Raises
         ------
         InvalidData
-            If there are none.
+            If there are none, or the file is none of a study.
         """
         if not path.is_file():
             raise InvalidData(f"no rows at {path}: run the study without --show first")
-        whole = json.loads(path.read_text(encoding="utf-8"))
-        settings = restored(self.settings, {**whole, **whole["settings"]}, path.name)
+        whole = read_study(path)
+        if not isinstance(own := whole.get("settings"), dict):
+            raise InvalidData(f"{path} lacks the settings of its rows; give the file of a study")
+        settings = restored(self.settings, {**whole, **own}, path.name)
         return whole["rows"], settings
 
     def rows(self, path: Path, settings: S, run: O) -> list[Row]:
