@@ -11,45 +11,39 @@ bank is the same for any backend and number of workers.
 
 from __future__ import annotations
 
-import argparse
 import os
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 # One thread each: the order in which threads add up changes the last digit of a figure.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from loose_agents.execution.backends import BackendSettings, add_backend_options
-from loose_agents.execution.script_errors import errors_in_one_line
+from loose_agents.execution.backends import BackendSettings
+from loose_agents.execution.command import command, option
 from loose_agents.execution.shard_store import ShardStore
 from loose_agents.posterior_training.bank_storage import (
+    BankOptions,
     BankPlan,
-    add_bank_options,
     build_bank,
     build_features,
-    plan_of,
 )
 
 
-def parser() -> argparse.ArgumentParser:
-    """Options of the bank."""
-    options = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    add_bank_options(options)
-    options.add_argument("--records-only", action="store_true", help="work out no figures")
-    add_backend_options(options)
-    return options
+@dataclass(frozen=True, kw_only=True)
+class Options(BankOptions, BackendSettings):
+    """Options of the script."""
+
+    records_only: bool = option(False, "work out no features")
 
 
-def build(options: argparse.Namespace) -> None:
+def build(options: Options) -> None:
     """Build, and say how large it is and how long it took."""
-    plan, folder = plan_of(options), Path(options.out)
-    settings = BackendSettings.of(options)
+    plan, folder = options.plan, Path(options.out)
     begin = time.perf_counter()
-    store = build_bank(plan, folder, settings)
+    store = build_bank(plan, folder, options)
     made = time.perf_counter() - begin
     records = sum(int((part["slots"][:, :, 0] > 0.5).sum()) for part in store.read_all(plan.shards))
     print(
@@ -58,7 +52,7 @@ def build(options: argparse.Namespace) -> None:
     )
     if not options.records_only:
         begin = time.perf_counter()
-        store = build_features(plan, folder, settings)
+        store = build_features(plan, folder, options)
         made = time.perf_counter() - begin
         print(
             f"Figures of {records} records, {megabytes(store, plan):.1f} MB in {store.folder}; "
@@ -73,9 +67,8 @@ def megabytes(store: ShardStore, plan: BankPlan) -> float:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Build, with errors in one line."""
-    options = parser().parse_args(arguments)
-    with errors_in_one_line("build_bank", interrupted="run the same command again to go on"):
-        build(options)
+    going_on = "run the same command again to go on"
+    command("build_bank", __doc__, Options, build, arguments, interrupted=going_on)
 
 
 if __name__ == "__main__":

@@ -10,13 +10,13 @@ agent with several seeds.
 
 from __future__ import annotations
 
-import argparse
 import os
 import shlex
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -32,9 +32,9 @@ from loose_agents.core.estimators import ESTIMATORS, WEIGHTS, setting_name
 from loose_agents.core.seeds import EVALUATION_SEED
 from loose_agents.evaluation.env_arguments import arguments_of
 from loose_agents.evaluation.record_bounds import bound_line
-from loose_agents.execution.backends import BackendSettings, add_backend_options
+from loose_agents.execution.backends import BackendSettings
+from loose_agents.execution.command import command, option
 from loose_agents.execution.configuration_hash import canonical
-from loose_agents.execution.script_errors import errors_in_one_line
 from loose_agents.policies.policies import POLICIES
 from loose_agents.registry import AGENTS, make_agent
 
@@ -63,20 +63,55 @@ BOOTSTRAP_SEED = 0
 """Seed of the resamples behind the intervals."""
 
 
-def names_of(options: argparse.Namespace, problem: Problem) -> list[str]:
+KNOWN = "; ".join(f"{name}, {words}" for name, (_, words) in AGENTS.items())
+"""Names of the agents, each with a description."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(BackendSettings):
+    """Options of the comparison."""
+
+    env: str = option("loose_env/Vera-v0", "environment id")
+    arguments: str = option("{}", "its arguments, as JSON")
+    agents: tuple[str, ...] = option((), f"estimator/policy, or any of: {KNOWN}")
+    estimators: tuple[str, ...] = option((), f"of {list(ESTIMATORS)}, to cross")
+    policies: tuple[str, ...] = option((), f"of {list(POLICIES)}, to cross")
+    reference: str | None = option(
+        None, "agent whose return is subtracted; default: thesis, or the first agent"
+    )
+    difficulties: tuple[str, ...] = option((), "play all episodes at each of these")
+    curve: int | None = option(
+        None, "play again, K records each: success after 1 to K", metavar="K"
+    )
+    episodes: int = option(EPISODES, "episodes for each agent and difficulty")
+    seed: int = option(EVALUATION_SEED, "seed of the episodes")
+    agent_seed: int = option(0, "seed of what agents draw")
+    width: int = option(64, "arms simulated side by side in a process")
+    threads: int = option(0, "simulation threads with --workers 1, 0 for all")
+    shard: int = option(200, "episodes that a worker plays at a time")
+    out: str = option("out", "folder of rows and page")
+    keep: bool = option(
+        False,
+        "keep what was played: the same command with further agents plays only these",
+    )
+    rows: str = option("parquet", "raw rows as parquet or json")
+    page: bool = option(False, "write a page with pictures too")
+
+
+def names_of(options: Options, problem: Problem) -> list[str]:
     """Agents to play: those named, and every estimator with every policy."""
     if bool(options.estimators) != bool(options.policies):
         raise ValueError("--estimators and --policies are crossed: give both or neither")
     crossed = [f"{e}/{p}" for p in options.policies for e in options.estimators]
-    named = options.agents
-    if named is None:
+    named = list(options.agents)
+    if not (named or crossed):
         trained = (WEIGHTS / f"posterior-{setting_name(problem)}").is_dir()
         usual = ["greedy", "constant"] if trained else ["posterior/greedy"]
-        named = [] if crossed else [*usual, "random", "thesis"]
+        named = [*usual, "random", "thesis"]
     return list(dict.fromkeys([*named, *crossed]))
 
 
-def reference_of(options: argparse.Namespace, names: Sequence[str]) -> str | None:
+def reference_of(options: Options, names: Sequence[str]) -> str | None:
     """Agent that the others are compared with: the thesis's method, or the first one."""
     if options.reference is not None:
         if options.reference not in names:
@@ -87,7 +122,7 @@ def reference_of(options: argparse.Namespace, names: Sequence[str]) -> str | Non
     return "thesis" if "thesis" in names else names[0]
 
 
-def levels_of(options: argparse.Namespace) -> list[dict[str, Any]]:
+def levels_of(options: Options) -> list[dict[str, Any]]:
     """Arguments of the environment, once for each difficulty."""
     arguments = arguments_of(options.arguments)
     if not options.difficulties:
@@ -100,12 +135,11 @@ def levels_of(options: argparse.Namespace) -> list[dict[str, Any]]:
 def play(
     names: Sequence[str],
     levels: Sequence[Mapping[str, Any]],
-    options: argparse.Namespace,
+    options: Options,
     *,
     records: int | None = None,
 ) -> list[dict[str, Any]]:
     """Let every agent play the same episodes; progress goes to standard error."""
-    settings = BackendSettings.of(options)
     rows = []
     for name in names:
         for arguments in levels:
@@ -125,7 +159,7 @@ def play(
             )
             folder = Path(options.out) / "shards"
             rows += play_task(
-                task, folder, settings=settings, shard=options.shard, keep=options.keep
+                task, folder, settings=options, shard=options.shard, keep=options.keep
             )
     return rows
 
@@ -159,7 +193,7 @@ def write_page(
     forced: Sequence[dict[str, Any]],
     *,
     problem: Problem,
-    options: argparse.Namespace,
+    options: Options,
     made_by: str,
     reference: str | None,
 ) -> Path:
@@ -213,40 +247,7 @@ def engine_words(problem: Problem) -> str:
     return "MuJoCo" if engine == "mujoco" else f"the {engine} engine"
 
 
-def parser() -> argparse.ArgumentParser:
-    """Options of the comparison."""
-    options = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    known = "; ".join(f"{name}, {words}" for name, (_, words) in AGENTS.items())
-    add = options.add_argument
-    add("--env", default="loose_env/Vera-v0", help="environment id")
-    add("--arguments", default="{}", help="its arguments, as JSON")
-    add("--agents", nargs="+", help=f"estimator/policy, or any of: {known}")
-    add("--estimators", nargs="+", default=[], help=f"of {list(ESTIMATORS)}, to cross")
-    add("--policies", nargs="+", default=[], help=f"of {list(POLICIES)}, to cross")
-    add("--reference", help="whose return is subtracted; default: thesis, or the first agent")
-    add("--difficulties", nargs="+", default=[], help="play all episodes at each of these")
-    add("--curve", type=int, metavar="K", help="play again, K records each: success after 1 to K")
-    add("--episodes", type=int, default=EPISODES, help="episodes for each agent and difficulty")
-    add("--seed", type=int, default=EVALUATION_SEED, help="seed of the episodes")
-    add("--agent-seed", type=int, default=0, help="seed of what agents draw")
-    add("--width", type=int, default=64, help="arms simulated side by side in a process")
-    add("--threads", type=int, default=0, help="simulation threads with --workers 1, 0 for all")
-    add("--shard", type=int, default=200, help="episodes that a worker plays at a time")
-    add("--out", default="out", help="folder of rows and page")
-    add(
-        "--keep",
-        action="store_true",
-        help="keep what was played: the same command with further agents plays only these",
-    )
-    add("--rows", default="parquet", help="raw rows as parquet or json")
-    add("--page", action="store_true", help="write a page with pictures too")
-    add_backend_options(options)
-    return options
-
-
-def compare(options: argparse.Namespace) -> None:
+def compare(options: Options) -> None:
     """Play, print the tables, write rows and page."""
     begin = time.perf_counter()
     form = need_format(options.rows)  # whatever is wrong shows now, not after an hour of play
@@ -303,7 +304,7 @@ def compare(options: argparse.Namespace) -> None:
     if more:
         print(f"Rows of the curve: {write_rows(out, 'curve', more, configuration, form=form)}")
     if options.page:
-        made_by = f"Made by: {command(options)}. Configuration {digest[:12]}."
+        made_by = f"Made by: {command_of(options)}. Configuration {digest[:12]}."
         page = write_page(
             out / "index.html",
             rows,
@@ -317,7 +318,7 @@ def compare(options: argparse.Namespace) -> None:
     print(f"Took {time.perf_counter() - begin:.0f} s.")
 
 
-def command(options: argparse.Namespace) -> str:
+def command_of(options: Options) -> str:
     """The command that gives the same rows."""
     given: list[str] = []
     for name in ("env", "arguments", "episodes", "seed", "agent_seed", "curve", "reference"):
@@ -332,10 +333,8 @@ def command(options: argparse.Namespace) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Compare, with errors in one line."""
-    options = parser().parse_args(arguments)
     going_on = "the same command goes on from what was played"
-    with errors_in_one_line("compare", interrupted=going_on):
-        compare(options)
+    command("compare", __doc__, Options, compare, arguments, interrupted=going_on)
 
 
 if __name__ == "__main__":

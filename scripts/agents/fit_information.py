@@ -10,7 +10,6 @@ read them.
 
 from __future__ import annotations
 
-import argparse
 import os
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -22,26 +21,17 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from loose_agents.benchmark.tuning import write_tuned
 from loose_agents.core.estimators import WEIGHTS, make_estimator, setting_name
-from loose_agents.execution.script_errors import errors_in_one_line
-from loose_agents.posterior_training.bank_storage import add_bank_options, plan_of, read_bank
+from loose_agents.execution.command import command
+from loose_agents.posterior_training.bank_storage import BankOptions, read_bank
 from loose_agents.posterior_training.information_calibration import fit_factors, transitions_of
 
 SHARDS = 4
 """Shards of the bank that are read; the posterior was not trained on the first ones."""
 
 
-def parser() -> argparse.ArgumentParser:
-    """Options of the fit."""
-    options = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    add_bank_options(options)
-    return options
-
-
-def fit(options: argparse.Namespace) -> None:
+def fit(options: BankOptions) -> None:
     """Fit, store, and print what was expected and what came true."""
-    plan = plan_of(options)
+    plan = options.plan
     problem = plan.problem()
     posterior = make_estimator("amortised", problem).posterior  # type: ignore[attr-defined]
     bank = read_bank(plan, Path(options.out), plan.shards[:SHARDS])
@@ -63,9 +53,7 @@ def fit(options: argparse.Namespace) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Fit, with errors in one line."""
-    options = parser().parse_args(arguments)
-    with errors_in_one_line("fit_information"):
-        fit(options)
+    command("fit_information", __doc__, BankOptions, fit, arguments)
 
 
 if __name__ == "__main__":

@@ -11,17 +11,17 @@ Usage: python scripts/agents/measure_opening.py [--arms vera planar3] [--pressed
 
 from __future__ import annotations
 
-import argparse
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from loose_agents.execution.command import command, option
+from loose_agents.execution.progress import ProgressLine
 
 import loose_env
-from loose_env.arms import Arm, LinearArm, planar, scara, six_axis, vera
+from loose_env.arms import LinearArm
 from loose_env.diagnosis import (
     LOOSE,
     OPENINGS,
@@ -39,6 +39,7 @@ from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, StructuralLooseness, hypotheses
 from loose_env.io import write_text
 from loose_env.rig import Job, SimulatedRig
+from scripts.study_parts.arms import arm_named
 
 TABLE = Path(loose_env.__file__).parent / "diagnosis" / "opening.json"
 SLOTS = 32
@@ -58,14 +59,6 @@ class Found:
     """Log-likelihood over openings and loose motion at the true place."""
 
 
-def arm_named(name: str) -> Arm:
-    """Make an arm: by its function's name, or planar with its number of links and v."""
-    if name.startswith("planar"):
-        links = name.removeprefix("planar")
-        return planar(int(links.rstrip("v")), vertical=links.endswith("v"))
-    return {"vera": vera, "six_axis": six_axis, "scara": scara}[name]()
-
-
 def fits_of(name: str, records: int, seed: int) -> list[Found]:
     """Simulate records and fit each at the true place."""
     arm = arm_named(name)
@@ -77,46 +70,46 @@ def fits_of(name: str, records: int, seed: int) -> list[Found]:
     found: list[Found] = []
     rng = np.random.default_rng([seed, sum(name.encode())])
     faulty = hypotheses(arm)[1:]
-    while len(found) < records:
-        jobs = []
-        for slot in range(SLOTS):
-            fault = sampler.draw(rng, hypothesis=faulty[rng.integers(len(faulty))])
-            rig.mount(slot, fault, difficulty.mismatch.draw(arm, rng))
-            levels = np.zeros(arm.n)
-            levels[rng.integers(arm.n)] = arm.levels[min(int(rng.integers(0, 5)), 2)]
-            pose = arm.random_pose(rng)
-            length = float(rng.choice([0.4, 1.2, 1.2]))
-            excitation, _ = at_levels(linear.at(pose), levels, duration=length)
-            if not any(excitation.excited):  # gravity takes all that the drive has
-                continue
-            jobs.append(Job(slot=slot, pose=pose, excitation=excitation, rng=rng.spawn(1)[0]))
-        for job, measurement in zip(jobs, rig.measure_many(jobs), strict=True):
-            fault = rig.plants[job.slot].fault
-            assert isinstance(fault, (StructuralLooseness, Backlash))
-            if measurement.failure is not None:
-                continue
-            play = isinstance(fault, Backlash)
-            axes = linear.slide_dofs.shape[1]
-            direction = np.eye(axes)[:1] if play else np.array([fault.direction[:axes]])  # type: ignore[union-attr]
-            place = arm.n + fault.joint - 1 if isinstance(fault, Backlash) else fault.link - 1
-            record = statistics_of(measurement)
-            each = [fit_record(a, record, direction, floor, difficulty.mismatch) for a in arms]
-            log = np.array([f.log[place] for f in each]) + weights[:, None, None]
-            total = np.logaddexp.reduce(log, axis=0)
-            middle = each[len(each) // 2]
-            force, load = float(middle.force[place]), float(middle.load[place])
-            if force <= 0:  # driven by nothing, such as a slide across the arm's only motion
-                continue
-            found.append(
-                Found(
-                    play=play,
-                    ratio=force / fault.friction,
-                    press=load / (load + force),
-                    fit=total - total.max(),
+    with ProgressLine(records, unit="records") as line:
+        while len(found) < records:
+            jobs = []
+            for slot in range(SLOTS):
+                fault = sampler.draw(rng, hypothesis=faulty[rng.integers(len(faulty))])
+                rig.mount(slot, fault, difficulty.mismatch.draw(arm, rng))
+                levels = np.zeros(arm.n)
+                levels[rng.integers(arm.n)] = arm.levels[min(int(rng.integers(0, 5)), 2)]
+                pose = arm.random_pose(rng)
+                length = float(rng.choice([0.4, 1.2, 1.2]))
+                excitation, _ = at_levels(linear.at(pose), levels, duration=length)
+                if not any(excitation.excited):  # gravity takes all that the drive has
+                    continue
+                jobs.append(Job(slot=slot, pose=pose, excitation=excitation, rng=rng.spawn(1)[0]))
+            for job, measurement in zip(jobs, rig.measure_many(jobs), strict=True):
+                fault = rig.plants[job.slot].fault
+                assert isinstance(fault, (StructuralLooseness, Backlash))
+                if measurement.failure is not None:
+                    continue
+                play = isinstance(fault, Backlash)
+                axes = linear.slide_dofs.shape[1]
+                direction = np.eye(axes)[:1] if play else np.array([fault.direction[:axes]])  # type: ignore[union-attr]
+                place = arm.n + fault.joint - 1 if isinstance(fault, Backlash) else fault.link - 1
+                record = statistics_of(measurement)
+                each = [fit_record(a, record, direction, floor, difficulty.mismatch) for a in arms]
+                log = np.array([f.log[place] for f in each]) + weights[:, None, None]
+                total = np.logaddexp.reduce(log, axis=0)
+                middle = each[len(each) // 2]
+                force, load = float(middle.force[place]), float(middle.load[place])
+                if force <= 0:  # driven by nothing, such as a slide across the arm's only motion
+                    continue
+                found.append(
+                    Found(
+                        play=play,
+                        ratio=force / fault.friction,
+                        press=load / (load + force),
+                        fit=total - total.max(),
+                    )
                 )
-            )
-        print(f"\r{name}: {len(found)} of {records}", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+            line.advance(min(len(found), records) - line.n, name)
     return found
 
 
@@ -184,26 +177,28 @@ def _short(pages: np.ndarray) -> list[object]:
     return [_short(page) for page in pages]
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of the measurement."""
+
+    arms: tuple[str, ...] = option(
+        ("vera", "planar3", "planar4", "planar6"), "arms without gravity", nargs="*"
+    )
+    pressed: tuple[str, ...] = option(
+        ("six_axis", "planar3v", "planar5v", "scara"), "arms under gravity", nargs="*"
+    )
+    records: int = option(1200, "records for each arm, thrice with gravity")
+    seed: int = option(2, "root of all draws")
+    out: Path = option(TABLE, "file of the table; default: the shipped one")
+    keep: bool = option(False, "keep what ships for seats without gravity")
+
+
+def measure(options: Options) -> None:
     """Measure and write the table with the configuration it depends on."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--arms", nargs="*", default=["vera", "planar3", "planar4", "planar6"])
-    parser.add_argument(
-        "--pressed", nargs="*", default=["six_axis", "planar3v", "planar5v", "scara"]
-    )
-    parser.add_argument(
-        "--records", type=int, default=1200, help="records for each arm, thrice with gravity"
-    )
-    parser.add_argument("--seed", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=TABLE)
-    parser.add_argument(
-        "--keep", action="store_true", help="keep what ships for seats without gravity"
-    )
-    options = parser.parse_args(arguments)
     made = {"seed": options.seed, "version": loose_env.__version__}
-    free = {"arms": options.arms, "records": options.records, **made}
+    free = {"arms": [*options.arms], "records": options.records, **made}
     # There are five times as many pages of the table to fill.
-    pressed = {"arms": options.pressed, "records": 3 * options.records, **made}
+    pressed = {"arms": [*options.pressed], "records": 3 * options.records, **made}
     if options.keep:
         free = json.loads(TABLE.read_text(encoding="utf-8"))["free"]
     else:
@@ -219,6 +214,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         stored[name] = _short(pages)  # type: ignore[assignment]
     write_text(options.out, json.dumps(stored) + "\n")
     print(f"wrote {options.out}")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure, with errors in one line."""
+    command("measure_opening", __doc__, Options, measure, arguments)
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ from loose_agents.core.estimators import feature_size, make_estimator
 from loose_agents.core.seeds import check_training_seed
 from loose_agents.evaluation.env_arguments import refused_in_words
 from loose_agents.evaluation.evaluate import evaluate
+from loose_agents.execution.progress import ProgressLine
 from loose_agents.execution.script_errors import errors_in_one_line
 from loose_agents.rl.hyperparameters import (
     ALGORITHMS,
@@ -362,17 +363,10 @@ def progress(
             say(options, f"{steps:7d} of {total} steps  {spent:5.0f} s  {words}")
 
         return line, lambda: None
-    try:
-        from tqdm import tqdm
-    except ImportError as error:
-        raise MissingExtra(
-            "the progress bar needs tqdm; install it with: pip install -e '.[train]'"
-        ) from error
-    bar = tqdm(total=total, initial=start, unit="step", dynamic_ncols=True)
+    bar = ProgressLine(total, done=start, unit="steps")
 
     def move(steps: int, words: str) -> None:
-        bar.set_postfix_str(words, refresh=False)
-        bar.update(steps - bar.n)
+        bar.advance(steps - bar.n, words)
 
     return move, bar.close
 

@@ -12,11 +12,10 @@ an arm of another kind; --reference-only adds that to weights that were trained 
 
 from __future__ import annotations
 
-import argparse
 import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,16 +23,15 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from loose_agents.core.estimators import WEIGHTS, setting_name
-from loose_agents.execution.backends import BackendSettings, add_backend_options
-from loose_agents.execution.script_errors import errors_in_one_line
+from loose_agents.execution.backends import BackendSettings
+from loose_agents.execution.command import command, option
 from loose_agents.execution.shards import Shard
 from loose_agents.posterior_training.bank_storage import (
+    BankOptions,
     BankPlan,
-    add_bank_options,
     build_bank,
     build_features,
     directions_of,
-    plan_of,
     read_bank,
     read_features,
     seat_features,
@@ -52,35 +50,27 @@ HELD_OUT = 0.1
 """Share of the bank's episodes that training does not see."""
 
 
-def parser() -> argparse.ArgumentParser:
+@dataclass(frozen=True, kw_only=True)
+class Options(BankOptions, BackendSettings):
     """Options of the training."""
-    options = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+
+    steps: int = option(TrainingSettings.steps, "optimiser steps")
+    hidden: int = option(TrainingSettings.hidden, "hidden units")
+    training_seed: int = option(TrainingSettings.seed, "its seed")
+    weights: str | None = option(None, "folder of the trained weights")
+    reference_only: bool = option(
+        False, "train nothing; add to the weights what trained-kind arms leave unexplained"
     )
-    add_bank_options(options)
-    defaults = TrainingSettings()
-    options.add_argument("--steps", type=int, default=defaults.steps, help="optimiser steps")
-    options.add_argument("--hidden", type=int, default=defaults.hidden, help="hidden units")
-    options.add_argument("--training-seed", type=int, default=defaults.seed, help="its seed")
-    options.add_argument("--weights", default=None, help="folder of the trained weights")
-    options.add_argument(
-        "--reference-only",
-        action="store_true",
-        help="train nothing; add to the weights what trained-kind arms leave unexplained",
-    )
-    add_backend_options(options)
-    return options
 
 
-def train(options: argparse.Namespace) -> None:
+def train(options: Options) -> None:
     """Build what is missing, train, write the weights, print how well they do."""
     import torch
 
     torch.set_num_threads(1)
-    plan, folder = plan_of(options), Path(options.out)
-    backend = BackendSettings.of(options)
-    build_bank(plan, folder, backend)
-    store = build_features(plan, folder, backend)
+    plan, folder = options.plan, Path(options.out)
+    build_bank(plan, folder, options)
+    store = build_features(plan, folder, options)
     problem = plan.problem()
     if problem.hypotheses != hypotheses(problem.arm, DEFAULT_KINDS):
         raise InvalidSetting(
@@ -184,9 +174,8 @@ def _described(plan: BankPlan) -> dict[str, object]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Train, with errors in one line."""
-    options = parser().parse_args(arguments)
-    with errors_in_one_line("train_posterior", interrupted="run the same command again to go on"):
-        train(options)
+    going_on = "run the same command again to go on"
+    command("train_posterior", __doc__, Options, train, arguments, interrupted=going_on)
 
 
 if __name__ == "__main__":

@@ -14,11 +14,11 @@ depends on the backend.
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import MISSING, dataclass
 from functools import partial
 from pathlib import Path
 
@@ -40,14 +40,33 @@ from loose_agents.benchmark.tuning_sharded import ORACLE, Player, names_of, play
 from loose_agents.core.estimators import WEIGHTS, setting_name
 from loose_agents.core.seeds import BANK_SEED, TUNING_SEED, check_training_seed
 from loose_agents.evaluation.env_arguments import arguments_of
-from loose_agents.execution.backends import BackendSettings, add_backend_options
-from loose_agents.execution.script_errors import errors_in_one_line
+from loose_agents.execution.backends import BackendSettings
+from loose_agents.execution.command import command, option
 
 from loose_env.errors import InvalidSetting
 from loose_env.evaluation import bootstrap_mean
 
 BOOTSTRAP_SEED = 0
 """Seed of all resamples."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(BackendSettings):
+    """Options of the tuning."""
+
+    env: str = option("loose_env/Planar-v0", "environment id")
+    arguments: str = option('{"engine": "reduced"}', "its arguments, as JSON")
+    agents: tuple[str, ...] = option(MISSING, "estimator/policy, or oracle/policy")
+    episodes: int = option(4000, "training episodes for each agent")
+    records: int = option(12, "records an episode, at most the rules' own")
+    levels: tuple[int, ...] | None = option(
+        None, "levels tried for the constant policy; default: all"
+    )
+    seed: int = option(TUNING_SEED, "seed of the training episodes")
+    agent_seed: int = option(0, "seed of what agents draw")
+    shard: int = option(100, "episodes that a worker plays at a time")
+    folder: str = option("runs/tuning", "folder of the shards")
+    out: str = option(str(WEIGHTS), "folder of the tuned settings; default: the shipped ones")
 
 
 def line_of(agent: str, trails: Trails, threshold: float) -> str:
@@ -62,7 +81,7 @@ def line_of(agent: str, trails: Trails, threshold: float) -> str:
     )
 
 
-def tune(options: argparse.Namespace) -> None:
+def tune(options: Options) -> None:
     """Tune, print the table, write the settings."""
     begin = time.perf_counter()
     check_training_seed(options.seed)
@@ -102,7 +121,7 @@ def tune(options: argparse.Namespace) -> None:
             problem,
             episodes=episodes,
             folder=Path(options.folder),
-            settings=BackendSettings.of(options),
+            settings=options,
             shard=options.shard,
         )
 
@@ -135,33 +154,10 @@ def tune(options: argparse.Namespace) -> None:
     print(f"Settings: {path}. Took {time.perf_counter() - begin:.0f} s.")
 
 
-def parser() -> argparse.ArgumentParser:
-    """Options of the tuning."""
-    options = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    add = options.add_argument
-    add("--env", default="loose_env/Planar-v0", help="environment id")
-    add("--arguments", default='{"engine": "reduced"}', help="its arguments, as JSON")
-    add("--agents", nargs="+", required=True, help="estimator/policy, or oracle/policy")
-    add("--episodes", type=int, default=4000, help="training episodes for each agent")
-    add("--records", type=int, default=12, help="records an episode, at most the rules' own")
-    add("--levels", type=int, nargs="+", help="levels tried for the constant policy; default: all")
-    add("--seed", type=int, default=TUNING_SEED, help="seed of the training episodes")
-    add("--agent-seed", type=int, default=0, help="seed of what agents draw")
-    add("--shard", type=int, default=100, help="episodes that a worker plays at a time")
-    add("--folder", default="runs/tuning", help="where shards lie")
-    add("--out", default=str(WEIGHTS), help="folder of the tuned settings")
-    add_backend_options(options)
-    return options
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Tune, with errors in one line."""
-    options = parser().parse_args(arguments)
     going_on = "the same command goes on from what was played"
-    with errors_in_one_line("tune_agents", interrupted=going_on):
-        tune(options)
+    command("tune_agents", __doc__, Options, tune, arguments, interrupted=going_on)
 
 
 if __name__ == "__main__":

@@ -9,11 +9,10 @@ agents/loose_agents/weights
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import get_args
 
@@ -22,8 +21,8 @@ from loose_agents.benchmark.sharded import problem_of
 from loose_agents.core.base import Problem
 from loose_agents.evaluation.env_arguments import arguments_of
 from loose_agents.evaluation.evaluate import evaluate
+from loose_agents.execution.command import command, option
 from loose_agents.execution.progress import ProgressLine
-from loose_agents.execution.script_errors import errors_in_one_line
 from loose_agents.policies.link_finding import LinkFindingAgent
 
 from loose_env.arms import MismatchDraw
@@ -101,23 +100,19 @@ def candidate(
     )
 
 
-def parser() -> argparse.ArgumentParser:
+@dataclass(frozen=True, kw_only=True)
+class Options:
     """Options of the search."""
-    options = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    add = options.add_argument
-    orders = list(get_args(Order))
-    add("--env", default="loose_env/Vera-v0", help="environment id")
-    add("--arguments", default="{}", help="its arguments, as JSON")
-    add("--orders", nargs="+", choices=orders, default=orders, help="orders of search to tune")
-    add("--candidates", type=int, default=300, help="settings to try an order")
-    add("--episodes", type=int, default=96, help="episodes each")
-    add("--out", default="agents/loose_agents/weights", help="folder of the results")
-    return options
+
+    env: str = option("loose_env/Vera-v0", "environment id")
+    arguments: str = option("{}", "its arguments, as JSON")
+    orders: tuple[Order, ...] = option(get_args(Order), "orders of search to tune")
+    candidates: int = option(300, "settings to try an order")
+    episodes: int = option(96, "episodes each")
+    out: str = option("agents/loose_agents/weights", "folder of the results")
 
 
-def tune(options: argparse.Namespace) -> None:
+def tune(options: Options) -> None:
     """Search, print the best settings of each order and write them."""
     for name in ("candidates", "episodes"):
         if getattr(options, name) < 1:
@@ -166,9 +161,7 @@ def _score(
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Tune, with errors in one line."""
-    options = parser().parse_args(arguments)
-    with errors_in_one_line("tune_link_finding"):
-        tune(options)
+    command("tune_link_finding", __doc__, Options, tune, arguments)
 
 
 if __name__ == "__main__":

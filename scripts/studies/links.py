@@ -85,6 +85,15 @@ class Case:
     linear: LinearArm | None = None
     """Says what gravity holds shut; None where directions come without simulation."""
 
+    @classmethod
+    def begun(
+        cls, frames: ToolFrames, first: DirectionSighting, sd: float, rng: np.random.Generator,
+        scales: tuple[float, ...], linear: LinearArm | None = None,
+    ) -> Case:  # fmt: skip
+        """A case after its first sighting."""
+        search = TurnSearch.over(frames.arm.n)
+        return cls(frames, first.pose, rng, scales, sd, [first], search, linear=linear)
+
     @property
     def prior(self) -> Array:
         """A slide at any link, no play."""
@@ -128,7 +137,9 @@ class Case:
         """Take in what was seen in the new pose."""
         if not method.startswith("images"):
             before = self.sightings[-1]
-            if self.joint is not None and _one_moved(before.pose, seen.pose, self.joint):
+            if self.joint is not None and bool(
+                np.abs(np.delete(seen.pose - before.pose, self.joint - 1)).max(initial=0.0) <= 1e-6
+            ):
                 self.search = self.search.after(
                     self.frames,
                     before,
@@ -165,10 +176,6 @@ class Case:
         return np.where(self.frames.slides[:, None], 0.0, reach)
 
 
-def _one_moved(before: Array, after: Array, joint: int) -> bool:
-    return bool(np.abs(np.delete(after - before, joint - 1)).max(initial=0.0) <= 1e-6)
-
-
 def scattered(true: Array, sd: float, rng: np.random.Generator) -> Array:
     """Turn an axis by normal angles across it."""
     across = np.linalg.svd(true[None])[2][1:]
@@ -199,30 +206,12 @@ def by_scatter(frames: ToolFrames, sd: float, cases: int, poses: int, seed: int)
                 true = frames.images(pose)[0, link - 1] @ z
                 return DirectionSighting.of(pose, scattered(true, sd, rng), sd)
 
-            case = _case(frames, seen(frames.arm.random_pose(rng)), sd, rng, (1.0,))
+            case = Case.begun(frames, seen(frames.arm.random_pose(rng)), sd, rng, (1.0,))
             for t in range(poses):
                 if t > 0:
                     case.take(method, seen(case.next_pose(method)), True)
                 right[m, t] += case.guess(method) == link
     return right / cases
-
-
-def _case(
-    frames: ToolFrames,
-    first: DirectionSighting,
-    sd: float,
-    rng: np.random.Generator,
-    scales: tuple[float, ...],
-) -> Case:
-    return Case(
-        frames=frames,
-        pose=first.pose,
-        rng=rng,
-        scales=scales,
-        sd=sd,
-        sightings=[first],
-        search=TurnSearch.over(frames.arm.n),
-    )
 
 
 class Bench:
@@ -307,8 +296,8 @@ def by_simulation(
         for k, seen in first.items():
             rng = np.random.default_rng(np.random.SeedSequence([seed, k, 2000]))
             sd = float(np.sqrt((frames.dimension - 1) / np.trace(seen.precision)))
-            active[k] = _case(frames, seen, sd, rng, (1.0, 2.0, 4.0))
-            active[k].linear = bench.rig.nominal
+            scales = (1.0, 2.0, 4.0)
+            active[k] = Case.begun(frames, seen, sd, rng, scales, bench.rig.nominal)
         for t in range(poses):
             if t > 0:
                 seen_now = bench.look({k: c.next_pose(method) for k, c in active.items()}, t)

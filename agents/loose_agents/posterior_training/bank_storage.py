@@ -5,7 +5,6 @@ Options of the scripts that build and use banks.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
@@ -20,6 +19,7 @@ from loose_agents.core.base import Problem
 from loose_agents.core.seeds import BANK_SEED
 from loose_agents.evaluation.env_arguments import arguments_of
 from loose_agents.execution.backends import BackendSettings
+from loose_agents.execution.command import option
 from loose_agents.execution.shard_store import ArrayCodec, ShardStore
 from loose_agents.execution.shards import Shard, run_shards, shard_of
 from loose_agents.posterior_training.record_bank import (
@@ -34,11 +34,10 @@ from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting
 
 __all__ = [
+    "BankOptions",
     "BankPlan",
-    "add_bank_options",
     "build_bank",
     "build_features",
-    "plan_of",
     "read_bank",
     "read_features",
     "seat_features",
@@ -46,6 +45,40 @@ __all__ = [
 
 SHARD = 500
 """Episodes in one file."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BankOptions:
+    """The bank."""
+
+    env: str = option("loose_env/Planar-v0", "environment id")
+    arguments: str = option(
+        '{"engine": "reduced"}',
+        "its arguments, as JSON; the engine that simulates among them",
+    )
+    episodes: int = option(12_000, "episodes of the bank")
+    seed: int = option(BANK_SEED, "seed of the episodes")
+    directions: int = option(0, "sliding directions of a link, 0: as fits the arm")
+    out: str = option("banks/bank", "folder of the bank")
+
+    @property
+    def plan(self) -> BankPlan:
+        """Description of the bank.
+
+        Raises
+        ------
+        InvalidSetting
+            If the arguments are no JSON object or there are no episodes.
+        """
+        if self.episodes < 1:
+            raise InvalidSetting(f"--episodes must be 1 or more, got {self.episodes}")
+        return BankPlan(
+            env_id=self.env,
+            arguments=arguments_of(self.arguments),
+            episodes=self.episodes,
+            seed=self.seed,
+            directions=self.directions,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,38 +195,3 @@ def _features_shard(plan: BankPlan, folder: Path, shard: Shard) -> dict[str, np.
 @lru_cache(maxsize=1)
 def _features(problem: Problem, directions: int) -> SeatFeatures:
     return seat_features(problem, directions)
-
-
-def add_bank_options(parser: argparse.ArgumentParser) -> None:
-    """Add the command-line options that specify a bank."""
-    parser.add_argument("--env", default="loose_env/Planar-v0", help="environment id")
-    parser.add_argument(
-        "--arguments",
-        default='{"engine": "reduced"}',
-        help="its arguments, as JSON; the engine that simulates among them",
-    )
-    parser.add_argument("--episodes", type=int, default=12_000, help="episodes of the bank")
-    parser.add_argument("--seed", type=int, default=BANK_SEED, help="seed of the episodes")
-    parser.add_argument(
-        "--directions", type=int, default=0, help="sliding directions of a link, 0: as fits the arm"
-    )
-    parser.add_argument("--out", default="banks/bank", help="folder of the bank")
-
-
-def plan_of(options: argparse.Namespace) -> BankPlan:
-    """Build the plan from parsed options.
-
-    Raises
-    ------
-    InvalidSetting
-        If the arguments are no JSON object or there are no episodes.
-    """
-    if options.episodes < 1:
-        raise InvalidSetting(f"--episodes must be 1 or more, got {options.episodes}")
-    return BankPlan(
-        env_id=options.env,
-        arguments=arguments_of(options.arguments),
-        episodes=options.episodes,
-        seed=options.seed,
-        directions=options.directions,
-    )

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from loose_agents.core.base import Problem
 from loose_agents.core.seeds import EVALUATION_SEED
+from loose_agents.execution.command import parsed
 
 from loose_env.arms import planar, vera
 from loose_env.envs import DiagnosisSettings
@@ -104,10 +105,10 @@ def test_each_difficulty_is_played(tmp_path: Path, capsys: pytest.CaptureFixture
 def test_estimators_are_crossed_with_policies() -> None:
     problem = Problem.of(vera(), DiagnosisSettings())
     untrained = Problem.of(planar(3), DiagnosisSettings())
-    options = compare.parser().parse_args(["--estimators", "a", "b", "--policies", "x", "y"])
+    options = parsed(compare.Options, ["--estimators", "a", "b", "--policies", "x", "y"])
     assert compare.names_of(options, problem) == ["a/x", "b/x", "a/y", "b/y"]
     assert compare.reference_of(options, ["a/x", "b/x"]) == "a/x"
-    plain = compare.parser().parse_args([])
+    plain = parsed(compare.Options, [])
     names = compare.names_of(plain, problem)
     assert names == ["greedy", "constant", "random", "thesis"]
     assert compare.reference_of(plain, names) == "thesis"
