@@ -10,6 +10,7 @@ from loose_env.io.validation import (
     Checked,
     Count,
     NonNegative,
+    NonNegativeCount,
     Positive,
     Probability,
     Rule,
@@ -18,12 +19,14 @@ from loose_env.io.validation import (
     is_finite,
     is_whole,
     positive,
+    unmet,
 )
 
 __all__ = [
     "Checked",
     "Count",
     "NonNegative",
+    "NonNegativeCount",
     "Positive",
     "Probability",
     "Rule",
@@ -39,6 +42,7 @@ __all__ = [
     "read_result_file",
     "restored",
     "sentence",
+    "unmet",
     "whole_of",
     "write_bytes",
     "write_text",

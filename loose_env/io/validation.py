@@ -7,7 +7,7 @@ A field is annotated with its type, or with one of the rules below, such as
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cache
 from numbers import Integral, Real
@@ -20,6 +20,7 @@ __all__ = [
     "Checked",
     "Count",
     "NonNegative",
+    "NonNegativeCount",
     "Positive",
     "Probability",
     "Rule",
@@ -28,6 +29,7 @@ __all__ = [
     "is_finite",
     "is_whole",
     "positive",
+    "unmet",
 ]
 
 
@@ -68,6 +70,10 @@ Probability = Annotated[
 """Number above 0 and below 1."""
 Count = Annotated[int, Rule("a whole number, 1 or more", lambda x: is_whole(x) and x >= 1)]
 """Whole number from 1."""
+NonNegativeCount = Annotated[
+    int, Rule("a whole number, 0 or more", lambda x: is_whole(x) and x >= 0)
+]
+"""Whole number from 0."""
 
 
 def positive(unit: str) -> Rule:
@@ -119,7 +125,7 @@ def check_fields(settings: Any) -> None:
     kind: Any = type(settings)
     for name, hint in _hints(kind):
         value = getattr(settings, name)
-        words = _unmet(hint, value)
+        words = unmet(hint, value)
         if words:
             raise InvalidSetting(f"{kind.__name__}.{name} must be {words}; got {value!r:.200}")
 
@@ -130,7 +136,7 @@ def _hints(kind: Any) -> tuple[tuple[str, Any], ...]:
     return tuple((each.name, hints[each.name]) for each in fields(kind))
 
 
-def _unmet(hint: Any, value: Any) -> str:
+def unmet(hint: Any, value: Any) -> str:
     """Allowed values where a value is none of them; "" where it is one."""
     origin, inside = get_origin(hint), get_args(hint)
     if origin is Annotated:
@@ -139,8 +145,8 @@ def _unmet(hint: Any, value: Any) -> str:
     if origin in (Union, UnionType):
         if value is None and NoneType in inside:
             return ""
-        unmet = [_unmet(one, value) for one in inside if one is not NoneType]
-        return "" if "" in unmet else " or ".join(unmet)
+        found = [unmet(one, value) for one in inside if one is not NoneType]
+        return "" if "" in found else " or ".join(found)
     if origin is Literal:
         return "" if value in inside else f"one of {', '.join(map(repr, inside))}"
     if origin is tuple:
@@ -154,21 +160,21 @@ def _unmet(hint: Any, value: Any) -> str:
 
 
 def _unmet_entries(inside: Sequence[Any], value: Any) -> str:
-    """As `_unmet`, for a tuple, list or array."""
+    """As `unmet`, for a tuple, list or array."""
     if len(inside) == 2 and inside[1] is Ellipsis:
         count, each = None, inside[0]
     else:
         count, each = len(inside), inside[0]
     try:
-        entries = None if isinstance(value, str) else tuple(value)
+        entries = None if isinstance(value, str | Mapping) else tuple(value)
     except TypeError:
         entries = None
-    unmet = None
+    found = None
     if entries is not None and count in (None, len(entries)):
-        unmet = next(filter(None, (_unmet(each, entry) for entry in entries)), "")
-    if unmet is None:
-        unmet = _unmet(each, object()) or "of the right type"
-    return unmet and f"{'several' if count is None else count} values, each {unmet}"
+        found = next(filter(None, (unmet(each, entry) for entry in entries)), "")
+    if found is None:
+        found = unmet(each, object()) or "of the right type"
+    return found and f"{'several' if count is None else count} values, each {found}"
 
 
 _PLAIN: dict[Any, tuple[str, Callable[[Any], bool]]] = {

@@ -48,6 +48,7 @@ from loose_env.evaluation import (
     standings,
     write_rows,
 )
+from loose_env.io import Count, NonNegativeCount
 from loose_env.report import comparison_text
 
 EPISODES = 4000
@@ -80,15 +81,15 @@ class Options(BackendSettings):
         None, "agent whose return is subtracted; default: thesis, or the first agent"
     )
     difficulties: tuple[str, ...] = option((), "play all episodes at each of these")
-    curve: int | None = option(
+    curve: Count | None = option(
         None, "play again, K records each: success after 1 to K", metavar="K"
     )
-    episodes: int = option(EPISODES, "episodes for each agent and difficulty")
+    episodes: Count = option(EPISODES, "episodes for each agent and difficulty")
     seed: int = option(EVALUATION_SEED, "seed of the episodes")
     agent_seed: int = option(0, "seed of what agents draw")
-    width: int = option(64, "arms simulated side by side in a process")
-    threads: int = option(0, "simulation threads with --workers 1, 0 for all")
-    shard: int = option(200, "episodes that a worker plays at a time")
+    width: Count = option(64, "arms simulated side by side in a process")
+    threads: NonNegativeCount = option(0, "simulation threads with --workers 1, 0 for all")
+    shard: Count = option(200, "episodes that a worker plays at a time")
     out: str = option("out", "folder of rows and page")
     keep: bool = option(
         False,
@@ -251,8 +252,6 @@ def compare(options: Options) -> None:
     """Play, print the tables, write rows and page."""
     begin = time.perf_counter()
     form = need_format(options.rows)  # whatever is wrong shows now, not after an hour of play
-    if options.episodes < 1:
-        raise ValueError(f"--episodes must be 1 or more, got {options.episodes}")
     levels = levels_of(options)
     problems = [problem_of(options.env, arguments) for arguments in levels]
     problem = problems[0]

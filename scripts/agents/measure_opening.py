@@ -37,7 +37,7 @@ from loose_env.diagnosis import (
 from loose_env.envs import Difficulty, FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, StructuralLooseness, hypotheses
-from loose_env.io import write_text
+from loose_env.io import Count, write_text
 from loose_env.rig import Job, SimulatedRig
 from scripts.study_parts.arms import arm_named
 
@@ -187,7 +187,7 @@ class Options:
     pressed: tuple[str, ...] = option(
         ("six_axis", "planar3v", "planar5v", "scara"), "arms under gravity", nargs="*"
     )
-    records: int = option(1200, "records for each arm, thrice with gravity")
+    records: Count = option(1200, "records for each arm, thrice with gravity")
     seed: int = option(2, "root of all draws")
     out: Path = option(TABLE, "file of the table; default: the shipped one")
     keep: bool = option(False, "keep what ships for seats without gravity")

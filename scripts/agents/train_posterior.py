@@ -44,6 +44,7 @@ from loose_env.diagnosis import NoveltyReference, Seen, read_network, write_netw
 from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting
 from loose_env.faults import DEFAULT_KINDS, hypotheses
+from loose_env.io import Count
 from loose_env.statistics import axes_grid
 
 HELD_OUT = 0.1
@@ -54,8 +55,8 @@ HELD_OUT = 0.1
 class Options(BankOptions, BackendSettings):
     """Options of the training."""
 
-    steps: int = option(TrainingSettings.steps, "optimiser steps")
-    hidden: int = option(TrainingSettings.hidden, "hidden units")
+    steps: Count = option(TrainingSettings.steps, "optimiser steps")
+    hidden: Count = option(TrainingSettings.hidden, "hidden units")
     training_seed: int = option(TrainingSettings.seed, "its seed")
     weights: str | None = option(None, "folder of the trained weights")
     reference_only: bool = option(

@@ -45,6 +45,7 @@ from loose_agents.execution.command import command, option
 
 from loose_env.errors import InvalidSetting
 from loose_env.evaluation import bootstrap_mean
+from loose_env.io import Count
 
 BOOTSTRAP_SEED = 0
 """Seed of all resamples."""
@@ -57,14 +58,14 @@ class Options(BackendSettings):
     env: str = option("loose_env/Planar-v0", "environment id")
     arguments: str = option('{"engine": "reduced"}', "its arguments, as JSON")
     agents: tuple[str, ...] = option(MISSING, "estimator/policy, or oracle/policy")
-    episodes: int = option(4000, "training episodes for each agent")
-    records: int = option(12, "records an episode, at most the rules' own")
+    episodes: Count = option(4000, "training episodes for each agent")
+    records: Count = option(12, "records an episode, at most the rules' own")
     levels: tuple[int, ...] | None = option(
         None, "levels tried for the constant policy; default: all"
     )
     seed: int = option(TUNING_SEED, "seed of the training episodes")
     agent_seed: int = option(0, "seed of what agents draw")
-    shard: int = option(100, "episodes that a worker plays at a time")
+    shard: Count = option(100, "episodes that a worker plays at a time")
     folder: str = option("runs/tuning", "folder of the shards")
     out: str = option(str(WEIGHTS), "folder of the tuned settings; default: the shipped ones")
 
@@ -87,11 +88,8 @@ def tune(options: Options) -> None:
     check_training_seed(options.seed)
     if options.seed == BANK_SEED:
         raise InvalidSetting(f"seed {BANK_SEED} is the record banks': tune with another")
-    if options.episodes < 2 or options.records < 1 or options.shard < 1:
-        raise InvalidSetting(
-            "give 2 episodes or more, and records and shards of 1 or more; got "
-            f"--episodes {options.episodes} --records {options.records} --shard {options.shard}"
-        )
+    if options.episodes < 2:
+        raise InvalidSetting(f"--episodes must be 2 or more; got {options.episodes}")
     agents = list(dict.fromkeys(options.agents))
     for agent in agents:  # whatever is wrong shows now, not after an hour of play
         names_of(agent)

@@ -28,9 +28,8 @@ from loose_agents.policies.link_finding import LinkFindingAgent
 from loose_env.arms import MismatchDraw
 from loose_env.diagnosis import LinkFindingSettings, Order
 from loose_env.envs import BatchRig, EpisodeBatch
-from loose_env.errors import InvalidSetting
 from loose_env.faults import Fault
-from loose_env.io import write_text
+from loose_env.io import Count, write_text
 from loose_env.rig import Job, Measurement
 
 TRAINING_SEED = 1
@@ -107,16 +106,13 @@ class Options:
     env: str = option("loose_env/Vera-v0", "environment id")
     arguments: str = option("{}", "its arguments, as JSON")
     orders: tuple[Order, ...] = option(get_args(Order), "orders of search to tune")
-    candidates: int = option(300, "settings to try an order")
-    episodes: int = option(96, "episodes each")
+    candidates: Count = option(300, "settings to try an order")
+    episodes: Count = option(96, "episodes each")
     out: str = option("agents/loose_agents/weights", "folder of the results")
 
 
 def tune(options: Options) -> None:
     """Search, print the best settings of each order and write them."""
-    for name in ("candidates", "episodes"):
-        if getattr(options, name) < 1:
-            raise InvalidSetting(f"--{name} must be 1 or more, got {getattr(options, name)}")
     problem = problem_of(options.env, arguments_of(options.arguments))
     arm = problem.arm
     # The rig of the engine that the arguments name.

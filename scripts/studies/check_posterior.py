@@ -48,6 +48,7 @@ from loose_agents.research.particle_check import (
 
 from loose_env.diagnosis import AmortisedPosterior, ParticleSettings, RecordStatistics
 from loose_env.envs import DiagnosisSettings, EpisodeBatch, difficulty_named
+from loose_env.io import Count, NonNegativeCount
 from scripts.study_parts.arms import arm_named
 
 ARMS = ("vera", "planar2", "planar3", "six_axis")
@@ -59,11 +60,11 @@ class Settings:
 
     arm: str = option("vera", "arm under test", choices=ARMS)
     difficulty: str = option("default", "ranges of the faults")
-    particles: int = option(240, "particles of a run")
-    moves: int = option(1, "moves after a step of the ladder")
+    particles: Count = option(240, "particles of a run")
+    moves: Count = option(1, "moves after a step of the ladder")
     share: float = option(0.3, "share of the particles that a step leaves")
-    repeated: int = option(40, "particles repeated to see how their summaries scatter")
-    most_records: int = option(3, "most records of an episode", "--records")
+    repeated: Count = option(40, "particles repeated to see how their summaries scatter")
+    most_records: Count = option(3, "most records of an episode", "--records")
     seed: int = option(CHECK_SEED, "seed of the episodes")
 
     def __post_init__(self) -> None:
@@ -87,11 +88,11 @@ class Settings:
 class Run(StudyRun):
     """Run of the check."""
 
-    episodes: int = option(100, "episodes of random actions")
-    cases: int = option(
+    episodes: Count = option(100, "episodes of random actions")
+    cases: NonNegativeCount = option(
         0, "instead: this many cases drawn from the prior, in the first record of --episode"
     )
-    episode: int = option(0, "see --cases")
+    episode: NonNegativeCount = option(0, "see --cases")
     learned: Path | None = option(None, "folder of the trained posterior")
 
 

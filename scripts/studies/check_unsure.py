@@ -34,6 +34,7 @@ from loose_agents.execution.shards import run_shards, shard_of
 
 from loose_env.evaluation import wilson
 from loose_env.faults import UNSURE
+from loose_env.io import Count
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,9 +45,9 @@ class Options(BackendSettings):
     arguments: str = option('{"engine": "reduced"}', "its arguments, as JSON")
     agent: str = option("amortised/together", "name of the agent")
     kinds: tuple[str, ...] = option(tuple(UNLIKE), "what to play", choices=tuple(UNLIKE))
-    episodes: int = option(300, "episodes of each kind")
+    episodes: Count = option(300, "episodes of each kind")
     seed: int = option(EVALUATION_SEED + 7, "seed of the episodes")
-    shard: int = option(50, "episodes that a worker plays at a time")
+    shard: Count = option(50, "episodes that a worker plays at a time")
     out: str = option("out/unsure", "folder of the rows")
 
 

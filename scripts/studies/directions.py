@@ -39,6 +39,7 @@ from loose_env.faults import (
     StructuralLooseness,
     parts_of,
 )
+from loose_env.io import Count, NonNegativeCount
 from loose_env.rig import Job, Measurement, SimulatedRig
 from loose_env.statistics import (
     acceleration_from_angle,
@@ -62,9 +63,9 @@ class Settings:
     """Settings of the study."""
 
     arm: str = option("six_axis", "arm under test", choices=ARMS)
-    cases: int = option(1000, "hidden faults")
-    further: int = option(150, "healthy arms, and arms with two slides")
-    timed: int = option(40, "arms for the stopping rule; 0: none")
+    cases: Count = option(1000, "hidden faults")
+    further: Count = option(150, "healthy arms, and arms with two slides")
+    timed: NonNegativeCount = option(40, "arms for the stopping rule; 0: none")
     seed: int = option(2024, "root of all draws")
 
 

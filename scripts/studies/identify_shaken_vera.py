@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
 from loose_env.arms import ShakenArm
+from loose_env.io import Count
 from loose_env.statistics import axial_difference
 from loose_env.thesis import PROXIMAL, ShakenVeraParameters, printed_healthy, shaken_vera
 
@@ -86,7 +87,7 @@ class Settings:
     """Settings of the search."""
 
     seed: int = option(0, "seed of the search")
-    generations: int = option(40, "generations of differential evolution")
+    generations: Count = option(40, "generations of differential evolution")
 
 
 def identify(settings: Settings) -> None:

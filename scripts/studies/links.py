@@ -42,6 +42,7 @@ from loose_env.envs import Difficulty, FaultSampler
 from loose_env.errors import InvalidData
 from loose_env.excitation import at_levels
 from loose_env.faults import StructuralLooseness
+from loose_env.io import Count, NonNegativeCount
 from loose_env.rig import Job, SimulatedRig
 from loose_env.typing import Array
 from scripts.study_parts.arms import arm_named
@@ -63,10 +64,10 @@ class Settings:
 
     arm: tuple[str, ...] = option(ARMS, "arms", choices=ARMS, nargs="*")
     file: tuple[str, ...] = option((), "more arms, MJCF or URDF files", nargs="*")
-    cases: int = option(300, "cases a scatter in part (a); 0: none")
-    records: int = option(96, "arms in part (b); 0: none")
-    poses: int = option(6, "poses, the first included")
-    tries: int = option(6, "first poses until the seat opens")
+    cases: NonNegativeCount = option(300, "cases a scatter in part (a); 0: none")
+    records: NonNegativeCount = option(96, "arms in part (b); 0: none")
+    poses: Count = option(6, "poses, the first included")
+    tries: Count = option(6, "first poses until the seat opens")
     seed: int = option(0, "root of all draws")
 
 

@@ -26,6 +26,7 @@ from loose_env.diagnosis import statistics_of
 from loose_env.envs import Difficulty, FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Healthy, StructuralLooseness
+from loose_env.io import Count
 from loose_env.report import (
     INK,
     MUTED,
@@ -54,7 +55,7 @@ class Settings:
     """Gaps [m]."""
     levels: tuple[float, ...] = tuple(float(x) for x in np.geomspace(0.05, 12.0, 15).round(3))
     """Rms acceleration at the nominal tool [m/s²]."""
-    repeats: int = 8
+    repeats: Count = 8
     """Draws of the excitation for each point."""
     friction: float = 0.2
     """Guide friction [N]."""

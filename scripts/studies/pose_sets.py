@@ -41,7 +41,7 @@ from loose_agents.research.pose_set_trials import (
 from loose_env.diagnosis import PLANNED, one_by_one_share
 from loose_env.errors import LooseEnvError
 from loose_env.evaluation import wilson
-from loose_env.io import written_beside
+from loose_env.io import Count, written_beside
 from loose_env.report import AGENTS as PALETTE
 from loose_env.report import FAINT, INK, MUTED, pyplot, save_figure
 from loose_env.typing import Array
@@ -61,7 +61,7 @@ class Options(ClusterRun):
         LEVELS, "directions, records; none: draw what is stored", choices=LEVELS, nargs="*"
     )
     arm: tuple[str, ...] = option(tuple(ARMS), "arms", choices=tuple(ARMS), nargs="*")
-    cases: int | None = option(None, "cases for each arm, scatter and strategy")
+    cases: Count | None = option(None, "cases for each arm, scatter and strategy")
     engine: str = option("mujoco", "engine of the simulation: mujoco or reduced")
     excited: Literal["all", "first"] = option("all", "excited joints")
     difficulty: str = option("default", "easy, default or hard")

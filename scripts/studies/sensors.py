@@ -48,6 +48,7 @@ from loose_env.envs import Difficulty, FaultSampler
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import at_levels
 from loose_env.faults import Fault, Healthy, StructuralLooseness
+from loose_env.io import Count
 from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import LinkAccelerometers, SensorSuite
 from loose_env.statistics import axial_angle_between
@@ -74,7 +75,7 @@ class Settings:
     """What a study depends on."""
 
     arms: tuple[str, ...] = option(ARMS, "arms under test", choices=ARMS, metavar="ARM")
-    cases: int = 24
+    cases: Count = 24
     """True arms, each with a fault of its own, 2 or more; links take turns."""
     levels: tuple[int, ...] = (3,)
     """Levels of the arm, from 1, each simulated."""

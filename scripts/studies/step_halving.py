@@ -33,6 +33,7 @@ from loose_env.envs import DIFFICULTIES, FaultSampler
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import Fault, hypotheses
+from loose_env.io import Count
 from loose_env.report import INK, MUTED, pyplot, save_figure
 from loose_env.rig import Job, SimulatedRig
 from loose_env.statistics import axial_angle, axial_difference, axial_mean
@@ -70,13 +71,13 @@ class Settings:
     steps: tuple[float, ...] = option(
         STEPS, "candidate steps [µs]; default: 500 250 200 100", type=microseconds
     )
-    cases: int = 18
+    cases: Count = 18
     """Faults and poses per arm, 1 or more; the locations of the arm take turns."""
-    records: int = 6
+    records: Count = 6
     """Draws of the excitation per case, 3 or more."""
     duration: float = 1.2
     """Length of a record [s]."""
-    surveyed: int = 120
+    surveyed: Count = 120
     """Faults and poses per arm of the survey for divergence, at the top level."""
     difficulty: str = "default"
     """Ranges of the faults."""

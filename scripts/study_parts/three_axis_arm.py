@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from loose_env.errors import InvalidSetting
+from loose_env.io import Count
 from loose_env.recording import Recording, Run, write_recording
 from loose_env.typing import Array
 
@@ -64,15 +65,15 @@ class Settings:
     """Damping ratio of that mode [1]."""
     off: float = 0.01
     """Masses, inertias and dampings of the true arm, relative to the nominal one, a deviation."""
-    runs: int = 4
+    runs: Count = 4
     """Runs of the recording; one is held out."""
     run_seconds: float = 1.0
     """Length of each [s]."""
     kinds: tuple[str, ...] = ()
     """Effects that `loose gap` considers; none: all of its catalogue."""
-    episodes: int = 40
+    episodes: Count = 40
     """Hidden arms for each mode, the same for all models."""
-    level: int = 3
+    level: Count = 3
     """Level at which joints are shaken, from 1."""
     duration: float = 0.4
     """Length of a record of the diagnosis [s]."""

@@ -107,17 +107,17 @@ def test_a_plan_in_the_folder_of_an_earlier_one_keeps_its_limits(
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"gap_mm": "a"}, "gap_mm is a number, got 'a'"),
+        ({"gap_mm": "a"}, "gap_mm is a finite number, got 'a'"),
         ({"poses": None}, "poses is a whole number, got None"),
         ({"poses": 2.5}, "poses is a whole number, got 2.5"),
         ({"poses": 1e9}, "poses is a whole number"),
         ({"poses": 10**9}, "poses is a whole number from 1 to 10000"),
         ({"in_turn": [1]}, r"in_turn is a whole number, got [1]"),
-        ({"band_low": "x"}, "band_low is a number, got 'x'"),
+        ({"band_low": "x"}, "band_low is a finite number, got 'x'"),
         ({"seed": 1.5}, "seed is a whole number, got 1.5"),
         ({"seed": True}, "seed is a whole number, got True"),
         ({"seconds": 1e9}, "seconds is a length of 0.2 to 600 s"),
-        ({"rate_hz": 10**400}, "rate_hz is a number"),
+        ({"rate_hz": 10**400}, "rate_hz is a finite number"),
         ({"most_tool": 0}, "most_tool is a positive number"),
     ],
 )

@@ -11,6 +11,8 @@ from typing import Any, Literal, NoReturn, TypeVar, Union, get_args, get_origin,
 
 from loose_agents.execution.script_errors import errors_in_one_line
 from loose_env.cli import field_words
+from loose_env.errors import InvalidSetting
+from loose_env.io import unmet
 
 __all__ = [
     "OneLineParser",
@@ -109,12 +111,22 @@ def options_of(
         The options.
     base : mapping, optional
         Values in place of the defaults, such as those of a quick run.
+
+    Raises
+    ------
+    InvalidSetting
+        Naming the first option whose value its field does not allow, as 0 for a `Count`.
     """
+    hints = get_type_hints(kind, include_extras=True)
     values = {
         each.name: tuple(value) if isinstance(value, list) else value
         for each in fields(kind)  # type: ignore[arg-type]
         if (value := getattr(given, each.name, MISSING)) is not MISSING
     }
+    for each in fields(kind):  # type: ignore[arg-type]
+        words = unmet(hints[each.name], values[each.name]) if each.name in values else ""
+        if words:
+            raise InvalidSetting(f"{_flags(each)[0]} must be {words}; got {values[each.name]}")
     return kind(**{**(base or {}), **values})
 
 
@@ -156,8 +168,8 @@ def command(
 
 
 def _add_option(target: Any, each: Field[Any], hint: Any, docstring: str) -> None:
-    how: dict[str, Any] = {"help": docstring, "flags": (), **each.metadata}
-    flags = how.pop("flags") or (f"--{each.name.replace('_', '-')}",)
+    how: dict[str, Any] = {"help": docstring, **each.metadata}
+    how.pop("flags", None)
     if get_origin(hint) in (Union, UnionType):
         hint = next(k for k in get_args(hint) if k is not NoneType)
     if get_origin(hint) is tuple:
@@ -174,7 +186,11 @@ def _add_option(target: Any, each: Field[Any], hint: Any, docstring: str) -> Non
     if each.default is MISSING and each.default_factory is MISSING:
         how = {"required": True, **how}
     how["help"] = (how["help"] + _default_words(each, how["help"])).replace("%", "%%")
-    target.add_argument(*flags, dest=each.name, default=argparse.SUPPRESS, **how)
+    target.add_argument(*_flags(each), dest=each.name, default=argparse.SUPPRESS, **how)
+
+
+def _flags(each: Field[Any]) -> tuple[str, ...]:
+    return each.metadata.get("flags") or (f"--{each.name.replace('_', '-')}",)
 
 
 def _default_words(each: Field[Any], words: str) -> str:

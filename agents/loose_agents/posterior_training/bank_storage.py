@@ -31,7 +31,7 @@ from loose_agents.posterior_training.record_bank import (
 )
 from loose_env.diagnosis import PLACE_FEATURES, RECORD_FEATURES, SeatFeatures
 from loose_env.envs import difficulty_named
-from loose_env.errors import InvalidSetting
+from loose_env.io import Count, NonNegativeCount
 
 __all__ = [
     "BankOptions",
@@ -56,9 +56,9 @@ class BankOptions:
         '{"engine": "reduced"}',
         "its arguments, as JSON; the engine that simulates among them",
     )
-    episodes: int = option(12_000, "episodes of the bank")
+    episodes: Count = option(12_000, "episodes of the bank")
     seed: int = option(BANK_SEED, "seed of the episodes")
-    directions: int = option(0, "sliding directions of a link, 0: as fits the arm")
+    directions: NonNegativeCount = option(0, "sliding directions of a link, 0: as fits the arm")
     out: str = option("banks/bank", "folder of the bank")
 
     @property
@@ -70,8 +70,6 @@ class BankOptions:
         InvalidSetting
             If the arguments are no JSON object or there are no episodes.
         """
-        if self.episodes < 1:
-            raise InvalidSetting(f"--episodes must be 1 or more, got {self.episodes}")
         return BankPlan(
             env_id=self.env,
             arguments=arguments_of(self.arguments),

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
 from loose_env.errors import InvalidSetting
 from loose_env.instrument.settings.validation import check_types
 
@@ -41,11 +39,11 @@ class ModelSettings:
             If a value is of another type, or the payload makes no sense.
         """
         check_types(self)
-        if not np.isfinite(self.payload_kg) or self.payload_kg < 0:
+        if self.payload_kg < 0:
             raise InvalidSetting(
                 f"payload_kg is a mass of zero or more kg, got {self.payload_kg!r}"
             )
-        if len(self.payload_at_m) != 3 or not np.isfinite(self.payload_at_m).all():
+        if len(self.payload_at_m) != 3:
             raise InvalidSetting(
                 "payload_at_m is three finite numbers in the tool frame [m], got "
                 f"{self.payload_at_m!r}"
@@ -80,5 +78,5 @@ class PlanSettings:
         check_types(self)
         for name in ("ramp_s", "hold_s"):
             value = getattr(self, name)
-            if not (np.isfinite(value) and 0 <= value <= 60):
+            if not 0 <= value <= 60:
                 raise InvalidSetting(f"{name} is 0 to 60 s, got {value!r}")

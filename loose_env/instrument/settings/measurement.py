@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from loose_env.errors import InvalidSetting
 from loose_env.instrument.settings.validation import check_types
 from loose_env.sensors import Accelerometer, SensorSuite
@@ -90,7 +88,7 @@ class NextSettings:
             )
         ends = self.band_low, self.band_high
         for name, end in zip(("band_low", "band_high"), ends, strict=True):
-            if end is not None and not (np.isfinite(end) and end > 0):
+            if end is not None and not end > 0:
                 raise InvalidSetting(f"{name} is a frequency above 0 Hz, got {end!r}")
         if ends[0] is not None and ends[1] is not None and not ends[0] < ends[1]:
             raise InvalidSetting(f"a band goes upwards, got {ends[0]:g} to {ends[1]:g} Hz")
@@ -103,8 +101,6 @@ class NextSettings:
             value = getattr(self, name)
             if not 1 <= value <= most:
                 raise InvalidSetting(f"{name} is a whole number from 1 to {most}, got {value}")
-        if self.ground_m is not None and not np.isfinite(self.ground_m):
-            raise InvalidSetting(f"ground_m is a height in metres, got {self.ground_m!r}")
         if not 0 < self.torque_share <= 1:
             raise InvalidSetting(
                 f"torque_share is above 0 and at most 1, got {self.torque_share!r}"

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-import numpy as np
-
 from loose_env.errors import InvalidSetting
 from loose_env.instrument.settings.validation import check_types
 
@@ -49,5 +47,5 @@ class Tolerances:
         check_types(self)
         for field in fields(self):
             value = getattr(self, field.name)
-            if not (np.isfinite(value) and value > 0):
+            if not value > 0:
                 raise InvalidSetting(f"{field.name} is a standard deviation above 0, got {value!r}")

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
-from numbers import Real
-from types import NoneType, UnionType
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, get_origin, get_type_hints
 
 from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.io import unmet
 
 __all__ = ["check_types", "settings_within"]
 
@@ -44,7 +43,7 @@ def check_types(settings: Any) -> None:
     hints = get_type_hints(type(settings))
     for each in fields(settings):
         value = getattr(settings, each.name)
-        words = _wanted(hints[each.name], value)
+        words = unmet(hints[each.name], value)
         if words:
             raise InvalidSetting(f"{each.name} is {words}, got {value!r:.60}")
 
@@ -82,35 +81,3 @@ def settings_within(kind: type[T], values: Mapping[str, Any], place: str) -> T:
         return kind(**own)
     except InvalidSetting as error:
         raise InvalidData(f"{place}: {error}") from None
-
-
-def _wanted(hint: Any, value: Any) -> str:
-    """What a value should be; "" if it is that."""
-    if get_origin(hint) in (Union, UnionType):
-        inside = [one for one in get_args(hint) if one is not NoneType]
-        return "" if value is None else _wanted(inside[0], value)
-    if get_origin(hint) is Literal:
-        allowed = get_args(hint)
-        return "" if value in allowed else f"one of {', '.join(map(repr, allowed))}"
-    if get_origin(hint) is tuple:
-        good = isinstance(value, tuple | list) and all(map(_is_number, value))
-        return "" if good else "a list of numbers"
-    words, fits = _PLAIN[hint]
-    return "" if fits(value) else words
-
-
-def _is_number(value: Any) -> bool:
-    if isinstance(value, bool) or not isinstance(value, Real):
-        return False
-    try:
-        float(value)
-    except OverflowError:
-        return False
-    return True
-
-
-_PLAIN: dict[type, tuple[str, Callable[[Any], bool]]] = {
-    float: ("a number", _is_number),
-    int: ("a whole number", lambda value: isinstance(value, int) and not isinstance(value, bool)),
-    str: ("a word", lambda value: isinstance(value, str)),
-}

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from loose_agents.execution.command import option
+from loose_agents.execution.command import option, parsed
 from loose_agents.execution.study import (
     BEGIN,
     END,
@@ -20,6 +20,7 @@ from loose_agents.execution.study import (
 )
 
 from loose_env.errors import InvalidSetting
+from loose_env.io import Count
 
 WORKED: list[int] = []
 
@@ -108,6 +109,18 @@ def test_what_is_wrong_is_said_in_one_line(
         study().main(words)
     said = f"{ended.value}{capsys.readouterr().err}"
     assert says in said and said.strip().count("\n") == 0
+
+
+def test_a_count_on_the_command_line_is_refused_by_the_name_of_its_option() -> None:
+    @dataclass(frozen=True, kw_only=True)
+    class Counted:
+        most: Count | None = option(None, "most of them", "--at-most")
+
+    assert parsed(Counted, []) == Counted()
+    assert parsed(Counted, ["--at-most", "1"]).most == 1
+    for wrong in ("0", "-3"):
+        with pytest.raises(InvalidSetting, match=f"--at-most must be .* 1 or more; got {wrong}"):
+            parsed(Counted, ["--at-most", wrong])
 
 
 def test_tables_need_their_marks(tmp_path: Path) -> None:

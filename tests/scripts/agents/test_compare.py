@@ -137,7 +137,10 @@ def test_further_lines_stand_below_the_table(
     ("options", "words"),
     [
         (["--agents", "nobody"], "unknown agent 'nobody'"),
-        (["--agents", "thesis", "--episodes", "0"], "--episodes must be 1 or more"),
+        (
+            ["--agents", "thesis", "--episodes", "0"],
+            "--episodes must be a whole number, 1 or more; got 0",
+        ),
         (["--agents", "thesis", "--reference", "random"], "does not play"),
         (["--estimators", "posterior"], "give both or neither"),
         (["--agents", "thesis", "--arguments", "["], "must be JSON"),

@@ -43,8 +43,8 @@ def test_the_best_settings_are_written(tmp_path: Path, capsys: pytest.CaptureFix
         (["--arguments", '{"colour": 1}'], "unknown arguments"),
         (["--env", "CartPole-v1"], "no diagnosis environment"),
         (["--env", "loose_env/Vero-v0"], "Vero"),
-        (["--candidates", "0"], "--candidates must be 1 or more"),
-        (["--episodes", "-1"], "--episodes must be 1 or more"),
+        (["--candidates", "0"], "--candidates must be a whole number, 1 or more; got 0"),
+        (["--episodes", "-1"], "--episodes must be a whole number, 1 or more; got -1"),
     ],
 )
 def test_bad_options_are_refused_in_one_line(tmp_path: Path, words: list[str], says: str) -> None:
