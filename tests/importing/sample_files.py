@@ -37,12 +37,7 @@ ARM = """<mujoco>
 """
 START_NS = 1_714_557_600_000_000_000  # 2024-05-01T10:00:00Z
 
-JOINT_STATE = """std_msgs/Header header
-string[] name
-float64[] position
-float64[] velocity
-float64[] effort
-================================================================================
+HEADER = """================================================================================
 MSG: std_msgs/Header
 builtin_interfaces/Time stamp
 string frame_id
@@ -51,18 +46,16 @@ MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 """
-IMU = """std_msgs/Header header
+JOINT_STATE = f"""std_msgs/Header header
+string[] name
+float64[] position
+float64[] velocity
+float64[] effort
+{HEADER}"""
+IMU = f"""std_msgs/Header header
 geometry_msgs/Vector3 linear_acceleration
 float64[9] linear_acceleration_covariance
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-================================================================================
+{HEADER}================================================================================
 MSG: geometry_msgs/Vector3
 float64 x
 float64 y

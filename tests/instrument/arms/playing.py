@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import mujoco
@@ -11,6 +12,18 @@ from loose_env.instrument.planning.plan import Plan
 
 _SETTLE = 1.5
 """Time for which the arm is left under the first commands before the signal begins [s]."""
+
+
+def held(model: mujoco.MjModel, pose: np.ndarray, commands: Mapping[str, float]) -> mujoco.MjData:
+    """State of a model at rest in a pose under constant commands of its actuators."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = pose
+    for a in range(model.nu):
+        data.ctrl[a] = commands[model.actuator(a).name]
+        if model.actuator_actadr[a] >= 0:
+            data.act[model.actuator_actadr[a]] = data.ctrl[a]
+    mujoco.mj_forward(model, data)
+    return data
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,6 +14,7 @@ from loose_env.instrument.model.clearance import Collisions, Ground
 from loose_env.instrument.model.instrumented_arm import read_arm
 from loose_env.instrument.planning.signals import holding_commands
 from tests.instrument.arms.plan_arms import SERVOED, written
+from tests.instrument.arms.playing import held
 
 
 def test_a_servo_behind_a_gear_is_told_at_the_joint() -> None:
@@ -46,14 +47,7 @@ def test_the_commands_hold_the_model_where_it_is_asked_to_be(tmp_path: Path) -> 
     machine = read_arm(written(tmp_path, SERVOED))
     pose = np.array([0.2, -0.4, 0.9])
     commands, load_torques = holding_commands(machine, pose)
-    model = machine.recording_model.model
-    data = mujoco.MjData(model)
-    data.qpos[:] = pose
-    for a in range(model.nu):
-        data.ctrl[a] = commands[model.actuator(a).name]
-        if model.actuator_actadr[a] >= 0:
-            data.act[model.actuator_actadr[a]] = data.ctrl[a]
-    mujoco.mj_forward(model, data)
+    data = held(machine.recording_model.model, pose, commands)
     assert data.qacc == pytest.approx(0.0, abs=1e-6)
     assert data.qfrc_actuator == pytest.approx(load_torques)
 

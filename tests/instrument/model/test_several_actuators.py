@@ -15,7 +15,7 @@ from loose_env.instrument.planning.plan import plan
 from loose_env.instrument.planning.signals import holding_commands
 from loose_env.instrument.settings.arm_and_plan import PlanSettings
 from tests.instrument.arms.plan_arms import doubled, written
-from tests.instrument.arms.playing import play
+from tests.instrument.arms.playing import held, play
 
 MOTOR = '<motor name="lift_motor" joint="lift" gear="30"/>'
 SECOND = '<position name="lift_second" joint="lift" kp="300" kv="10"/>'
@@ -33,13 +33,7 @@ def test_all_together_hold_the_pose_and_none_is_sent_to_zero(
     machine = read_arm(written(tmp_path, doubled(*further)))
     commands, load_torques = holding_commands(machine, POSE)
     model = machine.recording_model.model
-    data = mujoco.MjData(model)
-    data.qpos[:] = POSE
-    for a in range(model.nu):
-        data.ctrl[a] = commands[model.actuator(a).name]
-        if model.actuator_actadr[a] >= 0:
-            data.act[model.actuator_actadr[a]] = data.ctrl[a]
-    mujoco.mj_forward(model, data)
+    data = held(model, POSE, commands)
     assert data.qfrc_actuator == pytest.approx(load_torques)
     assert data.qacc == pytest.approx(0.0, abs=1e-6)
     drive = machine.drives[1]
