@@ -21,7 +21,7 @@ from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.preparation import chaotic_runs as chaotic
 from loose_env.gap.preparation.chaotic_runs import chaotic_runs
-from loose_env.gap.preparation.prepare import prepare
+from loose_env.gap.preparation.prepare import GapProblem, prepare
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.settings import GapSettings
@@ -33,7 +33,7 @@ from loose_env.report.gap.page import render_gap_page
 from tests.gap.cases.gap_case import stated
 from tests.gap.cases.level_arm import FINE, LEVEL, recorded
 
-COUNT = 3000
+COUNT = 1800
 POSES = ([0.3, 0.8, -0.5], [-0.4, 1.2, 0.6], [0.9, -0.9, 0.3])
 
 
@@ -76,6 +76,11 @@ def impact_fit(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     return record(tmp_path_factory.mktemp("struck") / "recording", loose=True)
 
 
+@pytest.fixture(scope="module")
+def problem(impact_fit: Recording) -> GapProblem:
+    return prepare(impact_fit, GapSettings(threads=1))
+
+
 def shaken(name: str, count: int, rate: float, *, still: int = 0) -> Run:
     """A run of random commands to the first joint, the last ones all alike; no model made it."""
     rng = np.random.default_rng(len(name))
@@ -114,17 +119,15 @@ def test_a_run_too_short_for_features_is_compared_sample_by_sample(
     assert all(len(short.trials[t].time) >= 200 for t in short.features)
 
 
-def test_struck_stops_are_compared_by_features(impact_fit: Recording) -> None:
-    problem = prepare(impact_fit, GapSettings(threads=1))
+def test_struck_stops_are_compared_by_features(impact_fit: Recording, problem: GapProblem) -> None:
     assert problem.search.chaotic == {run.name for run in impact_fit.runs}
     assert problem.search.rows.white.all()
     assert any("chaotic (impacts against stops)" in warning for warning in problem.warnings)
 
 
 def test_features_are_weighed_by_the_noise_there_is_whatever_counts_as_noise(
-    impact_fit: Recording,
+    problem: GapProblem,
 ) -> None:
-    problem = prepare(impact_fit, GapSettings(threads=1))
     runs = problem.search
     assert runs.rows.white.all()
     louder = problem.louder(np.full(len(runs.channels), 30.0)).search
@@ -140,8 +143,7 @@ class Bump(ViscousFriction):
     has_stops = True
 
 
-def test_stops_of_ones_own_may_have_parameters_of_any_name(impact_fit: Recording) -> None:
-    problem = prepare(impact_fit, GapSettings(threads=1))
+def test_stops_of_ones_own_may_have_parameters_of_any_name(problem: GapProblem) -> None:
     runs = problem.search
     found = chaotic_runs(
         problem.machine,
@@ -173,9 +175,8 @@ def test_the_loose_link_is_named_by_features(impact_fit: Recording) -> None:
 
 
 def test_where_a_run_of_struck_stops_disagrees_is_told_from_its_features(
-    impact_fit: Recording,
+    impact_fit: Recording, problem: GapProblem
 ) -> None:
-    problem = prepare(impact_fit, GapSettings(threads=1))
     base = Scorer(problem.fit, problem.held_out_whole).score(stated(problem.fit, [], []))
     solution = GapSolution(problem=problem, base=base, best=base, verdict="unexplained")
     evidence = diagnose_residuals(solution)
@@ -190,9 +191,8 @@ def test_where_a_run_of_struck_stops_disagrees_is_told_from_its_features(
     assert "by features" in page and not re.search(r"\bnan\b", page, re.IGNORECASE)
 
 
-def test_a_right_model_of_struck_stops_disagrees_nowhere(impact_fit: Recording) -> None:
+def test_a_right_model_of_struck_stops_disagrees_nowhere(problem: GapProblem) -> None:
     """The simulation parts ways with the run, and its features, bands and motion do not."""
-    problem = prepare(impact_fit, GapSettings(threads=1))
     held, machine = problem.held_out_whole, problem.machine
     looseness = StructuralLooseness(machine, "link2")
     right = Hypothesis(effects=(looseness,), values=(np.array([1.0, 2e-4, 1.0, 1e6, 0.03]),))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +18,21 @@ from loose_env.gap.output.checkpoints import Stages, key_of
 from loose_env.gap.preparation.prepare import prepare
 from loose_env.gap.residuals.windows import SHORTEST
 from loose_env.gap.settings import GapSettings
-from loose_env.gap.workflow.pipeline import find_gap
+from loose_env.gap.workflow.pipeline import GapSolution, find_gap
 from loose_env.recording import Recording, Run, write_recording
 from tests.gap.cases.effect_arms import PLANAR
 
-STEP, SECONDS, RUNS = 0.001, 2.5, 3
+STEP, SECONDS, SHORT, RUNS = 0.001, 2.5, 1.5, 3
 NOISE = np.array([5e-5] * 3 + [2e-3] + [0.03] * 3)
 
 
 def record(
-    folder: Path, edit: Callable[[mujoco.MjSpec], None], *, seed: int, runs: int = RUNS
+    folder: Path,
+    edit: Callable[[mujoco.MjSpec], None],
+    *,
+    seed: int,
+    runs: int = RUNS,
+    seconds: float = SECONDS,
 ) -> Recording:
     """Record the planar arm, its figures 1 to 3 % off, with an edit of one's own."""
     rng = np.random.default_rng(seed)
@@ -44,7 +50,7 @@ def record(
     edit(spec)
     spec.option.timestep, spec.option.integrator = STEP / 2, mujoco.mjtIntegrator.mjINT_RK4
     model = spec.compile()
-    time = np.arange(round(SECONDS / STEP)) * STEP
+    time = np.arange(round(seconds / STEP)) * STEP
     found = []
     for k in range(runs):
         data = mujoco.MjData(model)
@@ -77,7 +83,7 @@ def record(
 
 
 def test_nothing_is_named_where_nothing_is_missing(tmp_path: Path) -> None:
-    recording = record(tmp_path / "r", lambda spec: None, seed=3)
+    recording = record(tmp_path / "r", lambda spec: None, seed=3, seconds=SHORT)
     found = find_gap(recording, GapSettings(threads=1))
     assert found.verdict == "no_gap"
     assert found.effects == ()
@@ -90,7 +96,8 @@ def test_friction_is_named_with_its_place_and_its_torque(tmp_path: Path) -> None
         make_it_stick(spec.joint("joint2"), STEP / 2)
 
     lines: list[str] = []
-    found = find_gap(record(tmp_path / "r", edit, seed=4), GapSettings(threads=1), say=lines.append)
+    recording = record(tmp_path / "r", edit, seed=4, seconds=SHORT)
+    found = find_gap(recording, GapSettings(threads=1), say=lines.append)
     assert found.verdict == "named"
     assert [(e.kind, e.where) for e in found.effects] == [("coulomb_friction", "joint2")]
     effect = found.effects[0]
@@ -104,19 +111,31 @@ def test_friction_is_named_with_its_place_and_its_torque(tmp_path: Path) -> None
     assert found.ranking[0].bic < 0
 
 
-def test_the_same_recording_gives_the_same_result_on_any_number_of_threads(
-    tmp_path: Path,
-) -> None:
+@pytest.fixture(scope="module")
+def heavier(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """Of an arm whose last link is heavier than its model has it."""
+
     def edit(spec: mujoco.MjSpec) -> None:
         spec.body("link3").mass += 0.4
 
-    recording = record(tmp_path / "r", edit, seed=5)
-    kinds = ("link_mass", "payload")
-    one = find_gap(recording, GapSettings(threads=1, kinds=kinds))
-    two = find_gap(recording, GapSettings(threads=2, kinds=kinds))
-    assert one.verdict == "named"
-    assert one.effects == two.effects
-    assert one.ranking == two.ranking
+    return record(tmp_path_factory.mktemp("heavier") / "r", edit, seed=5, seconds=SHORT)
+
+
+MASSES = GapSettings(threads=1, kinds=("link_mass", "payload"))
+
+
+@pytest.fixture(scope="module")
+def mass(heavier: Recording) -> GapSolution:
+    return find_gap(heavier, MASSES)
+
+
+def test_the_same_recording_gives_the_same_result_on_any_number_of_threads(
+    heavier: Recording, mass: GapSolution
+) -> None:
+    two = find_gap(heavier, replace(MASSES, threads=2))
+    assert mass.verdict == "named"
+    assert mass.effects == two.effects
+    assert mass.ranking == two.ranking
 
 
 def test_one_run_cannot_be_split(tmp_path: Path) -> None:
@@ -182,14 +201,10 @@ def test_an_arm_that_stands_still_leaves_nothing_to_compare(tmp_path: Path, form
         prepare(recording, settings)
 
 
-def test_an_interrupted_search_goes_on_where_it_was(tmp_path: Path) -> None:
-    def edit(spec: mujoco.MjSpec) -> None:
-        spec.body("link3").mass += 0.4
-
-    recording = record(tmp_path / "r", edit, seed=6)
-    settings = GapSettings(threads=1, kinds=("link_mass", "payload"))
-    whole = find_gap(recording, settings)
-    key = key_of(recording, {})
+def test_an_interrupted_search_goes_on_where_it_was(
+    heavier: Recording, mass: GapSolution, tmp_path: Path
+) -> None:
+    key = key_of(heavier, {})
 
     class Interrupted(Stages):
         def __call__(self, name: str, make: Callable[[], Any]) -> Any:
@@ -198,12 +213,12 @@ def test_an_interrupted_search_goes_on_where_it_was(tmp_path: Path) -> None:
             return super().__call__(name, make)
 
     with pytest.raises(KeyboardInterrupt):
-        find_gap(recording, settings, stages=Interrupted(tmp_path / "kept", key))
+        find_gap(heavier, MASSES, stages=Interrupted(tmp_path / "kept", key))
     stages = Stages(tmp_path / "kept", key)
-    resumed = find_gap(recording, settings, stages=stages)
+    resumed = find_gap(heavier, MASSES, stages=stages)
     assert stages.taken_up == ["nominal"]
     again = Stages(tmp_path / "kept", key)
-    assert find_gap(recording, settings, stages=again).effects == whole.effects
+    assert find_gap(heavier, MASSES, stages=again).effects == mass.effects
     assert again.taken_up[:2] == ["nominal", "effect-1"]
-    assert resumed.effects == whole.effects
-    assert resumed.ranking == whole.ranking
+    assert resumed.effects == mass.effects
+    assert resumed.ranking == mass.ranking
