@@ -327,6 +327,6 @@ def test_the_shipped_policy_beats_the_random_agent() -> None:
     returns = {}
     for name in ("random", "ppo"):
         agent = make_agent(name, problem)
-        rows = evaluate(agent, name, problem.arm, settings, episodes=96, seed=77)
+        rows = evaluate(agent, name, problem.arm, settings, episodes=48, seed=77)
         returns[name] = float(np.mean([r.reward for r in rows]))
     assert returns["ppo"] > returns["random"] + 0.1

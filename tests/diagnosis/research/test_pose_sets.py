@@ -10,6 +10,7 @@ from scipy.special import erf
 
 from loose_env.arms import Arm, planar, scara, six_axis
 from loose_env.diagnosis.link_finding.direction_images import ToolFrames
+from loose_env.diagnosis.research.pose_sets import pose_sets
 from loose_env.diagnosis.research.pose_sets.limits import (
     bingham_width,
     direction_limit,
@@ -30,7 +31,11 @@ def a_set(arm: Arm, strategy: str, count: int = 5, seed: int = 3) -> np.ndarray:
 
 @pytest.mark.parametrize("strategy", PLANNED)
 @pytest.mark.parametrize("make", [lambda: planar(2), scara, six_axis])
-def test_every_set_has_its_poses_within_the_ranges(make: Callable[[], Arm], strategy: str) -> None:
+def test_every_set_has_its_poses_within_the_ranges(
+    monkeypatch: pytest.MonkeyPatch, make: Callable[[], Arm], strategy: str
+) -> None:
+    monkeypatch.setattr(pose_sets, "_CHEBYSHEV_GRID", 100)
+    monkeypatch.setattr(pose_sets, "_POOL", 100)
     arm = make()
     poses = a_set(arm, strategy)
     assert poses.shape == (5, arm.n)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from pathlib import Path
 
 import mujoco
@@ -27,13 +28,25 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 
 
 @pytest.fixture(scope="module")
-def steps(recording: Recording) -> GapSession:
-    return GapSession(recording, SETTINGS)
+def said() -> list[str]:
+    """What the session says."""
+    return []
 
 
 @pytest.fixture(scope="module")
-def tried(steps: GapSession) -> TriedEffect:
-    return steps.try_effect(CubicSpring, "elbow")
+def nominal(recording: Recording, said: list[str]) -> GapSession:
+    return GapSession(recording, SETTINGS, say=said.append)
+
+
+@pytest.fixture
+def steps(nominal: GapSession) -> GapSession:
+    """A session of its own, to which nothing was added yet."""
+    return copy(nominal)
+
+
+@pytest.fixture(scope="module")
+def tried(nominal: GapSession) -> TriedEffect:
+    return nominal.try_effect(CubicSpring, "elbow")
 
 
 def test_an_effect_of_ones_own_is_fitted_and_judged(steps: GapSession, tried: TriedEffect) -> None:
@@ -53,14 +66,11 @@ def test_one_of_the_catalogue_is_tried_the_same_way(steps: GapSession, tried: Tr
 
 
 def test_what_is_added_stays_and_what_is_left_is_noise(
-    recording: Recording, tmp_path: Path
+    steps: GapSession, tried: TriedEffect, said: list[str], tmp_path: Path
 ) -> None:
-    said: list[str] = []
-    steps = GapSession(recording, SETTINGS, say=said.append)
     before = steps.missing_torque("elbow")
-    spring = steps.try_effect(CubicSpring, "elbow")
     late = steps.try_effect("joint_spring", "elbow")
-    steps.add(spring)
+    steps.add(tried)
     assert [repr(effect) for effect in steps.added] == ["cubic_spring@elbow"]
     with pytest.raises(InvalidSetting, match=r"before cubic_spring@elbow was added"):
         steps.add(late)
@@ -104,8 +114,7 @@ def test_what_cannot_be_tried_is_refused(steps: GapSession) -> None:
         steps.try_effect(Idle, "elbow")
 
 
-def test_a_second_one_is_tried_beside_the_first(recording: Recording) -> None:
-    steps = GapSession(recording, SETTINGS)
+def test_a_second_one_is_tried_beside_the_first(steps: GapSession) -> None:
     for _ in range(2):
         tried = steps.try_effect("torque_ripple", "elbow", start=[0.5, 2.0, 0.0])
         steps.add(tried)
