@@ -68,11 +68,15 @@ from loose_env.instrument.settings.diagnosis import (
 from loose_env.instrument.settings.measurement import (
     NextSettings,
 )
+from loose_env.instrument.settings.thresholds import (
+    PROBABLE,
+)
 
 __all__ = [
     "HEALTHY",
     "KEPT",
     "PAGE",
+    "PROBABLE",
     "RECORDING",
     "DiagnoseSettings",
     "Diagnosis",

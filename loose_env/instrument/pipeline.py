@@ -32,13 +32,10 @@ from loose_env.instrument.result import (
     Vector,
 )
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
+from loose_env.instrument.settings.thresholds import LEAST_RUNS
 from loose_env.recording import Recording, Run
 
 __all__ = ["Workbench", "diagnose"]
-
-
-_LEAST_RUNS = 2
-"""Runs before nothing more is asked for: neighbouring links can look alike in one pose."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -140,8 +137,7 @@ class Workbench:
             model=self.arm.path.name,
             settings=asdict(self.settings),
             directions=_directions(judged),
-            settled=judged.posterior[best] > self.settings.sure
-            and len(self.suspect) >= _LEAST_RUNS,
+            settled=judged.posterior[best] > self.settings.sure and len(self.suspect) >= LEAST_RUNS,
         )
         if plan and not found.settled:
             say("choosing the next measurement")

@@ -1,6 +1,6 @@
-"""Print the table of the decision thresholds of `loose gap`, as docs/gap.md shows it.
+"""Print the decision thresholds of a part as the table of its page.
 
-Usage: python -m scripts.dev.threshold_table [--docs]
+Usage: python -m scripts.dev.threshold_table [gap | instrument] [--docs]
 """
 
 from __future__ import annotations
@@ -12,13 +12,19 @@ from pathlib import Path
 from loose_agents.execution.script_errors import errors_in_one_line
 from loose_agents.execution.study import write_between
 
-__all__ = ["PAGE", "SOURCE", "main", "threshold_table"]
+__all__ = ["PARTS", "main", "threshold_table"]
 
 ROOT = Path(__file__).resolve().parents[2]
-SOURCE = ROOT / "loose_env" / "gap" / "settings.py"
-PAGE = ROOT / "docs" / "gap.md"
+PARTS = {
+    "gap": (ROOT / "loose_env/gap/settings.py", ROOT / "docs/gap.md"),
+    "instrument": (
+        ROOT / "loose_env/instrument/settings/thresholds.py",
+        ROOT / "docs/instrument.md",
+    ),
+}
+"""Part -> the module of its thresholds, and the page that has their table."""
 _ENTRY = re.compile(
-    r'^(?:# (?P<part>[^\n]+)|(?P<name>[A-Z][A-Z_]+) = (?P<value>\S+)\n"""(?P<meaning>.+?)""")$',
+    r'^(?:# (?P<part>[^\n]+)|(?P<name>[A-Z][A-Z_0-9]+) = (?P<value>\S+)\n"""(?P<meaning>.+?)""")$',
     re.MULTILINE | re.DOTALL,
 )
 
@@ -52,10 +58,13 @@ def main() -> None:
 
 def _run() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--docs", action="store_true", help="write it into docs/gap.md")
-    table = threshold_table(SOURCE.read_text(encoding="utf-8"))
-    if parser.parse_args().docs:
-        write_between(PAGE, table)
+    parser.add_argument("part", nargs="?", default="gap", choices=PARTS)
+    parser.add_argument("--docs", action="store_true", help="write it into the page of the part")
+    chosen = parser.parse_args()
+    source, page = PARTS[chosen.part]
+    table = threshold_table(source.read_text(encoding="utf-8"))
+    if chosen.docs:
+        write_between(page, table)
     else:
         print(table)
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from types import ModuleType
 
+import pytest
 from loose_agents.execution.study import write_between
 
 from loose_env.diagnosis import LinkFindingSettings
 from loose_env.gap import settings
-from scripts.dev.threshold_table import PAGE, SOURCE, threshold_table
+from loose_env.instrument.settings import thresholds
+from scripts.dev.threshold_table import PARTS, threshold_table
 from tests.docs.pages import ROOT
 
 METHOD_ROW = re.compile(r"^\| [^|]+ \| ([^|]+) \| `(\w+)` \|", re.MULTILINE)
@@ -27,16 +30,22 @@ def number(cell: str) -> float:
     return float(found[0])
 
 
-def test_thresholds_of_the_gap_page_are_those_in_force(tmp_path: Path) -> None:
-    table = threshold_table(SOURCE.read_text(encoding="utf-8"))
-    constants = [name for name in vars(settings) if name.isupper() and not name.startswith("_")]
-    assert len(constants) > 50
-    assert all(f"| `{name}` | {getattr(settings, name)} |" in table for name in constants)
-    page = PAGE.read_text(encoding="utf-8")
-    again = tmp_path / "gap.md"
-    again.write_text(page, encoding="utf-8")
+@pytest.mark.parametrize(
+    ("part", "module", "fewest"), [("gap", settings, 50), ("instrument", thresholds, 40)]
+)
+def test_thresholds_of_a_page_are_those_in_force(
+    tmp_path: Path, part: str, module: ModuleType, fewest: int
+) -> None:
+    source, page = PARTS[part]
+    table = threshold_table(source.read_text(encoding="utf-8"))
+    constants = [name for name in vars(module) if name.isupper() and not name.startswith("_")]
+    assert len(constants) > fewest
+    assert all(f"| `{name}` | {getattr(module, name)} |" in table for name in constants)
+    text = page.read_text(encoding="utf-8")
+    again = tmp_path / page.name
+    again.write_text(text, encoding="utf-8")
     write_between(again, table)
-    assert page == again.read_text("utf-8"), "python -m scripts.dev.threshold_table --docs"
+    assert text == again.read_text("utf-8"), f"python -m scripts.dev.threshold_table {part} --docs"
 
 
 def test_thresholds_of_link_finding_are_the_defaults() -> None:

@@ -12,9 +12,10 @@ from loose_env.arms import LinearArm
 from loose_env.errors import InvalidSetting
 from loose_env.instrument.inspect import Inspection, inspect_model, screen
 from loose_env.instrument.model.instrumented_arm import read_arm
-from loose_env.instrument.planning.excitation import SEEN, sensitivity
+from loose_env.instrument.planning.excitation import sensitivity
 from loose_env.instrument.planning.next_measurement import NextSettings, seat_features
 from loose_env.instrument.settings.arm_and_plan import ModelSettings
+from loose_env.instrument.settings.thresholds import DETECTABLE_Z
 from tests.instrument.arms.plan_arms import MOTORS, SERVOED, written
 
 FEW = NextSettings(poses=6)
@@ -89,7 +90,7 @@ def test_a_gap_as_large_as_the_smallest_that_shows_is_just_seen(servoed: Path) -
     shows = np.isfinite(smallest)
     assert shows.any()
     change = (found.lost(smallest) * found.by_model)[shows]
-    assert change == pytest.approx(SEEN, rel=1e-6)
+    assert change == pytest.approx(DETECTABLE_Z, rel=1e-6)
 
 
 def test_levels_and_modes_are_those_of_the_servos(seen: Inspection) -> None:

@@ -9,18 +9,11 @@ import numpy as np
 
 from loose_env.errors import InvalidData
 from loose_env.importing import median_step
+from loose_env.instrument.settings.thresholds import BRIDGED_STEPS, FEWEST_SAMPLES, LONGEST_RUN_S
 from loose_env.recording import Run
 from loose_env.typing import Array
 
-__all__ = ["FEWEST", "unbroken"]
-
-
-FEWEST = 64
-"""Fewest samples of a run that can be used."""
-_BRIDGED = 10.0
-"""Steps of a column from one sample to the next that are bridged along a straight line."""
-_LONGEST = 86_400.0
-"""Longest time from the first to the last stamp of a run [s]."""
+__all__ = ["unbroken"]
 
 
 def unbroken(run: Run, columns: Mapping[str, Array]) -> tuple[Run, tuple[str, ...]]:
@@ -71,10 +64,10 @@ def unbroken(run: Run, columns: Mapping[str, Array]) -> tuple[Run, tuple[str, ..
         return run, ()
     edges = np.flatnonzero(np.diff(np.concatenate([[True], broken, [True]])))
     starts, stops = edges[::2], edges[1::2]
-    if not len(starts) or (stops - starts).max() + 1 < FEWEST:
+    if not len(starts) or (stops - starts).max() + 1 < FEWEST_SAMPLES:
         raise InvalidData(
-            f"{where}, and no piece of the run without a pause has the {FEWEST} samples that are "
-            "needed; record it again, or leave the column out"
+            f"{where}, and no piece of the run without a pause has the {FEWEST_SAMPLES} samples "
+            "that are needed; record it again, or leave the column out"
         )
     best = int(np.argmax(stops - starts))
     rows = slice(int(starts[best]), int(stops[best]) + 1)
@@ -84,15 +77,15 @@ def unbroken(run: Run, columns: Mapping[str, Array]) -> tuple[Run, tuple[str, ..
 
 
 def _refuse_stamps(run: Run) -> None:
-    if run.samples < FEWEST:
+    if run.samples < FEWEST_SAMPLES:
         raise InvalidData(
-            f"{run.name}: a run of {run.samples} samples is too short to be used; {FEWEST} are "
-            "needed"
+            f"{run.name}: a run of {run.samples} samples is too short to be used; "
+            f"{FEWEST_SAMPLES} are needed"
         )
     if not (np.isfinite(run.time).all() and (np.diff(run.time) > 0).all()):
         raise InvalidData(f"{run.name}: column 'time' has to be finite and to increase strictly")
     span = float(run.time[-1] - run.time[0])
-    if span <= _LONGEST:
+    if span <= LONGEST_RUN_S:
         return
     row = int(np.argmax(np.diff(run.time))) + 1
     raise InvalidData(
@@ -107,7 +100,7 @@ def _pauses(time: Array, column: Array) -> list[tuple[int, int]]:
     there = np.flatnonzero(np.isfinite(column))
     if len(there) < 2:
         return []  # nothing that could pause: the column is not used, or all zeros
-    longest = _BRIDGED * median_step(time[there])
+    longest = BRIDGED_STEPS * median_step(time[there])
     found = [
         (int(there[k]), int(there[k + 1])) for k in np.flatnonzero(np.diff(time[there]) > longest)
     ]

@@ -11,18 +11,11 @@ from scipy import signal
 
 from loose_env.errors import InvalidData
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
+from loose_env.instrument.settings.thresholds import EXCITED_SHARE, POSE_OFFSET, POSE_SPREAD
 from loose_env.recording import Run
 from loose_env.typing import Array
 
 __all__ = ["Held", "held_in"]
-
-
-_SHARE = 0.1
-"""Power of a joint's command, over that of the one most shaken, from which it counts as excited."""
-_STILL = 0.2
-"""Rms motion below which a joint counts as holding its pose [rad or m]."""
-_OFF = 0.05
-"""Distance from the noted position at which the measured one is another [rad or m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,7 +33,7 @@ class Held:
         """Pose by joint: the recorded one where it agrees with the measured pose."""
         found = arm.by_joint(self.pose)
         for joint, q in (noted or {}).items():
-            if joint in found and abs(found[joint] - q) <= _OFF:
+            if joint in found and abs(found[joint] - q) <= POSE_OFFSET:
                 found[joint] = float(q)
         return found
 
@@ -75,7 +68,7 @@ def held_in(arm: InstrumentedArm, run: Run) -> Held:
         [b if q is None else float(np.nanmean(q)) for b, q in zip(base, measured, strict=True)]
     )
     for joint, q in zip(arm.joints, measured, strict=True):
-        if q is not None and float(np.nanstd(q)) > _STILL:
+        if q is not None and float(np.nanstd(q)) > POSE_SPREAD:
             raise InvalidData(
                 f"{run.name}: joint {joint} moves by {float(np.nanstd(q)):.2g} rms; a diagnosis "
                 "needs runs that hold a pose and shake one joint about it with small noise. For "
@@ -85,7 +78,7 @@ def held_in(arm: InstrumentedArm, run: Run) -> Held:
         off = [
             f"{joint} by {q - b:.3g}"
             for joint, q, b in zip(arm.joints, pose, base, strict=True)
-            if joint in noted and abs(q - b) > _OFF
+            if joint in noted and abs(q - b) > POSE_OFFSET
         ]
         if off:
             notes.append(
@@ -133,7 +126,7 @@ def _shaken(arm: InstrumentedArm, run: Run) -> list[str]:
             f'{run.name}: nothing says which joint was excited: note "excited" in '
             "recording.json, or record the commands"
         )
-    return [arm.joints[j] for j in np.flatnonzero(power > _SHARE * power.max())]
+    return [arm.joints[j] for j in np.flatnonzero(power > EXCITED_SHARE * power.max())]
 
 
 def _wobble(values: Array) -> float:

@@ -13,6 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.instrument.model.readings import Reading
+from loose_env.instrument.settings.thresholds import (
+    STOPBAND_POWER,
+    STOPBAND_POWER_AT_EDGE,
+    STOPBAND_START,
+)
 from loose_env.typing import Array
 
 __all__ = ["sensor_noise"]
@@ -20,12 +25,6 @@ __all__ = ["sensor_noise"]
 
 _TALLER = 1.16
 """Upper over lower end of the parts of a spectrum in which an end is looked for [1]."""
-_BEYOND = 1.5
-"""Frequency over that of a sensor's end from which nothing of it may be left [1]."""
-_EMPTY = 1e-3
-"""Power there over the lowest before, at most: white noise does not fall."""
-_EMPTIER = 1e-4
-"""The same beside an accelerometer, at the end of the excited band, where motion ends too."""
 _NEAR = (0.7, 1.2)
 """Ends over that of the excited band that may be the band's own [1]."""
 _FOLDS: dict[str, int] = {"position": 4, "velocity": 2}
@@ -132,7 +131,7 @@ def _end(
     """
     best, end, half = 1.0, np.inf, np.inf
     for k, top in enumerate(tops[:-1]):
-        beyond = tops > _BEYOND * top
+        beyond = tops > STOPBAND_START * top
         if top < _NEAR[0] * edge:
             beyond &= inside
         elif beside is None:
@@ -140,10 +139,10 @@ def _end(
         if not beyond.any():
             continue
         left = float(levels[beyond].max() / max(levels[: k + 1].min(), 1e-300))
-        allowed = _EMPTY
+        allowed = STOPBAND_POWER
         if _NEAR[0] * edge <= top < _NEAR[1] * edge and beside is not None:
             left /= float(beside[beyond].max() / max(beside[: k + 1].min(), 1e-300))
-            allowed = _EMPTIER
+            allowed = STOPBAND_POWER_AT_EDGE
         if left < allowed:
             end = min(end, float(top))
             if left / allowed < best:

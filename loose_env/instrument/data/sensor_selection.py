@@ -8,12 +8,10 @@ from numpy.typing import NDArray
 from loose_env.errors import InvalidData
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.model.readings import Reading
+from loose_env.instrument.settings.thresholds import LARGEST_READING
 from loose_env.recording import Run
 
 __all__ = ["columns_in", "readings_in"]
-
-_MOST_READ = 1e6
-"""Largest reading that is taken for one [m/s², rad/s, rad, m]."""
 
 
 def readings_in(arm: InstrumentedArm, run: Run) -> tuple[tuple[Reading, ...], tuple[str, ...]]:
@@ -69,7 +67,7 @@ def _dead(run: Run, sensor: str) -> str:
     values = run.sensors[sensor]
     columns = [column[np.isfinite(column)] for column in np.atleast_2d(values.T)]
     largest = max(float(np.abs(column).max(initial=0.0)) for column in columns)
-    if largest > _MOST_READ:
+    if largest > LARGEST_READING:
         raise InvalidData(
             f"{run.name}: column 'sensor.{sensor}' reaches {largest:.3g}; no arm does: is it in SI "
             "units?"

@@ -18,28 +18,24 @@ from loose_env.instrument.data.sensor_noise import sensor_noise
 from loose_env.instrument.data.sensor_selection import readings_in
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.model.readings import Reading
+from loose_env.instrument.settings.thresholds import (
+    HIGHEST_LINE,
+    LARGEST_COMMAND,
+    LEAST_LINE_POWER,
+    LOWEST_HZ,
+    LOWEST_PATH_LINE,
+    POSITION_INFORMATION,
+)
 from loose_env.recording import Run
 from loose_env.typing import Array, ComplexArray
 
 __all__ = ["Lines", "lines_of", "thinned", "uniform"]
 
 
-_WEAK = 0.02
-"""Power of a line's command over that of the strongest part of the band below which it is left."""
-_LOWEST = 2.0
-"""Lowest frequency that is used [Hz]: slower motion is gravity's and friction's."""
-_HIGHEST = 0.45
-"""Highest frequency that is used, over the sampling rate."""
 _MOST = 20_000
 """Most lines of a run that are kept, evenly spread."""
-_SLOWEST = 0.5
-"""Lowest line that is kept for a seat's path, over the lowest that was excited."""
-_MOST_PLAYED = 1e9
-"""Largest command or torque that is taken for one [its own unit]."""
 _SMOOTH = 3.0
 """Width over which powers are averaged [Hz]."""
-_WORTH = 0.1
-"""Least information of a position beside that of the same joint's velocity."""
 _INDEPENDENT = 1.5
 """Lines of a tapered record that are worth one."""
 
@@ -206,8 +202,10 @@ def lines_of(
     forces = [run.torques.get(j, np.zeros(run.samples)) for j in arm.joints]
     rate, even = uniform(run.time, np.stack([*columns, *commands, *forces], axis=1))
     c, a = len(rows), len(commands)
-    if not np.abs(even[:, c:]).max(initial=0.0) < _MOST_PLAYED:
-        raise InvalidData(f"{run.name}: commands or torques beyond {_MOST_PLAYED:g} are no arm's")
+    if not np.abs(even[:, c:]).max(initial=0.0) < LARGEST_COMMAND:
+        raise InvalidData(
+            f"{run.name}: commands or torques beyond {LARGEST_COMMAND:g} are no arm's"
+        )
     driven = np.zeros(n, dtype=bool)
     for name in drives.names:
         if name in run.controls:
@@ -254,10 +252,10 @@ def _lines(
         inputs = np.abs(spectrum[:, :3]) ** 2
     width = max(1, round(_SMOOTH * count / rate))
     total = _smoothed(inputs, width).sum(axis=1)
-    inside = (frequency >= _LOWEST) & (frequency <= _HIGHEST * rate)
+    inside = (frequency >= LOWEST_HZ) & (frequency <= HIGHEST_LINE * rate)
     if not inside.any() or total[inside].max() <= 0:
-        raise InvalidData(f"{run.name}: nothing moves between {_LOWEST:g} Hz and half the rate")
-    kept = np.flatnonzero(inside & (total > _WEAK * total[inside].max()))
+        raise InvalidData(f"{run.name}: nothing moves between {LOWEST_HZ:g} Hz and half the rate")
+    kept = np.flatnonzero(inside & (total > LEAST_LINE_POWER * total[inside].max()))
     if len(kept) < 8:
         raise InvalidData(
             f"{run.name}: only {len(kept)} Fourier lines of {count / rate:.2g} s are excited; "
@@ -266,10 +264,10 @@ def _lines(
     power = _power(spectrum[:, :c], rows, width)
     noise, read = sensor_noise(
         np.abs(spectrum[:, :c]) ** 2, power, rows, frequency, kept,
-        lowest=_LOWEST, highest=_HIGHEST * rate,
+        lowest=LOWEST_HZ, highest=HIGHEST_LINE * rate,
     )  # fmt: skip
     if whole:  # slower still, errors of gravity and servos look like a drift of the seat
-        kept = np.flatnonzero(inside & (frequency >= _SLOWEST * frequency[kept[0]]))
+        kept = np.flatnonzero(inside & (frequency >= LOWEST_PATH_LINE * frequency[kept[0]]))
     if len(kept) > _MOST:
         kept = kept[np.linspace(0, len(kept) - 1, _MOST).round().astype(int)]
     readings = spectrum[kept, :c]
@@ -318,7 +316,7 @@ def _telling(rows: tuple[tuple[Reading, int], ...], frequency: Array, noise: Arr
         k
         for k, (r, _) in enumerate(rows)
         if r.kind != "position"
-        or float(np.mean(1 / noise[:, k])) > _WORTH * by_velocity.get(r.at, 0.0)
+        or float(np.mean(1 / noise[:, k])) > POSITION_INFORMATION * by_velocity.get(r.at, 0.0)
     ]
 
 

@@ -10,19 +10,15 @@ from loose_env.instrument.inference.laplace_fit import Fit
 from loose_env.instrument.inference.posterior import Judged
 from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.result import HEALTHY, Vector
+from loose_env.instrument.settings.thresholds import (
+    CONE_95,
+    DIRECTION_SD_DEG,
+    DIRECTION_SD_FACTOR,
+    WIDEST_CONE_DEG,
+)
 from loose_env.typing import Array
 
 __all__ = ["cone", "seen_in_tool"]
-
-
-_CONE = 2.45
-"""Half opening of a cone that holds a direction with 95 %, in standard deviations (Rayleigh)."""
-_LEAST = np.radians(0.7)
-"""Standard deviation that readings of real sensors do not fall below [rad]."""
-_FACTOR = 2.0
-"""How far the curvature of the likelihood underrates it: what is not in the model."""
-_VAGUE = np.radians(60.0)
-"""Half opening above which a direction is not worth naming [rad]."""
 
 
 def cone(fit: Fit) -> tuple[Vector | None, float | None]:
@@ -30,7 +26,7 @@ def cone(fit: Fit) -> tuple[Vector | None, float | None]:
     if fit.axis is None or fit.covariance is None:
         return None, None
     half = _half(fit.covariance)
-    if half > _VAGUE:
+    if half > np.radians(WIDEST_CONE_DEG):
         return None, None
     return _vector(_signed(fit.axis)), float(np.degrees(half))
 
@@ -59,7 +55,10 @@ def seen_in_tool(
 
 def _half(covariance: Array) -> float:
     widest = float(np.linalg.eigvalsh(covariance)[-1])
-    return float(_CONE * np.hypot(_FACTOR * np.sqrt(max(widest, 0.0)), _LEAST))
+    return float(
+        CONE_95
+        * np.hypot(DIRECTION_SD_FACTOR * np.sqrt(max(widest, 0.0)), np.radians(DIRECTION_SD_DEG))
+    )
 
 
 def _signed(axis: Array) -> Array:

@@ -18,6 +18,11 @@ from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.evidence import Evidence, Piece, Seat
 from loose_env.instrument.inference.laplace_fit import seats_of
 from loose_env.instrument.inference.posterior import Judged
+from loose_env.instrument.settings.thresholds import (
+    CLEARANCE_ERROR,
+    CLEARANCE_RESIDUAL,
+    TIME_AT_STOP,
+)
 from loose_env.typing import Array
 
 __all__ = ["Travel", "law_of", "travel_of"]
@@ -31,12 +36,6 @@ _SAMPLES = 500
 """Most samples by which a law is judged."""
 _TAPER = 0.5
 """Least height of the taper at samples that are used."""
-_OFF = 0.15
-"""Relative error of a gap by what is slower than the band, and by stops that give way at first."""
-_STRUCK = 0.02
-"""Least share of the time at each stop for a gap to be told."""
-_BETTER = 0.75
-"""What a gap may leave of the force, at most, over what a spring without a gap leaves."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,7 +91,7 @@ def travel_of(judged: Judged, hypothesis: str, lines: Sequence[Lines]) -> Travel
         return Travel(gap=None, interval=None, range=widest, linear=all(linear))
     middle = float(np.median(gaps))
     spread = 1.4826 * float(np.median(np.abs(np.array(gaps) - middle)))
-    half = 2.0 * np.hypot(1.25 * spread / np.sqrt(len(gaps) / 2), _OFF * middle)
+    half = 2.0 * np.hypot(1.25 * spread / np.sqrt(len(gaps) / 2), CLEARANCE_ERROR * middle)
     return Travel(
         gap=middle,
         interval=(max(middle - half, 0.0), middle + half),
@@ -180,7 +179,7 @@ def law_of(path: Array, force: Array) -> float | None:
                 spring = min(spring, left)
             elif left < best:
                 best, found = left, (ends[i], ends[j])
-    if found is None or best > _BETTER * spring:
+    if found is None or best > CLEARANCE_RESIDUAL * spring:
         return None
     struck = min(float(np.mean(path < found[0])), float(np.mean(path > found[1])))
-    return None if struck < _STRUCK else float(found[1] - found[0])
+    return None if struck < TIME_AT_STOP else float(found[1] - found[0])

@@ -15,6 +15,7 @@ from loose_env.instrument.inference.evidence import (
     band_terms,
     seat_powers,
 )
+from loose_env.instrument.settings.thresholds import AVERAGED_DIRECTION_SD
 from loose_env.statistics import axes_grid, tangents
 from loose_env.typing import Array
 
@@ -30,8 +31,6 @@ _STEPS = 6
 _HALVINGS = 4
 _FIRST = 0.08
 """Model error with which a fit starts: no line decides before the figures are right."""
-_VAGUE = 0.15
-"""Standard deviation of a direction from which it is averaged over all directions [rad]."""
 _UNSEEN = 1.0
 """Precision of a direction of which nothing is known [1/rad²]."""
 
@@ -128,7 +127,7 @@ def fit_hypothesis(
     covariance = None
     if seat is not None and seat.slides and now.axis is not None:
         covariance = np.asarray(np.linalg.inv(normal)[count:, count:])
-        if float(np.linalg.eigvalsh(covariance)[-1]) > _VAGUE**2:
+        if float(np.linalg.eigvalsh(covariance)[-1]) > AVERAGED_DIRECTION_SD**2:
             # Too vague for a curvature: the mean over all directions instead.
             terms = evidence.seat_terms(now.pieces, seat, np.vstack([now.axis, axes_grid(_AXES)]))
             top = float(terms.max())

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.instrument.inference.frequency_response import Response
+from loose_env.instrument.settings.thresholds import OPENING_FORCE
 from loose_env.typing import Array
 
 __all__ = ["open_probability", "seat_forces"]
@@ -15,8 +16,6 @@ _FRICTION = np.geomspace(0.3, 30.0, 9)
 """Friction of a slide's guide that is held possible [N]."""
 _LEVER = 0.03
 """Friction of play in a joint that turns, over that of a slide [m]."""
-_OVERCOME = 0.6
-"""Rms force over static load at which a seat begins to open: peaks do it."""
 
 
 def seat_forces(response: Response, seats: NDArray[np.intp], axes: Array) -> tuple[Array, Array]:
@@ -33,7 +32,7 @@ def open_probability(response: Response, seats: NDArray[np.intp], axes: Array) -
     """Probability that a seat opens in a run under unknown friction, by axis (U,)."""
     drive, load = seat_forces(response, seats, axes)
     friction = _FRICTION * (_LEVER if _turns(response, seats) else 1.0)
-    held = _OVERCOME * (load[:, None] + friction)
+    held = OPENING_FORCE * (load[:, None] + friction)
     chance = 1 / (1 + (held / np.maximum(drive, 1e-12)[:, None]) ** 4)
     return np.asarray(np.clip(chance.mean(axis=1), 0.01, 0.99))
 

@@ -12,7 +12,7 @@ from loose_env.instrument.inference.evidence import Evidence, Seat
 from loose_env.instrument.inference.laplace_fit import Fit, fit_hypothesis, seats_of
 from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.result import HEALTHY
-from loose_env.instrument.settings.diagnosis import ELSE
+from loose_env.instrument.settings.thresholds import REFINED_WITHIN, UNEXPLAINED
 
 __all__ = ["Judged", "judge", "probabilities_of"]
 
@@ -20,8 +20,6 @@ __all__ = ["Judged", "judge", "probabilities_of"]
 _COARSE, _FINE = 32, 120
 """Lines of a run in the first look at all hypotheses, and in the last at the likely ones: errors of
 a model are alike at neighbouring lines, so that more would cost time and say little."""
-_BEHIND = 120.0
-"""Log-evidence by which a hypothesis may be behind after the first look to be looked at again."""
 _MOST = 4
 _PROBED = 2
 """Likely hypotheses by which it is judged how the sensors were sampled."""
@@ -70,7 +68,7 @@ def judge(uncertain: UncertainArm, lines: Sequence[Lines], *, sound: float) -> J
     coarse, fits = _first_look(uncertain, lines, seats)
     top = max(fit.evidence for fit in fits.values())
     order = sorted(fits, key=lambda name: -fits[name].evidence)
-    likely = [name for name in order if fits[name].evidence > top - _BEHIND][:_MOST]
+    likely = [name for name in order if fits[name].evidence > top - REFINED_WITHIN][:_MOST]
     whole = [
         replace(one, sampled=few.sampled, folded=few.folded)
         for one, few in zip(lines, coarse.lines, strict=True)
@@ -133,4 +131,7 @@ def probabilities_of(evidence: Mapping[str, float], *, sound: float) -> dict[str
     top = max(log.values())
     weight = {name: float(np.exp(value - top)) for name, value in log.items()}
     total = sum(weight.values())
-    return {name: (1 - ELSE) * weight[name] / total + ELSE * prior[name] for name in evidence}
+    return {
+        name: (1 - UNEXPLAINED) * weight[name] / total + UNEXPLAINED * prior[name]
+        for name in evidence
+    }

@@ -14,19 +14,19 @@ from loose_env.instrument.inference.opening_probability import open_probability,
 from loose_env.instrument.inference.posterior import Judged
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.result import HEALTHY
+from loose_env.instrument.settings.thresholds import (
+    FEWEST_LINES,
+    JOINT_SIGNAL,
+    MODEL_ERROR,
+    OPENING_PROBABILITY,
+    PARAMETER_ERROR,
+    PRESSED_FORCE,
+    SHORT_RUN_S,
+    TOOL_SIGNAL,
+)
 from loose_env.statistics import axes_grid
 
 __all__ = ["warnings_of"]
-
-_SHORT = 1.0
-"""Length below which a run is short [s]."""
-_FEW_LINES = 24
-_SHUT = 0.3
-"""Chance to open below which a seat counts as never tried."""
-_OFF = 0.06
-"""Relative error at a line from which the model is not that of the arm."""
-_STRAINED = 2.2
-"""Rms of the model's errors, in standard deviations, from which the same holds."""
 
 
 def warnings_of(
@@ -64,7 +64,7 @@ def warnings_of(
 def _of_model(judged: Judged) -> list[str]:
     fit = judged.fits[judged.best]
     strain = float(np.sqrt(np.mean(fit.errors**2))) if len(fit.errors) else 0.0
-    if fit.model_error <= _OFF and strain <= _STRAINED:
+    if fit.model_error <= MODEL_ERROR and strain <= PARAMETER_ERROR:
         return []
     return [
         f"the model is not that of this arm: {fit.model_error:.0%} of the motion at a line remains "
@@ -91,8 +91,8 @@ def _of_seats(arm: InstrumentedArm, judged: Judged, suspect: Sequence[Lines]) ->
                 continue
             chance = np.maximum(chance, open_probability(piece.response, seat.columns, axes))
             drive, load = seat_forces(piece.response, seat.columns, axes)
-            heavy |= load > 3 * drive
-        if float(chance.mean()) < _SHUT:
+            heavy |= load > PRESSED_FORCE * drive
+        if float(chance.mean()) < OPENING_PROBABILITY:
             (pressed if heavy.mean() > 0.5 else never).append(name.split("@", 1)[1])
     said = []
     healthy = judged.posterior[HEALTHY] > 0.3
@@ -112,9 +112,9 @@ def _of_seats(arm: InstrumentedArm, judged: Judged, suspect: Sequence[Lines]) ->
 
 def _of_run(arm: InstrumentedArm, one: Lines) -> list[str]:
     said = []
-    if one.seconds < _SHORT:
-        said.append(f"{one.run}: {one.seconds:.2g} s is short; take {_SHORT:g} s or more")
-    if len(one.frequency) < _FEW_LINES:
+    if one.seconds < SHORT_RUN_S:
+        said.append(f"{one.run}: {one.seconds:.2g} s is short; take {SHORT_RUN_S:g} s or more")
+    if len(one.frequency) < FEWEST_LINES:
         said.append(
             f"{one.run}: only {len(one.frequency)} lines were excited; a wider band tells more"
         )
@@ -122,7 +122,7 @@ def _of_run(arm: InstrumentedArm, one: Lines) -> list[str]:
     signal = np.sum(np.where(one.read, np.abs(one.readings) ** 2, 0.0), axis=0) / lines
     noise = np.sum(np.where(one.read, one.noise, 0.0), axis=0) / lines
     tool = [k for k, (r, _) in enumerate(one.row) if r.kind == "acceleration"]
-    if float(signal[tool].sum()) < 10 * float(noise[tool].sum()):
+    if float(signal[tool].sum()) < TOOL_SIGNAL * float(noise[tool].sum()):
         said.append(f"{one.run}: the accelerometer hardly rises above its noise; shake harder")
     for joint in one.excited:
         own = [
@@ -133,7 +133,7 @@ def _of_run(arm: InstrumentedArm, one: Lines) -> list[str]:
         name = arm.joints[joint]
         if not own:
             said.append(f"{one.run}: no sensor of the excited joint {name} was recorded")
-        elif max(float(signal[k] / noise[k]) for k in own) < 4:
+        elif max(float(signal[k] / noise[k]) for k in own) < JOINT_SIGNAL:
             said.append(
                 f"{one.run}: the sensors of joint {name} are too coarse for its motion; the model "
                 "stands for them: shake harder, or at lower frequencies"

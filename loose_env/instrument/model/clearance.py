@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loose_env.arms import Arm
+from loose_env.instrument.settings.thresholds import ALWAYS_TOUCHING, GROUND_TOLERANCE_M
 from loose_env.typing import Array
 
 __all__ = ["Collisions", "Ground"]
@@ -20,8 +21,6 @@ __all__ = ["Collisions", "Ground"]
 
 _LOOKED = 64
 """Random poses in which pairs of shapes are looked at."""
-_ALWAYS = 0.9
-"""Share of poses in which a pair touches that is so by construction [1]."""
 _STEP = 0.1
 """Largest move of a joint between two looks on the way from pose to pose [rad or m]."""
 
@@ -68,7 +67,7 @@ class Collisions:
         for _ in range(_LOOKED):
             for pair in bare._pairs(low + (high - low) * rng.random(len(ids))):
                 counts[pair] = counts.get(pair, 0) + 1
-        often = {pair for pair, count in counts.items() if count >= _ALWAYS * _LOOKED}
+        often = {pair for pair, count in counts.items() if count >= ALWAYS_TOUCHING * _LOOKED}
         usual = frozenset(often | bare._pairs(model.qpos0[at]))
         return cls(model=model, addresses=at, usual=usual, unseen=unseen)
 
@@ -145,11 +144,6 @@ def _compiled(spec: mujoco.MjSpec, joints: Sequence[str]) -> mujoco.MjModel | No
     return None
 
 
-_BELOW = 0.005
-"""How far below the ground a point may be by rounding of the model [m]."""
-"""Largest move of a joint between two looks on a way [rad or m]."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ground:
     """Ground plane normal to gravity that links and tool stay above."""
@@ -180,7 +174,7 @@ class Ground:
             return cls(arm=arm, height=-np.inf)
         bare = cls(arm=arm, height=-np.inf)
         points, first = bare._heights(arm.model.qpos0[arm.pose_addresses])
-        if points[0] < first - _BELOW:
+        if points[0] < first - GROUND_TOLERANCE_M:
             return bare  # the second joint is below the first
         return cls(arm=arm, height=min(0.0, first))
 
@@ -188,7 +182,7 @@ class Ground:
         """True if links beyond the first and the tool are above the ground."""
         if np.isneginf(self.height):
             return True
-        return bool((self._heights(pose)[0] >= self.height - _BELOW).all())
+        return bool((self._heights(pose)[0] >= self.height - GROUND_TOLERANCE_M).all())
 
     def clear_between(self, start: Array, end: Array) -> bool:
         """True if the straight joint-space path between two poses is above the ground.

@@ -8,6 +8,7 @@ import numpy as np
 
 from loose_env.arms import Arm, LinearArm
 from loose_env.errors import InvalidData
+from loose_env.instrument.settings.thresholds import HOLDING_TORQUE
 from loose_env.typing import Array
 
 __all__ = ["Allowed", "candidate_poses", "pose_range"]
@@ -15,8 +16,6 @@ __all__ = ["Allowed", "candidate_poses", "pose_range"]
 Allowed = Callable[[Array], bool]
 """Says whether a pose may be taken."""
 
-_HOLDS = 0.8
-"""Share of the allowed torque that holding a pose may take [1]."""
 _MOVES = np.radians([-90.0, -60.0, -30.0, 30.0, 60.0, 90.0])
 _TRIES = 40
 """Random poses looked at for each one that is wanted."""
@@ -97,7 +96,7 @@ def candidate_poses(
     def fits(q: Array) -> bool:
         if (q < low - 1e-9).any() or (q > high + 1e-9).any():
             return False
-        if (np.abs(linear.at(q).gravity_torque) > _HOLDS * limits).any():
+        if (np.abs(linear.at(q).gravity_torque) > HOLDING_TORQUE * limits).any():
             return False
         return allowed is None or allowed(q)
 
@@ -121,8 +120,8 @@ def candidate_poses(
     if not found:
         raise InvalidData(
             f"arm {arm.name!r}: of {_TRIES * count} poses within the joints' ranges every one "
-            f"collides or takes more than {_HOLDS:.0%} of a drive's torque to hold; the limits are "
-            f"{arm.torque_limits}: check the torque limits and the payload in the model, or give "
+            f"collides or takes more than {HOLDING_TORQUE:.0%} of a drive's torque to hold; the "
+            f"limits are {arm.torque_limits}: check the torque limits and the payload in the model, or give "
             "the pose yourself"
         )
     # Rounded to a hundredth of a degree or of a millimetre: somebody will type it in.

@@ -17,7 +17,6 @@ from loose_env.arms import LinearArm
 from loose_env.diagnosis import ToolFrames, look_alikes, places
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.planning.excitation import (
-    SEEN,
     proposed,
     sensitivity,
     tool_noise,
@@ -25,6 +24,14 @@ from loose_env.instrument.planning.excitation import (
 )
 from loose_env.instrument.planning.next_measurement import seat_features
 from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.instrument.settings.thresholds import (
+    DETECTABLE_Z,
+    FOUND_MOSTLY,
+    FOUND_YES,
+    OPEN_SHARE,
+    PLANNED_SD_DEG,
+    TRANSVERSE_POWER,
+)
 from loose_env.typing import Array
 
 __all__ = ["BestSeen", "Findable", "best_seen", "findable_faults"]
@@ -32,15 +39,6 @@ __all__ = ["BestSeen", "Findable", "best_seen", "findable_faults"]
 Verdict = Literal["yes", "mostly", "hardly", "no"]
 
 _DIRECTIONS = 40
-_OPEN = 0.3
-"""Share of a seat's motion that gravity has to allow for it to count as open [1]."""
-_MOST, _SOME = 0.9, 0.3
-"""Shares of the directions from which a fault is found for sure, and mostly [1]."""
-_SHARP = np.radians(3.0)
-"""Standard deviation of a direction that a record is to leave [rad]."""
-_ACROSS = 0.03
-"""Power of a rattling seat's motion across its direction, over that along it [1]; as in
-`loose_env.diagnosis.likelihood.record_likelihood`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,12 +97,12 @@ class BestSeen:
 
     def seconds(self, rules: NextSettings) -> float:
         """Length at which noise leaves 3 degrees, for half of what can be found [s]."""
-        good = self.sharp[self.seen >= SEEN]
+        good = self.sharp[self.seen >= DETECTABLE_Z]
         if not len(good):
             return float("inf")
         noise = rules.seconds / np.median(good) ** 2
-        rattle = _ACROSS / (2 * (self.band[1] - self.band[0]))
-        return float((noise + rattle) / _SHARP**2)
+        rattle = TRANSVERSE_POWER / (2 * (self.band[1] - self.band[0]))
+        return float((noise + rattle) / np.radians(PLANNED_SD_DEG) ** 2)
 
 
 def best_seen(
@@ -199,21 +197,21 @@ def findable_faults(arm: InstrumentedArm, found: BestSeen) -> tuple[Findable, ..
     for k, (place, name) in enumerate(own.items()):
         if k < nominal.n:
             rows = slice(k * count, (k + 1) * count)
-            seen = found.seen[rows] >= SEEN
+            seen = found.seen[rows] >= DETECTABLE_Z
             opens = found.opens[rows]
             worst = int(np.argmin(opens))
             shut = None
-            if opens[worst] < _OPEN:
+            if opens[worst] < OPEN_SHARE:
                 shut = tuple(float(x) for x in found.directions[worst])
             share = float(np.mean(seen))
             alike: tuple[str, ...] = ()
             gap, gap_model = _middle(found.gap[rows]), _middle(found.gap_model[rows])
-            why = _why_link(share, float(np.mean(opens < _OPEN)), shut)
+            why = _why_link(share, float(np.mean(opens < OPEN_SHARE)), shut)
             at_tool = gap_model
         else:
             place_row = nominal.n * count + k - nominal.n
             rows = slice(place_row, place_row + 1)
-            share = float(found.seen[place_row] >= SEEN)
+            share = float(found.seen[place_row] >= DETECTABLE_Z)
             shut = None
             gap, gap_model = _middle(found.gap[rows]), _middle(found.gap_model[rows])
             others = look_alikes(frames, place, tolerance=np.radians(3.0))
@@ -221,8 +219,10 @@ def findable_faults(arm: InstrumentedArm, found: BestSeen) -> tuple[Findable, ..
             lever = float(found.levers[k - nominal.n])
             at_tool = None if gap_model is None else gap_model * lever
             why = _why_joint(share, lever, float(found.opens[place_row]), gap_model)
-        verdict: Verdict = "yes" if share >= _MOST else "mostly" if share >= _SOME else "hardly"
-        if share < _SOME and gap_model is None:
+        verdict: Verdict = (
+            "yes" if share >= FOUND_YES else "mostly" if share >= FOUND_MOSTLY else "hardly"
+        )
+        if share < FOUND_MOSTLY and gap_model is None:
             verdict = "no"
         made.append(
             Findable(
@@ -248,7 +248,7 @@ def _middle(gaps: Array) -> float | None:
 
 
 def _why_link(share: float, shut: float, along: tuple[float, ...] | None) -> str:
-    if share >= _MOST:
+    if share >= FOUND_YES:
         return ""
     if along is not None:
         words = " ".join(f"{x:+.1f}" for x in along)
@@ -258,11 +258,11 @@ def _why_link(share: float, shut: float, along: tuple[float, ...] | None) -> str
 
 
 def _why_joint(share: float, lever: float, opens: float, gap: float | None) -> str:
-    if share >= _MOST:
+    if share >= FOUND_YES:
         return ""
     if lever < 1e-3:
         return "the tool lies on this joint's axis and does not feel it turn"
-    if opens < _OPEN:
+    if opens < OPEN_SHARE:
         return "gravity loads the gear's teeth in every pose"
     if gap is None:
         return "its motion looks too much like what the model may have wrong"

@@ -18,12 +18,15 @@ from numpy.typing import NDArray
 from loose_env.arms import Arm, LinearArm, LinearPose
 from loose_env.diagnosis import Proposal, SeatFeatures, predict_seats, propose_excitation
 from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.instrument.settings.thresholds import (
+    DETECTABLE_Z,
+    FLOATING_CLEARANCE,
+    OPENING_FORCE,
+    REPEATABILITY,
+)
 from loose_env.typing import Array
 
 __all__ = [
-    "OVERCOME",
-    "REPEATS",
-    "SEEN",
     "Sensitivity",
     "limited",
     "proposed",
@@ -73,17 +76,6 @@ def proposed(arm: Arm, pose: Array, settings: NextSettings) -> Proposal:
     return replace(found, band=(low, high), levels=share * found.levels, excitations=played)
 
 
-SEEN = 4.0
-"""Change in standard deviations that counts as seen [1]."""
-OVERCOME = 0.6
-"""Rms force over static load at which a seat begins to move: peaks are what opens it [1]."""
-REPEATS = 0.005
-"""Share of the tool's motion by which records of a sound arm differ beyond noise: poses that are
-not quite the same, temperature, cables; an estimate [1]."""
-_FLOATS = 4.0
-"""Gap over rms travel below which a seat strikes its stops [1]."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sensitivity:
     """What one record would show of a seat at every place: P places, the slides' before the plays'.
@@ -107,7 +99,9 @@ class Sensitivity:
 
     def lost(self, gap: Array | float) -> Array:
         """Share of its transmission that each seat of a travel loses (P,)."""
-        floats = np.minimum(1.0, np.asarray(gap) / np.maximum(_FLOATS * self.travel, 1e-15))
+        floats = np.minimum(
+            1.0, np.asarray(gap) / np.maximum(FLOATING_CLEARANCE * self.travel, 1e-15)
+        )
         return np.asarray(self.opens * floats)
 
     def smallest_gap(self, *, reference: bool) -> Array:
@@ -119,8 +113,8 @@ class Sensitivity:
             Whether a healthy reference of the arm stands in for the model.
         """
         change = self.by_reference if reference else self.by_model
-        share = SEEN / np.maximum(change * self.opens, 1e-12)
-        return np.where(share <= 1.0, share * _FLOATS * self.travel, np.inf)
+        share = DETECTABLE_Z / np.maximum(change * self.opens, 1e-12)
+        return np.where(share <= 1.0, share * FLOATING_CLEARANCE * self.travel, np.inf)
 
 
 def tool_noise(features: SeatFeatures) -> float:
@@ -160,12 +154,12 @@ def sensitivity(features: SeatFeatures, pose: Array, torque: Array, seconds: flo
     sensed = away @ np.diag(noise) @ away.T
     change = features.open_change(seats)
     total = float(np.trace(seats.in_step[m:] @ seats.in_step[m:].T))
-    repeated = np.kron(sensed, np.eye(m)) / samples + REPEATS**2 * total * np.eye(d * m)
+    repeated = np.kron(sensed, np.eye(m)) / samples + REPEATABILITY**2 * total * np.eye(d * m)
     own = np.linalg.inv(np.linalg.cholesky(repeated))
     noisy = np.linalg.inv(np.linalg.cholesky(np.kron(sensed, np.eye(m)) / samples))
     residual = away @ seats.rest @ away.T
     by_model = features.whitening(pose, excited, b, residual, x, seconds)
-    opens = np.minimum(1.0, (seats.force / np.maximum(OVERCOME * seats.load, 1e-12)) ** 2)
+    opens = np.minimum(1.0, (seats.force / np.maximum(OPENING_FORCE * seats.load, 1e-12)) ** 2)
     return Sensitivity(
         opens=opens,
         travel=_travel(at, excited, torque[on], features.directions),

@@ -26,6 +26,7 @@ from loose_env.instrument.planning.prior_knowledge import Known, belief_of, name
 from loose_env.instrument.planning.rationale import reason
 from loose_env.instrument.result import NextMeasurement
 from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.instrument.settings.thresholds import EQUALLY_INFORMATIVE
 from loose_env.typing import Array
 
 __all__ = ["NextSettings", "next_measurement", "seat_features"]
@@ -34,8 +35,6 @@ __all__ = ["NextSettings", "next_measurement", "seat_features"]
 _FRICTIONS = np.geomspace(0.02, 1.0, 8)
 """Friction of seats over the drive of the top level that is reckoned with [1]."""
 _DIRECTIONS = 120
-_AS_GOOD = 0.9
-"""Share of the best information at which a record counts as about as good."""
 _SHORTLIST = 5
 """Poses for which band and levels are worked out."""
 _POINTS = 40
@@ -177,7 +176,7 @@ def next_measurement(
             "give the pose yourself"
         )
     top = max(found for found, *_ in best)
-    good = [one for one in best if one[0] >= _AS_GOOD * top]
+    good = [one for one in best if one[0] >= EQUALLY_INFORMATIVE * top]
     chosen = min(good, key=lambda one: (round(one[1], 6), -one[0]))
     there = sorted((one for one in best if one[3] is chosen[3]), key=lambda one: -one[0])
     played = [chosen[2], *(one[2] for one in there if one[2] != chosen[2])][: rules.in_turn]

@@ -29,6 +29,7 @@ from loose_env.instrument.result import Diagnosis, NextMeasurement
 from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettings
 from loose_env.instrument.settings.command_line import unlike
 from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.instrument.settings.thresholds import NOTED_SAG_DEG, NOTED_SAG_M, SCALED_LEVEL
 from loose_env.typing import Array
 
 __all__ = ["Plan", "next_for", "plan"]
@@ -36,8 +37,6 @@ __all__ = ["Plan", "next_for", "plan"]
 
 _ONCE = ("joint", "pose_deg", "from_deg")
 """Settings that are for one measurement, not for a session."""
-_SAGS = np.array([np.radians(0.1), 1e-4])
-"""Sag of a joint that turns [rad], and of one that slides [m], that is worth a word."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -277,17 +276,18 @@ def _typed(arm: InstrumentedArm, name: str, given: tuple[float, ...]) -> Array |
     return np.asarray(pose)
 
 
-def _giving_way(arm: InstrumentedArm, signal: Signal) -> list[str]:
-    """What to know where servos give way under the weight of the arm."""
+def _sags(arm: InstrumentedArm, signal: Signal) -> list[str]:
+    """Warnings about servos that sag under the weight of the arm."""
     sliding = arm.nominal.sliding
+    noted = np.where(sliding, NOTED_SAG_M, np.radians(NOTED_SAG_DEG))
     far = [
         f"{arm.joints[j]} by {_shown(sliding[j], abs(float(signal.sags[j])))}"
-        for j in np.flatnonzero(np.abs(signal.sags) > _SAGS[sliding.astype(int)])
+        for j in np.flatnonzero(np.abs(signal.sags) > noted)
     ]
     if not far:
         return []
     return [
-        f"servos give way under the arm's weight: {', '.join(far)}. The signal begins with the "
+        f"servos sag under the arm's weight: {', '.join(far)}. The signal begins with the "
         "pose as its command, makes up for that before the noise and goes back after it; a "
         "controller that holds joints exactly where it is told would move the arm by so much"
     ]
@@ -330,9 +330,9 @@ def _warnings(
     low, high = pose_range(arm.nominal, 0.0)
     for j in np.flatnonzero((pose < low + 1e-3) | (pose > high - 1e-3)):
         said.append(f"joint {arm.joints[j]} is at the end of its range")
-    said += _giving_way(arm, signals[0])
+    said += _sags(arm, signals[0])
     for signal in signals:
-        if signal.scale < 0.99:
+        if signal.scale < SCALED_LEVEL:
             said.append(
                 f"{signal.joint} is shaken at {signal.scale:.0%} of the level: {signal.limited_by}"
             )

@@ -11,14 +11,13 @@ from loose_env.arms import Arm
 from loose_env.diagnosis import Belief, ToolFrames
 from loose_env.errors import InvalidData
 from loose_env.instrument.result import HEALTHY, Diagnosis
+from loose_env.instrument.settings.thresholds import CONE_95
 from loose_env.recording import nearest
 from loose_env.typing import Array
 
 __all__ = ["Known", "Seen", "belief_of", "known_of", "names_of"]
 
 
-_CONE_95 = 2.45
-"""Half the opening of a 95 % cone over the standard deviation of a direction in space [1]."""
 _USUAL_SD = 0.2
 """Standard deviation of a direction of which none is given [rad]."""
 _LEAST_SD = float(np.radians(6.0))
@@ -135,7 +134,7 @@ def _sd_of(half_angle_deg: float | None) -> float:
     """Standard deviation of a direction from its 95 % cone [rad]."""
     if half_angle_deg is None:
         return _LEAST_SD
-    return float(max(np.radians(half_angle_deg) / _CONE_95, 1e-3))
+    return float(max(np.radians(half_angle_deg) / CONE_95, 1e-3))
 
 
 def belief_of(

@@ -24,13 +24,10 @@ from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.planning.prior_knowledge import Known, names_of
 from loose_env.instrument.result import HEALTHY, NextMeasurement
 from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.instrument.settings.thresholds import MENTIONED
 from loose_env.typing import Array
 
 __all__ = ["expected_directions", "other_settings", "reason", "why_not_reached"]
-
-
-_IN_QUESTION = 0.02
-"""Probability below which a hypothesis is not mentioned [1]."""
 
 
 def expected_directions(
@@ -103,8 +100,8 @@ def reason(
     seen = expected_directions(nominal, known, pose, links, joints)
     ranked = sorted(known.probabilities.items(), key=lambda item: -item[1])
     # Play in a joint on whose axis the tool lies shows nothing, here or anywhere near.
-    unseen = [n for n, p in ranked if p > _IN_QUESTION and "backlash" in n and seen[n] is None]
-    alive = [(name, p) for name, p in ranked if p > _IN_QUESTION and name not in unseen]
+    unseen = [n for n, p in ranked if p > MENTIONED and "backlash" in n and seen[n] is None]
+    alive = [(name, p) for name, p in ranked if p > MENTIONED and name not in unseen]
     if unseen and len(alive) < 2:
         left = f"{alive[0][0]} is " if alive else "nothing is "
         return (

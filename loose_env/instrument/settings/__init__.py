@@ -1,4 +1,5 @@
 """Settings of the instrument, with units and validation.
 
-Data flow: command_line -> validation -> arm_and_plan -> measurement -> tolerances -> diagnosis.
+Data flow: thresholds -> command_line -> validation -> arm_and_plan -> measurement -> tolerances
+-> diagnosis.
 """

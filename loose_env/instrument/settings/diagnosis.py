@@ -8,18 +8,10 @@ import numpy as np
 
 from loose_env.errors import InvalidSetting
 from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.instrument.settings.thresholds import HIGHEST_CERTAINTY, RATE_SHARE, UNEXPLAINED
 from loose_env.instrument.settings.tolerances import Tolerances
 
-__all__ = ["ELSE", "DiagnoseSettings"]
-
-ELSE = 0.004
-"""Probability that something is not as any hypothesis has it: then data say nothing. No hypothesis
-comes closer to certain than that."""
-_MOST_SURE = 0.995
-"""Surest that a diagnosis can be asked to be; certainty less `ELSE`, rounded."""
-
-_AS_ASKED = 0.98
-"""Share of the rate asked for from which a recorder counts as one that does what it is asked."""
+__all__ = ["DiagnoseSettings"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,10 +64,10 @@ class DiagnoseSettings(NextSettings):
             value = getattr(self, name)
             if not (np.isfinite(value) and 0 < value < 1):
                 raise InvalidSetting(f"{name} is a probability between 0 and 1, got {value!r}")
-        if self.sure > _MOST_SURE:
+        if self.sure > HIGHEST_CERTAINTY:
             raise InvalidSetting(
-                f"sure is at most {_MOST_SURE:g}, for a probability of {ELSE:g} is kept for what "
-                f"no explanation has, got {self.sure!r}"
+                f"sure is at most {HIGHEST_CERTAINTY:g}, for a probability of {UNEXPLAINED:g} is "
+                f"kept for causes outside the hypotheses, got {self.sure!r}"
             )
         _ = self.tolerances  # they check themselves
 
@@ -89,7 +81,7 @@ class DiagnoseSettings(NextSettings):
             one that is faster gives more than is needed.
         """
         own = NextSettings(**{each.name: getattr(self, each.name) for each in fields(NextSettings)})
-        if recorded_hz is not None and recorded_hz < _AS_ASKED * self.rate_hz:
+        if recorded_hz is not None and recorded_hz < RATE_SHARE * self.rate_hz:
             return own.at_rate(recorded_hz)
         return own
 

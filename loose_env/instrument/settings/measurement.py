@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from loose_env.errors import InvalidSetting
+from loose_env.instrument.settings.thresholds import HIGHEST_BAND
 from loose_env.instrument.settings.validation import check_types
 from loose_env.sensors import Accelerometer, SensorSuite
 
@@ -17,8 +18,6 @@ _LENGTHS = (0.2, 600.0)
 _SAMPLES = 5_000_000
 """Most samples of a record."""
 _POSES, _IN_TURN = 10_000, 100
-_BAND_SHARE = 0.4
-"""Highest end of a band over the sampling rate: filters need room below half the rate."""
 _SEEDS = 2**63
 
 
@@ -113,7 +112,7 @@ class NextSettings:
     @property
     def allowed_hz(self) -> float:
         """Highest frequency of a band that the rate allows [Hz]."""
-        return _BAND_SHARE * self.rate_hz
+        return HIGHEST_BAND * self.rate_hz
 
     def at_rate(self, rate_hz: float) -> NextSettings:
         """These settings for a recorder of another rate; the band ends where that rate allows.
@@ -124,7 +123,7 @@ class NextSettings:
         >>> slow.rate_hz, slow.band_high
         (250.0, 100.0)
         """
-        high = None if self.band_high is None else min(self.band_high, _BAND_SHARE * rate_hz)
+        high = None if self.band_high is None else min(self.band_high, HIGHEST_BAND * rate_hz)
         return replace(self, rate_hz=rate_hz, band_high=high)
 
     def band_of(self, band: tuple[float, float]) -> tuple[float, float]:

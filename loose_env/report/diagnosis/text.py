@@ -8,7 +8,7 @@ import numpy as np
 
 from loose_env.arms import Arm
 from loose_env.errors import InvalidData
-from loose_env.instrument import HEALTHY, Diagnosis, NextMeasurement
+from loose_env.instrument import HEALTHY, PROBABLE, Diagnosis, NextMeasurement
 from loose_env.io import begun, sentence
 
 __all__ = [
@@ -24,8 +24,6 @@ __all__ = [
     "with_plain_names",
 ]
 
-_LEANING = 0.6
-"""Probability from which a diagnosis that is not settled is said to be probable."""
 _RIVAL = 0.01
 """Probability from which the next best explanation is worth a word."""
 
@@ -91,7 +89,7 @@ def headline(diagnosis: Diagnosis, arm: Arm) -> str:
     said = short_name(arm, diagnosis.fault.hypothesis)
     if diagnosis.settled:
         return f"{begun(said)}."
-    if diagnosis.probability >= _LEANING:
+    if diagnosis.probability >= PROBABLE:
         return f"Probably {said}."
     return f"Not decided yet. Most likely so far: {said}."
 

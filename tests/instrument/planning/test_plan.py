@@ -98,7 +98,7 @@ def test_the_signal_of_an_arm_that_sags_begins_where_the_arm_was_sent(
     did = play(made)
     assert did.first_step < 0.3  # a step of the sag makes it 5 and more
     assert did.held_at == pytest.approx(made.pose, abs=1e-3)
-    assert any("servos give way" in words and "lift by" in words for words in made.warnings)
+    assert any("servos sag" in words and "lift by" in words for words in made.warnings)
     assert "lift_servo at -0.3491" in " ".join(steps(made, ("run-01.csv",)))
 
 

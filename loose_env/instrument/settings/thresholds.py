@@ -1,0 +1,144 @@
+"""Decision thresholds of the instrument, each with its unit and its reason.
+
+Shares and ratios are dimensionless; z-scores are in standard deviations. Values that a user may set
+are fields of the settings beside this file. Constants of numerical methods stand beside their code.
+"""
+
+# Recordings
+FEWEST_SAMPLES = 64
+"""Samples a run needs: below, its spectrum has too few lines."""
+BRIDGED_STEPS = 10.0
+"""Dropout of a column that is interpolated [median steps of the column]; a longer one splits the
+run."""
+LONGEST_RUN_S = 86400.0
+"""Longest run [s]: a longer one has a wrong time stamp."""
+LARGEST_READING = 1000000.0
+"""Largest magnitude of a reading [m/s², rad/s, rad, m]; a larger one is refused as a mistaken unit."""
+LARGEST_COMMAND = 1000000000.0
+"""Largest magnitude of a command or torque [its own unit]; a larger one is refused."""
+EXCITED_SHARE = 0.1
+"""Power of a joint's command over that of the most excited joint, from which it counts as
+excited."""
+POSE_SPREAD = 0.2
+"""Rms motion up to which a joint counts as holding its pose [rad or m]."""
+POSE_OFFSET = 0.05
+"""Distance of the measured from the noted joint position, above which the reader is told [rad or
+m]."""
+LEAST_LINE_POWER = 0.02
+"""Power of a line's command over that of the strongest part of the band; weaker lines are dropped:
+their coherence is poor."""
+LOWEST_HZ = 2.0
+"""Lowest line used [Hz]: gravity and friction dominate slower motion."""
+HIGHEST_LINE = 0.45
+"""Highest line used [sampling rates]: anti-aliasing filters need the rest."""
+LOWEST_PATH_LINE = 0.5
+"""Lowest line of a seat's path over the lowest excited line: a seat drifts below the band."""
+POSITION_INFORMATION = 0.1
+"""Information of a position channel over that of the same joint's velocity, below which it is not
+used."""
+
+# Bandwidth of sensors
+STOPBAND_START = 1.5
+"""Frequency over the bandwidth in question, from which its stopband begins."""
+STOPBAND_POWER = 0.001
+"""Power in the stopband over the least in the passband, below which a channel is band-limited:
+white noise does not fall."""
+STOPBAND_POWER_AT_EDGE = 0.0001
+"""The same beside an accelerometer at the edge of the excited band, where motion falls too."""
+
+# Inference
+UNEXPLAINED = 0.004
+"""Probability kept for causes outside the hypotheses [probability]."""
+HIGHEST_CERTAINTY = 0.995
+"""Largest probability a user may ask for [probability]: 1 less `UNEXPLAINED`, rounded."""
+LEAST_RUNS = 2
+"""Runs before a case is settled: neighbouring links can be confused in one pose."""
+PROBABLE = 0.6
+"""Probability from which the report calls an unsettled fault probable [probability]."""
+MENTIONED = 0.02
+"""Probability below which a plan does not mention a hypothesis [probability]."""
+REFINED_WITHIN = 120.0
+"""Log-evidence behind the best coarse fit, up to which a hypothesis is fitted to more lines."""
+OPENING_FORCE = 0.6
+"""Rms force over static load at which a seat begins to open: peaks open it, not the rms."""
+AVERAGED_DIRECTION_SD = 0.15
+"""Standard deviation of a direction, from which it is averaged over all directions [rad]: the
+Laplace approximation fails there."""
+CONE_95 = 2.45
+"""Half opening of a 95 % cone [standard deviations]: Rayleigh distribution."""
+WIDEST_CONE_DEG = 60.0
+"""Half opening of the cone, above which no direction is given [deg]."""
+DIRECTION_SD_DEG = 0.7
+"""Smallest standard deviation of an identified direction [deg]: mounting and axes of real
+sensors."""
+DIRECTION_SD_FACTOR = 2.0
+"""Standard deviation of a direction over that by the curvature of the likelihood, which lacks the
+errors outside the model."""
+
+# Free travel
+TIME_AT_STOP = 0.02
+"""Share of the time at each stop: both have to be reached before a clearance is given."""
+CLEARANCE_RESIDUAL = 0.75
+"""Residual of the force with a clearance over that with a spring: above, a compliant part explains
+it as well."""
+CLEARANCE_ERROR = 0.15
+"""Relative standard deviation of a clearance: motion below the band, and compliance of the
+stops."""
+
+# Warnings
+SHORT_RUN_S = 1.0
+"""Length below which a run is called short [s]."""
+FEWEST_LINES = 24
+"""Excited lines below which the band of a run is called narrow."""
+OPENING_PROBABILITY = 0.3
+"""Probability of opening, mean over directions, below which a seat counts as not excited
+[probability]."""
+PRESSED_FORCE = 3.0
+"""Static load over driving force from which gravity is said to keep a seat shut."""
+MODEL_ERROR = 0.06
+"""Relative model error at a line, above which the model is not that of the arm."""
+PARAMETER_ERROR = 2.2
+"""Rms of the parameter errors [standard deviations], above which the same is said."""
+TOOL_SIGNAL = 10.0
+"""Power of the accelerometer over its noise, below which the reader is told."""
+JOINT_SIGNAL = 4.0
+"""The same of the sensors of an excited joint."""
+RATE_SHARE = 0.98
+"""Share of the wanted sampling rate, below which the next run is planned for the recorder's own
+rate."""
+
+# Planning
+DETECTABLE_Z = 4.0
+"""z-score from which a change of a record counts as detectable."""
+FLOATING_CLEARANCE = 4.0
+"""Clearance over rms travel from which a seat does not reach its stops."""
+REPEATABILITY = 0.005
+"""Difference between records of a healthy arm beside noise, over the tool's motion: poses that are
+not quite the same, temperature, cables; an estimate."""
+FOUND_YES = 0.9
+"""Share of slide directions with a detectable change, from which a fault is found: yes."""
+FOUND_MOSTLY = 0.3
+"""The same for a fault that is mostly found; below, hardly, or not at all if no clearance is
+detectable along half of the directions."""
+OPEN_SHARE = 0.3
+"""Share of a seat's motion that gravity has to leave free for the seat to count as open."""
+PLANNED_SD_DEG = 3.0
+"""Standard deviation of a direction after the records that the inspection asks for [deg]."""
+TRANSVERSE_POWER = 0.03
+"""Power of a rattling seat's motion across its direction over that along it."""
+EQUALLY_INFORMATIVE = 0.9
+"""Share of the highest expected information, from which the pose of least motion is taken."""
+HOLDING_TORQUE = 0.8
+"""Share of the allowed torque that holding a pose may take: the rest excites."""
+HIGHEST_BAND = 0.4
+"""Highest end of an excited band [sampling rates]: anti-aliasing filters need the rest."""
+SCALED_LEVEL = 0.99
+"""Share of the level that limits leave, below which the reader is told."""
+NOTED_SAG_DEG = 0.1
+"""Sag of a revolute joint under the arm's weight, above which the reader is told [deg]."""
+NOTED_SAG_M = 0.0001
+"""The same of a prismatic joint [m]."""
+ALWAYS_TOUCHING = 0.9
+"""Share of random poses in which two shapes touch, from which they do so by construction."""
+GROUND_TOLERANCE_M = 0.005
+"""Depth below the ground up to which a point counts as above: rounding of the model [m]."""
