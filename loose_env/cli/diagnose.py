@@ -2,7 +2,7 @@
 
 Reads a recording (a folder with recording.json, the nominal model and measured runs; healthy
 reference runs help where there are any), weighs every link's looseness, every joint's backlash and
-a sound arm, and says what to measure next where that is not settled. That is chosen with the
+a healthy arm, and says what to measure next where that is not settled. That is chosen with the
 settings of the 'loose plan' in whose folder the recording lies; options take their place.
 
 Written to the output folder: result.json, what was found; report.html, the same to be read. The
@@ -73,7 +73,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def summary(found: Diagnosis) -> str:
-    """What was found, in a few lines."""
+    """Summary of the result in a few lines."""
     fault = found.fault
     if fault.kind == HEALTHY:
         lines = [f"healthy, probability {found.probability:.3f}: nothing is seen to be loose"]

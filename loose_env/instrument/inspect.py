@@ -52,7 +52,7 @@ class JointSeen:
     torque_limit: float
     """Peak torque of its drive [N·m, N]."""
     drive: str
-    """What drives it, in words."""
+    """Description of its drive."""
     level_tool: float
     """Proposed rms acceleration of the tool [m/s²]; 0 where it does not move the tool."""
     level_joint: float
@@ -78,18 +78,18 @@ class Inspection:
     noise_rms: float
     """Noise of an axis of the tool accelerometer in that band, rms [m/s²]."""
     seconds: float
-    """Length of a record that was reckoned with [s]."""
+    """Assumed length of a record [s]."""
     seconds_needed: float
     """Length at which noise and the seat's own rattling leave a direction with a standard
     deviation of 3 degrees, for half of what can be found [s]."""
     faults: tuple[Findable, ...]
     """Every fault that a diagnosis asks for."""
     poses: int
-    """Poses in which they were looked at."""
+    """Number of poses in which they were evaluated."""
     warnings: tuple[str, ...]
-    """What to know."""
+    """Warnings, in sentences."""
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """Everything that it depends on besides the model."""
+    """Settings, all of them."""
 
     def to_json(self) -> str:
         """Serialise to the format ``loose-inspection/1``."""

@@ -10,14 +10,14 @@ import numpy as np
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.instrument.data.dropouts import unbroken
-from loose_env.instrument.data.held_pose import Held, held_in
+from loose_env.instrument.data.held_pose import RunSetup, run_setup
 from loose_env.instrument.data.sensor_selection import columns_in, readings_in
 from loose_env.instrument.data.spectral_lines import Lines, lines_of
 from loose_env.instrument.inference.correlation_loops import loops_of
 from loose_env.instrument.inference.direction_cones import cone, seen_in_tool
 from loose_env.instrument.inference.free_travel import Travel, travel_of
 from loose_env.instrument.inference.frequency_response import with_leakage
-from loose_env.instrument.inference.posterior import Judged, judge
+from loose_env.instrument.inference.posterior import ModelComparison, compare_hypotheses
 from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.inference.warnings import warnings_of
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm, read_recorded_arm
@@ -43,7 +43,7 @@ class _Taken:
     """A run and what was made of it."""
 
     run: Run
-    held: Held | None
+    held: RunSetup | None
     lines: Lines | None
     notes: tuple[str, ...]
 
@@ -90,7 +90,7 @@ class Workbench:
             If nothing in the run can be read at all.
         """
         run, pauses = unbroken(run, columns_in(self.arm, run))
-        held = held_in(self.arm, run)
+        held = run_setup(self.arm, run)
         # Runs are told apart by their numbers: two may have one name.
         number = sum(taken.lines is not None for taken in self._taken)
         lines = lines_of(self.arm, run, held.pose, held.excited, number=number)
@@ -116,28 +116,29 @@ class Workbench:
         """
         lines = [t.lines for t in self._taken if t.lines is not None]
         say(f"weighing {len(self.arm.hypotheses)} hypotheses by {len(lines)} runs")
-        judged = judge(self.uncertain, lines, sound=self.settings.sound)
-        self._told[tuple(one.number for one in lines)] = judged.posterior
-        best = judged.best
+        comparison = compare_hypotheses(self.uncertain, lines, healthy_prior=self.settings.sound)
+        self._told[tuple(one.number for one in lines)] = comparison.posterior
+        best = comparison.best
         travel = None
         if best != HEALTHY and self.suspect:
             say(f"following the seat of {best}")
-            travel = travel_of(judged, best, self._whole())
-        fault = _fault(self.arm, judged, travel)
+            travel = travel_of(comparison, best, self._whole())
+        fault = _fault(self.arm, comparison, travel)
         say("following the probabilities from run to run")
-        records = self._records(judged)
+        records = self._records(comparison)
         found = Diagnosis(
             fault=fault,
-            probability=judged.posterior[best],
-            posterior=judged.posterior,
+            probability=comparison.posterior[best],
+            posterior=comparison.posterior,
             warnings=warnings_of(
-                self.arm, judged, [n for t in self._taken for n in t.notes], travel
+                self.arm, comparison, [n for t in self._taken for n in t.notes], travel
             ),
             records=records,
             model=self.arm.path.name,
             settings=asdict(self.settings),
-            directions=_directions(judged),
-            settled=judged.posterior[best] > self.settings.sure and len(self.suspect) >= LEAST_RUNS,
+            directions=_directions(comparison),
+            settled=comparison.posterior[best] > self.settings.sure
+            and len(self.suspect) >= LEAST_RUNS,
         )
         if plan and not found.settled:
             say("choosing the next measurement")
@@ -168,7 +169,7 @@ class Workbench:
         return next_for(self.arm, found, self.settings.choice(recorded))
 
     def _blind(self) -> tuple[str, ...]:
-        """What is not known of collisions where a pose was chosen."""
+        """Warnings about unknown collisions of a chosen pose."""
         look = self.arm.collisions
         lacking = look.unseen if look.known else self.arm.links
         if not lacking:
@@ -183,11 +184,13 @@ class Workbench:
         """Probabilities by some of the runs alone, as a diagnosis of no others has them."""
         key = tuple(one.number for one in lines)
         if key not in self._told:
-            self._told[key] = judge(self.uncertain, lines, sound=self.settings.sound).posterior
+            self._told[key] = compare_hypotheses(
+                self.uncertain, lines, healthy_prior=self.settings.sound
+            ).posterior
         return self._told[key]
 
-    def _records(self, judged: Judged) -> tuple[RecordSeen, ...]:
-        """What each run showed, with the probabilities after it."""
+    def _records(self, comparison: ModelComparison) -> tuple[RecordSeen, ...]:
+        """Result of each run, with the posterior after it."""
         found: list[RecordSeen] = []
         so_far = {
             t.lines.number: t.lines for t in self._taken if t.lines is not None and t.lines.healthy
@@ -199,7 +202,7 @@ class Workbench:
             if taken.lines is not None and not taken.lines.healthy:
                 so_far[taken.lines.number] = taken.lines
                 probabilities = dict(self._posterior([so_far[k] for k in sorted(so_far)]))
-                direction, angle = seen_in_tool(self.uncertain, judged, taken.lines)
+                direction, angle = seen_in_tool(self.uncertain, comparison, taken.lines)
             pose = (
                 {j: q for j, q in (taken.run.pose or {}).items() if j in self.arm.joints}
                 if taken.held is None
@@ -221,7 +224,7 @@ class Workbench:
                     half_angle_deg=angle,
                     loops=()
                     if taken.lines is None
-                    else loops_of(self.uncertain, judged, taken.lines),
+                    else loops_of(self.uncertain, comparison, taken.lines),
                     notes=taken.notes,
                 )
             )
@@ -289,10 +292,10 @@ def diagnose(
         ) from None
 
 
-def _directions(judged: Judged) -> dict[str, SlideDirection]:
+def _directions(comparison: ModelComparison) -> dict[str, SlideDirection]:
     """Direction of every link's slide, where its own fit has one."""
     found = {}
-    for name, fit in judged.fits.items():
+    for name, fit in comparison.fits.items():
         kind, _, where = name.partition("@")
         if kind != "structural_looseness":
             continue
@@ -302,12 +305,12 @@ def _directions(judged: Judged) -> dict[str, SlideDirection]:
     return found
 
 
-def _fault(arm: InstrumentedArm, judged: Judged, travel: Travel | None) -> Fault:
-    best = judged.best
+def _fault(arm: InstrumentedArm, comparison: ModelComparison, travel: Travel | None) -> Fault:
+    best = comparison.best
     if best == HEALTHY:
         return Fault(kind="healthy")
     kind, where = best.split("@", 1)
-    fit = judged.fits[best]
+    fit = comparison.fits[best]
     direction, angle = (None, None) if kind == "backlash" else cone(fit)
     gap = None if travel is None else travel.gap
     return Fault(

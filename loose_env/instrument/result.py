@@ -1,4 +1,4 @@
-"""What was diagnosed, as dataclasses and as the file ``result.json`` of ``loose-diagnosis/1``."""
+"""Result of a diagnosis: dataclasses, and ``result.json`` (``loose-diagnosis/1``)."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ FORMAT = "loose-diagnosis/1"
 HEALTHY = "healthy"
 """Name of the hypothesis that nothing is loose."""
 FaultKind = Literal["healthy", "structural_looseness", "backlash"]
-"""What can be the matter with the arm."""
+"""Kinds of fault."""
 Vector = tuple[float, float, float]
 
 _SUM = 0.02
-"""How far the probabilities of a file may be from a sum of 1."""
+"""Largest deviation of the sum of a file's probabilities from 1."""
 
 
 _SHOWN = 300
@@ -61,7 +61,7 @@ def hypothesis_of(kind: str, where: str | None) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """What is the matter with the arm.
+    """Fault of an arm.
 
     Examples
     --------
@@ -125,7 +125,7 @@ class Fault:
 
 @dataclass(frozen=True, kw_only=True)
 class NextMeasurement:
-    """What to measure next, and why."""
+    """Next measurement and its reason."""
 
     pose: Mapping[str, float]
     """Position of every joint to hold [rad, m where it slides]."""
@@ -142,7 +142,7 @@ class NextMeasurement:
     rate_hz: float
     """Sampling rate [Hz]."""
     reason: str
-    """Why, in a sentence."""
+    """Reason, in a sentence."""
     gain: float = 0.0
     """Information that is expected of it about what is loose [bits]."""
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -201,7 +201,7 @@ class Loop:
     correlation: tuple[float, ...]
     """Measured, -1 to 1 (P,)."""
     expected: tuple[float, ...]
-    """Of the sound arm, by the model (P,)."""
+    """Of the healthy arm, by the model (P,)."""
 
     def __post_init__(self) -> None:
         """Check."""
@@ -232,7 +232,7 @@ class RecordSeen:
     loops: tuple[Loop, ...] = ()
     """For the figure of this run."""
     notes: tuple[str, ...] = ()
-    """What was remarkable about it, in sentences."""
+    """Notes on the run, in sentences."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,10 +257,10 @@ class Diagnosis:
     """Probability of "healthy", of "structural_looseness@LINK" for every link and of
     "backlash@JOINT" for every joint."""
     next: NextMeasurement | None = None
-    """What would tell most; None where nothing more is needed, or no pose will do: `settled` says
-    which."""
+    """Most informative measurement; None where nothing more is needed, or no pose will do:
+    `settled` says which."""
     warnings: tuple[str, ...] = ()
-    """What a reader should know before trusting it."""
+    """Warnings that limit the validity."""
     records: tuple[RecordSeen, ...] = ()
     """The runs."""
     model: str = "model.xml"
@@ -271,7 +271,7 @@ class Diagnosis:
     """Body -> direction of its slide by all runs together, if it were the loose one; those of which
     the data say one. Empty in files of versions that did not say."""
     settled: bool = False
-    """Whether nothing more needs to be measured: two runs at least, and the probability above the
+    """True if nothing more needs to be measured: two runs at least, and the probability above the
     setting ``sure``. False in files of versions that did not say."""
     format: str = FORMAT
     """Of the file."""

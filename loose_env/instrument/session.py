@@ -1,4 +1,4 @@
-"""A session at the arm as a Python loop: what to measure, the measurement, what it says.
+"""Measure-and-diagnose loop at an arm.
 
 Any object with ``measure(pose, excitation)`` is a rig. It takes the arm to the pose, plays the
 excitation, and returns what was recorded: a `loose_env.recording.Run` with the columns of the
@@ -28,7 +28,7 @@ __all__ = ["Found", "RecordingRig", "Session", "find_fault", "run_of"]
 
 
 class RecordingRig(Protocol):
-    """Something that measures: a robot with its recorder, a simulation, a recording."""
+    """Source of recordings: a robot with its recorder, a simulation, a recording."""
 
     def measure(self, pose: Array, excitation: Excitation) -> Run | Measurement:
         """Take the arm to a pose, play the excitation, and return what was recorded."""
@@ -36,7 +36,7 @@ class RecordingRig(Protocol):
 
 
 class Session:
-    """What is known of one arm, measurement by measurement.
+    """Diagnosis of one arm, updated by each measurement.
 
     Parameters
     ----------
@@ -68,13 +68,13 @@ class Session:
         return self._bench.arm.joints
 
     def next(self) -> NextMeasurement | None:
-        """Say what to measure next; None where the fault has been named, or no pose will do."""
+        """Next measurement; None where the fault is identified, or no pose will do."""
         if self._last is None:
             self._last = self._bench.diagnosis()
         return self._last.next
 
     def add(self, measurement: Run | Measurement) -> Diagnosis:
-        """Take up a measurement and weigh all of them anew.
+        """Add a measurement and update the diagnosis.
 
         A run whose name another one has is listed with the number of the measurement behind it.
 
@@ -118,13 +118,13 @@ class Session:
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """How a session ended."""
+    """Outcome of a session."""
 
     diagnosis: Diagnosis
     measurements: int
     """Runs that were taken."""
     named: bool
-    """Whether it ended because the fault was named, and not because no more runs were allowed or
+    """True if the fault was identified; False where no more runs were allowed or
     no pose would do."""
 
 
@@ -136,7 +136,7 @@ def find_fault(
     most: int = 12,
     say: Callable[[Diagnosis], None] = lambda _: None,
 ) -> Found:
-    """Measure and diagnose in turn until the fault has a name.
+    """Measure and diagnose in turn until the fault is identified.
 
     Parameters
     ----------

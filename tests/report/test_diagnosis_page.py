@@ -54,7 +54,7 @@ def test_every_page_is_whole_and_loads_nothing_from_elsewhere(
     assert "@import" not in page and "<script" not in page and "<link" not in page
     assert "cell &lt;4&gt;" in page and "cell <4>" not in page
     assert not re.search(r"\b(nan|None|inf)\b", words(page))
-    assert page.index("What to do next") < page.index("<svg")
+    assert page.index("Next steps") < page.index("<svg")
     drawn = 2 + (found.next is not None) + sum(bool(r.loops) for r in found.records)
     assert page.count("<svg") == page.count("<figure") == drawn
 
@@ -123,17 +123,17 @@ def test_an_undecided_diagnosis_sends_nobody_to_the_bolts() -> None:
 
 def test_a_sound_arm_is_said_with_its_limit() -> None:
     answers = dict(questions(diagnosis(flat(), kind="healthy", course=(0.99,)), flat()))
-    assert "stayed shut" in answers["What is loose"][0]
-    assert "How much travel" not in answers
+    assert "kept shut" in answers["Fault"][0]
+    assert "Clearance" not in answers
 
 
 def test_travel_is_in_the_unit_of_what_moves() -> None:
-    slide = dict(questions(diagnosis(flat()), flat()))["How much travel"][0]
+    slide = dict(questions(diagnosis(flat()), flat()))["Clearance"][0]
     assert slide == "0.12 mm from stop to stop, 95 % between 0.08 and 0.21."
-    play = dict(questions(diagnosis(flat(), kind="backlash"), flat()))["How much travel"][0]
+    play = dict(questions(diagnosis(flat(), kind="backlash"), flat()))["Clearance"][0]
     assert play.startswith("2.8 arc minutes")  # 0.8 mrad
     unknown = diagnosis(flat(), known=False)
-    assert "do not say" in dict(questions(unknown, flat()))["How much travel"][0]
+    assert "do not identify" in dict(questions(unknown, flat()))["Clearance"][0]
 
 
 def test_what_the_arm_does_not_have_is_refused_with_what_it_has() -> None:
@@ -198,5 +198,5 @@ def test_records_without_loops_or_probabilities_have_their_line() -> None:
     found = diagnosis(desk())
     bare = tuple(replace(r, loops=(), probabilities={}) for r in found.records)
     page = page_of(replace(found, records=bare), desk())
-    assert "What each record shows" not in page and page.count("run-0") == len(bare)
+    assert "Correlation by record" not in page and page.count("run-0") == len(bare)
     assert page_of(replace(found, records=()), desk()).count("<svg") == 1

@@ -1,4 +1,4 @@
-"""How much a record not yet taken is expected to say about the hypotheses.
+"""Expected information gain of a record about the hypotheses.
 
 The belief is thinned to a few dozen imagined faults. For each of them the nominal arm says what
 the record would show: how far the seat opens under that drive, friction and load, and what that
@@ -37,7 +37,7 @@ _LINEAR_ERROR = 0.003
 
 @dataclass(frozen=True, kw_only=True)
 class InformationSettings:
-    """How records are imagined."""
+    """Settings of the Monte Carlo estimate."""
 
     faults: int = 96
     """Imagined faults that stand for the belief."""
@@ -47,7 +47,7 @@ class InformationSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class InformationFactors:
-    """Which share of the expected information comes true, by kind of record."""
+    """Realised over expected information, by kind of record."""
 
     length: float = 0.0
     """Exponent of the record's length over a second."""
@@ -88,7 +88,7 @@ class ImaginedFaults:
 
 @dataclass(frozen=True, kw_only=True)
 class Expectation:
-    """What a record is expected to bring."""
+    """Expected information gain of a record."""
 
     information: float
     """Expected fall of the log score [nat]."""
@@ -102,7 +102,7 @@ those of other arms."""
 
 
 class RecordInformation:
-    """Weighs records that could be taken next.
+    """Expected information gain of candidate records.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ class RecordInformation:
     def of(
         self, faults: ImaginedFaults, pose: Array, torque: Array, duration: float
     ) -> Expectation:
-        """Say what a record is expected to bring.
+        """Expected information gain of a record.
 
         Parameters
         ----------
@@ -197,7 +197,7 @@ class RecordInformation:
     def likelihood(
         self, faults: ImaginedFaults, pose: Array, torque: Array, duration: float
     ) -> Array:
-        """How likely the record of each imagined fault is under each other one (M, M).
+        """Likelihood of each simulated fault's record under each other fault (M, M).
 
         Row k is for a record of fault k; 1 where the other one would show the same.
         """
@@ -210,7 +210,7 @@ class RecordInformation:
     def outcomes(
         self, faults: ImaginedFaults, pose: Array, torque: Array, duration: float
     ) -> Array:
-        """What each imagined fault would show, in standard deviations (M, features)."""
+        """Features of each simulated fault, in standard deviations (M, features)."""
         features = self.features
         linear, floor = features.linear, features.floor
         arm = linear.arm

@@ -1,4 +1,4 @@
-"""How few records can do: lower bounds on their mean number at a given error.
+"""Lower bounds on the mean number of records at a given error rate.
 
 Two bounds, each as good as the figure that goes into it. Both count a verdict of "unsure" as an
 error, and hold for any choice of records and any stopping rule.

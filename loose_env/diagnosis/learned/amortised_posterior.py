@@ -44,7 +44,7 @@ __all__ = [
 FORMAT = "loose-posterior/1"
 """Format of a stored network's configuration."""
 REFERENCE = "reference."
-"""How the names of the tensors of a `NoveltyReference` begin."""
+"""Prefix of the names of the tensors of a `NoveltyReference`."""
 CONFIGURATION, WEIGHTS = "configuration.json", "posterior.safetensors"
 
 _MOST_DIRECTIONS = 10_000
@@ -53,10 +53,10 @@ _MOST_FRICTION = 1e6  # over the seat drive of the top level
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AmortisedBelief:
-    """What the records so far say."""
+    """Posterior after the records so far."""
 
     total: Array
-    """Log-likelihood over that of a sound arm, by place and friction (P, F)."""
+    """Log-likelihood over that of a healthy arm, by place and friction (P, F)."""
     records: int
     """Number of records taken in."""
     temper: float
@@ -66,11 +66,11 @@ class AmortisedBelief:
     directions: Array
     """Sliding directions in a link's frame (A, axes)."""
     hypothesis: NDArray[np.intp]
-    """Which hypothesis with a fault each place belongs to (P,)."""
+    """Hypothesis of each location (P,)."""
     seen: tuple[Seen, ...] = ()
-    """What each record showed."""
+    """Features of each record."""
     reference: NoveltyReference | None = None
-    """How that is on arms of the trained kind, if it is known."""
+    """Distribution on arms of the trained kind, if known."""
 
     @cached_property
     def belief(self) -> Belief:

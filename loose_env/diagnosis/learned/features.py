@@ -1,4 +1,4 @@
-"""How one record looks under every place a seat could be loose: figures a network can weigh.
+"""Features of one record by location of the loose seat, inputs of the network.
 
 For every place (a sliding direction of a link, or the play of a joint) the nominal arm says how
 the record would have changed had that seat floated. The measured change is set against it in

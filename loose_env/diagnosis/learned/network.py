@@ -1,7 +1,7 @@
-"""A learned likelihood: what one record says about every place a seat could be loose.
+"""Learned likelihood of one record by location of the loose seat.
 
 A small network looks at the figures of one place (`loose_env.diagnosis.learned.features`) and says
-by how much the record speaks for a loose seat there rather than for a sound arm, once for every
+by how much the record speaks for a loose seat there rather than for a healthy arm, once for every
 node of friction. The same network looks at every place; only a short vector for the link or
 joint tells them apart. The pass is written in numpy, the weights are plain arrays.
 """
@@ -114,7 +114,7 @@ class SeatNetwork:
     def likelihood(
         self, place: Array, record: Array, hypothesis: NDArray[np.intp]
     ) -> NDArray[np.float64]:
-        """Log-likelihood of a record over that of a sound arm, by place and friction (P, F)."""
+        """Log-likelihood of a record over that of a healthy arm, by place and friction (P, F)."""
         hidden = self.hidden(place, record, hypothesis)
         return (hidden @ self.tensors["out.weight"].T + self.tensors["out.bias"]).astype(float)
 

@@ -1,4 +1,4 @@
-"""Whether an episode's records look like those that a learned likelihood was trained on.
+"""Novelty test of an episode's records against those of the training.
 
 Every posterior adds up to one, also where none of its hypotheses is true: two faults at once, an
 arm that is no draw of the nominal one. Three figures can give such an arm away: the change of
@@ -46,12 +46,12 @@ __all__ = [
 
 
 FIGURES = ("left", "second", "one_sided")
-"""What may be unusual: log of the chi² left, what a second seat takes off it, skewness."""
+"""Test statistics: log residual chi², its reduction by a second seat, skewness."""
 _PLACE = ("visible", "inertia_visible", "drive", "load", "loose_expected")
 _RECORD = ("numbers", "level", "excited", "duration")
 CONTEXT = (*_PLACE, *_RECORD, "healthy", "records", "explained", "opening")
-"""What the figures are judged by: figures of the favoured places and of the record, log-odds of
-a sound arm, log of the number of records, what the places explain and how far they open for it."""
+"""Context of the statistics: features of the best locations and of the record, log-odds of
+a healthy arm, log of the number of records, chi² explained by the locations and their opening."""
 _SHAPE = ("kurtosis", "lowest_kurtosis")
 COLUMNS = (*FIGURES, *CONTEXT, *_SHAPE)
 """Columns that `sights` gives."""
@@ -75,7 +75,7 @@ _LARGEST = 30.0  # standard deviations beyond which all is alike
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What one record showed."""
+    """Features of one record."""
 
     place: Array
     """Figures of the places, `PLACE_FEATURES` (P, C)."""
@@ -103,7 +103,7 @@ def sights(
         Probability of each place after all of these records, if one of them is loose; they add
         up to one.
     healthy : float
-        Log-odds of a sound arm.
+        Log-odds of a healthy arm.
     hypothesis : ndarray of int (P,)
         Which hypothesis each place belongs to.
 
@@ -163,7 +163,7 @@ def conformal_p(score: float, scores: Array) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NoveltyReference:
-    """How the figures are on arms of the trained kind.
+    """Distribution of the statistics on arms of the trained kind.
 
     Tables are by number of records: 1, 2, ...; the last serves longer episodes too.
     """
@@ -203,7 +203,7 @@ class NoveltyReference:
         return np.asarray(np.clip(deviates, -_LARGEST, _LARGEST))
 
     def score(self, novelty: Array) -> float:
-        """How far an episode stands out, in the figure in which it does most.
+        """Novelty score of an episode: its largest over the statistics.
 
         Parameters
         ----------

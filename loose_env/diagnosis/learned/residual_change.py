@@ -1,4 +1,4 @@
-"""What the favoured seat leaves unexplained of one record's change, and what a second explains.
+"""Residual of one record's change by the best seat, and its reduction by a second.
 
 The change of transmission is set against what one loose seat makes of it. Errors of model and
 sampling are known to first order only, and along some directions that leaves next to nothing:
@@ -32,7 +32,7 @@ class Unexplained:
     """One record's change under every place."""
 
     sound: float
-    """chi² of the change on a sound arm."""
+    """chi² of the change on a healthy arm."""
     left: Array
     """chi² that each place leaves (P,)."""
     explained: Array

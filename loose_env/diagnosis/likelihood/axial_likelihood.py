@@ -1,4 +1,4 @@
-"""How likely a measured axis is: a Gaussian in the tangent plane, closed up over the sphere.
+"""Likelihood of a measured axis: Bingham distribution on the sphere.
 
 An axis p measured with precision W (a matrix across p, so W p = 0) has, for the true axis m, the
 density exp(-m' W m / 2) over its mean on the sphere: Bingham's distribution. Near p it is the

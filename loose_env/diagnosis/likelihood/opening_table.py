@@ -1,4 +1,4 @@
-"""How far a seat opens, given how hard it is driven against its friction and gravity.
+"""Opening of a seat as a function of driving force, friction and gravity.
 
 The table says how openings and loose motion are distributed. Two figures decide: the driving
 force over the friction, which holds a seat wherever it is, and the share of gravity beside

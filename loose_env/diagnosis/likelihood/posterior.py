@@ -1,4 +1,4 @@
-"""The posterior over faults: what all records so far say about each hypothesis.
+"""Posterior over faults, given all records so far.
 
 Nuisances are carried on a grid: the direction of the slide, the friction of the guide, and the
 stiffness of the arm's bending modes, if it has any. The opening of the seat differs from
@@ -31,7 +31,7 @@ __all__ = ["Belief", "FaultPosterior", "PosteriorSettings", "slide_directions", 
 
 @dataclass(frozen=True, kw_only=True)
 class PosteriorSettings:
-    """What is taken for granted about the hidden faults."""
+    """Prior over faults and grid of the posterior."""
 
     friction: tuple[float, float] = (0.02, 1.0)
     """Range of guide friction over the seat drive of the top level, log-uniform [1]."""
@@ -42,7 +42,7 @@ class PosteriorSettings:
     space_directions: int = 200
     """Sliding directions tried over the half sphere, for an arm in space."""
     mismatch: Mismatch = field(default_factory=Mismatch)
-    """How far the nominal model may be off."""
+    """Standard deviations of the nominal model's errors."""
     kinds: Mapping[str, float] = field(
         default_factory=lambda: {"healthy": 1 / 3, "structural_looseness": 1 / 3, "backlash": 1 / 3}
     )
@@ -70,7 +70,7 @@ class PosteriorSettings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Belief:
-    """Log-weights of everything that is in question."""
+    """Log-weights of all hypotheses and their parameters."""
 
     healthy: Array
     """Of the healthy arm, by variant of the arm (V,)."""

@@ -1,4 +1,4 @@
-"""How well one record fits each place, opening and amount of loose motion.
+"""Likelihood of one record by location, opening and amount of loose motion.
 
 How well a measured covariance fits many expected ones: the Wishart density in closed form.
 """
@@ -68,7 +68,7 @@ def fit_record(
     floor: SensorFloor,
     mismatch: Mismatch,
 ) -> Fit:
-    """Work out the likelihood of a record.
+    """Likelihood of a record.
 
     Three things are compared with what each seat would do. The part of the tool's motion that
     does not follow the joint as measured, a - B x, must not follow the command either. The
@@ -103,7 +103,7 @@ def fit_record(
     if m > 1:  # with their covariance only predicted, more may be taken off than was there
         size, along = np.linalg.eigh(residual)
         residual = along @ np.diag(np.maximum(size, 0.0)) @ along.T
-    # What float32 readings and the linear model itself leave, however good the sensors are.
+    # Error floor of float32 readings and the linear model.
     rounding = (
         1e-3 * floor.tool**2 + _LINEAR_ERROR**2 * np.trace(record.tool_covariance)
     ) * np.eye(d)
@@ -131,7 +131,7 @@ def fit_record(
     scale = np.maximum(record.joint_rms[on[0]] ** 2 - noise[0], 0.1 * noise[0])
     scale = scale / np.maximum(power, 1e-3 * float(seats.in_step[0, 0]) ** 2)
     scale, s = np.clip(scale, 0.2, 5.0)[..., None, None], s[..., None, None]
-    # What the sensors add is no motion: it keeps its size.
+    # Sensor noise is no motion: it does not scale.
     sensed = away @ np.diag(noise) @ away.T
     shut, mixed_in, opened = (away @ part @ away.T for part in rest)
     across = (shut - sensed + s * mixed_in + s**2 * opened) * scale + sensed + rounding

@@ -1,4 +1,4 @@
-"""What every seat would do to a record if it opened: the linear arm with one seat freed.
+"""Response of the linear arm with one seat freed, for every seat.
 
 A shut seat transmits a force. If it floats, the two sides part with acceleration
 ``-force / apparent mass``, and the whole arm answers through the seat's open columns. A seat

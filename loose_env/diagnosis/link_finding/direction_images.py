@@ -1,4 +1,4 @@
-"""Where a direction fixed in a link is seen by the tool, for any serial arm and many poses.
+"""Tool-frame images of directions fixed in a link, for serial arms and many poses.
 
 A slide loose at link i along z_l, fixed in the link, appears in the tool frame as R z_l, where R
 takes link i's frame to the tool's (4.27, 4.28). Joints 1..i leave R alone; a hinge beyond link i
@@ -68,7 +68,7 @@ class ToolFrames:
         self.slides: NDArray[np.bool_] = np.array(
             [model.jnt_type[i] == mujoco.mjtJoint.mjJNT_SLIDE for i in ids]
         )
-        """Whether each joint slides instead of turning (n,)."""
+        """True for each prismatic joint (n,)."""
         self._reference = model.qpos0[arm.pose_addresses].copy()
         self._axis = data.xaxis[ids].copy()
         self._anchor = data.xanchor[ids].copy()

@@ -1,4 +1,4 @@
-"""The direction of looseness in one record, from the change of transmission, and how sure it is.
+"""Direction of looseness from the change of transmission, with its covariance.
 
 The change dB of the tool's motion per joint motion, against the nominal arm in the same pose, is
 z v' for a slide seen along z: its leading left singular vector is the direction. Two errors bend
@@ -29,7 +29,7 @@ __all__ = ["ChangeModel", "ChangeSighting", "sight_change"]
 
 @dataclass(frozen=True, kw_only=True)
 class ChangeModel:
-    """How far a transmission may be off although nothing is loose."""
+    """Errors of the transmission of a healthy arm."""
 
     sensor: float = 0.025
     """Entries of the accelerometer's error matrix: leakage, gain, mounting [1]."""

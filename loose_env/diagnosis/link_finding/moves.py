@@ -1,4 +1,4 @@
-"""Which move tells the links apart: moves that cannot help, and the one that helps most."""
+"""Choice of the move that discriminates best between the links."""
 
 from __future__ import annotations
 

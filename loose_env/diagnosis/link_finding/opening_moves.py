@@ -1,4 +1,4 @@
-"""How far a pose lets a seat open, and the pose that shows the most of the seats in question."""
+"""Openness of seats under gravity, and moves that take it into account."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def expected_openness(
     *,
     level: float,
 ) -> Array:
-    """How open the seats in question would be in several poses, all joints excited.
+    """Expected openness of seats in several poses, all joints excited.
 
     Gravity along a slide holds it shut until the excitation overcomes it. With F the rms force
     that the shut seat transmits along its slide and G the weight it carries along it, the share is

@@ -1,4 +1,4 @@
-"""The thesis's way of finding the loose link: move joints one by one, watch the direction turn.
+"""Link finding of the thesis: move joints one by one and compare directions.
 
 Section 4.2.2 gives eight steps. In the tool frame, the direction of looseness at link i turns
 when a joint i+1..n moves and stays when a joint 1..i moves. Going outward from the base, the
@@ -47,7 +47,7 @@ class LinkFindingSettings:
     """Thresholds and excitation of the method; the defaults are the thesis's, untuned."""
 
     order: Order = "outward"
-    """Which joint to move next: from the base out, from the tool in, or halving."""
+    """Order of the joints: from the base out, from the tool in, or halving."""
     joint: int = 1
     """Joint that is excited, from 1."""
     level: int = 3
@@ -81,7 +81,7 @@ class LinkFindingSettings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sighting:
-    """What one record says about the direction of looseness, in the plane."""
+    """Direction of looseness in one record, in the plane."""
 
     pose: Array
     """Pose [rad] (n,)."""
@@ -166,7 +166,7 @@ def next_joint(order: Order, low: int, high: int) -> int:
 
 
 def looks_healthy(sightings: Sequence[Sighting], settings: LinkFindingSettings) -> bool:
-    """Whether the comparative index is under its threshold in every record."""
+    """True if the comparative index is below its threshold in every record."""
     values = [s.index.mag_d if settings.index == "d" else s.index.mag_e for s in sightings]
     return max(values) <= settings.healthy_index
 

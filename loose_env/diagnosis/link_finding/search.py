@@ -1,4 +1,4 @@
-"""The thesis's search in space: which links are in question after each move of one joint."""
+"""Link search of the thesis in space: candidate links after each move of a joint."""
 
 from __future__ import annotations
 

@@ -156,7 +156,7 @@ def judge_turn_in_space(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkPosterior:
-    """What the directions of several poses say about the place of the looseness."""
+    """Posterior over the loose link, from the directions of several poses."""
 
     names: tuple[str, ...]
     """Hypotheses: a slide at each link, then play in each joint."""

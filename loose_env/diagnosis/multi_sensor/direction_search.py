@@ -81,7 +81,7 @@ def climb(
         values, vectors = np.linalg.eigh(-hessian / step[:, None, None] ** 2)
         bend = np.maximum(values, 1 / _FLAT**2)
         along = np.einsum("nij,ni->nj", vectors, slope) / bend
-        # Where the fit does not hold, a step no longer than the last stencil allows.
+        # Where the fit is poor, the step is limited to the last stencil.
         along *= np.minimum(1.0, 3 * step / np.maximum(np.linalg.norm(along, axis=1), 1e-12))[
             :, None
         ]

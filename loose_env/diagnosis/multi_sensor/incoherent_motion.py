@@ -1,4 +1,4 @@
-"""What of a loose seat's motion follows no command, as several sensors see it.
+"""Incoherent motion of a loose seat in several sensors.
 
 A seat that rattles or sticks and slips moves along its direction out of step with the commands.
 That motion reaches every sensor beyond the seat by the same vector: it adds a covariance of rank

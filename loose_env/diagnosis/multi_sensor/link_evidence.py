@@ -1,4 +1,4 @@
-"""Which link is loose, and along what, from accelerometers at the tool and on links (8.3.3).
+"""Loose link and direction from accelerometers at the tool and on links (8.3.3).
 
 A seat of link k that slides along u moves every sensor beyond it by the same vector and none
 before it. Against the healthy arm, what follows the commands changes by one pattern over all
@@ -44,7 +44,7 @@ __all__ = ["OpeningPrior", "SensorVerdict", "weigh_links"]
 
 @dataclass(frozen=True, kw_only=True)
 class OpeningPrior:
-    """How far a loose seat is expected to open: 0 shut, 1 floating freely."""
+    """Expected opening of a loose seat: 0 shut, 1 floating freely."""
 
     shared: float = 0.4
     """Standard deviation of the opening that all excitations share [1]."""
@@ -59,7 +59,7 @@ class OpeningPrior:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SensorVerdict:
-    """What the sensors say about one pose."""
+    """Evidence of the sensors in one pose."""
 
     evidence: Array
     """Log-likelihood of each link being loose, against the healthy arm (n,)."""

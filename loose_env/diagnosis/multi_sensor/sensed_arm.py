@@ -1,4 +1,4 @@
-"""What the nominal arm shows at the tool and on its links, healthy and with each seat open."""
+"""Predicted readings at tool and links, healthy and with each seat open."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class SensedPose:
     bending: Array
     """Change of it by one standard deviation of each bending mode's stiffness (f, S, 3, m)."""
     column: Array
-    """What a unit acceleration of a link's seat adds at fixed joints (S, 3, n, A)."""
+    """Change of the readings per seat acceleration at fixed joints (S, 3, n, A)."""
     driven: Array
     """The same for a seat that follows the force across it, per torque: ``driven @ u @ u`` over
     the apparent mass is what a seat floating along u adds (S, 3, n, A, A, m) [kg m/s²/(N·m)]."""

@@ -1,4 +1,4 @@
-"""What sensors and the nominal arm may get wrong about a change of transmission.
+"""Errors of sensors and nominal arm in a change of transmission.
 
 An error is given as a mode: its effect, at one standard deviation, on the in-step acceleration of
 every row under every command of a record.
@@ -64,7 +64,7 @@ def against_reference(rows: SensorRows, change: Array, mismatch: Mismatch) -> tu
     most = change[np.argmax(np.sum(change**2, axis=1))]
     leaks = np.zeros((len(alone), *change.shape))
     leaks[np.arange(len(alone)), alone] = _across(mismatch) * most
-    # What the pattern misses is alike in all excitations too: it counts as often as it is shared.
+    # Errors outside the pattern are common to all excitations: they count as often as shared.
     missed = _PATTERN_ERROR**2 * change.shape[1] * np.mean(change**2, axis=0)
     return np.concatenate([_by_sensors(rows, moved, mismatch), leaks]), missed
 
@@ -75,7 +75,7 @@ def _across(mismatch: Mismatch) -> float:
 
 
 def _by_sensors(rows: SensorRows, motion: Array, mismatch: Mismatch) -> Array:
-    """What each error of each sensor makes of its motion (D, 3, m), in every row (r, D, m)."""
+    """Change of every row by each sensor error, for motion (D, 3, m): (r, D, m)."""
     read = np.einsum("dc,kce,dem->kdm", rows.direction, sensor_matrices(3, mismatch), motion)
     of_sensor = np.unique(rows.link)[:, None] == rows.link
     return np.asarray((of_sensor[:, None, :, None] * read).reshape(-1, *read.shape[1:]))

@@ -142,7 +142,7 @@ class StackedRecord:
 
     @property
     def excited(self) -> NDArray[np.bool_]:
-        """Whether each joint was excited (n,)."""
+        """True for each excited joint (n,)."""
         return np.asarray(self.torque > 0)
 
     def projected(self, matrix: Array) -> StackedRecord:

@@ -1,4 +1,4 @@
-"""What to play in a pose: band and level from modes, gravity on the seats and the gap of interest.
+"""Excitation design in a pose: band and level from modes, gravity and clearance.
 
 Below its holding modes an arm transmits as its kinematics say; inside them it does not. A seat
 stays shut until the force across it overcomes its static load, and once it moves farther than its
@@ -48,7 +48,7 @@ _OVERCOME = 0.6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Proposal:
-    """What to play in one pose, each joint in turn."""
+    """Excitation of each joint in turn in one pose."""
 
     band: tuple[float, float]
     """Band [Hz]."""
@@ -58,7 +58,7 @@ class Proposal:
     shares: Array
     """Share of each joint's torque-free optimum that its torque limit allows (n,) [1]."""
     excitations: tuple[Excitation | None, ...]
-    """What to play for each joint; None where it cannot move the tool."""
+    """Excitation of each joint; None where it cannot move the tool."""
     modes: Array
     """Modes of the arm with one joint free and the others held, lowest over the joints, rising
     [Hz]."""
@@ -68,7 +68,7 @@ class Proposal:
     """Expected share of transmission lost by an open seat of each link under the best joint, mean
     over directions (n,) [1]."""
     warnings: tuple[str, ...]
-    """What will disturb a diagnosis in this pose."""
+    """Warnings about disturbances of a diagnosis in this pose."""
 
 
 def holding_modes(pose: LinearPose, excited: NDArray[np.bool_]) -> Array:

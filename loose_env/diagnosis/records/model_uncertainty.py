@@ -1,4 +1,4 @@
-"""What a true arm's transmission may differ by from the nominal one, error by error.
+"""Errors of the nominal transmission, by source.
 
 With one joint excited and the others held, the healthy transmission is kinematics: link lengths,
 joint zeros and the accelerometer's gains, leakage and mounting decide, masses hardly matter.
@@ -6,7 +6,7 @@ joint zeros and the accelerometer's gains, leakage and mounting decide, masses h
 What an arm's own compliance does to a change of transmission.
 
 On a stiff arm a seat that opens moves the tool along its own direction and nothing else. Bending
-modes, gears, servos and, a little, brakes give way to the seat's reaction, and move the tool
+modes, gears, servos and, a little, brakes yield to the seat's reaction, and move the tool
 elsewhere: near a mode by as much as the seat itself. And where the healthy arm is taken from the
 nominal model, modes in or near the band change its transmission with every error of stiffness.
 """
@@ -94,7 +94,7 @@ def sensor_errors(b: Array, mismatch: Mismatch) -> Array:
 def calibrate_sensor(
     healthy: TransmissionEstimate, nominal: Array, kinematic: Array, mismatch: Mismatch
 ) -> tuple[Array, Array]:
-    """Learn the accelerometer's errors from a sound arm whose transmission the model knows.
+    """Learn the accelerometer's errors from a healthy arm whose transmission the model knows.
 
     What differs between the healthy transmission and the nominal one is the sensor's doing or the
     model's. Both are given the sizes that the mismatch expects, and the sensor's part is what
@@ -103,7 +103,7 @@ def calibrate_sensor(
     Parameters
     ----------
     healthy : TransmissionEstimate
-        Measured on the sound arm (d, m).
+        Measured on the healthy arm (d, m).
     nominal : ndarray (d, m)
         The same by the nominal model.
     kinematic : ndarray (K, d, m)
@@ -229,7 +229,7 @@ _IN_STEP = 0.3
 
 
 def bent_by_seats(pose: LinearPose, excited: NDArray[np.bool_]) -> Array:
-    """How far off its own direction a seat of each link would move the tool.
+    """Direction error of the tool motion by a seat of each link.
 
     Parameters
     ----------
@@ -274,7 +274,7 @@ def bent_by_seats(pose: LinearPose, excited: NDArray[np.bool_]) -> Array:
 def stiffness_errors(
     linear: LinearArm, pose: Array, excited: NDArray[np.bool_], mismatch: Mismatch
 ) -> Array:
-    """Change of the healthy transmission by an error of each spring that may give way.
+    """Change of the healthy transmission by an error of each compliant spring.
 
     Differences over two standard deviations, because answers near a mode are far from linear.
 

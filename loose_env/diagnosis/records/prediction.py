@@ -1,4 +1,4 @@
-"""What the nominal, healthy arm would show in a pose, in closed form."""
+"""Closed-form prediction of the nominal, healthy arm in a pose."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ class RecordStatistics:
 
     @property
     def excited(self) -> NDArray[np.bool_]:
-        """Whether each joint was excited (n,)."""
+        """True for each excited joint (n,)."""
         return np.asarray(self.torque > 0)
 
 

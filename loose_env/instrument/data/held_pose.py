@@ -15,11 +15,11 @@ from loose_env.instrument.settings.thresholds import EXCITED_SHARE, POSE_OFFSET,
 from loose_env.recording import Run
 from loose_env.typing import Array
 
-__all__ = ["Held", "held_in"]
+__all__ = ["RunSetup", "run_setup"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Held:
+class RunSetup:
     """Pose and excited joints of a run."""
 
     pose: Array
@@ -27,7 +27,7 @@ class Held:
     excited: NDArray[np.intp]
     """Joints that were excited, from 0."""
     notes: tuple[str, ...]
-    """What had to be derived."""
+    """Values that had to be derived, in sentences."""
 
     def shown(self, arm: InstrumentedArm, noted: Mapping[str, float] | None) -> dict[str, float]:
         """Pose by joint: the recorded one where it agrees with the measured pose."""
@@ -38,7 +38,7 @@ class Held:
         return found
 
 
-def held_in(arm: InstrumentedArm, run: Run) -> Held:
+def run_setup(arm: InstrumentedArm, run: Run) -> RunSetup:
     """Determine the pose and the excited joints of a run.
 
     Raises
@@ -95,7 +95,7 @@ def held_in(arm: InstrumentedArm, run: Run) -> Held:
         known = _shaken(arm, run)
         notes.append(f"{run.name}: no 'excited' is noted; taken from the commands: {known}")
     excited = np.array(sorted(arm.joints.index(joint) for joint in known), dtype=np.intp)
-    return Held(pose=pose, excited=excited, notes=tuple(notes))
+    return RunSetup(pose=pose, excited=excited, notes=tuple(notes))
 
 
 def _positions(arm: InstrumentedArm, run: Run) -> list[Array | None]:

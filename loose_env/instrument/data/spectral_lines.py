@@ -47,11 +47,11 @@ class Lines:
     run: str
     """File of the run."""
     number: int
-    """Of the run among all that are weighed together, from 0."""
+    """Index of the run among those evaluated together, from 0."""
     pose: Array
     """Pose held (n,) [rad or m]."""
     healthy: bool
-    """Whether the run is a reference of the sound arm."""
+    """True if the run is a reference of the healthy arm."""
     excited: NDArray[np.intp]
     """Joints that were excited, from 0."""
     frequency: Array
@@ -77,7 +77,7 @@ class Lines:
     noise: Array
     """Variance of what the sensors add (K, c)."""
     read: NDArray[np.bool_]
-    """Whether the sensor says anything at the line (K, c): a slow one does not at high ones."""
+    """True where a line is below the sensor's bandwidth (K, c)."""
     power: Array
     """Smoothed power against which errors of the model are measured (K, c)."""
     independent: float
@@ -85,9 +85,9 @@ class Lines:
     next: float
     """Frequency from a line of the whole transform to the next one [Hz]."""
     folded: float
-    """How much of what is faster than the samples is to be expected in the band, 0 to 1."""
+    """Expected aliasing of motion above the Nyquist frequency, 0 to 1."""
     sampled: float
-    """How much the sensors see of a command's step: 0 where filters smooth it, 1 where they are
+    """Share of a command's step in the readings: 0 where filters smooth it, 1 where they are
     read just after it."""
     period: float
     """Time for which a command is held [s]."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.frequency_response import respond
-from loose_env.instrument.inference.posterior import Judged
+from loose_env.instrument.inference.posterior import ModelComparison
 from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.result import HEALTHY, Loop
 from loose_env.typing import ComplexArray
@@ -24,7 +24,9 @@ _PLANES: dict[Literal["xy", "xz", "yz"], tuple[int, int]] = {
 }
 
 
-def loops_of(uncertain: UncertainArm, judged: Judged, lines: Lines) -> tuple[Loop, ...]:
+def loops_of(
+    uncertain: UncertainArm, comparison: ModelComparison, lines: Lines
+) -> tuple[Loop, ...]:
     """Correlation loops of a run in the tool-frame plane of largest motion.
 
     The correlation along u is that of u . a with the acceleration of the excited joint, over the
@@ -34,7 +36,7 @@ def loops_of(uncertain: UncertainArm, judged: Judged, lines: Lines) -> tuple[Loo
     site = [k for k, (r, _) in enumerate(lines.row) if r.kind == "acceleration" and r.at == 0]
     if len(site) != 3:
         return ()
-    errors = judged.fits[HEALTHY].errors
+    errors = comparison.fits[HEALTHY].errors
     response = respond(uncertain.at(lines.pose), lines, errors)
     measured, expected = lines.readings[:, site], response.mean[:, site]
     power = np.sum(np.abs(measured) ** 2, axis=0)

@@ -7,7 +7,7 @@ import numpy as np
 from loose_env.diagnosis import ToolFrames
 from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.laplace_fit import Fit
-from loose_env.instrument.inference.posterior import Judged
+from loose_env.instrument.inference.posterior import ModelComparison
 from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.result import HEALTHY, Vector
 from loose_env.instrument.settings.thresholds import (
@@ -32,14 +32,14 @@ def cone(fit: Fit) -> tuple[Vector | None, float | None]:
 
 
 def seen_in_tool(
-    uncertain: UncertainArm, judged: Judged, lines: Lines
+    uncertain: UncertainArm, comparison: ModelComparison, lines: Lines
 ) -> tuple[Vector | None, float | None]:
     """Tool-frame direction of the most likely fault in a run, with cone [degrees]."""
-    loose = {name: p for name, p in judged.posterior.items() if name != HEALTHY}
+    loose = {name: p for name, p in comparison.posterior.items() if name != HEALTHY}
     best = max(loose, key=lambda name: loose[name])
-    if judged.posterior[HEALTHY] > 0.5:
+    if comparison.posterior[HEALTHY] > 0.5:
         return None, None
-    fit, nominal = judged.fits[best], uncertain.arm.nominal
+    fit, nominal = comparison.fits[best], uncertain.arm.nominal
     frames, where = ToolFrames(nominal), uncertain.arm.hypotheses.index(best) - 1
     pose = lines.pose[None]
     if where >= nominal.n:

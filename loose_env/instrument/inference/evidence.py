@@ -36,7 +36,7 @@ __all__ = [
 Products = tuple[Array, Array, ComplexArray, ComplexArray, ComplexArray]
 
 SHARES = np.geomspace(1e-3, 4.0, 14)
-"""Shares of a floating seat's motion that are tried [1]."""
+"""Grid of a seat's motion over that of a floating seat [1]."""
 _FOLDED = 0.2
 """Share of a seat's motion that is too fast for the samples and folded back into the band [1]."""
 _FOLDS = 0.05
@@ -44,15 +44,15 @@ _FOLDS = 0.05
 _STUCK = 0.03
 """Share of a floating seat's motion below which it does not follow a sudden force either [1]."""
 _OPEN = SHARES > 0.1
-"""Those that an open seat is expected to have."""
+"""Shares expected of an open seat."""
 _SPREAD = 1.0
-"""How far the shares of a run's bands lie about that of the run (standard deviation of the log)."""
+"""Standard deviation of the log share of a band about that of its run."""
 _BANDS = 8
 """Bands of a run."""
 _DRIVE = 3.0
 """Relative error of a drive's force over that of a reading."""
 _BLIND = 1e4
-"""The same of a drive of which nothing is known."""
+"""The same of a drive with an unknown force."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,9 +75,9 @@ class Piece:
 
     response: Response
     weight: ComplexArray
-    """Inverse covariance of the sound arm's residual (K, c, c)."""
+    """Inverse covariance of the healthy arm's residual (K, c, c)."""
     base: float
-    """Log-likelihood of the sound arm."""
+    """Log-likelihood of the healthy arm."""
     temper: float
     """Independent values that a line is worth [1]."""
     bands: NDArray[np.intp]
@@ -221,7 +221,7 @@ def band_terms(piece: Piece, seat: Seat, axes: Array) -> Array:
 def seat_products(piece: Piece, seat: Seat, axes: Array) -> Products:
     """Weighted inner products of a seat's regressors and the residual.
 
-    A seat that strikes its stops moves faster than samples follow. What of that is folded back
+    A seat with impacts on its stops moves faster than samples follow. What of that is folded back
     into the band shows as inertia alone answers it: a second pattern beside the first.
 
     Returns

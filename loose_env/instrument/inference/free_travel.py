@@ -17,7 +17,7 @@ from scipy import signal
 from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.evidence import Evidence, Piece, Seat
 from loose_env.instrument.inference.laplace_fit import seats_of
-from loose_env.instrument.inference.posterior import Judged
+from loose_env.instrument.inference.posterior import ModelComparison
 from loose_env.instrument.settings.thresholds import (
     CLEARANCE_ERROR,
     CLEARANCE_RESIDUAL,
@@ -33,7 +33,7 @@ _FOLDED = 0.04
 _ENDS = 25
 _BLOCKS = 6
 _SAMPLES = 500
-"""Most samples by which a law is judged."""
+"""Most samples to which the law is fitted."""
 _TAPER = 0.5
 """Least height of the taper at samples that are used."""
 
@@ -43,21 +43,21 @@ class Travel:
     """Estimated free travel of a seat."""
 
     gap: float | None
-    """Free travel [m, rad for play of a turning joint]; None where the data do not say."""
+    """Free travel [m, rad for play of a revolute joint]; None where not identified."""
     interval: tuple[float, float] | None
     """Ends of its 95 % interval."""
     range: float
-    """How far the seat moved, from its 1st to its 99th percentile [m or rad]."""
+    """Range of the seat's motion, 1st to 99th percentile [m or rad]."""
     linear: bool
-    """Whether a spring without a gap explains the force as well: then it may be no looseness."""
+    """True if a spring without clearance explains the force as well: a compliant part."""
 
 
-def travel_of(judged: Judged, hypothesis: str, lines: Sequence[Lines]) -> Travel:
+def travel_of(comparison: ModelComparison, hypothesis: str, lines: Sequence[Lines]) -> Travel:
     """Estimate the free travel of the most likely seat.
 
     Parameters
     ----------
-    judged : Judged
+    comparison : ModelComparison
         What all runs say.
     hypothesis : str
         The seat.
@@ -65,10 +65,10 @@ def travel_of(judged: Judged, hypothesis: str, lines: Sequence[Lines]) -> Travel
         Runs under test with all their lines, those that were not excited too: between its stops a
         seat drifts slowly, and strikes them fast.
     """
-    uncertain = judged.evidence.uncertain
-    evidence = Evidence(uncertain=uncertain, lines=[judged.as_sampled(one) for one in lines])
+    uncertain = comparison.evidence.uncertain
+    evidence = Evidence(uncertain=uncertain, lines=[comparison.as_sampled(one) for one in lines])
     seat = seats_of(uncertain.arm.hypotheses, uncertain.arm.n)[hypothesis]
-    fit = judged.fits[hypothesis]
+    fit = comparison.fits[hypothesis]
     assert isinstance(seat, Seat)
     assert fit.axis is not None
     gaps: list[float] = []

@@ -42,7 +42,7 @@ class Response:
     step: ComplexArray
     """Readings of accelerometers that are sampled just then, for it (K, c)."""
     mean: ComplexArray
-    """Readings of the sound arm (K, c)."""
+    """Readings of the healthy arm (K, c)."""
 
     @property
     def residual(self) -> ComplexArray:

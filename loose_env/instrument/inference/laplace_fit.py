@@ -23,14 +23,14 @@ __all__ = ["MODEL_ERRORS", "Fit", "best_powers", "fit_hypothesis", "seats_of"]
 
 
 MODEL_ERRORS = np.geomspace(0.01, 0.32, 6)
-"""Relative errors that the model may have at a line beside those of its figures."""
+"""Relative errors that the model may have at a line beside those of its parameters."""
 _EXPECTED, _DECADES = 0.015, 0.4
 """Most likely of them beforehand, and the standard deviation of its decimal logarithm."""
 _AXES = 150
 _STEPS = 6
 _HALVINGS = 4
 _FIRST = 0.08
-"""Model error with which a fit starts: no line decides before the figures are right."""
+"""Model error with which a fit starts: no single line dominates before the parameters fit."""
 _UNSEEN = 1.0
 """Precision of a direction of which nothing is known [1/rad²]."""
 
@@ -46,7 +46,7 @@ class Fit:
     """Errors of the model and of the runs' delays in standard deviations, as
     `UncertainArm.count` has them."""
     model_error: float
-    """What remains beside them, relative."""
+    """Relative model error at a line beside them."""
     axis: Array | None
     """Direction in the link's frame (3,); [1] for play; None where nothing is loose."""
     covariance: Array | None
@@ -93,7 +93,7 @@ def fit_hypothesis(
     hypothesis : str
         Its name.
     seat : Seat or None
-        What is loose; None for a sound arm.
+        Loose seat; None for a healthy arm.
     start : Fit, optional
         A fit of the same hypothesis to fewer runs.
     steps : int

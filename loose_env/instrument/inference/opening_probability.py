@@ -13,9 +13,9 @@ __all__ = ["open_probability", "seat_forces"]
 
 
 _FRICTION = np.geomspace(0.3, 30.0, 9)
-"""Friction of a slide's guide that is held possible [N]."""
+"""Prior grid of the friction of a slide's guide [N]."""
 _LEVER = 0.03
-"""Friction of play in a joint that turns, over that of a slide [m]."""
+"""Friction of play in a revolute joint over that of a slide [m]."""
 
 
 def seat_forces(response: Response, seats: NDArray[np.intp], axes: Array) -> tuple[Array, Array]:

@@ -14,28 +14,28 @@ from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.result import HEALTHY
 from loose_env.instrument.settings.thresholds import REFINED_WITHIN, UNEXPLAINED
 
-__all__ = ["Judged", "judge", "probabilities_of"]
+__all__ = ["ModelComparison", "compare_hypotheses", "probabilities_of"]
 
 
 _COARSE, _FINE = 32, 120
-"""Lines of a run in the first look at all hypotheses, and in the last at the likely ones: errors of
-a model are alike at neighbouring lines, so that more would cost time and say little."""
+"""Lines of a run in the coarse fit of all hypotheses and in the fine fit of the likely ones: errors
+of a model are correlated over neighbouring lines, so that more would add little."""
 _MOST = 4
 _PROBED = 2
-"""Likely hypotheses by which it is judged how the sensors were sampled."""
+"""Likely hypotheses by which the sampling of the sensors is identified."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Judged:
+class ModelComparison:
     """Posterior over the hypotheses, given all runs."""
 
     posterior: Mapping[str, float]
     fits: Mapping[str, Fit]
     """Best fit of each hypothesis."""
     evidence: Evidence
-    """Of the likely hypotheses."""
+    """Of the likely hypotheses, on more lines."""
     coarse: Evidence
-    """Of all."""
+    """Of all hypotheses, on few lines."""
     lines: tuple[Lines, ...]
     """All lines of all runs."""
 
@@ -51,7 +51,9 @@ class Judged:
         return max(self.posterior, key=lambda name: self.posterior[name])
 
 
-def judge(uncertain: UncertainArm, lines: Sequence[Lines], *, sound: float) -> Judged:
+def compare_hypotheses(
+    uncertain: UncertainArm, lines: Sequence[Lines], *, healthy_prior: float
+) -> ModelComparison:
     """Compute the posterior over all hypotheses.
 
     Parameters
@@ -60,7 +62,7 @@ def judge(uncertain: UncertainArm, lines: Sequence[Lines], *, sound: float) -> J
         The arm and its nuisance parameters.
     lines : sequence of Lines
         All runs; none for what is known beforehand.
-    sound : float
+    healthy_prior : float
         Prior probability that nothing is loose.
     """
     hypotheses = uncertain.arm.hypotheses
@@ -82,8 +84,8 @@ def judge(uncertain: UncertainArm, lines: Sequence[Lines], *, sound: float) -> J
         values = {name: value + shift for name, value in values.items()}
         values |= {name: fit.evidence for name, fit in again.items()}
         fits |= again
-    return Judged(
-        posterior=probabilities_of(values, sound=sound),
+    return ModelComparison(
+        posterior=probabilities_of(values, healthy_prior=healthy_prior),
         fits=fits,
         evidence=fine,
         coarse=coarse,
@@ -116,17 +118,21 @@ def _first_look(
     return filtered, {name: fit(filtered, name) for name in seats}
 
 
-def probabilities_of(evidence: Mapping[str, float], *, sound: float) -> dict[str, float]:
+def probabilities_of(evidence: Mapping[str, float], *, healthy_prior: float) -> dict[str, float]:
     """Probabilities from log-evidences, with a uniform prior over the faults.
 
     Examples
     --------
-    >>> found = probabilities_of({"healthy": 0.0, "backlash@a": 0.0, "backlash@b": 0.0}, sound=0.5)
+    >>> evidence = {"healthy": 0.0, "backlash@a": 0.0, "backlash@b": 0.0}
+    >>> found = probabilities_of(evidence, healthy_prior=0.5)
     >>> found["healthy"], found["backlash@b"]
     (0.5, 0.25)
     """
     faults = len(evidence) - 1
-    prior = {name: sound if name == HEALTHY else (1 - sound) / faults for name in evidence}
+    prior = {
+        name: healthy_prior if name == HEALTHY else (1 - healthy_prior) / faults
+        for name in evidence
+    }
     log = {name: value + np.log(prior[name]) for name, value in evidence.items()}
     top = max(log.values())
     weight = {name: float(np.exp(value - top)) for name, value in log.items()}

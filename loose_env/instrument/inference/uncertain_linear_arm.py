@@ -27,8 +27,8 @@ __all__ = ["DELAYS", "PoseModel", "UncertainArm"]
 
 
 DELAYS = ("command_delay", "sensor_delay")
-"""Errors that every run has anew: what plays, what reads the joints and what reads accelerations
-start by themselves; named as in `Tolerances`."""
+"""Errors drawn anew for every run: player, encoders and accelerometers start on their own clocks;
+named as in `Tolerances`."""
 _STEP = 1e-4
 """Turn by which gravity's stiffness is found [rad or m]."""
 

@@ -11,7 +11,7 @@ from loose_env.instrument.inference.evidence import Seat
 from loose_env.instrument.inference.free_travel import Travel
 from loose_env.instrument.inference.laplace_fit import seats_of
 from loose_env.instrument.inference.opening_probability import open_probability, seat_forces
-from loose_env.instrument.inference.posterior import Judged
+from loose_env.instrument.inference.posterior import ModelComparison
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.result import HEALTHY
 from loose_env.instrument.settings.thresholds import (
@@ -30,22 +30,22 @@ __all__ = ["warnings_of"]
 
 
 def warnings_of(
-    arm: InstrumentedArm, judged: Judged, notes: Sequence[str], travel: Travel | None
+    arm: InstrumentedArm, comparison: ModelComparison, notes: Sequence[str], travel: Travel | None
 ) -> tuple[str, ...]:
     """Collect the warnings, most severe first."""
     said: list[str] = []
-    suspect = [one for one in judged.evidence.lines if not one.healthy]
-    said += _of_model(judged)
-    said += _of_seats(arm, judged, suspect)
+    suspect = [one for one in comparison.evidence.lines if not one.healthy]
+    said += _of_model(comparison)
+    said += _of_seats(arm, comparison, suspect)
     if travel is not None and travel.linear:
         said.append(
             "the force across the seat is as well that of a spring without free travel: it may be "
-            "a loose seat pressed to one stop, or a part that bends; a pose in which gravity does "
+            "a loose seat pressed to one stop, or a compliant part; a pose in which gravity does "
             "not press on it tells them apart"
         )
     for one in suspect:
         said += _of_run(arm, one)
-    if any(one.folded > 0 for one in judged.lines):
+    if any(one.folded > 0 for one in comparison.lines):
         said.append(
             "the sensors seem to be sampled without a filter: what is faster than half the rate "
             "is folded into the band, whose upper part is trusted less; switch on the recorder's "
@@ -61,25 +61,27 @@ def warnings_of(
     return tuple(dict.fromkeys(said))
 
 
-def _of_model(judged: Judged) -> list[str]:
-    fit = judged.fits[judged.best]
+def _of_model(comparison: ModelComparison) -> list[str]:
+    fit = comparison.fits[comparison.best]
     strain = float(np.sqrt(np.mean(fit.errors**2))) if len(fit.errors) else 0.0
     if fit.model_error <= MODEL_ERROR and strain <= PARAMETER_ERROR:
         return []
     return [
         f"the model is not that of this arm: {fit.model_error:.0%} of the motion at a line remains "
-        f"unexplained and its figures are off by {strain:.1f} times their tolerance. The place and "
-        "the probabilities below are less sure than they look; see what the model lacks with "
-        "'loose gap', and diagnose with the corrected model"
+        f"unexplained, and its parameters are off by {strain:.1f} times their tolerance. The "
+        "location and the probabilities below are less certain than stated; find the model error "
+        "with 'loose gap', and diagnose with the corrected model"
     ]
 
 
-def _of_seats(arm: InstrumentedArm, judged: Judged, suspect: Sequence[Lines]) -> list[str]:
+def _of_seats(
+    arm: InstrumentedArm, comparison: ModelComparison, suspect: Sequence[Lines]
+) -> list[str]:
     """Warnings about seats that no run could open."""
     grid = axes_grid(24)
     never: list[str] = []
     pressed: list[str] = []
-    pieces = judged.evidence.pieces(judged.fits[judged.best].errors, 0.05)
+    pieces = comparison.evidence.pieces(comparison.fits[comparison.best].errors, 0.05)
     for name, seat in seats_of(arm.hypotheses, arm.n).items():
         if not isinstance(seat, Seat):
             continue
@@ -95,7 +97,7 @@ def _of_seats(arm: InstrumentedArm, judged: Judged, suspect: Sequence[Lines]) ->
         if float(chance.mean()) < OPENING_PROBABILITY:
             (pressed if heavy.mean() > 0.5 else never).append(name.split("@", 1)[1])
     said = []
-    healthy = judged.posterior[HEALTHY] > 0.3
+    healthy = comparison.posterior[HEALTHY] > 0.3
     what = "a looseness there would not have been seen" if healthy else "nothing is said about them"
     if never:
         said.append(

@@ -20,9 +20,9 @@ __all__ = ["Collisions", "Ground"]
 
 
 _LOOKED = 64
-"""Random poses in which pairs of shapes are looked at."""
+"""Random poses in which pairs of shapes are checked."""
 _STEP = 0.1
-"""Largest move of a joint between two looks on the way from pose to pose [rad or m]."""
+"""Largest move of a joint between two checks of a path [rad or m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,11 +32,11 @@ class Collisions:
     model: mujoco.MjModel | None
     """The compiled model with its shapes; None where it cannot be compiled with them."""
     addresses: NDArray[np.intp]
-    """Where the joints lie in its ``qpos`` (n,)."""
+    """Indices of the joints in its ``qpos`` (n,)."""
     usual: frozenset[tuple[int, int]]
     """Pairs of shapes that touch at the model's reference or nearly always."""
     unseen: tuple[str, ...] = ()
-    """Bodies moved by the joints that have no shape: what they touch is not known."""
+    """Moving bodies without a shape: their contacts are unknown."""
 
     @classmethod
     def of(cls, spec: mujoco.MjSpec, joints: Sequence[str]) -> Collisions:

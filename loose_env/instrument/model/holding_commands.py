@@ -48,7 +48,7 @@ def holding_commands(arm: InstrumentedArm, pose: Array) -> tuple[dict[str, float
         if drive.gain != 0:
             idle = float(drive.command(0.0, q))
             commands[drive.actuator] = float(np.clip(idle, *drive.command_range))
-        # What it gives all the same, the chosen one need not.
+        # The chosen actuator need not supply the force of this one.
         needed[drive.joint] -= drive.torque(commands[drive.actuator], q)
     for drive in chosen:
         commands[drive.actuator] = float(drive.command(needed[drive.joint], place[drive.joint]))
@@ -59,7 +59,7 @@ def holding_commands(arm: InstrumentedArm, pose: Array) -> tuple[dict[str, float
 def starting_commands(arm: InstrumentedArm, pose: Array) -> dict[str, float]:
     """Commands that move the arm to a pose: the pose itself for position servos.
 
-    Under them the arm hangs from the pose by as much as its servos give way. Motors hold it as
+    Under them the arm hangs below the pose by the sag of its servos. Motors hold it as
     `holding_commands` has them.
 
     Parameters

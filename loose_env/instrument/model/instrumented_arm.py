@@ -54,19 +54,19 @@ class InstrumentedArm:
     path: Path
     """The file."""
     report: FileReport
-    """What was found in it."""
+    """Summary of the file's contents."""
     recording_model: RecordingModel
     """Self-contained model that recordings of the arm are validated against."""
     nominal: Arm
-    """The arm with what holds its joints, its payload, and a probe at every further sensor."""
+    """Nominal arm with holding, payload, and a probe at every further sensor."""
     sites: tuple[str, ...]
     """The model's name of every site with a sensor, the tool first."""
     hold: Hold
-    """What holds the joints: the choice."""
+    """Selected holding mode of the joints."""
     collisions: Collisions
     """Collision checks with the shapes of the file."""
     notes: tuple[str, ...]
-    """What was left out or had to be assumed."""
+    """Omissions and assumptions, in sentences."""
 
     @property
     def n(self) -> int:
@@ -114,7 +114,7 @@ class InstrumentedArm:
 
     @property
     def held_by(self) -> str:
-        """What holds the joints, in words."""
+        """Description of the holding mode."""
         if self.hold != "model":
             return _HELD_BY[self.hold]
         servos = [d.joint for d in self.drives if d is not None and d.servo]

@@ -33,7 +33,7 @@ class RecordingModel:
     positions: tuple[str, ...]
     """Position sensor of each driven joint, base first."""
     notes: tuple[str, ...]
-    """What was added, in sentences."""
+    """Elements added to the model, in sentences."""
 
 
 def recording_model(

@@ -121,8 +121,8 @@ def candidate_poses(
         raise InvalidData(
             f"arm {arm.name!r}: of {_TRIES * count} poses within the joints' ranges every one "
             f"collides or takes more than {HOLDING_TORQUE:.0%} of a drive's torque to hold; the "
-            f"limits are {arm.torque_limits}: check the torque limits and the payload in the model, or give "
-            "the pose yourself"
+            f"limits are {arm.torque_limits}: check the torque limits and the payload in the "
+            "model, or give the pose yourself"
         )
     # Rounded to a hundredth of a degree or of a millimetre: somebody will type it in.
     return (

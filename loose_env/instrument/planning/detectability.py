@@ -1,4 +1,4 @@
-"""Which faults of an arm could be found: every seat, in many poses, under every joint.
+"""Detectability of faults: every seat, in many poses, with every joint excited.
 
 A seat can be found along a direction if in some pose gravity lets it move and what that changes
 of the tool's motion stands out of the sensors' noise and the model's errors.
@@ -43,7 +43,7 @@ _DIRECTIONS = 40
 
 @dataclass(frozen=True, kw_only=True)
 class Findable:
-    """Whether a fault could be found."""
+    """Detectability of a fault."""
 
     hypothesis: str
     """Its name in a diagnosis."""
@@ -180,7 +180,7 @@ def best_seen(
 
 
 def findable_faults(arm: InstrumentedArm, found: BestSeen) -> tuple[Findable, ...]:
-    """Judge every fault by what the best record would show of it.
+    """Detectability of every fault in its most informative record.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def _why_link(share: float, shut: float, along: tuple[float, ...] | None) -> str
         words = " ".join(f"{x:+.1f}" for x in along)
         if shut > 0:
             return f"gravity keeps the seat shut in every pose about the direction {words}"
-    return "along some directions the change is lost in what the model may have wrong"
+    return "along some directions the change is within the model error"
 
 
 def _why_joint(share: float, lever: float, opens: float, gap: float | None) -> str:
@@ -265,5 +265,5 @@ def _why_joint(share: float, lever: float, opens: float, gap: float | None) -> s
     if opens < OPEN_SHARE:
         return "gravity loads the gear's teeth in every pose"
     if gap is None:
-        return "its motion looks too much like what the model may have wrong"
+        return "its motion is confusable with the model error"
     return "only larger play than the gap of interest shows"

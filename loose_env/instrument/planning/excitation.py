@@ -1,4 +1,4 @@
-"""What to play in a pose, within the torque and the band that settings allow.
+"""Excitation in a pose, within the torque and the band of the settings.
 
 How well one record would show each fault: how far seats open, and the smallest gap seen.
 
@@ -78,7 +78,7 @@ def proposed(arm: Arm, pose: Array, settings: NextSettings) -> Proposal:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sensitivity:
-    """What one record would show of a seat at every place: P places, the slides' before the plays'.
+    """Expected change of one record by a seat at each of P locations, slides before plays.
 
     Places are those of `SeatFeatures`.
     """

@@ -1,4 +1,4 @@
-"""What each hypothesis expects a record to show, before it is taken."""
+"""Expected observation of a record under each hypothesis, before it is taken."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["Expected", "expected_of"]
 
 @dataclass(frozen=True, kw_only=True)
 class Expected:
-    """What one hypothesis expects of the first record."""
+    """Expected observation of the first record under one hypothesis."""
 
     probability: float
     """Before it [1]."""
@@ -42,7 +42,7 @@ def expected_of(
     chosen: NextMeasurement,
     choice: NextSettings,
 ) -> dict[str, Expected]:
-    """What each hypothesis expects of the first record of a measurement.
+    """Expected observation of the first record under each hypothesis.
 
     Parameters
     ----------

@@ -33,14 +33,14 @@ __all__ = ["NextSettings", "next_measurement", "seat_features"]
 
 
 _FRICTIONS = np.geomspace(0.02, 1.0, 8)
-"""Friction of seats over the drive of the top level that is reckoned with [1]."""
+"""Assumed friction of seats over the drive of the top level [1]."""
 _DIRECTIONS = 120
 _SHORTLIST = 5
-"""Poses for which band and levels are worked out."""
+"""Poses for which band and levels are computed."""
 _POINTS = 40
-"""Frequencies at which seats are looked at."""
+"""Frequencies of the score of a seat."""
 _SKETCH_POINTS = 8
-"""Frequencies at which poses are weighed in the rough."""
+"""Frequencies of the coarse score of a pose."""
 
 
 def next_measurement(
@@ -70,7 +70,7 @@ def next_measurement(
         What is known so far; `loose_env.instrument.planning.prior_knowledge.known_of` makes it of
         a diagnosis. Nothing by default: the first pose.
     settings : NextSettings, optional
-        Noise, rate, length and how many poses are weighed.
+        Noise, rate, length and number of candidate poses.
     links, joints : sequence of str, optional
         Names of the model's links and joints, base first, where they are not those of the arm.
     allowed : callable, optional
@@ -215,7 +215,7 @@ def _rough(
 
 
 def _taken(known: Known, pose: Array, joint: str) -> bool:
-    """Whether a joint was shaken in a pose already: again it says little that is new."""
+    """True if a joint was excited in a pose before: repeating it is uninformative."""
     return any(
         joint in record.excited and np.abs(record.pose - pose).max() < 1e-2
         for record in known.records

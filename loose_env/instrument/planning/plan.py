@@ -41,18 +41,18 @@ _ONCE = ("joint", "pose_deg", "from_deg")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """What to do next."""
+    """Plan of the next measurement."""
 
     arm: InstrumentedArm
     """The arm."""
     next: NextMeasurement
     """Pose, joints, band, levels, length and why."""
     signals: tuple[Signal, ...]
-    """What to play, one for each joint of it."""
+    """Signal of each joint to be excited."""
     expected: Mapping[str, Expected]
-    """What each hypothesis expects of the first of them."""
+    """Expected observation of the first record under each hypothesis."""
     warnings: tuple[str, ...]
-    """What to know before."""
+    """Warnings, in sentences."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Everything that the plan depends on besides the model and the diagnosis."""
     again: Mapping[str, Any] = field(default_factory=dict)
@@ -243,7 +243,7 @@ def _why_anew(
     choice: NextSettings,
     own: PlanSettings,
 ) -> str:
-    """Why what a diagnosis asks for next is not what is planned; "" if it is."""
+    """Reason why the plan differs from the diagnosis's proposal; "" if it does not."""
     given = [name for name in _ONCE if getattr(own, name) not in (None, ())]
     given += other_settings(asked, choice)
     if given:

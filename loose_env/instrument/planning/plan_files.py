@@ -261,7 +261,7 @@ def _entry(entry: RunEntry) -> dict[str, Any]:
 
 
 def _same(model: Path, text: str) -> bool:
-    """Whether a model was written by a plan for the same one."""
+    """True if a model was written by a plan for the same model."""
     try:
         return model.read_text("utf-8") == text
     except (OSError, UnicodeDecodeError):

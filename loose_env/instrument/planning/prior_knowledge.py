@@ -1,4 +1,4 @@
-"""What is known about a fault before the next measurement, and the belief that it makes."""
+"""Prior of the next measurement: the belief over faults from the last diagnosis."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Seen:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Known:
-    """What is known so far; nothing by default."""
+    """Result of the last diagnosis; none by default."""
 
     probabilities: Mapping[str, float] = field(default_factory=dict)
     """Probability of every hypothesis, as `names_of` has them; none: each kind as probable as

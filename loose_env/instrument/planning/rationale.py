@@ -1,4 +1,4 @@
-"""Why a pose: what the hypotheses in question are expected to show there, in words.
+"""Reason for a pose: the expected change by each hypothesis in question, in words.
 
 Whether a plan does what a diagnosis asks for next, or chooses for itself.
 
@@ -94,7 +94,7 @@ def reason(
     """One or two sentences: why this pose."""
     if not known.probabilities:
         return (
-            "nothing is known yet: of the poses weighed, this one is expected to tell most about "
+            "nothing is known yet: of the candidate poses, this one has the most information about "
             "whether anything is loose and where"
         )
     seen = expected_directions(nominal, known, pose, links, joints)

@@ -1,4 +1,4 @@
-"""What a plan was told, for the diagnosis of the runs it asked for and for the next plan."""
+"""Settings of a plan, kept for the diagnosis of its runs and for the next plan."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ KEPT = ("ramp_s", "hold_s")
 
 @dataclass(frozen=True, kw_only=True)
 class SessionSettings:
-    """What holds in a session until something else is given."""
+    """Settings of a session that hold until others are given."""
 
     arm: ModelSettings = field(default_factory=ModelSettings)
     choice: NextSettings = field(default_factory=NextSettings)
@@ -30,7 +30,7 @@ class SessionSettings:
     """The plan's file; None where there is none."""
 
     def is_newer_than(self, known: Path) -> bool:
-        """Whether this plan was made with a diagnosis, so that it has the last word."""
+        """True if the plan was made with a diagnosis, which then takes precedence."""
         result = known / "result.json" if known.is_dir() else known
         if self.path is None or self.known != str(known):
             return False

@@ -27,7 +27,7 @@ __all__ = ["Signal", "holding_commands", "make_signal"]
 
 
 _DRAWS = 8
-"""Draws of the noise of which the one with the lowest peak is played."""
+"""Draws of the noise, of which the one with the lowest peak is played."""
 _LOADING = 0.6
 """Share of the time of standing still over which commands go from the pose to what holds it [1]."""
 _OVERSAMPLED = 4
@@ -47,7 +47,7 @@ class Signal:
     start: dict[str, float]
     """Actuator -> the command with which the signal begins and ends: for servos the pose itself."""
     sags: Array
-    """How far the servo of each joint gives way under what it holds: so much its holding command
+    """Sag of each joint's servo under the load that it holds: so much its holding command
     is beside the pose [rad or m] (n,)."""
     steady_s: tuple[float, float]
     """Beginning and end of the record proper, between the ramps [s]."""
@@ -65,9 +65,9 @@ class Signal:
     travel: Array
     """Largest expected move of each joint from the pose [rad or m] (n,)."""
     scale: float
-    """What the limits left of the torque that was asked for [1]."""
+    """Share of the wanted torque that the limits allow [1]."""
     limited_by: str
-    """Which limit that was; "" where none."""
+    """Limit that was reached; "" for none."""
 
 
 def make_signal(
@@ -137,7 +137,7 @@ def make_signal(
     drive = arm.drives[j]
     if drive is None:
         raise InvalidData(
-            f"joint {joint!r} has no actuator that can be given in figures, so no command for it "
+            f"joint {joint!r} has no actuator with a linear law, so no command for it "
             f"can be worked out: {'; '.join(arm.notes)}"
         )
     unheld = why_not_held(arm, pose)
@@ -173,7 +173,7 @@ def make_signal(
     )
     total = len(envelope)
     index = (np.arange(total) - before - swell) % count
-    # What has the noise as its torque is ahead of it by the actuator's lag.
+    # The command of a noise torque leads it by the actuator's lag.
     ahead = answer.in_time(answer.torque * (1 + answer.s * drive.lag)) / drive.gain
     loaded = _loaded(before, total)
     commands = {
@@ -217,7 +217,7 @@ def _loaded(before: int, total: int) -> Array:
 
 
 class _Answer:
-    """What the linear arm does under one period of noise torque at one joint."""
+    """Response of the linear arm to one period of noise torque at one joint."""
 
     def __init__(
         self,

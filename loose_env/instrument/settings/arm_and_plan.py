@@ -1,4 +1,4 @@
-"""What a user says about the arm and about the signal, besides the model file."""
+"""Settings of the arm and of the signal that the model file lacks."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from loose_env.instrument.settings.validation import check_types
 __all__ = ["Hold", "ModelSettings", "PlanSettings"]
 
 Hold = Literal["model", "brake", "servo", "compliant"]
-"""How joints are held: as the model's actuators do, or one of `loose_env.arms.HoldKind`."""
+"""Holding of joints: by the model's actuators, or one of `loose_env.arms.HoldKind`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelSettings:
-    """What the model file does not say about the arm."""
+    """Properties of the arm that the model file lacks."""
 
     tool: str | None = None
     """Site or body that carries the accelerometer; by default where the model's own accelerometer
@@ -52,7 +52,7 @@ class ModelSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanSettings:
-    """How the signal is laid out, and what the user has decided already."""
+    """Layout of the signal, and choices that the user fixes."""
 
     joint: str | None = None
     """Joint to excite; by default the one that tells most."""

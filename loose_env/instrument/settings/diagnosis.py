@@ -1,4 +1,4 @@
-"""What a diagnosis can be told."""
+"""Settings of a diagnosis."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["DiagnoseSettings"]
 
 @dataclass(frozen=True, kw_only=True)
 class DiagnoseSettings(NextSettings):
-    """What is known of the arm beforehand, and how the next measurement is chosen.
+    """Prior and model errors of a diagnosis, and settings of the next measurement.
 
     Examples
     --------
@@ -57,7 +57,7 @@ class DiagnoseSettings(NextSettings):
         Raises
         ------
         InvalidSetting
-            If a figure is of another type, or makes no sense.
+            If a value is of another type or out of range.
         """
         super().__post_init__()
         for name in ("sound", "sure"):
@@ -72,7 +72,7 @@ class DiagnoseSettings(NextSettings):
         _ = self.tolerances  # they check themselves
 
     def choice(self, recorded_hz: float | None = None) -> NextSettings:
-        """How the next measurement is chosen.
+        """Settings of the next measurement.
 
         Parameters
         ----------
@@ -87,7 +87,7 @@ class DiagnoseSettings(NextSettings):
 
     @property
     def tolerances(self) -> Tolerances:
-        """How far model and sensors may be off."""
+        """Standard deviations of the errors of model and sensors."""
         return Tolerances(
             figures=self.figures,
             damping=self.damping,

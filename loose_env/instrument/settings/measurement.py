@@ -1,4 +1,4 @@
-"""How the next measurement is chosen: noise, rate, length and band of records, and the poses."""
+"""Settings of the next measurement: noise, rate, length and band of records, poses."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from loose_env.sensors import Accelerometer, SensorSuite
 __all__ = ["NextSettings"]
 
 _MOST = {"gap_mm": 1e3, "noise_ug": 1e9, "rate_hz": 1e6, "most_tool": 1e6}
-"""Largest values that are taken."""
+"""Largest accepted values."""
 _LENGTHS = (0.2, 600.0)
 """Shortest and longest record [s]."""
 _SAMPLES = 5_000_000
@@ -23,7 +23,7 @@ _SEEDS = 2**63
 
 @dataclass(frozen=True, kw_only=True)
 class NextSettings:
-    """How the next measurement is chosen, by a plan and by a diagnosis alike.
+    """Settings of the next measurement, for a plan and for a diagnosis.
 
     Examples
     --------

@@ -13,7 +13,8 @@ run."""
 LONGEST_RUN_S = 86400.0
 """Longest run [s]: a longer one has a wrong time stamp."""
 LARGEST_READING = 1000000.0
-"""Largest magnitude of a reading [m/s², rad/s, rad, m]; a larger one is refused as a mistaken unit."""
+"""Largest magnitude of a reading [m/s², rad/s, rad, m]; a larger one is refused: the unit is
+wrong."""
 LARGEST_COMMAND = 1000000000.0
 """Largest magnitude of a command or torque [its own unit]; a larger one is refused."""
 EXCITED_SHARE = 0.1

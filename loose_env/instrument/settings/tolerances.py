@@ -1,4 +1,4 @@
-"""How far a nominal model and its sensors may be off: standard deviations."""
+"""Standard deviations of the errors of a nominal model and its sensors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["Tolerances"]
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerances:
-    """Standard deviations of what the nominal model and the sensors get wrong.
+    """Standard deviations of the errors of the nominal model and the sensors.
 
     Examples
     --------

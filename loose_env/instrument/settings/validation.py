@@ -1,4 +1,4 @@
-"""Whether the values of a settings dataclass are of the types that its fields say."""
+"""Type checks of the values of a settings dataclass."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def check_types(settings: Any) -> None:
 
 
 def settings_within(kind: type[T], values: Mapping[str, Any], place: str) -> T:
-    """Settings that were written to a file; what else it has is left out.
+    """Settings read from a mapping; unknown keys are ignored.
 
     Parameters
     ----------

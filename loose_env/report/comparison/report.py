@@ -199,7 +199,7 @@ def _calibrated(rows: Sequence[Row], colours: Mapping[str, str]) -> list[FigureC
     figure = reliability_curves(rows, colours=colours)
     if figure is None:
         return []
-    judged = [
+    calibrated = [
         calibration_of(agent, own, edges=RATIO_EDGES) for agent, own in by_agent(rows).items()
     ]
     caption = (
@@ -207,7 +207,7 @@ def _calibrated(rows: Sequence[Row], colours: Mapping[str, str]) -> list[FigureC
         "agent is overconfident. Small marks stand for few predictions."
     )
     return [
-        *calibration_tables([c for c in judged if c is not None]),
+        *calibration_tables([c for c in calibrated if c is not None]),
         FigureCard(image=figure, caption=caption),
     ]
 

@@ -45,7 +45,7 @@ def comparison_text(
     rows : sequence of Row
         Episodes of all agents.
     forced : sequence of Row
-        Episodes of agents that were made to take all records; calibration is judged on these
+        Episodes of agents that were made to take all records; calibration is computed on these
         where there are any, for then no record is missing because an agent was sure.
     rng : numpy.random.Generator
         Draws the bootstrap.
@@ -65,8 +65,8 @@ def comparison_text(
     if curves:
         parts.append(curve_table(curves))
     beliefs = by_agent(forced or rows)
-    judged = [calibration_of(agent, some, edges=RATIO_EDGES) for agent, some in beliefs.items()]
-    kept = [c for c in judged if c is not None]
+    calibrated = [calibration_of(agent, some, edges=RATIO_EDGES) for agent, some in beliefs.items()]
+    kept = [c for c in calibrated if c is not None]
     if kept:
         parts.append(calibration_table(kept))
     runs = {agent: len(names) for agent, names in trained_agents(own).items()}

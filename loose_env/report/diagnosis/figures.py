@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["hypothesis_colours", "loop_figure", "posterior_figure", "shown_hypotheses"]
 
 
-_SOUND = "#009e73"
+_HEALTHY = "#009e73"
 _REST = "#8a8f98"
 _LOOSE = ("#d55e00", "#0173b2", "#e69f00", "#cc79a7", "#56b4e9")
 """Colours of the hypotheses, told apart by colour-blind eyes; none is one of the ink's."""
@@ -57,10 +57,10 @@ def shown_hypotheses(steps: Sequence[Mapping[str, float]]) -> list[str]:
 
 
 def hypothesis_colours(names: Sequence[str]) -> dict[str, str]:
-    """Give each hypothesis its colour; the sound arm has always the same."""
+    """Give each hypothesis its colour; the healthy arm has always the same."""
     loose = [name for name in names if name != HEALTHY]
     found = dict(zip(loose, _LOOSE, strict=False))
-    return {name: _SOUND if name == HEALTHY else found[name] for name in names}
+    return {name: _HEALTHY if name == HEALTHY else found[name] for name in names}
 
 
 def posterior_figure(
@@ -227,7 +227,7 @@ def _direction(axes: Axes, loop: Loop, record: RecordSeen) -> None:
 def _loop_legend(figure: Figure, height: float, *, direction: bool) -> None:
     entries = [
         ("■", MEASURED, "measured"),
-        ("- -", MUTED, "sound arm"),
+        ("- -", MUTED, "healthy arm"),
         ("—", MEASURED, "lowest correlation"),
     ]
     if direction:

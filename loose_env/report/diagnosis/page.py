@@ -15,7 +15,7 @@ from loose_env.report.diagnosis.text import (
     headline,
     joint_words,
     percent,
-    place_value,
+    position_text,
     questions,
     short_name,
 )
@@ -75,7 +75,7 @@ def page_of(diagnosis: Diagnosis, arm: Arm, *, recording: str = "") -> str:
     ]
     page: str = template("loose_env.report/diagnosis_page.html").render(
         title=headline(diagnosis, arm),
-        kicker=" · ".join(filter(None, [recording, "which part of the arm is loose"])),
+        kicker=" · ".join(filter(None, [recording, "diagnosis of a loose link or joint"])),
         questions=questions(diagnosis, arm),
         warnings=[sentence(warning) for warning in diagnosis.warnings],
         groups=[each for each in groups if each],
@@ -85,9 +85,9 @@ def page_of(diagnosis: Diagnosis, arm: Arm, *, recording: str = "") -> str:
 
 
 def _found_group(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:
-    """The arm where it was measured last, and how the probabilities came about."""
+    """Section of the result: the arm in its last pose, and the probabilities by record."""
     return group(
-        "What was found",
+        "Result",
         "",
         cards=[_arm_card(diagnosis, arm), *_posterior_cards(diagnosis, arm)],
     )
@@ -115,7 +115,7 @@ def _arm_card(diagnosis: Diagnosis, arm: Arm) -> FigureCard:
 
 
 def _numbers(arm: Arm) -> str:
-    """Which number of the picture is which joint of the model, where the names do not say."""
+    """Table of joint numbers and names, where the names lack the numbers."""
     names = [f"{k} {name}" for k, name in enumerate(arm.joints, 1)]
     if all(name == f"joint{k}" for k, name in enumerate(arm.joints, 1)):
         return ""
@@ -127,7 +127,7 @@ def _next_group(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:
     if following is None:
         return {}
     pose = [
-        {"Joint": joint_words(arm, joint), "Hold at": place_value(arm, joint, value)}
+        {"Joint": joint_words(arm, joint), "Hold at": position_text(arm, joint, value)}
         | {"In the recording": f"{value:.4f}".replace("-", "−") + _unit(arm, joint)}
         for joint, value in following.pose.items()
     ]
@@ -146,7 +146,7 @@ def _next_group(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:
         tables=[
             {"title": "", "rows": pose, "note": "Positions from the base, every joint held there."},
             {
-                "title": "What to play",
+                "title": "Excitation",
                 "rows": [
                     {
                         "Joint to shake": joint_words(arm, joint),
@@ -171,7 +171,7 @@ def _next_group(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:
 def _expects(following: NextMeasurement) -> str:
     if following.gain > 0:
         return (
-            f"It is expected to tell {following.gain:.2g} bits about what is loose; one bit halves "
+            f"Expected information: {following.gain:.2g} bits about the fault; one bit halves "
             "the possibilities."
         )
     return ""
@@ -195,10 +195,10 @@ def _posterior_cards(diagnosis: Diagnosis, arm: Arm) -> list[FigureCard]:
     dropped = len(seen) - len(shown)
     return [
         FigureCard(
-            title="How sure, record by record",
+            title="Probability by record",
             image=posterior_figure(steps, [f"record {k}" for k, _ in shown], names),
             caption="Probability of every explanation after each record and all before it, in per "
-            "cent. A record speaks for an explanation that foretold what was measured. The "
+            "cent. A record supports an explanation that predicted the measurement. The "
             "records are numbered as in the table at the end."
             + (f" The first {dropped} are not drawn." if dropped else ""),
         )
@@ -206,7 +206,7 @@ def _posterior_cards(diagnosis: Diagnosis, arm: Arm) -> list[FigureCard]:
 
 
 def _explanations_group(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:
-    """What the probabilities are now."""
+    """Section of the posterior probabilities."""
     ranked = sorted(diagnosis.posterior.items(), key=lambda item: -item[1])
     kept = [item for k, item in enumerate(ranked) if item[1] >= _LISTED or k == 0][:_RANKED]
     rows = [
@@ -238,10 +238,10 @@ def _loops_group(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:
         for number, record in drawn[-_LOOPS:]
     ]
     return group(
-        "What each record shows",
-        "How well the tool follows the shaken joint, direction by direction. The distance of the "
+        "Correlation by record",
+        "Correlation of the tool with the excited joint, by direction. The distance of the "
         "curve from the middle is the correlation; on the circle it is 1. Where a link is loose, "
-        "the measured curve turns away from that of the sound arm. The direction in which motion "
+        "the measured curve turns away from that of the healthy arm. The direction in which motion "
         "is lost turns from pose to pose only if a joint between the loose link and the tool was "
         "moved: that is how the link is found."
         + (f" The first {dropped} records are not drawn." if dropped > 0 else ""),
@@ -250,7 +250,7 @@ def _loops_group(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:
 
 
 def _loop_words(record: RecordSeen, arm: Arm) -> str:
-    pose = ", ".join(place_value(arm, joint, value) for joint, value in record.pose.items())
+    pose = ", ".join(position_text(arm, joint, value) for joint, value in record.pose.items())
     said = f"Pose {pose}." if pose else ""
     if record.direction_tool is None:
         return f"{said} No direction in which motion is lost stands out.".strip()
@@ -270,9 +270,9 @@ def _records_group(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:
             {
                 "Record": str(number),
                 "File": record.file,
-                "Arm": "sound" if record.condition == HEALTHY else record.condition,
-                "Shaken": ", ".join(record.excited) or "–",
-                "Pose": ", ".join(place_value(arm, j, v) for j, v in record.pose.items()) or "–",
+                "Arm": "healthy" if record.condition == HEALTHY else record.condition,
+                "Excited joints": ", ".join(record.excited) or "–",
+                "Pose": ", ".join(position_text(arm, j, v) for j, v in record.pose.items()) or "–",
                 "Most probable then": "–"
                 if best is None
                 else f"{short_name(arm, best[0])}, {percent(best[1])}",
@@ -284,7 +284,7 @@ def _records_group(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:
         for note in record.notes
     ]
     return group(
-        "What was done",
+        "Records",
         "",
         tables=[
             {"rows": rows, "note": " ".join(["The pose lists the joints from the base.", *notes])}

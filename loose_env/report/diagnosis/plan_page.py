@@ -1,4 +1,4 @@
-"""The page of a plan: what to do at the machine, then the pose, the signal and what to expect."""
+"""Page of a plan: steps at the machine, pose, signal and expected observations."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def plan_page(
     joints = " and ".join(chosen.joints)
     groups = [
         group(
-            "What to do",
+            "Steps",
             "",
             points=steps(plan, tuple(runs)),
             code="\n".join(commands_after(plan, folder, model)),
@@ -96,16 +96,16 @@ def plan_page(
         title=f"Next: shake {joints}",
         kicker=f"{plan.arm.path.name} · the next measurement",
         questions=[
-            ("Why this", [sentence(with_plain_names(chosen.reason, plain))]),
+            ("Reason", [sentence(with_plain_names(chosen.reason, plain))]),
             (
-                "What it takes",
+                "Duration and level",
                 [
                     f"{len(plan.signals)} run{'s' * (len(plan.signals) > 1)} of "
                     f"{plan.signals[0].time[-1]:.1f} s at {chosen.rate_hz:g} samples a second; the "
                     f"tool is shaken by {_rms(plan.signals)} m/s² rms."
                 ],
             ),
-            ("How the joints are held", [sentence(plan.arm.held_by)]),
+            ("Holding of the joints", [sentence(plan.arm.held_by)]),
         ],
         warnings=[sentence(with_plain_names(warning, plain)) for warning in plan.warnings],
         groups=[each for each in groups if each],
@@ -127,7 +127,7 @@ def _pose_group(plan: Plan) -> dict[str, Any]:
         "",
         cards=[
             FigureCard(
-                title="Where to hold the arm",
+                title="Pose of the arm",
                 image=arm_figure(plan.arm.nominal, pose, excited=own),
                 caption="The joint in yellow is shaken, the others are held.",
             )
@@ -156,7 +156,7 @@ def _signal_group(plan: Plan) -> dict[str, Any]:
             {
                 "Joint": signal.joint,
                 "Noise torque, rms": f"{signal.drive_rms:.3g} {unit}",
-                "Peak with what holds the pose": f"{signal.torque_peaks[j]:.3g} {unit}",
+                "Peak, holding torque included": f"{signal.torque_peaks[j]:.3g} {unit}",
                 "Drive's limit": f"{plan.arm.nominal.torque_limits[j]:g} {unit}",
                 "Joint, rms": f"{signal.joint_rms:.3g} {turn}/s²",
                 "Tool, rms": f"{signal.tool_rms:.3g} m/s²",
@@ -178,7 +178,7 @@ def _signal_group(plan: Plan) -> dict[str, Any]:
         tables=[
             {
                 "rows": rows,
-                "note": "What the nominal model makes of the signal. Peaks stay within the share "
+                "note": "Predictions of the nominal model. Peaks stay within the share "
                 "of each drive's torque that was allowed.",
             }
         ],
@@ -221,27 +221,27 @@ def _expected_group(plan: Plan) -> dict[str, Any]:
         seen = one.direction_tool
         rows.append(
             {
-                "If": plain[name],
-                "So far": percent(one.probability),
+                "Hypothesis": plain[name],
+                "Probability": percent(one.probability),
                 "Motion is lost along": "nothing"
                 if name == "healthy"
                 else "any direction"
                 if seen is None
                 else " ".join(f"{x:+.2f}".replace("-", "−") for x in seen),
                 "Share lost": "0 %" if name == "healthy" else percent(one.lost),
-                "Against errors": f"{one.deviations:.1f}",
+                "z-score": f"{one.deviations:.1f}",
             }
         )
     gap = plan.settings.get("gap_mm", 0.1)
     return group(
-        "What to expect",
+        "Expected observations",
         "",
         tables=[
             {
                 "rows": rows,
                 "note": f"For a free travel of {gap:g} mm. Directions are those of the tool frame, "
-                "without sign. The last column is the change of the tool's motion over what the "
-                "sensors and the nominal model leave open: from about 4 it is plain.",
+                "without sign. The last column is the z-score of the change of the tool's motion, "
+                "by the errors of sensors and nominal model: detectable from 4.",
             }
         ],
     )

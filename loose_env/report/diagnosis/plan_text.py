@@ -1,4 +1,4 @@
-"""A plan in words: what to do, step by step, for somebody who stands at the machine."""
+"""Text of a plan: steps at the machine, in order."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from loose_env.instrument import (
     run_columns,
     signal_stems,
 )
-from loose_env.report.diagnosis.text import percent, place_value, short_name
+from loose_env.report.diagnosis.text import percent, position_text, short_name
 
 __all__ = ["commands_after", "plain_names", "pose_rows", "starts", "steps", "summary"]
 
@@ -29,7 +29,7 @@ _LISTED = 0.02
 def pose_rows(plan: Plan) -> list[tuple[str, str]]:
     """Joint and where to hold it, base first."""
     return [
-        (name, place_value(plan.arm.nominal, own, plan.next.pose[name]))
+        (name, position_text(plan.arm.nominal, own, plan.next.pose[name]))
         for name, own in zip(plan.arm.joints, plan.arm.nominal.joints, strict=True)
     ]
 
@@ -68,7 +68,7 @@ def commands_after(
 
 
 def steps(plan: Plan, runs: tuple[str, ...]) -> list[str]:
-    """What to do, a sentence or two a step; `commands_after` are what the last one speaks of.
+    """Steps at the machine in order; the last refers to `commands_after`.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def steps(plan: Plan, runs: tuple[str, ...]) -> list[str]:
 
 
 def _unit_words(drive: JointDrive, slides: bool) -> str:
-    """What a signal's commands are, in the actuator's own unit."""
+    """Kind and unit of a signal's commands."""
     if drive.servo:
         unit = "m" if slides else "rad"
         ratio = float(drive.command(0.0, 1.0)) - float(drive.command(0.0, 0.0))
@@ -143,7 +143,7 @@ def summary(plan: Plan) -> str:
     arm, chosen = plan.arm, plan.next
     nominal = arm.nominal
     width = max(len(name) for name in arm.joints)
-    lines = [f"why: {chosen.reason}", "pose"]
+    lines = [f"reason: {chosen.reason}", "pose"]
     lines += [f"  {name.ljust(width)}  {value:>10}" for name, value in pose_rows(plan)]
     for signal in plan.signals:
         j = arm.joints.index(signal.joint)
@@ -159,7 +159,7 @@ def summary(plan: Plan) -> str:
         )
         lines.append(
             f"  torque {signal.drive_rms:.3g} {unit} rms, peaks {signal.torque_peaks[j]:.3g} of "
-            f"{nominal.torque_limits[j]:g} {unit} with what holds the pose"
+            f"{nominal.torque_limits[j]:g} {unit}, holding torque included"
         )
     plain = plain_names(plan)
     known = sorted(plan.expected.items(), key=lambda item: -item[1].probability)

@@ -1,4 +1,4 @@
-"""A diagnosis in plain words: what is loose, how sure that is, what to do now."""
+"""Text of a diagnosis: fault, probability, next steps."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ __all__ = [
     "joint_words",
     "link_words",
     "percent",
-    "place_value",
+    "position_text",
+    "probability_words",
     "questions",
     "short_name",
     "steps",
-    "sure_words",
     "with_plain_names",
 ]
 
@@ -85,7 +85,7 @@ def short_name(arm: Arm, hypothesis: str) -> str:
 
 
 def headline(diagnosis: Diagnosis, arm: Arm) -> str:
-    """The outcome in one sentence, no surer than it is."""
+    """Outcome in one sentence, worded by its probability."""
     said = short_name(arm, diagnosis.fault.hypothesis)
     if diagnosis.settled:
         return f"{begun(said)}."
@@ -94,18 +94,18 @@ def headline(diagnosis: Diagnosis, arm: Arm) -> str:
     return f"Not decided yet. Most likely so far: {said}."
 
 
-def sure_words(diagnosis: Diagnosis, arm: Arm) -> list[str]:
-    """How sure the outcome is, and what else it could be."""
+def probability_words(diagnosis: Diagnosis, arm: Arm) -> list[str]:
+    """Probability of the outcome, and the next most probable explanation."""
     own = diagnosis.fault.hypothesis
     others = sorted(
         ((p, name) for name, p in diagnosis.posterior.items() if name != own), reverse=True
     )
-    found = [f"{percent(diagnosis.probability)} of all that was considered."]
+    found = [f"{percent(diagnosis.probability)}."]
     rivals = [f"{short_name(arm, name)} ({percent(p)})" for p, name in others[:2] if p >= _RIVAL]
     if rivals:
-        found.append(f"What else it could be: {', or '.join(rivals)}.")
+        found.append(f"Next most probable: {', or '.join(rivals)}.")
     found.append(
-        f"Considered were {len(diagnosis.posterior)} possibilities: a sound arm, one loose link, "
+        f"Considered were {len(diagnosis.posterior)} possibilities: a healthy arm, one loose link, "
         "or play in one joint. Two faults at once, or one of another kind, are not among them."
     )
     return found
@@ -127,13 +127,13 @@ def percent(p: float) -> str:
     return f"{100 * p:.{digits}f} %"
 
 
-def place_value(arm: Arm, joint: str, value: float) -> str:
+def position_text(arm: Arm, joint: str, value: float) -> str:
     """Position of a joint in the unit that a teach panel shows.
 
     Examples
     --------
     >>> from loose_env.arms import scara
-    >>> place_value(scara(), "joint1", 0.5), place_value(scara(), "joint3", -0.05)
+    >>> position_text(scara(), "joint1", 0.5), position_text(scara(), "joint3", -0.05)
     ('28.6°', '−50.0 mm')
     """
     slides = joint in arm.joints and bool(arm.sliding[arm.joints.index(joint)])
@@ -142,15 +142,15 @@ def place_value(arm: Arm, joint: str, value: float) -> str:
 
 
 def questions(diagnosis: Diagnosis, arm: Arm) -> list[tuple[str, list[str]]]:
-    """What a reader asks first, with the answers."""
+    """Questions of a first reader, with their answers."""
     found = [
-        ("What is loose", _what(diagnosis, arm)),
-        ("How sure", sure_words(diagnosis, arm)),
+        ("Fault", _what(diagnosis, arm)),
+        ("Probability", probability_words(diagnosis, arm)),
     ]
     if diagnosis.fault.kind != HEALTHY:
-        found.append(("How much travel", [_travel(diagnosis, arm)]))
-    found.append(("What to do next", steps(diagnosis, arm)))
-    found.append(("What was looked at", [_looked(diagnosis)]))
+        found.append(("Clearance", [_travel(diagnosis, arm)]))
+    found.append(("Next steps", steps(diagnosis, arm)))
+    found.append(("Data", [_looked(diagnosis)]))
     return found
 
 
@@ -158,8 +158,8 @@ def _what(diagnosis: Diagnosis, arm: Arm) -> list[str]:
     fault = diagnosis.fault
     if fault.where is None:
         return [
-            "Nothing was found that is not transmitted as the model of the sound arm says. A seat "
-            "that stayed shut, by its own friction or by weight, looks the same."
+            "All motion is transmitted as in the model of the healthy arm. A seat that friction or "
+            "weight kept shut cannot be told from a healthy one."
         ]
     if fault.kind == "backlash":
         return [
@@ -170,7 +170,7 @@ def _what(diagnosis: Diagnosis, arm: Arm) -> list[str]:
     link = link_words(arm, fault.where)
     said = f"{begun(link)}: it slides where it is fastened to {joint_words(arm, joint)}."
     if fault.direction is None:
-        return [said, "The data do not say in which direction."]
+        return [said, "The data do not identify the direction."]
     axis = ", ".join(f"{x:.2f}".replace("-", "−") for x in fault.direction)
     within = (
         ""
@@ -183,7 +183,7 @@ def _what(diagnosis: Diagnosis, arm: Arm) -> list[str]:
 def _travel(diagnosis: Diagnosis, arm: Arm) -> str:
     fault = diagnosis.fault
     if fault.gap_m is None:
-        return "The data do not say how far it travels."
+        return "The data do not identify the clearance."
     turns = fault.kind == "backlash" and not (
         fault.where in arm.joints and bool(arm.sliding[arm.joints.index(fault.where)])
     )
@@ -204,12 +204,12 @@ def _looked(diagnosis: Diagnosis) -> str:
     if unused:
         said += f", {unused} of which could not be used"
     if healthy:
-        return f"{said}, beside {_count(healthy, 'record')} of the sound arm."
-    return f"{said}. There is no record of the sound arm: the model stands in its place."
+        return f"{said}, beside {_count(healthy, 'record')} of the healthy arm."
+    return f"{said}. There is no record of the healthy arm: the model stands in its place."
 
 
 def with_plain_names(words: str, names: Mapping[str, str]) -> str:
-    """Words with hypotheses said as a person says them.
+    """Text with the hypotheses in plain words.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ def _count(number: int, noun: str) -> str:
 
 
 def steps(diagnosis: Diagnosis, arm: Arm) -> list[str]:
-    """What to do now, in the order in which to do it."""
+    """Next steps, in order."""
     found = []
     fault = diagnosis.fault
     if diagnosis.next is not None:
@@ -247,7 +247,9 @@ def steps(diagnosis: Diagnosis, arm: Arm) -> list[str]:
             )
         return found
     if fault.kind == HEALTHY:
-        found.append("Keep this recording: it is the reference of the sound arm for the next time.")
+        found.append(
+            "Keep this recording: it is the reference of the healthy arm for the next time."
+        )
     elif fault.kind == "backlash" and fault.where is not None:
         found.append(
             f"Look at the drive of {joint_words(arm, fault.where)}: gear, coupling, key, belt."

@@ -1,4 +1,4 @@
-"""Writing blind recordings, and what the tool says of them."""
+"""Blind recordings and their diagnosis by the command line."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def in_session(case: Case, most: int) -> dict[str, Any]:
 
 
 def marks(case: Case, found: Diagnosis) -> dict[str, Any]:
-    """What was said beside what is true."""
+    """Result and truth of a case."""
     row: dict[str, Any] = {
         "case": case.number,
         "seed": case.seed,

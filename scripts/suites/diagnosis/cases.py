@@ -1,4 +1,4 @@
-"""What is drawn for each case by its number alone: the arm, what is loose in it, its sensors."""
+"""Random draw of a case by its number: arm, fault and sensors."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Case:
     sensor: Array
     """Reading of the accelerometer per true acceleration (3, 3)."""
     reference: bool
-    """Whether the recording has runs of the sound arm."""
+    """True if the recording has runs of the healthy arm."""
 
     @property
     def name(self) -> str:
@@ -42,7 +42,7 @@ class Case:
 
     @property
     def kind(self) -> str:
-        """What is the matter."""
+        """Kind of the fault."""
         return self.arm.effects[0].kind if self.arm.effects else "healthy"
 
     @property

@@ -1,4 +1,4 @@
-"""Marks and the table."""
+"""Scores of the suite and their table."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ BINS = (0.0, 0.5, 0.7, 0.9, 0.98, 1.0)
 
 
 def table(rows: Rows, title: str) -> str:
-    """All figures of one form."""
+    """Table of one form of the suite."""
     lines = [title, f"  cases: {len(rows)}"]
     healthy = [r for r in rows if r["kind"] == "healthy"]
     lines.append(f"  healthy called healthy: {_share([r['said'] == 'healthy' for r in healthy])}")
     for kind in ("structural_looseness", "backlash"):
         own = [r for r in rows if r["kind"] == kind]
         seen = [r for r in own if r["shown"] > SHOWS]
-        lines.append(f"  {kind}: kind and place right: {_share(_right(own))}")
-        lines.append(f"    where the fault shows: {_share(_right(seen))}")
-        lines.append(f"    kind right: {_share([r['said'].startswith(kind) for r in own])}")
+        lines.append(f"  {kind}: kind and location: {_share(_right(own))}")
+        lines.append(f"    detectable faults: {_share(_right(seen))}")
+        lines.append(f"    kind: {_share([r['said'].startswith(kind) for r in own])}")
     in_session = bool(rows) and "named" in rows[0]
     for reference in () if in_session else (False, True):
         own = [r for r in rows if r["reference"] == reference]
@@ -42,8 +42,8 @@ def table(rows: Rows, title: str) -> str:
     if in_session:
         taken = [r["measurements"] for r in rows]
         lines.append(
-            f"  runs taken: median {np.median(taken):g}, mean {np.mean(taken):.2f}; named "
-            f"{_share([r['named'] for r in rows])}; of those right "
+            f"  runs taken: median {np.median(taken):g}, mean {np.mean(taken):.2f}; identified "
+            f"{_share([r['named'] for r in rows])}; accuracy of those "
             f"{_share(_right([r for r in rows if r['named']]))}"
         )
     return "\n".join(lines)
@@ -62,12 +62,14 @@ def _numbers(rows: Rows) -> list[str]:
     faults = [r for r in right if r["kind"] != "healthy"]
     given = [r for r in faults if r.get("gap_said") is not None]
     if faults:
-        lines.append(f"  gap given: {_share([r.get('gap_said') is not None for r in faults])}")
+        lines.append(
+            f"  clearance given: {_share([r.get('gap_said') is not None for r in faults])}"
+        )
     if given:
         ratio = [abs(r["gap_said"] / r["gap"] - 1) for r in given]
         inside = [r["gap_interval"][0] <= r["gap"] <= r["gap_interval"][1] for r in given]
         lines.append(
-            f"  gap off by: median {np.median(ratio):.0%}; inside its 95 % interval "
+            f"  clearance error: median {np.median(ratio):.0%}; inside its 95 % interval "
             f"{_share(inside)}"
         )
     return lines
@@ -90,8 +92,8 @@ def _bins(probabilities: Sequence[float], outcomes: Sequence[bool]) -> tuple[flo
             gap = abs(float(said[inside].mean() - right[inside].mean()))
             error += gap * inside.mean()
             lines.append(
-                f"    said {low:.2f} to {high:.2f}: {inside.sum()} cases, mean "
-                f"{said[inside].mean():.3f}, right {right[inside].mean():.3f}"
+                f"    probability {low:.2f} to {high:.2f}: {inside.sum()} cases, mean "
+                f"{said[inside].mean():.3f}, accuracy {right[inside].mean():.3f}"
             )
     return error, lines
 

@@ -39,7 +39,7 @@ def motion(
 
 
 def taken(case: Case, played: Motion, name: str, rng: np.random.Generator, *, sound: bool) -> Run:
-    """What the recorder writes of it."""
+    """Simulated run with sensor noise."""
     arm = case.arm.without() if sound else case.arm
     true = _run(arm, played)
     read = dataclasses.replace(true, acceleration=true.acceleration @ case.sensor.T)
@@ -111,7 +111,7 @@ _KEPT: dict[tuple[int, bytes, bool], tuple[TrueArm, Signals]] = {}
 
 
 class BlindArm:
-    """A case as a machine that measures what it is asked to."""
+    """Rig of a case: measures a pose and an excitation."""
 
     def __init__(self, case: Case) -> None:
         self.case = case

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loose_env.instrument.data.held_pose import held_in
+from loose_env.instrument.data.held_pose import run_setup
 from loose_env.instrument.data.spectral_lines import lines_of
 from loose_env.instrument.inference.evidence import Evidence
 from loose_env.instrument.inference.frequency_response import respond
@@ -79,7 +79,7 @@ def test_slopes_of_a_runs_delays_are_those_of_its_answer(
         run = dataclasses.replace(run, controls={}, torques=torques)
     machine = read_recorded_arm(write_model(tmp_path))
     uncertain = UncertainArm(machine, SETTINGS.tolerances)
-    held = held_in(machine, run)
+    held = run_setup(machine, run)
     lines = lines_of(machine, run, held.pose, held.excited, number=number)
     at = uncertain.at(held.pose)
     errors = np.zeros(uncertain.count(3))

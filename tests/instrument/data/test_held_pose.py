@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from loose_env.errors import InvalidData
-from loose_env.instrument.data.held_pose import held_in
+from loose_env.instrument.data.held_pose import run_setup
 from loose_env.instrument.model.instrumented_arm import read_recorded_arm
 from loose_env.instrument.pipeline import Workbench
 from loose_env.instrument.planning.prior_knowledge import known_of
@@ -32,7 +32,7 @@ def test_actuators_that_are_named_like_joints_do_not_make_a_pose_known(tmp_path:
     named = {name.replace("motor", "joint"): u for name, u in run.controls.items()}
     run = dataclasses.replace(run, controls=named, pose=None)
     with pytest.raises(InvalidData, match="the pose is not known"):
-        held_in(read_recorded_arm(path), run)
+        run_setup(read_recorded_arm(path), run)
 
 
 def test_a_pose_that_leaves_out_a_joint_that_nothing_reads_is_refused(tmp_path: Path) -> None:
@@ -41,9 +41,9 @@ def test_a_pose_that_leaves_out_a_joint_that_nothing_reads_is_refused(tmp_path: 
     assert run.pose is not None
     partial = {joint: q for joint, q in run.pose.items() if joint != "joint2"}
     run = dataclasses.replace(run, pose=partial)
-    assert held_in(machine, run).pose[1] == pytest.approx(0.62, abs=0.02)  # its encoder says
+    assert run_setup(machine, run).pose[1] == pytest.approx(0.62, abs=0.02)  # its encoder says
     with pytest.raises(InvalidData, match="position of joint2 was recorded"):
-        held_in(machine, without(run, "joint2_pos"))
+        run_setup(machine, without(run, "joint2_pos"))
 
 
 def test_the_pose_of_a_record_is_the_one_that_was_reckoned_with(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from loose_env.errors import InvalidData
 from loose_env.importing.timing.resampling import resampled
-from loose_env.instrument.data.held_pose import held_in
+from loose_env.instrument.data.held_pose import run_setup
 from loose_env.instrument.data.sensor_selection import readings_in
 from loose_env.instrument.data.spectral_lines import Lines, lines_of
 from loose_env.instrument.model.instrumented_arm import read_recorded_arm
@@ -45,7 +45,7 @@ def slow_joints(run: Run, every: int, jitter: float = 0.0) -> Run:
 
 def lines(folder: Path, run: Run) -> Lines:
     machine = read_recorded_arm(write_model(folder))
-    held = held_in(machine, run)
+    held = run_setup(machine, run)
     return lines_of(machine, run, held.pose, held.excited)
 
 

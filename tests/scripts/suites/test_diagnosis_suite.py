@@ -35,8 +35,8 @@ def test_the_table_counts_what_was_said() -> None:
     healthy = row | {"kind": "healthy", "true": "healthy", "said": "healthy"}
     words = table([row, healthy], "two cases")
     assert "healthy called healthy: 1 of 1" in words
-    assert "structural_looseness: kind and place right: 0 of 1" in words
-    assert "kind right: 1 of 1" in words
+    assert "structural_looseness: kind and location: 0 of 1" in words
+    assert "    kind: 1 of 1" in words
 
 
 def test_probabilities_after_each_run_are_graded_by_themselves() -> None:

@@ -1,6 +1,6 @@
-"""Which seat is open and along which direction it slides, from the whole dynamic model.
+"""Open seat and its sliding direction, from the whole dynamic model.
 
-Where gears or servos give way within the band, the other joints move with the loose seat, and the
+Where gears or servos are compliant in the band, the other joints move with the loose seat, and the
 change of transmission no longer points along the slide. The linear arm still says how: a seat at
 link k that accelerates by s along u, a unit vector in the frame of link k, adds C_k(f) u s(f) to
 the readings at frequency f. Direction u is the same at all frequencies, in all records and poses;
@@ -82,7 +82,7 @@ class DynamicDirection:
     errors: Array
     """Estimated errors of the model, in standard deviations of the mismatch (P,)."""
     error_names: tuple[str, ...]
-    """What each is an error of."""
+    """Parameter of each error."""
 
     @property
     def evidence(self) -> float:
@@ -98,7 +98,7 @@ class DynamicDirection:
         """Lowest misfit over what noise and the model error that was allowed explain [1].
 
         Around one or below where model and seat explain the records. Far above, the model lacks
-        something, such as gears that give way, or more than one seat is open: then the place and
+        something, such as compliant gears, or more than one seat is open: then the location and
         the direction are not to be trusted, however strong the evidence that something moves.
         """
         return float(self.misfits.min()) / (2.0 * self.values)
@@ -126,7 +126,7 @@ def direction_by_dynamics(
     healthy : sequence of Measurement, optional
         Records of the same arm when it was sound, of the same length: for every record as many
         with the same joints excited in the same pose as it excites joints. Without them the
-        model says what a sound arm would show.
+        model says what a healthy arm would show.
     link : int, optional
         Loose link, from 1 at the base, where it is known; else all links' slides and all joints'
         play are compared.

@@ -1,4 +1,4 @@
-"""Fit what a model gets wrong to the lines of records, with a seat open or with none.
+"""Fit of model errors to the lines of records, with a seat open or with none.
 
 Every line has the seat's motion as an unknown of its own, so it does not matter how gap, friction
 and stops make it move: only that it moves along one direction, and that the rest of the arm is
@@ -46,7 +46,7 @@ def answers_of(arm: UncertainArm, lines: Sequence[RecordLines], errors: Array) -
 
 
 def residual_of(one: RecordLines, answer: Answer) -> ComplexArray:
-    """What a sound arm leaves unexplained (K, c)."""
+    """Residual of the healthy arm (K, c)."""
     if one.relative:
         return one.readings
     return np.asarray(one.readings - np.einsum("kcm,km->kc", answer.transfer, one.torque))
@@ -129,7 +129,7 @@ def fit_errors(
     model_error : float
         What remains of model error at each line, relative to the power there [1].
     columns : ndarray (s,), optional
-        Columns of the open seat; None for a sound arm.
+        Columns of the open seat; None for a healthy arm.
     seat : ndarray (s,), optional
         Direction to start from.
     errors : ndarray (P,), optional

@@ -35,7 +35,7 @@ class RecordLines:
     pose: Array
     """Commanded pose [rad or m] (n,)."""
     excited: NDArray[np.bool_]
-    """Whether each joint was excited (n,)."""
+    """True for each excited joint (n,)."""
     frequency: Array
     """Frequencies of the lines [Hz] (K,)."""
     torque: ComplexArray
@@ -48,7 +48,7 @@ class RecordLines:
     """Mean square of the whole motion, tool axes and joints apart, to measure model errors
     against (K, c)."""
     relative: bool = False
-    """Whether a healthy arm's answer has been taken off the readings."""
+    """True if a healthy arm's response was subtracted from the readings."""
 
 
 def record_lines(arm: Arm, measurement: Measurement, sensors: SensorSuite) -> RecordLines:
@@ -155,7 +155,7 @@ def less_healthy(record: RecordLines, healthy: Sequence[RecordLines]) -> RecordL
     record : RecordLines
         Record of the arm under test.
     healthy : sequence of RecordLines
-        Records of the sound arm. Those in the same pose with the same joints excited are used: as
+        Records of the healthy arm. Those in the same pose with the same joints excited are used: as
         many as joints at least, or their answers cannot be told apart.
 
     Returns
@@ -196,7 +196,7 @@ def less_healthy(record: RecordLines, healthy: Sequence[RecordLines]) -> RecordL
             f"the commands of the healthy records with joints {joints} are too much alike to tell "
             "what each joint does; draw them anew for every record"
         )
-    # How much of each healthy record makes up this record's command, line by line.
+    # Combination of healthy records that makes this record's command, line by line.
     share = np.einsum("krm,km->kr", np.linalg.pinv(torque), record.torque)
     left = record.readings - np.einsum("kcr,kr->kc", readings, share)
     noise = record.noise * (1 + np.sum(np.abs(share) ** 2, axis=1))[:, None]

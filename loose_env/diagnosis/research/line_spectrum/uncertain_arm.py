@@ -1,4 +1,4 @@
-"""The linear arm with all that its model may get wrong, to first order in the errors.
+"""Linear arm with its model errors, to first order.
 
 With x the motion of joints, gears and bending modes, and s that of the seats, the arm obeys
 
@@ -31,7 +31,7 @@ _OF_BODIES = ("length", "mass", "inertia")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Answer:
-    """How one arm answers torques and seats in one pose; c readings: d of the tool, m of encoders.
+    """Response of one arm to torques and seats in one pose; c readings: d tool, m encoders.
 
     Encoders are those of the m excited joints, as accelerations.
     """
@@ -148,7 +148,7 @@ class UncertainPose:
 
     @cached_property
     def _parts(self) -> tuple[slice, slice, slice, slice]:
-        """Which errors change bodies, springs, drives and the accelerometer."""
+        """Indices of the errors of bodies, springs, drives and the accelerometer."""
         sizes = len(self.inertia), len(self.arm.springs), self.arm.drives, len(self.arm.sensor)
         ends = np.cumsum(sizes)
         bodies, springs, drives, sensor = (

@@ -1,4 +1,4 @@
-"""A posterior by particles: hypotheses weighed by simulating them, without a model of the data.
+"""Particle posterior: likelihood-free model comparison by simulation.
 
 The likelihood of what was measured is synthetic. A particle is one fault; all else (the arm's
 mismatch, the excitation, the noise) is left to chance, and shared out among numbered
@@ -108,14 +108,14 @@ class ParticleSettings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Evidence:
-    """What the particles say of the hypotheses."""
+    """Evidence of the hypotheses by particles."""
 
     prior: Array
     """Probability of each hypothesis beforehand (H,)."""
     log_evidence: Array
     """Log evidence of each island and hypothesis, up to one constant (B, H)."""
     finished: NDArray[np.bool_]
-    """Whether the ladder was climbed to its end; else its evidence is a bound from above (H,)."""
+    """True if tempering reached power 1; else the evidence is an upper bound (H,)."""
     simulations: int
     """Particles simulated, moves and repeats included."""
     steps: NDArray[np.intp]
@@ -173,7 +173,7 @@ def probabilities_from(prior: Array, log_evidence: Array) -> Array:
 def evidence_by_particles(
     model: ParticleModel, settings: ParticleSettings, rng: np.random.Generator
 ) -> Evidence:
-    """Weigh the hypotheses of a model by particles.
+    """Model comparison of hypotheses by tempered particles.
 
     The ladder of the hypothesis that may still have most evidence is climbed first: the evidence
     falls from step to step, so that of one that is left at ``negligible`` is a bound.

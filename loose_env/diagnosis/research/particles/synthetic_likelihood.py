@@ -36,7 +36,7 @@ _HIGHEST = 1 - 1e-7
 
 
 class ParticleModel(Protocol):
-    """What can be simulated under every hypothesis."""
+    """Simulator of summaries under every hypothesis."""
 
     prior: Array
     """Probability of each hypothesis (H,)."""
@@ -54,7 +54,7 @@ class ParticleModel(Protocol):
 
 
 def summaries_of(record: RecordStatistics) -> Array:
-    """Put what one record says into numbers that scatter nearly normally.
+    """Summaries of one record, nearly normally distributed.
 
     Per excited joint: its correlation with the tool's motion along every axis, by Fisher's z
     where it is excited alone; the command's correlation with that motion and with the joint's
@@ -110,7 +110,7 @@ class Repeated:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SyntheticLikelihood:
-    """Likelihood of what was measured, given what a particle shows.
+    """Likelihood of the measured summaries given a particle.
 
     Some particles of all hypotheses are anchors: they are repeated, which shows how their
     summaries scatter and what the common realisation adds to them. A particle takes both from
@@ -119,9 +119,9 @@ class SyntheticLikelihood:
     """
 
     measured: Array
-    """What was measured (D,)."""
+    """Measured summaries (D,)."""
     anchors: Array
-    """What the anchors show under the common realisation (A, D)."""
+    """Summaries of the anchors under the common realisation (A, D)."""
     away: Array
     """That, less their mean under others (A, D)."""
     scatter: Array
@@ -202,7 +202,7 @@ class SyntheticLikelihood:
         )
 
     def _weights(self, summaries: Array) -> Array:
-        """How much each particle looks to each anchor, the largest 1 (N, A)."""
+        """Weight of each anchor for each particle, the largest 1 (N, A)."""
         ours, theirs = summaries @ self.white.T, self.anchors @ self.white.T
         square = ((ours[:, None] - theirs) ** 2).sum(axis=2)
         last = max(1, min(self.neighbours, len(theirs) // 2)) - 1

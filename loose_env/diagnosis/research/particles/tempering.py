@@ -1,4 +1,4 @@
-"""Steps from the prior to a likelihood: how far the next one goes, and who is kept.
+"""Tempering from the prior to the posterior: step size and resampling.
 
 References
 ----------

@@ -1,4 +1,4 @@
-"""How often the loose link can be named at best, whatever poses are chosen.
+"""Upper bounds on the accuracy of link finding, for any choice of poses.
 
 The model: n links, equally likely; the slide's direction z in its link, uniform over all axes; in
 pose t the tool sees the axis R_k(q_t) z with a known scatter. Carrying the axes seen back into link

@@ -143,7 +143,7 @@ class PoseSets:
         return np.array(poses)
 
     def _fitting(self, joint: int, position: float) -> Array:
-        """Where the moves of a joint lead, the most turning first."""
+        """Poses that a joint's moves reach, largest turn first."""
         best = np.argsort(-np.abs(np.sin(self.moves)).round(9), kind="stable")
         there = position + self.moves[best][np.abs(np.sin(self.moves[best])) > 1e-6]
         limits = self.arm.joint_ranges[joint]
@@ -206,7 +206,7 @@ def link_confusion(
     links: Sequence[int] | None = None,
     directions: int = 10,
 ) -> Array:
-    """How easily a set of poses confuses links of unknown direction, if a candidate joins it.
+    """Confusability of links of unknown direction after adding a candidate pose.
 
     A slide at link k along z shows the axes R_k z. The direction in link l that comes closest to
     them leaves the misfit e², the sum of sin² over the poses. The two are told apart as two
@@ -263,7 +263,7 @@ def link_confusion(
     one, other = one[one != other], other[one != other]
 
     def carried(rows: Array) -> Array:
-        """What link ``other`` makes of link ``one``'s axes (rows, pairs, z, d)."""
+        """Axes of link ``one`` carried over to link ``other`` (rows, pairs, z, d)."""
         images = frames.images(rows)
         seen = np.einsum("tkij,zj->tkzi", images, z)
         return np.asarray(np.einsum("tpji,tpzj->tpzi", images[:, other], seen[:, one]))

@@ -31,7 +31,7 @@ _SILENT = 1e-4
 
 
 class Ending(Enum):
-    """Why the measurement of a direction ended."""
+    """Reasons for the end of a measurement of a direction."""
 
     REACHED = "the direction is known as closely as wanted"
     FLOOR = "longer records would not help: sensors and model leave more than the angle wanted"
@@ -40,7 +40,7 @@ class Ending(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class StoppingRule:
-    """How closely a direction is wanted, and what it may cost."""
+    """Wanted precision of a direction, and its budget."""
 
     half_angle: float = float(np.radians(5.0))
     """Half angle of the confidence region that is wanted [rad]."""
@@ -75,7 +75,7 @@ class TimedDirection:
     seconds: float
     """Seconds of records for each excitation [s]."""
     ending: Ending
-    """Why it ended."""
+    """Reason for its end."""
     floor: float
     """Half angle that would be left without any scatter of the records [rad]."""
     records: tuple[Measurement, ...]

@@ -111,7 +111,7 @@ def change_of_transmission(
     mismatch: Mismatch | None = None,
     instrument: Instrument = "command",
 ) -> MeasuredChange:
-    """Compare records of one pose with the sound arm in that pose.
+    """Compare records of one pose with the healthy arm in that pose.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def change_of_transmission(
         same again. Records of the same joints are averaged.
     healthy : sequence of Measurement, optional
         Records of the same arm when it was sound, with the same joints excited in the same pose.
-        Without them the nominal model says what a sound arm would transmit.
+        Without them the nominal model says what a healthy arm would transmit.
     mismatch : Mismatch, optional
         How far model and sensors may be off; the defaults of `Mismatch`.
     instrument : {"command", "encoder"}
@@ -175,7 +175,7 @@ def change_of_transmission(
         reference, change = sound.b, measured.minus(sound).turned(np.linalg.inv(sensor))
         errors = left @ change.b
     bent = np.concatenate([bent_by_seats(arm.at(pose), r.excited) for arm, r in played])
-    # Which link is loose is not known: each is as likely.
+    # The loose link is unknown: a uniform prior.
     errors = np.concatenate([errors, np.einsum("mkde,em->kdm", bent, change.b) / linear.arm.n**0.5])
     return MeasuredChange(
         estimate=change.with_errors(np.concatenate([errors, _coarse(change, reference)])),

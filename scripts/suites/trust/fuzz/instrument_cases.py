@@ -51,7 +51,7 @@ def result(around: Surroundings, rng: Rng) -> Attempt:
 
 
 def to_diagnose(around: Surroundings, rng: Rng) -> Attempt:
-    """A recording of a sound arm, diagnosed where it can be read."""
+    """A recording of a healthy arm, diagnosed where it can be read."""
     files = dict(documents.shaken())
     ways = (damages.values, damages.values, damages.csv, damages.description, damages.model)
     damage = ways[int(rng.integers(len(ways)))](files, around, rng)

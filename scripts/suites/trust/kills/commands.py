@@ -129,7 +129,7 @@ def make_recording(folder: Path) -> None:
 
 
 def make_shaken_recording(folder: Path) -> None:
-    """Two runs of a sound arm, a joint shaken at random in a pose that servos hold."""
+    """Two runs of a healthy arm, a joint shaken at random in a pose that servos hold."""
     import mujoco
     from scipy import signal
 
