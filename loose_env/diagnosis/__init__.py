@@ -20,7 +20,7 @@ from loose_env.diagnosis.learned.amortised_posterior import (
     write_network,
 )
 from loose_env.diagnosis.learned.features import (
-    PLACE_FEATURES,
+    LOCATION_FEATURES,
     RECORD_FEATURES,
     SeatFeatures,
 )
@@ -28,7 +28,7 @@ from loose_env.diagnosis.learned.network import (
     SeatNetwork,
 )
 from loose_env.diagnosis.learned.novelty import (
-    FIGURES,
+    NOVELTY_STATISTICS,
     NoveltyReference,
     Seen,
     used_columns,
@@ -59,7 +59,7 @@ from loose_env.diagnosis.likelihood.seat_response import (
 )
 from loose_env.diagnosis.link_finding.direction_images import (
     ToolFrames,
-    places,
+    fault_locations,
 )
 from loose_env.diagnosis.link_finding.measured_direction import (
     ChangeModel,
@@ -88,8 +88,8 @@ from loose_env.diagnosis.link_finding.search import (
 from loose_env.diagnosis.link_finding.spatial import (
     DirectionSighting,
     LinkPosterior,
+    confusable_faults,
     link_posterior,
-    look_alikes,
 )
 from loose_env.diagnosis.multi_sensor.link_evidence import (
     SensorVerdict,
@@ -157,10 +157,10 @@ from loose_env.diagnosis.research.sequential.transmission_change import (
 )
 
 __all__ = [
-    "FIGURES",
+    "LOCATION_FEATURES",
     "LOOSE",
+    "NOVELTY_STATISTICS",
     "OPENINGS",
-    "PLACE_FEATURES",
     "PLANNED",
     "PRESSES",
     "RATIOS",
@@ -210,21 +210,21 @@ __all__ = [
     "change_of_transmission",
     "choose_move",
     "choose_open_move",
+    "confusable_faults",
     "direction_by_dynamics",
     "direction_limit",
     "evidence_by_particles",
+    "fault_locations",
     "fit_record",
     "holding_modes",
     "judge_turn",
     "least_records",
     "link_posterior",
     "log_mean_bingham",
-    "look_alikes",
     "looks_healthy",
     "measure_direction",
     "next_joint",
     "one_by_one_share",
-    "places",
     "precision_of",
     "predict",
     "predict_seats",

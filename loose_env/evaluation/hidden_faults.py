@@ -86,7 +86,7 @@ class SeatOpenness:
                 torque,
                 direction,
                 np.zeros(channels),
-                places=np.array([place]),
+                locations=np.array([place]),
             )
             held = fault.friction + float(seat.load[0])
             best = max(best, float(seat.force[0]) / held if held > 0 else np.inf)

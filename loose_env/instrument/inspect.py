@@ -1,6 +1,6 @@
 """Model inspection: joints, modes, and detectable faults of an arm.
 
-Every fault is looked at in a few dozen poses, each joint shaken alone at the level that is
+Every fault is evaluated in a few dozen poses, each joint shaken alone at the level that is
 proposed there. A seat can be found along a direction if in some pose gravity lets it move and
 what that changes stands out of the sensors' noise and the model's errors.
 
@@ -228,7 +228,7 @@ def _joints(
 def _drive_words(arm: InstrumentedArm, j: int) -> str:
     drive = arm.drives[j]
     if drive is None:
-        return "none that can be told in figures"
+        return "none with a linear law"
     if drive.servo:
         unit = "N/m" if arm.nominal.sliding[j] else "N·m/rad"
         return f"position servo {drive.actuator}, {drive.stiffness:.4g} {unit}"

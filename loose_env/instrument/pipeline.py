@@ -258,7 +258,7 @@ def diagnose(
     Raises
     ------
     InvalidData
-        If the model is no serial arm, no run can be used, or figures are beyond reckoning.
+        If the model is no serial arm, no run can be used, or values overflow.
 
     Examples
     --------
@@ -287,7 +287,7 @@ def diagnose(
         return bench.diagnosis(plan=plan, say=say)
     except np.linalg.LinAlgError as error:
         raise InvalidData(
-            f"model and runs cannot be reckoned with ({error}): are masses, gains and readings in "
+            f"model and runs exceed the numeric range ({error}): are masses, gains and readings in "
             "SI units?"
         ) from None
 

@@ -70,7 +70,7 @@ class Fault:
     >>> Fault(kind="healthy", where="forearm")
     Traceback (most recent call last):
     ...
-    loose_env.errors.InvalidData: a healthy arm has no place, got 'forearm'
+    loose_env.errors.InvalidData: a healthy arm has no location, got 'forearm'
     """
 
     kind: FaultKind
@@ -96,7 +96,7 @@ class Fault:
         Raises
         ------
         InvalidData
-            If kind and place do not go together, the direction is no unit vector, or an interval
+            If kind and location do not go together, the direction is no unit vector, or an interval
             is upside down.
         """
         if self.kind not in get_args(FaultKind):
@@ -104,9 +104,9 @@ class Fault:
                 f"the kind of a fault is one of {list(get_args(FaultKind))}, not {self.kind!r}"
             )
         if self.kind == HEALTHY and self.where is not None:
-            raise InvalidData(f"a healthy arm has no place, got {self.where!r:.60}")
+            raise InvalidData(f"a healthy arm has no location, got {self.where!r:.60}")
         if self.kind != HEALTHY and not self.where:
-            raise InvalidData(f"{self.kind} needs the name of a place, got {self.where!r}")
+            raise InvalidData(f"{self.kind} needs the name of a location, got {self.where!r}")
         if self.direction is not None:
             if self.kind != "structural_looseness":
                 raise InvalidData(f"{self.kind} has no direction, got {self.direction}")
@@ -211,7 +211,7 @@ class Loop:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordSeen:
-    """One run of the recording, in the order in which it was looked at."""
+    """One run of the recording, in the order of evaluation."""
 
     file: str
     """The run's file."""

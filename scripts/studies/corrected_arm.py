@@ -98,7 +98,7 @@ def diagnose(env: DiagnosisEnv, linear: LinearArm, settings: Settings, seed: int
         found = direction_by_dynamics(linear, records)
         lack = found.lack_of_fit
         if lack <= settings.lack_of_fit:
-            verdict = found.place if found.evidence > 0 else "healthy"
+            verdict = found.location if found.evidence > 0 else "healthy"
     name = env.actions.encode(verdict=1 + env.verdicts.index(verdict))
     _, reward, _, _, info = env.step(name)
     return _outcome(info, earned + reward, lack)

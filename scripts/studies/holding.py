@@ -296,7 +296,7 @@ def holding_row(
             )
             found[e] = by_lines.direction_in_tool
             right = f"structural_looseness@link{faults[k].link}"
-            link_right[e].append(by_lines.place == right)
+            link_right[e].append(by_lines.location == right)
             link_known[e].append(angle_between(at_link(linear, poses[k], by_lines, right), truth))
             evidence[e].append(by_lines.evidence)
         for e in ESTIMATORS:
@@ -318,7 +318,7 @@ def holding_row(
 
 def at_link(linear: LinearArm, pose: Array, found: DynamicDirection, place: str) -> Array:
     """Tool-frame direction that was found for one link, whichever fits best (d,)."""
-    along = found.directions[found.places.index(place)]
+    along = found.directions[found.locations.index(place)]
     link = int(place.rpartition("link")[2])
     return np.asarray(ToolFrames(linear.arm).images(pose)[0, link - 1] @ along)
 

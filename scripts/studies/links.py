@@ -31,9 +31,9 @@ from loose_env.diagnosis import (
     candidate_poses,
     choose_move,
     choose_open_move,
+    confusable_faults,
+    fault_locations,
     link_posterior,
-    look_alikes,
-    places,
     predict,
     sight_change,
     statistics_of,
@@ -314,12 +314,12 @@ def by_simulation(
 
 def bound(frames: ToolFrames, draws: int, seed: int) -> float:
     """Share that is right at best: links which no move can tell apart are guessed among."""
-    names = places(frames.arm)[: frames.arm.n]
+    names = fault_locations(frames.arm)[: frames.arm.n]
     rng = np.random.default_rng(seed)
     shares = []
     for k in range(draws):
         z = rng.standard_normal(frames.dimension)
-        alike = look_alikes(frames, names[k % len(names)], z)
+        alike = confusable_faults(frames, names[k % len(names)], z)
         shares.append(1 / len(set(alike) & set(names)))
     return float(np.mean(shares))
 

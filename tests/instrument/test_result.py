@@ -100,9 +100,9 @@ def test_keys_of_a_later_version_are_left_out() -> None:
     [
         ({"format": "loose-diagnosis/9"}, "loose-diagnosis/9"),
         ({"fault": {"kind": "rust"}}, "rust"),
-        ({"fault": {"kind": "backlash"}}, "needs the name of a place"),
+        ({"fault": {"kind": "backlash"}}, "needs the name of a location"),
         ({"fault": {"kind": "backlash", "where": "wrist"}}, "does not have the fault"),
-        ({"fault": {"kind": "healthy", "where": "elbow"}}, "has no place"),
+        ({"fault": {"kind": "healthy", "where": "elbow"}}, "has no location"),
         (
             {"fault": {"kind": "structural_looseness", "where": "a", "direction": [1, 1, 0]}},
             "unit vector",

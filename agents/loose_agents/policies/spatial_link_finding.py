@@ -26,9 +26,9 @@ from loose_env.diagnosis import (
     TurnSearch,
     candidate_poses,
     choose_open_move,
+    confusable_faults,
+    fault_locations,
     link_posterior,
-    look_alikes,
-    places,
     predict,
     sight_change,
     stiffness_errors,
@@ -95,7 +95,7 @@ class SpaceLinkFindingAgent(EpisodeAgent):
         self.settings = SpaceLinkFindingSettings() if settings is None else settings
         arm, rules = problem.arm, problem.settings
         self.frames = ToolFrames(arm)
-        self.names = places(arm)
+        self.names = fault_locations(arm)
         self.mismatch = difficulty_named(rules.difficulty).mismatch
         self.model = ChangeModel.of(self.mismatch, joints=arm.n)
         self.floor = SensorFloor.of(rules.sensors, arm.band)
@@ -230,7 +230,7 @@ class SpaceLinkFindingAgent(EpisodeAgent):
         """Return the best hypothesis and those indistinguishable from it by any move."""
         k = self.names.index(found.best)
         direction = found.directions[k] if k < self.problem.arm.n else None
-        return look_alikes(self.frames, found.best, direction, tolerance=self.model.floor)
+        return confusable_faults(self.frames, found.best, direction, tolerance=self.model.floor)
 
     def _clearest_sd(self, memory: _Search) -> float:
         """Smallest standard deviation of the directions so far [rad]."""

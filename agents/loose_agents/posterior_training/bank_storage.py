@@ -29,7 +29,7 @@ from loose_agents.posterior_training.record_bank import (
     features_of_bank,
     play_episodes,
 )
-from loose_env.diagnosis import PLACE_FEATURES, RECORD_FEATURES, SeatFeatures
+from loose_env.diagnosis import LOCATION_FEATURES, RECORD_FEATURES, SeatFeatures
 from loose_env.envs import difficulty_named
 from loose_env.io import Count, NonNegativeCount
 
@@ -131,7 +131,7 @@ def build_features(
     """Compute the missing features of a bank, which must exist."""
     configuration = plan.configuration | {
         "directions": directions_of(plan),
-        "place": PLACE_FEATURES,
+        "place": LOCATION_FEATURES,
         "record": RECORD_FEATURES,
     }
     store = ShardStore(folder / "figures", configuration, ArrayCodec())

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from loose_agents.core.base import Problem
 from loose_agents.posterior_training.record_bank import RecordBank
 from loose_env.diagnosis import (
-    FIGURES,
+    NOVELTY_STATISTICS,
     REFERENCE,
     AmortisedBelief,
     NoveltyReference,
@@ -105,7 +105,7 @@ def episode_sights(
     """
     n = (len(prior) - 1) // 2
     hypothesis = np.concatenate([np.repeat(np.arange(n), len(directions)), n + np.arange(n)])
-    total = np.cumsum([network.likelihood(s.place, s.record, hypothesis) for s in seen], axis=0)
+    total = np.cumsum([network.likelihood(s.location, s.record, hypothesis) for s in seen], axis=0)
     return [
         AmortisedBelief(
             total=total[records - 1],
@@ -175,9 +175,9 @@ def fit_reference(
         fit_gaussian_mixture(
             scaled[:, used_columns(name)], s.components, rng, regularisation=s.regularisation
         )
-        for name in FIGURES
+        for name in NOVELTY_STATISTICS
     )
-    level = np.zeros((tables, len(FIGURES)))
+    level = np.zeros((tables, len(NOVELTY_STATISTICS)))
     plain = NoveltyReference(
         mean=mean,
         scale=scale,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from loose_agents.core.base import Problem
 from loose_agents.core.estimators import record_from
 from loose_agents.core.seeds import BANK_ACTIONS
-from loose_env.diagnosis import PLACE_FEATURES, RECORD_FEATURES, RecordStatistics, SeatFeatures
+from loose_env.diagnosis import LOCATION_FEATURES, RECORD_FEATURES, RecordStatistics, SeatFeatures
 from loose_env.envs import EpisodeBatch, ObservationLayout
 from loose_env.evaluation import drive_over_friction
 from loose_env.faults import Fault, StructuralLooseness
@@ -193,7 +193,7 @@ class RecordFeatures:
     """Features of N records of E episodes, grouped by episode."""
 
     place: NDArray[np.float16]
-    """By place, `PLACE_FEATURES` (N, P, C)."""
+    """By place, `LOCATION_FEATURES` (N, P, C)."""
     record: NDArray[np.float32]
     """Of the record, `RECORD_FEATURES` (N, Q)."""
     count: NDArray[np.int64]
@@ -235,7 +235,7 @@ def features_of_bank(problem: Problem, features: SeatFeatures, bank: RecordBank)
     """
     taken = bank.slots[:, :, 0] > 0.5
     total = int(taken.sum())
-    place = np.zeros((total, features.places, len(PLACE_FEATURES)), dtype=np.float16)
+    place = np.zeros((total, features.locations, len(LOCATION_FEATURES)), dtype=np.float16)
     record = np.zeros((total, len(RECORD_FEATURES)), dtype=np.float32)
     every = (found for episode in bank.records(problem.layout) for found in episode)
     for k, found in enumerate(found for found in every if found is not None):

@@ -13,7 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from loose_agents.core.base import Agent, Problem
 from loose_agents.core.belief_agent import Situation
-from loose_env.diagnosis import LinkPosterior, ToolFrames, candidate_poses, choose_open_move, places
+from loose_env.diagnosis import (
+    LinkPosterior,
+    ToolFrames,
+    candidate_poses,
+    choose_open_move,
+    fault_locations,
+)
 from loose_env.errors import InvalidSetting
 
 __all__ = [
@@ -195,7 +201,7 @@ def image_posterior(problem: Problem, situation: Situation) -> LinkPosterior:
             "the estimator's memory holds no belief about directions; use "
             "loose_agents.core.estimators.Tracker or give another `sight`"
         )
-    names, n = places(problem.arm), problem.arm.n
+    names, n = fault_locations(problem.arm), problem.arm.n
     weights = dict(zip(problem.hypotheses, situation.probabilities, strict=True))
     probabilities = np.array([weights.get(name, 0.0) for name in names])
     if probabilities.sum() <= 0:  # all weight on what has no direction

@@ -1,6 +1,6 @@
 """Expected information gain of a record about the hypotheses.
 
-The belief is thinned to a few dozen imagined faults. For each of them the nominal arm says what
+The belief is thinned to a few dozen simulated faults. For each of them the nominal arm says what
 the record would show: how far the seat opens under that drive, friction and load, and what that
 changes of the transmission, of the joints' inertias and of the motion that follows nothing. Faults
 whose records lie many standard deviations apart will be told from each other.
@@ -40,7 +40,7 @@ class InformationSettings:
     """Settings of the Monte Carlo estimate."""
 
     faults: int = 96
-    """Imagined faults that stand for the belief."""
+    """Number of simulated faults that represent the belief."""
     blur: float = 16.0
     """Variance of everything predicted, over what errors and sampling leave [1]."""
 
@@ -72,13 +72,13 @@ class InformationFactors:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImaginedFaults:
-    """A thinned belief: M imagined faults."""
+    """Sample of M faults from a belief."""
 
     weight: Array
     """Probability of each (M,)."""
     hypothesis: NDArray[np.intp]
     """0 for healthy, else 1 + the hypothesis with a fault (M,)."""
-    place: NDArray[np.intp]
+    location: NDArray[np.intp]
     """Place of the seat; any for healthy (M,)."""
     friction: Array
     """Friction over the seat drive of the top level (M,)."""
@@ -107,7 +107,7 @@ class RecordInformation:
     Parameters
     ----------
     features : SeatFeatures
-        The nominal arm and its places.
+        The nominal arm and its locations.
     frictions : ndarray (F,)
         Nodes of friction of the beliefs, over the seat drive of the top level [1].
     settings : InformationSettings, optional
@@ -154,11 +154,11 @@ class RecordInformation:
         copies = np.repeat(drawn, np.minimum(times, 6))
         share = np.repeat(times / np.minimum(times, 6), np.minimum(times, 6)) / count
         loose = np.maximum(copies - 1, 0)
-        place = np.where(copies > 0, loose // nodes, 0)
+        location = np.where(copies > 0, loose // nodes, 0)
         return ImaginedFaults(
             weight=share,
-            hypothesis=np.where(copies > 0, 1 + self.features.hypothesis[place], 0),
-            place=place,
+            hypothesis=np.where(copies > 0, 1 + self.features.hypothesis[location], 0),
+            location=location,
             friction=self.frictions[loose % nodes],
             chance=rng.random(len(copies)),
         )
@@ -218,8 +218,8 @@ class RecordInformation:
         on = np.flatnonzero(excited)
         m, d = len(on), len(arm.axes)
         noise = np.concatenate([floor.joints(arm)[on], np.full(d, floor.tool)]) ** 2
-        asked, at = np.unique(faults.place, return_inverse=True)
-        seats = predict_seats(linear.at(pose), torque, features.directions, noise, places=asked)
+        asked, at = np.unique(faults.location, return_inverse=True)
+        seats = predict_seats(linear.at(pose), torque, features.directions, noise, locations=asked)
         x = seats.in_step[:m]
         b = seats.in_step[m:] @ np.linalg.inv(x)
         away = np.concatenate([-b, np.eye(d)], axis=1)
@@ -241,12 +241,12 @@ class RecordInformation:
         return np.concatenate([np.clip(change, -60.0, 60.0), inertia, motion], axis=1)
 
     def _openings(self, faults: ImaginedFaults, force: Array, load: Array) -> tuple[Array, Array]:
-        """Opening and loose motion of every imagined fault's seat (M,) each.
+        """Opening and loose motion of every simulated fault's seat (M,) each.
 
         Force and gravity's load are those on the shut seats (M,) [N or N·m].
         """
-        at = faults.place
-        slides = self.features.places - self.features.linear.arm.n
+        at = faults.location
+        slides = self.features.locations - self.features.linear.arm.n
         friction = faults.friction * self.features.top[at]
         nodes = self.table.nodes(force, friction, load)
         pick = np.zeros(len(at), dtype=np.intp)

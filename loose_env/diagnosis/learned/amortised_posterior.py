@@ -1,6 +1,6 @@
 """The posterior over faults with a learned likelihood.
 
-It keeps the shape of `loose_env.diagnosis.likelihood.posterior`: log-weights over places (sliding
+It keeps the shape of `loose_env.diagnosis.likelihood.posterior`: log-weights over locations (slide
 directions of every link, plays of every joint) and nodes of friction, summed over records, with
 direction and friction summed out for the hypotheses. Only what one record says is learned, from
 simulated arms whose gap, friction, direction and mismatch are drawn as the environment draws
@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from loose_env.arms import LinearArm, Mismatch
-from loose_env.diagnosis.learned.features import PLACE_FEATURES, RECORD_FEATURES, SeatFeatures
+from loose_env.diagnosis.learned.features import LOCATION_FEATURES, RECORD_FEATURES, SeatFeatures
 from loose_env.diagnosis.learned.network import SeatNetwork
-from loose_env.diagnosis.learned.novelty import FIGURES, NoveltyReference, Seen, sights
+from loose_env.diagnosis.learned.novelty import NOVELTY_STATISTICS, NoveltyReference, Seen, sights
 from loose_env.diagnosis.likelihood.posterior import Belief
 from loose_env.diagnosis.records.record_statistics import RecordStatistics
 from loose_env.errors import InvalidData
@@ -56,7 +56,7 @@ class AmortisedBelief:
     """Posterior after the records so far."""
 
     total: Array
-    """Log-likelihood over that of a healthy arm, by place and friction (P, F)."""
+    """Log-likelihood ratio over a healthy arm, by location and friction (P, F)."""
     records: int
     """Number of records taken in."""
     temper: float
@@ -98,7 +98,7 @@ class AmortisedBelief:
 
     @cached_property
     def sights(self) -> Array:
-        """What may give an arm of another kind away, by record (R, columns).
+        """Statistics of the novelty test, by record (R, columns).
 
         Under the belief after all of them; see `loose_env.diagnosis.learned.novelty.sights`.
         """
@@ -108,12 +108,12 @@ class AmortisedBelief:
 
     @cached_property
     def novelty(self) -> Array:
-        """By how much more of each figure there is than is usual, by record [1] (R, figures).
+        """Excess of each statistic over its usual value, by record [1] (R, statistics).
 
         In standard deviations of a normal variable; empty without a reference or records.
         """
         if self.reference is None or not self.seen:
-            return np.zeros((0, len(FIGURES)))
+            return np.zeros((0, len(NOVELTY_STATISTICS)))
         return self.reference.novelty(self.sights)
 
     @property
@@ -147,7 +147,7 @@ class AmortisedPosterior:
     Raises
     ------
     InvalidData
-        If the network was made for another number of figures or joints.
+        If the network was made for another number of features or joints.
     """
 
     def __init__(
@@ -166,11 +166,11 @@ class AmortisedPosterior:
         self.hypotheses = hypotheses(linear.arm, DEFAULT_KINDS)
         self.features = SeatFeatures(linear, sensors, mismatch, directions=directions)
         self.reference = reference
-        wanted = (len(PLACE_FEATURES), len(RECORD_FEATURES), 2 * linear.arm.n)
+        wanted = (len(LOCATION_FEATURES), len(RECORD_FEATURES), 2 * linear.arm.n)
         sizes = tuple(network.sizes[x] for x in "CQH")
         if sizes != wanted:
             raise InvalidData(
-                f"the network takes {sizes[0]} figures of a place, {sizes[1]} of a record and "
+                f"the network takes {sizes[0]} features of a location, {sizes[1]} of a record and "
                 f"{sizes[2]} faults; arm {linear.arm.name!r} has {wanted}"
             )
         shares = dict.fromkeys(DEFAULT_KINDS, 1 / 3) if kinds is None else dict(kinds)
@@ -189,7 +189,7 @@ class AmortisedPosterior:
     def start(self) -> AmortisedBelief:
         """Return the prior."""
         return AmortisedBelief(
-            total=np.zeros((self.features.places, self.network.frictions)),
+            total=np.zeros((self.features.locations, self.network.frictions)),
             records=0,
             temper=1.0,
             prior=self._prior,
@@ -201,7 +201,7 @@ class AmortisedPosterior:
     def update(self, belief: AmortisedBelief, record: RecordStatistics) -> AmortisedBelief:
         """Take in one record; the order of records does not matter."""
         seen = Seen(*self.features.with_change(record))
-        likelihood = self.network.likelihood(seen.place, seen.record, belief.hypothesis)
+        likelihood = self.network.likelihood(seen.location, seen.record, belief.hypothesis)
         records = belief.records + 1
         return AmortisedBelief(
             total=belief.total + likelihood,
@@ -246,7 +246,7 @@ class AmortisedPosterior:
             )
         start = len(REFERENCE)
         known = {k[start:]: v for k, v in tensors.items() if k.startswith(REFERENCE)}
-        directions, friction = _figures(configuration, Path(folder) / CONFIGURATION)
+        directions, friction = _grid(configuration, Path(folder) / CONFIGURATION)
         try:
             return cls(
                 linear,
@@ -262,7 +262,7 @@ class AmortisedPosterior:
             raise InvalidData(f"{Path(folder) / WEIGHTS}: {error}") from error
 
 
-def _figures(configuration: Mapping[str, Any], file: Path) -> tuple[int, tuple[float, float]]:
+def _grid(configuration: Mapping[str, Any], file: Path) -> tuple[int, tuple[float, float]]:
     """Directions of a link, and range of the friction."""
     directions, friction = configuration["directions"], configuration["friction"]
     if type(directions) is not int or not 1 <= directions <= _MOST_DIRECTIONS:

@@ -1,6 +1,6 @@
 """Features of one record by location of the loose seat, inputs of the network.
 
-For every place (a sliding direction of a link, or the play of a joint) the nominal arm says how
+For every location (a sliding direction of a link, or the play of a joint) the nominal arm says how
 the record would have changed had that seat floated. The measured change is set against it in
 units of what model and sampling leave open, beside what drives and loads the seat.
 """
@@ -23,10 +23,10 @@ from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid
 from loose_env.typing import Array
 
-__all__ = ["PLACE_FEATURES", "RECORD_FEATURES", "SeatFeatures", "TransmissionChange"]
+__all__ = ["LOCATION_FEATURES", "RECORD_FEATURES", "SeatFeatures", "TransmissionChange"]
 
 
-PLACE_FEATURES = (
+LOCATION_FEATURES = (
     "opening",  # how far the seat would have to float, 1: freely
     "gain",  # log(1 + what that explains of the change, chi²)
     "left",  # log(1 + what it leaves, chi²)
@@ -43,7 +43,7 @@ PLACE_FEATURES = (
     "lowest",  # squared cosine between the seat's motion and the lowest coherence
     "kurtosis",  # kurtosis of the axes along which the seat moves the tool
 )
-"""Figures of every place, in order."""
+"""Features of every location, in order."""
 
 RECORD_FEATURES = (
     "change",  # log(1 + chi² of the change of transmission)
@@ -59,7 +59,7 @@ RECORD_FEATURES = (
     "skewness",  # largest of the axes
     "coherence",  # lowest coherence
 )
-"""Figures of the record as a whole, in order."""
+"""Features of the record as a whole, in order."""
 
 _INERTIA_ERROR = 0.03
 _TINY = 1e-12
@@ -89,7 +89,7 @@ class _Change:
 
 
 class SeatFeatures:
-    """Works out the figures of records of one arm.
+    """Features of the records of one arm.
 
     Places are the sliding directions of link 1, those of link 2, ..., then the joints' plays:
     P = n A + n of them.
@@ -112,7 +112,7 @@ class SeatFeatures:
     >>> from loose_env.arms import planar
     >>> from loose_env.arms import LinearArm
     >>> features = SeatFeatures(LinearArm(planar(2)), SensorSuite(), Mismatch(), directions=8)
-    >>> features.places, len(features.hypothesis)
+    >>> features.locations, len(features.hypothesis)
     (18, 18)
     """
 
@@ -141,15 +141,15 @@ class SeatFeatures:
         self.hypothesis = np.concatenate(
             [np.repeat(np.arange(arm.n), directions), arm.n + np.arange(arm.n)]
         )
-        """Which hypothesis each place belongs to: slides 0 to n - 1, plays n to 2 n - 1 (P,)."""
+        """Which hypothesis each location belongs to: slides 0 to n - 1, plays n to 2 n - 1 (P,)."""
 
     @property
-    def places(self) -> int:
-        """Number of places."""
+    def locations(self) -> int:
+        """Number of locations."""
         return len(self.top)
 
     def of(self, record: RecordStatistics) -> tuple[Array, Array]:
-        """Work out the figures of one record.
+        """Features of one record.
 
         Parameters
         ----------
@@ -159,15 +159,15 @@ class SeatFeatures:
         Returns
         -------
         ndarray (P, 15)
-            By place, `PLACE_FEATURES`.
+            By location, `LOCATION_FEATURES`.
         ndarray (12,)
             Of the record, `RECORD_FEATURES`.
         """
-        place, whole, _ = self.with_change(record)
-        return place, whole
+        location, whole, _ = self.with_change(record)
+        return location, whole
 
     def with_change(self, record: RecordStatistics) -> tuple[Array, Array, TransmissionChange]:
-        """Work out the figures of one record, and give the change behind them too.
+        """Features of one record, and the change behind them.
 
         Parameters
         ----------
@@ -205,7 +205,7 @@ class SeatFeatures:
         unexplained = np.einsum("pij,ij->p", axes, residual)
         rest = float(np.trace(residual))
         expected = float(np.trace(seats.in_step[m:] @ seats.in_step[m:].T))
-        place = np.stack(
+        location = np.stack(
             [
                 np.clip(opening, -1.5, 2.5),
                 np.log1p(gain),
@@ -241,7 +241,7 @@ class SeatFeatures:
                 record.lowest_coherence,
             ]
         )
-        return place, whole, change.change
+        return location, whole, change.change
 
     def _change(
         self,

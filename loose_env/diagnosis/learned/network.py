@@ -1,9 +1,9 @@
 """Learned likelihood of one record by location of the loose seat.
 
-A small network looks at the figures of one place (`loose_env.diagnosis.learned.features`) and says
-by how much the record speaks for a loose seat there rather than for a healthy arm, once for every
-node of friction. The same network looks at every place; only a short vector for the link or
-joint tells them apart. The pass is written in numpy, the weights are plain arrays.
+A small network maps the features of one location (`loose_env.diagnosis.learned.features`) to the
+log-likelihood ratio of a loose seat there over a healthy arm, one for every node of friction. All
+locations share its weights, beside a short vector for the link or joint. The pass is written in
+numpy, the weights are plain arrays.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class SeatNetwork:
     Parameters
     ----------
     tensors : mapping of str to ndarray
-        Weights and scales, named and shaped as `SeatNetwork.shapes` says: C figures of a place,
+        Weights and scales, named and shaped as `SeatNetwork.shapes` says: C features of a location,
         Q of a record, W hidden units, H hypotheses with a fault, F nodes of friction, R numbers
         of records that have a temper of their own.
 
@@ -85,25 +85,25 @@ class SeatNetwork:
         return self.sizes["F"]
 
     def hidden(
-        self, place: Array, record: Array, hypothesis: NDArray[np.intp]
+        self, location: Array, record: Array, hypothesis: NDArray[np.intp]
     ) -> NDArray[np.float32]:
-        """Last hidden layer of every place.
+        """Last hidden layer of every location.
 
         Parameters
         ----------
-        place : ndarray (P, C)
-            Figures of the places.
+        location : ndarray (P, C)
+            Features of the locations.
         record : ndarray (Q,)
-            Figures of the record.
+            Features of the record.
         hypothesis : ndarray of int (P,)
-            Which hypothesis with a fault each place belongs to.
+            Which hypothesis with a fault each location belongs to.
 
         Returns
         -------
         ndarray (P, W)
         """
         w = self.tensors
-        x = (place.astype(np.float32) - w["place_mean"]) / w["place_scale"]
+        x = (location.astype(np.float32) - w["place_mean"]) / w["place_scale"]
         r = (record.astype(np.float32) - w["record_mean"]) / w["record_scale"]
         whole = _silu(w["record_in.weight"] @ r + w["record_in.bias"])
         whole = w["record_out.weight"] @ whole + w["record_out.bias"]
@@ -112,10 +112,10 @@ class SeatNetwork:
         return _silu(_silu(y) @ w["hidden.weight"].T + w["hidden.bias"])
 
     def likelihood(
-        self, place: Array, record: Array, hypothesis: NDArray[np.intp]
+        self, location: Array, record: Array, hypothesis: NDArray[np.intp]
     ) -> NDArray[np.float64]:
-        """Log-likelihood of a record over that of a healthy arm, by place and friction (P, F)."""
-        hidden = self.hidden(place, record, hypothesis)
+        """Log-likelihood ratio over a healthy arm, by location and friction (P, F)."""
+        hidden = self.hidden(location, record, hypothesis)
         return (hidden @ self.tensors["out.weight"].T + self.tensors["out.bias"]).astype(float)
 
     def temper(self, records: int) -> float:

@@ -1,8 +1,8 @@
 """Novelty test of an episode's records against those of the training.
 
 Every posterior adds up to one, also where none of its hypotheses is true: two faults at once, an
-arm that is no draw of the nominal one. Three figures can give such an arm away: the change of
-motion that even the favoured places leave unexplained, how much of that one second seat would
+arm that is no draw of the nominal one. Three statistics can give such an arm away: the change of
+motion that even the favoured locations leave unexplained, how much of that one second seat would
 explain in all records alike, and motion that is heavier on one side than on the other, as that
 of a seat which a load presses on one of its stops. How large each is on arms of the trained
 kind, given what was excited, how hard and what is believed, is learned as a Gaussian mixture;
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.special import expit, ndtri_exp
 
 from loose_env.diagnosis.learned.features import (
-    PLACE_FEATURES,
+    LOCATION_FEATURES,
     RECORD_FEATURES,
     TransmissionChange,
 )
@@ -36,7 +36,7 @@ from loose_env.typing import Array
 __all__ = [
     "COLUMNS",
     "CONTEXT",
-    "FIGURES",
+    "NOVELTY_STATISTICS",
     "NoveltyReference",
     "Seen",
     "conformal_p",
@@ -45,7 +45,7 @@ __all__ = [
 ]
 
 
-FIGURES = ("left", "second", "one_sided")
+NOVELTY_STATISTICS = ("left", "second", "one_sided")
 """Test statistics: log residual chi², its reduction by a second seat, skewness."""
 _PLACE = ("visible", "inertia_visible", "drive", "load", "loose_expected")
 _RECORD = ("numbers", "level", "excited", "duration")
@@ -53,10 +53,10 @@ CONTEXT = (*_PLACE, *_RECORD, "healthy", "records", "explained", "opening")
 """Context of the statistics: features of the best locations and of the record, log-odds of
 a healthy arm, log of the number of records, chi² explained by the locations and their opening."""
 _SHAPE = ("kurtosis", "lowest_kurtosis")
-COLUMNS = (*FIGURES, *CONTEXT, *_SHAPE)
+COLUMNS = (*NOVELTY_STATISTICS, *CONTEXT, *_SHAPE)
 """Columns that `sights` gives."""
 
-_PLACE_AT = [PLACE_FEATURES.index(name) for name in _PLACE]
+_PLACE_AT = [LOCATION_FEATURES.index(name) for name in _PLACE]
 _RECORD_AT = [RECORD_FEATURES.index(name) for name in _RECORD]
 _SHAPE_AT = [RECORD_FEATURES.index(name) for name in _SHAPE]
 _SKEW = RECORD_FEATURES.index("skewness")
@@ -67,7 +67,7 @@ _USED = {
     # Impacts make a record heavy-tailed, and what is heavy-tailed is skew by chance.
     "one_sided": [COLUMNS.index(x) for x in ("one_sided", *CONTEXT, *_SHAPE)],
 }
-"""Columns of each figure's mixture, the figure first."""
+"""Columns of each statistic's mixture, the statistic first."""
 _FINEST = 0.1  # chi² below which a change is no change at all
 _SUREST = 10.0  # log-odds beyond which a posterior says no more
 _LARGEST = 30.0  # standard deviations beyond which all is alike
@@ -77,35 +77,35 @@ _LARGEST = 30.0  # standard deviations beyond which all is alike
 class Seen:
     """Features of one record."""
 
-    place: Array
-    """Figures of the places, `PLACE_FEATURES` (P, C)."""
+    location: Array
+    """Features of the locations, `LOCATION_FEATURES` (P, C)."""
     record: Array
-    """Figures of the record, `RECORD_FEATURES` (Q,)."""
+    """Features of the record, `RECORD_FEATURES` (Q,)."""
     change: TransmissionChange
     """The change of motion behind them."""
 
     @cached_property
     def unexplained(self) -> Unexplained:
-        """The change under every place; worked out when it is asked for."""
+        """The change under every location; worked out when it is asked for."""
         return unexplained(self.change)
 
 
 def sights(
     seen: Sequence[Seen], weights: Array, healthy: float, hypothesis: NDArray[np.intp]
 ) -> Array:
-    """Figures that may give an arm of another kind away, and what they are to be judged by.
+    """Statistics of the novelty test, with their context.
 
     Parameters
     ----------
     seen : sequence of Seen
         R records, one or more.
     weights : ndarray (P,)
-        Probability of each place after all of these records, if one of them is loose; they add
+        Probability of each location after all of these records, if one of them is loose; they add
         up to one.
     healthy : float
         Log-odds of a healthy arm.
     hypothesis : ndarray of int (P,)
-        Which hypothesis each place belongs to.
+        Which hypothesis each location belongs to.
 
     Returns
     -------
@@ -114,7 +114,7 @@ def sights(
     """
     found = [each.unexplained for each in seen]
     record = np.stack([each.record for each in seen])
-    places = np.stack([weights @ each.place for each in seen])
+    locations = np.stack([weights @ each.location for each in seen])
     loose, sound = expit(-healthy), expit(healthy)
     left = np.stack([loose * (weights @ np.log(f.left + _FINEST)) for f in found])
     left = left + sound * np.log(np.array([f.sound for f in found]) + _FINEST)
@@ -129,7 +129,7 @@ def sights(
             left,
             np.full(count, second),
             record[:, _SKEW],
-            places[:, _PLACE_AT],
+            locations[:, _PLACE_AT],
             record[:, _RECORD_AT],
             np.full(count, np.clip(healthy, -_SUREST, _SUREST)),
             np.full(count, np.log(count)),
@@ -173,16 +173,16 @@ class NoveltyReference:
     scale: Array
     """Their scale (D,)."""
     mixtures: tuple[GaussianMixture, ...]
-    """Density of each figure and its context, centred and scaled; in the order of `FIGURES`."""
+    """Scaled density of each statistic and its context, in the order of `NOVELTY_STATISTICS`."""
     usual: Array
-    """Median of an episode's mean novelty in each figure, by number of records (K, figures)."""
+    """Median of an episode's mean novelty by number of records (K, statistics)."""
     spread: Array
-    """By how much it is exceeded by one episode in a hundred (K, figures)."""
+    """By how much it is exceeded by one episode in a hundred (K, statistics)."""
     scores: tuple[Array, ...] = ()
     """Scores of held-out episodes, each in increasing order, by number of records."""
 
     def novelty(self, columns: Array) -> Array:
-        """By how much more there is of each figure than is usual.
+        """Excess of each statistic over its usual value.
 
         Parameters
         ----------
@@ -191,13 +191,13 @@ class NoveltyReference:
 
         Returns
         -------
-        ndarray (N, figures)
+        ndarray (N, statistics)
             Normal deviate of the chance of more, given the context.
         """
         scaled = (columns - self.mean) / self.scale
         tails = [
             mixture.log_upper_tail(scaled[:, _USED[name]])
-            for name, mixture in zip(FIGURES, self.mixtures, strict=True)
+            for name, mixture in zip(NOVELTY_STATISTICS, self.mixtures, strict=True)
         ]
         deviates = -ndtri_exp(np.minimum(np.column_stack(tails), 0.0))
         return np.asarray(np.clip(deviates, -_LARGEST, _LARGEST))
@@ -207,7 +207,7 @@ class NoveltyReference:
 
         Parameters
         ----------
-        novelty : ndarray (R, figures)
+        novelty : ndarray (R, statistics)
             Of all of its records, one or more.
         """
         at = min(len(novelty), len(self.usual)) - 1
@@ -218,7 +218,7 @@ class NoveltyReference:
 
         Parameters
         ----------
-        novelty : ndarray (R, figures)
+        novelty : ndarray (R, statistics)
             Of all of its records.
         """
         if not len(novelty):
@@ -230,7 +230,7 @@ class NoveltyReference:
     def tensors(self) -> dict[str, NDArray[Any]]:
         """As it is stored beside a network, names without their prefix."""
         stored = {name: getattr(self, name) for name in ("mean", "scale", "usual", "spread")}
-        for name, mixture in zip(FIGURES, self.mixtures, strict=True):
+        for name, mixture in zip(NOVELTY_STATISTICS, self.mixtures, strict=True):
             for part in _MIXTURE:
                 stored[f"{name}.{part}"] = getattr(mixture, part)
         return stored | {f"scores.{k}": each for k, each in enumerate(self.scores, start=1)}
@@ -245,7 +245,7 @@ class NoveltyReference:
             If a tensor is missing or of another shape.
         """
         wanted = ["mean", "scale", "usual", "spread", "scores.1"]
-        wanted += [f"{name}.{part}" for name in FIGURES for part in _MIXTURE]
+        wanted += [f"{name}.{part}" for name in NOVELTY_STATISTICS for part in _MIXTURE]
         missing = [name for name in wanted if name not in tensors]
         if missing:
             raise InvalidData(
@@ -255,7 +255,7 @@ class NoveltyReference:
         found = {name: np.asarray(values, dtype=float) for name, values in tensors.items()}
         count = sum(name.startswith("scores.") for name in found)
         expected: dict[str, tuple[int, ...]] = {x: (len(COLUMNS),) for x in ("mean", "scale")}
-        expected |= {name: (count, len(FIGURES)) for name in ("usual", "spread")}
+        expected |= {name: (count, len(NOVELTY_STATISTICS)) for name in ("usual", "spread")}
         expected |= {
             f"{name}.means": (len(found[f"{name}.weights"]), len(used))
             for name, used in _USED.items()
@@ -269,7 +269,7 @@ class NoveltyReference:
             )
         return cls(
             **{name: found[name] for name in ("mean", "scale", "usual", "spread")},
-            mixtures=tuple(_mixture(found, name) for name in FIGURES),
+            mixtures=tuple(_mixture(found, name) for name in NOVELTY_STATISTICS),
             scores=tuple(np.sort(found[f"scores.{k}"]) for k in range(1, count + 1)),
         )
 
@@ -285,5 +285,5 @@ def _mixture(tensors: Mapping[str, Array], name: str) -> GaussianMixture:
 
 
 def used_columns(name: str) -> list[int]:
-    """Columns of a figure's mixture, the figure first."""
+    """Columns of a statistic's mixture, the statistic first."""
     return list(_USED[name])

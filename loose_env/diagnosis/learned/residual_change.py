@@ -29,30 +29,30 @@ _TURNS = 2  # the room of a seat's motion depends on how far it opens, which dep
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Unexplained:
-    """One record's change under every place."""
+    """One record's change under every location."""
 
     sound: float
     """chi² of the change on a healthy arm."""
     left: Array
-    """chi² that each place leaves (P,)."""
+    """chi² that each location leaves (P,)."""
     explained: Array
-    """chi² of what each place makes of the change (P,)."""
+    """chi² of what each location makes of the change (P,)."""
     opening: Array
-    """How far each place opens for that, 1: floats freely (P,)."""
+    """How far each location opens for that, 1: floats freely (P,)."""
     measured: Array
     """The change along uncorrelated directions [m/s²] (K,)."""
     open: Array
-    """The same of each place that floats freely (P, K)."""
+    """The same of each location that floats freely (P, K)."""
     variance: Array
-    """What is left open along them for each place [m²/s⁴] (P, K)."""
+    """What is left open along them for each location [m²/s⁴] (P, K)."""
 
     def second(self, first: int) -> Array:
-        """By how much a second seat lowers the log of what the first leaves, by place (P,).
+        """By how much a second seat lowers the log of what the first leaves, by location (P,).
 
         Parameters
         ----------
         first : int
-            The place of the first.
+            The location of the first.
         """
         sd = np.sqrt(self.variance[first])
         along, others = self.open[first] / sd, self.open / sd
@@ -68,12 +68,12 @@ class Unexplained:
 
 
 def unexplained(change: TransmissionChange) -> Unexplained:
-    """Set one record's change against every place.
+    """Set one record's change against every location.
 
     Parameters
     ----------
     change : TransmissionChange
-        The change, and what each place would make of it.
+        The change, and what each location would make of it.
 
     Examples
     --------
@@ -112,7 +112,7 @@ def unexplained(change: TransmissionChange) -> Unexplained:
 
 
 def _opening(measured: Array, opened: Array, variance: Array) -> tuple[Array, Array]:
-    """How far each place opens, and the chi² of it floating freely (P,)."""
+    """How far each location opens, and the chi² of it floating freely (P,)."""
     visible = (opened**2 / variance).sum(1)
     opening = (opened * measured / variance).sum(1) / (visible + 1.0)
     return np.clip(opening, *_WIDEST), visible

@@ -75,7 +75,7 @@ class Belief:
     healthy: Array
     """Of the healthy arm, by variant of the arm (V,)."""
     loose: Array
-    """Of each place and friction, by variant (V, P, F)."""
+    """Of each location and friction, by variant (V, P, F)."""
     links: int
     """Number of links."""
     directions: Array
@@ -170,12 +170,12 @@ class FaultPosterior:
         self.directions = slide_directions(count, axes)
         self.variants, self._weights = variants(linear, self.settings.mismatch.stiffness)
         drive = SeatDrive(linear)
-        places = [
+        locations = [
             drive.slide(link, tuple(u)) for link in range(1, arm.n + 1) for u in self.directions
         ]
-        places += [drive.hinge(joint) for joint in range(1, arm.n + 1)]
+        locations += [drive.hinge(joint) for joint in range(1, arm.n + 1)]
         # Some motions of a seat no joint drives, such as those across a plane of motion.
-        driven = np.maximum(places, 1e-9 * max(places))
+        driven = np.maximum(locations, 1e-9 * max(locations))
         low, high = np.log(self.settings.friction)
         middle = (np.arange(self.settings.frictions) + 0.5) / self.settings.frictions
         self.frictions = np.exp(low + (high - low) * middle)
@@ -224,13 +224,15 @@ class FaultPosterior:
         likelihood = np.exp(fit.log - top).reshape(len(fit.log), -1)
         nodes = self.table.nodes(fit.force[:, None], self._friction, fit.load[:, None])
         mixed = np.zeros(self._friction.shape)
-        for table, places in (
+        for table, locations in (
             (self.table.slide, slice(0, slides)),
             (self.table.hinge, slice(slides, None)),
         ):
-            by_node = likelihood[places] @ table.reshape(-1, likelihood.shape[1]).T
+            by_node = likelihood[locations] @ table.reshape(-1, likelihood.shape[1]).T
             for node, weight in nodes:
-                mixed[places] += weight[places] * np.take_along_axis(by_node, node[places], 1)
+                mixed[locations] += weight[locations] * np.take_along_axis(
+                    by_node, node[locations], 1
+                )
         return np.asarray(np.log(np.maximum(mixed, 1e-300)) + top)
 
 

@@ -54,7 +54,7 @@ class Fit:
     """Log-likelihood of one record."""
 
     log: Array
-    """Over places, openings and loose motion (P, S, Q)."""
+    """Over locations, openings and loose motion (P, S, Q)."""
     force: Array
     """Rms force that each shut seat transmits in the record (P,)."""
     load: Array

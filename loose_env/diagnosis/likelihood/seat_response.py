@@ -54,7 +54,7 @@ def predict_seats(
     directions: Array,
     floor: Array,
     *,
-    places: NDArray[np.intp] | None = None,
+    locations: NDArray[np.intp] | None = None,
 ) -> SeatPrediction:
     """Work out all seats of the arm in one pose.
 
@@ -68,7 +68,7 @@ def predict_seats(
         Sliding directions of a link, unit vectors in its frame.
     floor : ndarray (p,)
         Variance that the sensors add to each channel.
-    places : ndarray of int, optional
+    locations : ndarray of int, optional
         Places that are asked for, in the order in which they are wanted; all by default.
 
     Examples
@@ -87,7 +87,7 @@ def predict_seats(
     t = torque[on]
     n, count = pose.linear.arm.n, len(answer.frequency)
     slides = n * len(directions)
-    asked = np.arange(slides + n) if places is None else np.asarray(places)
+    asked = np.arange(slides + n) if locations is None else np.asarray(locations)
     of_slide = asked < slides
     link, u = asked[of_slide] // len(directions), directions[asked[of_slide] % len(directions)]
     joint = asked[~of_slide] - slides
@@ -111,7 +111,7 @@ def predict_seats(
     )
     free = -force / mass[..., None]
 
-    # Averages over the band, places first so that each is one small matrix product.
+    # Averages over the band, locations first so that each is one small matrix product.
     column, free = column.transpose(1, 2, 0), free.transpose(1, 2, 0)
     in_step = healthy.real.mean(0)
     own = healthy.transpose(1, 2, 0).reshape(len(in_step), -1)

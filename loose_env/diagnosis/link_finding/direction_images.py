@@ -16,16 +16,16 @@ from loose_env.arms import Arm
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.typing import Array
 
-__all__ = ["ToolFrames", "places", "predicted_images"]
+__all__ = ["ToolFrames", "fault_locations", "predicted_images"]
 
 
-def places(arm: Arm) -> tuple[str, ...]:
+def fault_locations(arm: Arm) -> tuple[str, ...]:
     """Hypotheses that a direction can tell apart: a slide at each link, play in each joint.
 
     Examples
     --------
     >>> from loose_env.arms import planar
-    >>> places(planar(2))[1:3]
+    >>> fault_locations(planar(2))[1:3]
     ('structural_looseness@link2', 'backlash@joint1')
     """
     numbers = range(1, arm.n + 1)
@@ -136,7 +136,7 @@ class ToolFrames:
         """Tool motion per motion of each joint, tool frame (P, n, d) [m, or 1 where it slides]."""
         poses = self._poses(poses)
         turns = self._turns(poses)
-        # Walk from the tool to the base: the rotation and the tool's place beyond each joint,
+        # Walk from the tool to the base: the rotation and the tool's location beyond each joint,
         # in the reference's world axes.
         rotation = np.broadcast_to(self._tool, turns[:, 0].shape)
         point = np.broadcast_to(self._point, (len(poses), 3))
@@ -199,7 +199,8 @@ def predicted_images(
     Returns
     -------
     ndarray (2 n, d)
-        Unit vectors (axial), in the order of `places`; zero for a joint that cannot move the tool.
+        Unit vectors (axial), in the order of `fault_locations`; zero for a joint that
+        cannot move the tool.
 
     Raises
     ------

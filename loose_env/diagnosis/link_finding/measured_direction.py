@@ -69,7 +69,7 @@ class ChangeSighting(DirectionSighting):
     expected_ratio: float
     """Rms of that ratio where nothing is loose [1]."""
     values: Array
-    """Singular values of the change, falling, joints weighed by their motion [m/s²]."""
+    """Singular values of the change, falling, joints weighted by their motion [m/s²]."""
     noise: float
     """Singular value that errors alone leave, rms [m/s²]."""
 
@@ -95,7 +95,7 @@ def sight_change(
 ) -> ChangeSighting:
     """Read the direction of looseness off the change of transmission in one record.
 
-    Joints are weighed by their nominal accelerations, so that those that turn and those that
+    Joints are weighted by their nominal accelerations, so that those that turn and those that
     slide can be excited together.
 
     Parameters
@@ -151,9 +151,9 @@ def sight_change(
             f"the prediction {m} and {d}"
         )
     rms = np.sqrt(np.diag(nominal.joint))
-    weighed = reference * rms
-    change = record.transmission_by_instrument[:, on] * rms - weighed
-    if not (np.isfinite(change).all() and weighed.any()):
+    weighted = reference * rms
+    change = record.transmission_by_instrument[:, on] * rms - weighted
+    if not (np.isfinite(change).all() and weighted.any()):
         raise InvalidData("transmissions must be finite, and the nominal arm must move its tool")
     left, values, right = np.linalg.svd(change, full_matrices=False)
     direction, v = axial_vector(left[:, 0]), right[0]
@@ -167,8 +167,8 @@ def sight_change(
     followed = nominal.command_joint.T @ np.linalg.solve(nominal.command, nominal.command_joint)
     mixed = np.linalg.inv(followed) * np.outer(rms, rms)
 
-    columns = np.sum(weighed**2, axis=0)
-    bent = model.sensor**2 * float(np.sum((weighed @ v) ** 2))
+    columns = np.sum(weighted**2, axis=0)
+    bent = model.sensor**2 * float(np.sum((weighted @ v) ** 2))
     bent += model.geometry**2 * float(columns @ v**2)
     errors = float(np.trace(mixed) * np.trace(scatter))
     errors += (d * model.sensor**2 + model.geometry**2) * float(columns.sum())

@@ -154,7 +154,7 @@ def choose_move(
     Each hypothesis predicts a direction in each candidate. Two of them, an angle d apart, are
     confused no more often than exp(-d² / 8 s²), with s the standard deviation of measurement and
     prediction together (Bhattacharyya's bound). The candidate with the least confusion over all
-    pairs wins, pairs weighed by their probabilities.
+    pairs wins, pairs weighted by their probabilities.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def choose_move(
     count : int
         How many of the best candidates to return.
     chunk : int
-        Candidates that are weighed at once.
+        Candidates that are weighted at once.
 
     Returns
     -------

@@ -45,7 +45,7 @@ def expected_openness(
     Returns
     -------
     ndarray (C, 2 n)
-        For each hypothesis in the order of `places`, from 0, held shut, to 1, free.
+        For each hypothesis in the order of `fault_locations`, from 0, held shut, to 1, free.
 
     Examples
     --------

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.diagnosis.likelihood.axial_likelihood import log_mean_bingham, precision_of
-from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places
+from loose_env.diagnosis.link_finding.direction_images import ToolFrames, fault_locations
 from loose_env.diagnosis.link_finding.planar import Finding, LinkFindingSettings
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.typing import Array
@@ -30,9 +30,9 @@ __all__ = [
     "DirectionSighting",
     "LinkPosterior",
     "axis_from_turn",
+    "confusable_faults",
     "judge_turn_in_space",
     "link_posterior",
-    "look_alikes",
 ]
 
 
@@ -196,7 +196,7 @@ def link_posterior(
     """Weigh all hypotheses by the directions seen in several poses.
 
     The direction in the link is summed out (uniform beforehand), so that play, whose line is
-    known, is weighed fairly against a slide, whose direction is not.
+    known, is weighted fairly against a slide, whose direction is not.
 
     Parameters
     ----------
@@ -205,8 +205,8 @@ def link_posterior(
     sightings : sequence of DirectionSighting
         One or more.
     prior : array_like (2 n,), optional
-        Prior weight of each hypothesis, in the order of `places`; equal by default. Zero leaves
-        a hypothesis out.
+        Prior weight of each hypothesis, in the order of `fault_locations`; equal by default. Zero
+        leaves a hypothesis out.
     scales : sequence of float
         Factors by which the standard deviations given may be too small, all equally likely;
         summed out. More than one makes single bad directions matter less.
@@ -230,7 +230,7 @@ def link_posterior(
     >>> found.best, found.directions[0].round(6).tolist()
     ('structural_looseness@link1', [0.8, 0.6])
     """
-    names = places(frames.arm)
+    names = fault_locations(frames.arm)
     weights = np.ones(len(names)) if prior is None else np.asarray(prior, dtype=float)
     if weights.shape != (len(names),) or not np.isfinite(weights).all() or weights.min() < 0:
         raise InvalidSetting(
@@ -274,7 +274,7 @@ def link_posterior(
     )
 
 
-def look_alikes(
+def confusable_faults(
     frames: ToolFrames,
     hypothesis: str,
     direction: ArrayLike | None = None,
@@ -293,7 +293,7 @@ def look_alikes(
     frames : ToolFrames
         The arm's rotations.
     hypothesis : str
-        One of `places`.
+        One of `fault_locations`.
     direction : array_like (d,), optional
         Direction of the slide in its link's frame; needed for structural looseness.
     tolerance : float
@@ -305,7 +305,7 @@ def look_alikes(
     Returns
     -------
     tuple of str
-        In the order of `places`.
+        In the order of `fault_locations`.
 
     Raises
     ------
@@ -316,31 +316,31 @@ def look_alikes(
     --------
     >>> from loose_env.arms import scara
     >>> frames = ToolFrames(scara())
-    >>> look_alikes(frames, "structural_looseness@link1", [0.0, 0.0, 1.0])[:4][-1]
+    >>> confusable_faults(frames, "structural_looseness@link1", [0.0, 0.0, 1.0])[:4][-1]
     'structural_looseness@link4'
-    >>> look_alikes(frames, "structural_looseness@link2", [1.0, 0.0, 0.0])
+    >>> confusable_faults(frames, "structural_looseness@link2", [1.0, 0.0, 0.0])
     ('structural_looseness@link2', 'structural_looseness@link3')
     """
-    names, n = places(frames.arm), frames.arm.n
+    names, n = fault_locations(frames.arm), frames.arm.n
     if hypothesis not in names:
         raise InvalidSetting(f"unknown hypothesis {hypothesis!r}; known are {names}")
     rng = np.random.default_rng(0)  # the same poses for everybody
     sample = np.array([frames.arm.random_pose(rng) for _ in range(poses)])
     images, lines = frames.images(sample), frames.unit_lines(sample)
-    place = names.index(hypothesis)
-    if place < n:
+    location = names.index(hypothesis)
+    if location < n:
         if direction is None:
             raise InvalidSetting(f"{hypothesis} needs the direction of the slide in its link")
         z = np.asarray(direction, dtype=float)
-        seen = images[:, place] @ (z / np.linalg.norm(z))
+        seen = images[:, location] @ (z / np.linalg.norm(z))
     else:
-        seen = lines[:, place - n]
+        seen = lines[:, location - n]
     across = np.eye(frames.dimension) - np.einsum("ti,tj->tij", seen, seen)
     carried = np.einsum("tkia,tij,tkjb->kab", images, across, images) / poses
     slide = np.linalg.eigvalsh(carried)[:, 0]
     play = np.mean(1 - np.einsum("tki,ti->tk", lines, seen) ** 2, axis=0)
     alike = np.concatenate([slide, play]) <= np.sin(tolerance) ** 2
-    alike[place] = True
+    alike[location] = True
     return tuple(name for name, same in zip(names, alike, strict=True) if same)
 
 

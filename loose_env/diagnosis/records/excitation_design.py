@@ -2,7 +2,7 @@
 
 Below its holding modes an arm transmits as its kinematics say; inside them it does not. A seat
 stays shut until the force across it overcomes its static load, and once it moves farther than its
-gap it only strikes its stops. For a joint excited alone at level L, a seat direction that feels
+gap it only hits its stops. For a joint excited alone at level L, a seat direction that feels
 the rms force f L over a static load W, and would move by x L rms if it floated, loses about
 
     min(1, (f L / 0.6 W)²) · min(1, gap / (4 x L))

@@ -134,7 +134,7 @@ def _shape(tool: Array, direction: Array) -> tuple[Array, Array]:
     """Skewness and excess kurtosis along the tool axes, then along a direction (d + 1,).
 
     Where excitation and arm leave an axis still, as the plane of a SCARA whose quill is shaken,
-    ideal sensors show rounding only. It has no shape; zero says that nothing struck there.
+    ideal sensors show rounding only. It has no shape; zero means no impacts there.
     """
     rows = np.array([*tool, direction @ tool])
     power = rows.var(axis=1)

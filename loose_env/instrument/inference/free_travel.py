@@ -2,7 +2,7 @@
 
 The fit gives the seat's acceleration at every line of a run. Integrated twice that is the seat's
 path, and the arm's equation of motion gives the force across it, with gravity's static load. Inside
-the gap the force is friction's alone; at either stop it rises. Only where both stops are struck do
+the gap the force is friction's alone; at either stop it rises. Only where both stops are reached do
 the data say how far apart they are.
 """
 
@@ -63,7 +63,7 @@ def travel_of(comparison: ModelComparison, hypothesis: str, lines: Sequence[Line
         The seat.
     lines : sequence of Lines
         Runs under test with all their lines, those that were not excited too: between its stops a
-        seat drifts slowly, and strikes them fast.
+        seat drifts slowly, and impacts on them are fast.
     """
     uncertain = comparison.evidence.uncertain
     evidence = Evidence(uncertain=uncertain, lines=[comparison.as_sampled(one) for one in lines])
@@ -131,7 +131,7 @@ def law_of(path: Array, force: Array) -> float | None:
     """Best-fitting free travel; None unless both stops are reached.
 
     The force is a constant, and beyond either end of the gap a stiffness and a damping of their
-    own. Widths and places of the gap are tried one by one.
+    own. Widths and positions of the clearance are tried one by one.
 
     Parameters
     ----------
@@ -181,5 +181,5 @@ def law_of(path: Array, force: Array) -> float | None:
                 best, found = left, (ends[i], ends[j])
     if found is None or best > CLEARANCE_RESIDUAL * spring:
         return None
-    struck = min(float(np.mean(path < found[0])), float(np.mean(path > found[1])))
-    return None if struck < TIME_AT_STOP else float(found[1] - found[0])
+    at_stop = min(float(np.mean(path < found[0])), float(np.mean(path > found[1])))
+    return None if at_stop < TIME_AT_STOP else float(found[1] - found[0])

@@ -2,7 +2,7 @@
 
 An actuator of MuJoCo gives a joint the torque ``gain u + offset - stiffness q - damping q'``: a
 motor has a gain alone, a position servo a stiffness too, and its command is a position. All
-figures are at the joint, the gear ratio included.
+values are at the joint, the gear ratio included.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def actuators_on(
     Returns
     -------
     tuple of JointDrive
-        Those whose torque can be told in figures; a joint may have several.
+        Those with a linear law; a joint may have several.
     tuple of PassedOver
         The others on these joints, and those that act on something else than a joint.
     """
@@ -198,7 +198,7 @@ def drives_of(
     Returns
     -------
     tuple of JointDrive or None
-        Of each joint; None where nothing drives it, or nothing that can be told in figures.
+        Of each joint; None where nothing drives it, or no actuator with a linear law.
     tuple of str
         Why actuators were passed over, in sentences.
 

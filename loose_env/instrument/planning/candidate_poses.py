@@ -18,7 +18,7 @@ Allowed = Callable[[Array], bool]
 
 _MOVES = np.radians([-90.0, -60.0, -30.0, 30.0, 60.0, 90.0])
 _TRIES = 40
-"""Random poses looked at for each one that is wanted."""
+"""Random poses tried for each candidate."""
 
 
 def pose_range(arm: Arm, margin: float) -> tuple[Array, Array]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms import LinearArm
-from loose_env.diagnosis import ToolFrames, look_alikes, places
+from loose_env.diagnosis import ToolFrames, confusable_faults, fault_locations
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.planning.excitation import (
     proposed,
@@ -72,7 +72,7 @@ class Findable:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BestSeen:
-    """Best of all records for every place: P places, slides before plays."""
+    """Best of all records for every location: P locations, slides before plays."""
 
     directions: Array
     """Of a link (A, axes)."""
@@ -111,7 +111,7 @@ def best_seen(
     rules: NextSettings,
     joints: Collection[int] | None = None,
 ) -> BestSeen:
-    """Take every joint in every pose, and keep the best of each place.
+    """Take every joint in every pose, and keep the best of each location.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def best_seen(
     """
     nominal = linear.arm
     features = seat_features(linear, rules, directions=_DIRECTIONS)
-    count = features.places
+    count = features.locations
     slides = count - nominal.n
     gap = rules.gap_mm * 1e-3
     gaps = np.full(count, gap)
@@ -191,10 +191,10 @@ def findable_faults(arm: InstrumentedArm, found: BestSeen) -> tuple[Findable, ..
     """
     nominal = arm.nominal
     frames = ToolFrames(nominal)
-    own = dict(zip(places(nominal), arm.hypotheses[1:], strict=True))
+    own = dict(zip(fault_locations(nominal), arm.hypotheses[1:], strict=True))
     count = len(found.directions)
     made = []
-    for k, (place, name) in enumerate(own.items()):
+    for k, (location, name) in enumerate(own.items()):
         if k < nominal.n:
             rows = slice(k * count, (k + 1) * count)
             seen = found.seen[rows] >= DETECTABLE_Z
@@ -214,8 +214,8 @@ def findable_faults(arm: InstrumentedArm, found: BestSeen) -> tuple[Findable, ..
             share = float(found.seen[place_row] >= DETECTABLE_Z)
             shut = None
             gap, gap_model = _middle(found.gap[rows]), _middle(found.gap_model[rows])
-            others = look_alikes(frames, place, tolerance=np.radians(3.0))
-            alike = tuple(own[other] for other in others if other != place)
+            others = confusable_faults(frames, location, tolerance=np.radians(3.0))
+            alike = tuple(own[other] for other in others if other != location)
             lever = float(found.levers[k - nominal.n])
             at_tool = None if gap_model is None else gap_model * lever
             why = _why_joint(share, lever, float(found.opens[place_row]), gap_model)

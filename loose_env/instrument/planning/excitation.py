@@ -128,7 +128,7 @@ def sensitivity(features: SeatFeatures, pose: Array, torque: Array, seconds: flo
     Parameters
     ----------
     features : SeatFeatures
-        The nominal arm, its sensors and its places.
+        The nominal arm, its sensors and its locations.
     pose : ndarray (n,)
         Where it is taken [rad or m].
     torque : ndarray (n,)

@@ -94,8 +94,8 @@ def expected_of(
             share = float(near @ lost[rows] / near.sum())
             size = float(near @ seen[rows] / near.sum())
         else:
-            place = slides + k - 1 - nominal.n
-            share, size = float(lost[place]), float(seen[place])
+            location = slides + k - 1 - nominal.n
+            share, size = float(lost[location]), float(seen[location])
         shown[name] = Expected(
             probability=float((so_far.probabilities or even)[name]),
             direction_tool=None if direction is None else tuple(float(x) for x in direction),

@@ -1,6 +1,6 @@
 """The next measurement: the pose and joint whose record is expected to say most.
 
-`next_measurement` serves the plan and the diagnosis alike. What is known is spread over places,
+`next_measurement` serves the plan and the diagnosis alike. What is known is spread over locations,
 directions and frictions; a few dozen imagined faults are drawn from it; and for each candidate the
 nominal arm says what its record would show of each of them
 (`loose_env.diagnosis.experiment_design.information_gain.RecordInformation`): gravity that keeps

@@ -79,7 +79,7 @@ def next_for(
     arm : InstrumentedArm
         From `read_arm`.
     known : Diagnosis or Known, optional
-        What is known; nothing by default. `Diagnosis.next` is not looked at.
+        What is known; nothing by default. `Diagnosis.next` is ignored.
     settings : NextSettings, optional
         How it is chosen.
     own : PlanSettings, optional
@@ -343,7 +343,7 @@ def _warnings(
     ]
     if arm.hold != "model":
         said.append(
-            f"joints are taken to be held by {arm.held_by}; 'loose diagnose' reckons with what "
+            f"joints are taken to be held by {arm.held_by}; 'loose diagnose' assumes what "
             "the model's actuators do, so put such springs into the model"
         )
     return tuple(dict.fromkeys((*said, *arm.notes)))

@@ -46,7 +46,7 @@ class Known:
 
     probabilities: Mapping[str, float] = field(default_factory=dict)
     """Probability of every hypothesis, as `names_of` has them; none: each kind as probable as
-    another, and each place within it."""
+    another, and each location within it."""
     records: tuple[Seen, ...] = ()
     """Records of the suspect arm, the last one last."""
     directions: Mapping[str, Array] = field(default_factory=dict)
@@ -147,7 +147,7 @@ def belief_of(
 ) -> Belief:
     """Spread what is known over the directions and frictions of a belief.
 
-    The hypotheses keep their probabilities. Within a link, directions are weighed by the one that
+    The hypotheses keep their probabilities. Within a link, directions are weighted by the one that
     all runs together have for it, or by what was seen in each pose where records say that.
 
     Parameters

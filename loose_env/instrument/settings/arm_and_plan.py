@@ -23,7 +23,7 @@ class ModelSettings:
     is, else the site 'tool', else the last site or body."""
     hold: Hold = "model"
     """What holds the joints: 'model', the model's own position servos, and a slow controller for
-    joints with torque motors, which is what 'loose diagnose' reckons with; or 'brake', 'servo',
+    joints with torque motors, as 'loose diagnose' assumes; or 'brake', 'servo',
     'compliant' for brakes, servos of 25 Hz, or brakes behind elastic gears."""
     payload_kg: float = 0.0
     """Mass at the tool that the model lacks [kg]."""

@@ -50,7 +50,7 @@ class NextSettings:
     """Height that no link may go below, in the model's frame [m]; by default that of the base
     where the arm stands on it."""
     poses: int = 24
-    """Poses that are weighed."""
+    """Number of candidate poses."""
     band_low: float | None = None
     """Lower end of the noise's band [Hz]; by default as the arm's modes ask for."""
     band_high: float | None = None

@@ -39,7 +39,7 @@ __all__ = ["arm_figure", "pose_of"]
 
 _HEIGHT, _LEGEND = 4.5, 0.34  # of the figure, and of the words above the arm [inch]
 _STIFF = (1.0, 1.0)
-"""A drawn seat has a place and a direction; its figures are not looked at."""
+"""Parameters of a drawn seat, of which only location and direction show."""
 
 
 def pose_of(arm: Arm, pose: Mapping[str, float]) -> Array:

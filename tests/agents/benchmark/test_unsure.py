@@ -19,7 +19,7 @@ from loose_agents.posterior_training.record_bank import BankSettings, play_episo
 
 from loose_env.arms import Mismatch, MismatchDraw, planar
 from loose_env.diagnosis import (
-    PLACE_FEATURES,
+    LOCATION_FEATURES,
     RECORD_FEATURES,
     AmortisedPosterior,
     NoveltyReference,
@@ -38,7 +38,7 @@ from loose_env.statistics import axes_grid
 
 JOINTS, DIRECTIONS = 2, 6
 PLACES = JOINTS * DIRECTIONS + JOINTS
-SIZES = {"C": len(PLACE_FEATURES), "Q": len(RECORD_FEATURES), "W": 8, "H": 2 * JOINTS}
+SIZES = {"C": len(LOCATION_FEATURES), "Q": len(RECORD_FEATURES), "W": 8, "H": 2 * JOINTS}
 SIZES |= {"F": 3, "R": 4}
 
 
@@ -162,7 +162,7 @@ def test_episodes_of_the_trained_kind_do_not_surprise_and_others_do(
 
     def surprises(played: list[list[Seen]], one: AmortisedPosterior) -> np.ndarray:
         found = []
-        rows = iter([(s.place, s.record, s.change) for seen in played for s in seen])
+        rows = iter([(s.location, s.record, s.change) for seen in played for s in seen])
         one.features.with_change = lambda record: next(rows)  # type: ignore[method-assign]
         for seen in played:
             belief = one.start()

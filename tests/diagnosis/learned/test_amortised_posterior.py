@@ -13,7 +13,7 @@ from loose_env.diagnosis.learned.amortised_posterior import (
     read_network,
     write_network,
 )
-from loose_env.diagnosis.learned.features import PLACE_FEATURES, RECORD_FEATURES, SeatFeatures
+from loose_env.diagnosis.learned.features import LOCATION_FEATURES, RECORD_FEATURES, SeatFeatures
 from loose_env.diagnosis.learned.network import SeatNetwork
 from loose_env.diagnosis.records.record_statistics import statistics_of
 from loose_env.errors import InvalidData
@@ -26,7 +26,7 @@ from loose_env.sensors import SensorSuite
 def network(hypotheses, *, width=8, frictions=3, seed=0):
     rng = np.random.default_rng(seed)
     sizes = {
-        "C": len(PLACE_FEATURES),
+        "C": len(LOCATION_FEATURES),
         "Q": len(RECORD_FEATURES),
         "W": width,
         "H": hypotheses,
@@ -104,12 +104,12 @@ def test_figures_show_a_wide_open_seat_at_its_place():
         place, whole = features.of(record(arm, loose, one, seed))
         sound, quiet = features.of(record(arm, None, one, seed))
         true = 12 + 6  # link 2, along y: the seventh of twelve directions
-        alike = place[:, PLACE_FEATURES.index("alike")]
+        alike = place[:, LOCATION_FEATURES.index("alike")]
         assert whole[0] > quiet[0]
         assert alike[true] > 0.9
         gained.append(place[true, 1] - sound[true, 1])
     assert np.median(gained) > 1  # some poses hardly drive the seat
-    assert place.shape == (3 * 12 + 3, len(PLACE_FEATURES))
+    assert place.shape == (3 * 12 + 3, len(LOCATION_FEATURES))
     assert whole.shape == (len(RECORD_FEATURES),)
     assert np.isfinite(place).all() and np.isfinite(whole).all()
 

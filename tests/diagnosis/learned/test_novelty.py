@@ -7,11 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loose_env.diagnosis.learned.features import PLACE_FEATURES, RECORD_FEATURES, TransmissionChange
+from loose_env.diagnosis.learned.features import (
+    LOCATION_FEATURES,
+    RECORD_FEATURES,
+    TransmissionChange,
+)
 from loose_env.diagnosis.learned.novelty import (
     COLUMNS,
     CONTEXT,
-    FIGURES,
+    NOVELTY_STATISTICS,
     NoveltyReference,
     Seen,
     conformal_p,
@@ -22,7 +26,7 @@ from loose_env.errors import InvalidData
 from loose_env.statistics import fit_gaussian_mixture
 
 SIZE = len(COLUMNS)
-FIRST = len(FIGURES)  # where the context begins
+FIRST = len(NOVELTY_STATISTICS)  # where the context begins
 HYPOTHESIS = np.array([0, 0, 1, 1, 2])
 
 
@@ -41,7 +45,8 @@ def reference() -> NoveltyReference:
         mean=np.zeros(SIZE),
         scale=np.ones(SIZE),
         mixtures=tuple(
-            fit_gaussian_mixture(points[:, used_columns(name)], 2, rng) for name in FIGURES
+            fit_gaussian_mixture(points[:, used_columns(name)], 2, rng)
+            for name in NOVELTY_STATISTICS
         ),
         usual=np.zeros((2, FIRST)),
         spread=np.ones((2, FIRST)),
@@ -111,7 +116,7 @@ def test_conformal_p_counts_those_as_large() -> None:
 def seen(rng: np.random.Generator, measured: np.ndarray, opened: np.ndarray) -> Seen:
     size = len(measured)
     return Seen(
-        rng.uniform(0.1, 2.0, (len(opened), len(PLACE_FEATURES))),
+        rng.uniform(0.1, 2.0, (len(opened), len(LOCATION_FEATURES))),
         rng.normal(size=len(RECORD_FEATURES)),
         TransmissionChange(
             measured=measured, open=opened, nominal=np.ones(size), covariance=1e-4 * np.eye(size)
@@ -128,7 +133,7 @@ def test_the_figures_follow_the_favoured_place() -> None:
     left = [each.unexplained.left[2] for each in records]
     assert at["left"] == pytest.approx(np.log(np.array(left) + 0.1))
     for name in ("visible", "load"):
-        expected = [each.place[2, PLACE_FEATURES.index(name)] for each in records]
+        expected = [each.location[2, LOCATION_FEATURES.index(name)] for each in records]
         assert at[name] == pytest.approx(expected)
     for name in ("excited", "kurtosis"):
         expected = [each.record[RECORD_FEATURES.index(name)] for each in records]

@@ -8,7 +8,11 @@ import pytest
 
 from loose_env.arms import Arm, LinearArm, planar, scara, six_axis, vera
 from loose_env.diagnosis.likelihood.axial_likelihood import log_mean_bingham, precision_of
-from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places, predicted_images
+from loose_env.diagnosis.link_finding.direction_images import (
+    ToolFrames,
+    fault_locations,
+    predicted_images,
+)
 from loose_env.diagnosis.link_finding.moves import (
     blind_joints,
     candidate_poses,
@@ -21,9 +25,9 @@ from loose_env.diagnosis.link_finding.search import TurnSearch
 from loose_env.diagnosis.link_finding.spatial import (
     DirectionSighting,
     axis_from_turn,
+    confusable_faults,
     judge_turn_in_space,
     link_posterior,
-    look_alikes,
 )
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.thesis.rigs import cylindrical
@@ -399,28 +403,31 @@ def test_joints_that_cannot_turn_a_direction_are_blind_and_passed_over() -> None
 def test_links_of_a_scara_that_no_move_tells_apart(
     name: str, direction: list[float], alike: set[int]
 ) -> None:
-    found = look_alikes(ToolFrames(scara()), name, direction)
+    found = confusable_faults(ToolFrames(scara()), name, direction)
     assert {int(f[-1]) for f in found if f.startswith("structural")} == alike
     # Play along the quill is a slide along the vertical, seen from anywhere.
     assert ("backlash@joint3" in found) == (direction[2] == 1.0)
 
 
 def test_play_in_the_last_joint_looks_like_a_slide_of_the_last_link() -> None:
-    assert look_alikes(SIX, "backlash@joint6") == ("structural_looseness@link6", "backlash@joint6")
+    assert confusable_faults(SIX, "backlash@joint6") == (
+        "structural_looseness@link6",
+        "backlash@joint6",
+    )
     with pytest.raises(InvalidSetting, match="direction"):
-        look_alikes(SIX, "structural_looseness@link2")
+        confusable_faults(SIX, "structural_looseness@link2")
 
 
 def test_a_planar_arm_has_no_look_alikes_among_its_links() -> None:
     frames = ToolFrames(planar(4))
     for link in range(1, 5):
         name = f"structural_looseness@link{link}"
-        assert name in look_alikes(frames, name, [0.6, 0.8])
-        assert len([f for f in look_alikes(frames, name, [0.6, 0.8]) if "link" in f]) == 1
+        assert name in confusable_faults(frames, name, [0.6, 0.8])
+        assert len([f for f in confusable_faults(frames, name, [0.6, 0.8]) if "link" in f]) == 1
 
 
 def test_hypotheses_are_the_links_then_the_joints() -> None:
-    assert places(planar(2)) == (
+    assert fault_locations(planar(2)) == (
         "structural_looseness@link1",
         "structural_looseness@link2",
         "backlash@joint1",

@@ -166,7 +166,7 @@ def test_a_linear_arm_without_noise_gives_the_direction_exactly(arm: Arm) -> Non
     records = one_by_one(uncertain, poses, seat=seat)
     for healthy in (None, one_by_one(uncertain, poses, seed=7)):
         found = direction_by_dynamics(uncertain.linear, records, healthy=healthy, mismatch=NONE)
-        assert found.place == "structural_looseness@link2"
+        assert found.location == "structural_looseness@link2"
         assert found.direction_in_link is not None
         assert degrees_between(found.direction_in_link, direction) < 0.05
         seen = ToolFrames(arm).images(poses[0])[0, 1] @ direction
@@ -185,7 +185,7 @@ def test_gears_in_the_band_tell_the_link_in_one_pose() -> None:
         found = direction_by_dynamics(
             uncertain.linear, one_by_one(uncertain, [pose], seat=seat), mismatch=NONE
         )
-        assert found.place == place
+        assert found.location == place
 
 
 def test_play_in_a_joint_is_told_from_a_slide() -> None:
@@ -196,7 +196,7 @@ def test_play_in_a_joint_is_told_from_a_slide() -> None:
     found = direction_by_dynamics(
         uncertain.linear, one_by_one(uncertain, [pose], seat=seat), mismatch=NONE
     )
-    assert found.place == "backlash@joint2"
+    assert found.location == "backlash@joint2"
     assert found.direction_in_link is None
     line = ToolFrames(arm).unit_lines(pose)[0, 1]
     assert degrees_between(found.direction_in_tool, line) < 1e-3
@@ -214,7 +214,7 @@ def test_errors_of_the_model_are_learnt(with_healthy: bool) -> None:
     loose = one_by_one(uncertain, [pose], seat=seat, errors=errors)
     healthy = one_by_one(uncertain, [pose], seed=7, errors=errors) if with_healthy else None
     found = direction_by_dynamics(uncertain.linear, loose, healthy=healthy)
-    assert found.place == "structural_looseness@link1"
+    assert found.location == "structural_looseness@link1"
     assert found.direction_in_link is not None
     assert degrees_between(found.direction_in_link, direction) < 0.5
     assert found.error_names == uncertain.names
@@ -233,7 +233,7 @@ def test_joints_that_are_excited_together_need_as_many_healthy_records() -> None
     loose = [linear_record(uncertain, pose, [0, 2], seat=seat)]
     healthy = [linear_record(uncertain, pose, [0, 2], seed=s) for s in (1, 2)]
     found = direction_by_dynamics(uncertain.linear, loose, healthy=healthy, link=2, mismatch=NONE)
-    assert found.places == ("structural_looseness@link2",)
+    assert found.locations == ("structural_looseness@link2",)
     assert degrees_between(found.direction_in_tool, _seen(arm, pose, 2, direction)) < 0.05
     with pytest.raises(InvalidData, match="2 or more healthy records like it are needed, 1 given"):
         direction_by_dynamics(uncertain.linear, loose, healthy=healthy[:1])
@@ -280,7 +280,7 @@ def test_a_simulated_arm_on_soft_gears_shows_link_and_direction(
 ) -> None:
     arm, fault, loose, healthy = simulated
     found = direction_by_dynamics(LinearArm(arm), loose, healthy=healthy if with_healthy else None)
-    assert found.place == "structural_looseness@link2"
+    assert found.location == "structural_looseness@link2"
     assert found.direction_in_link is not None
     assert degrees_between(found.direction_in_link, np.array(fault.direction[:2])) < 2.0
     assert found.evidence > 1000

@@ -6,7 +6,7 @@ link k that accelerates by s along u, a unit vector in the frame of link k, adds
 the readings at frequency f. Direction u is the same at all frequencies, in all records and poses;
 s is an unknown of its own for every line of every record, so gap, friction and stops need no model.
 Eliminating s leaves a misfit of every u at every link, and of play in every joint. Its lowest
-point is the estimate, and its lowest values tell the places apart, in one pose as in several.
+point is the estimate, and its lowest values tell the locations apart, in one pose as in several.
 
 A healthy arm's part of the readings is taken off line by line, by healthy records in the same
 pose, or by the model. In both cases the model's errors are estimated first: from the healthy
@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms import LinearArm, Mismatch
-from loose_env.diagnosis.link_finding.direction_images import ToolFrames, places
+from loose_env.diagnosis.link_finding.direction_images import ToolFrames, fault_locations
 from loose_env.diagnosis.research.line_spectrum.model_error_fit import (
     answers_of,
     fit_errors,
@@ -53,26 +53,26 @@ _COARSE = (0.3, 0.2, 0.1, 0.05)
 little while the model may put its resonance elsewhere."""
 _COARSE_STEPS, _STEPS = 3, 8
 _FITTED = 3
-"""Best places for which the model's errors are fitted once more, each on its own."""
+"""Best locations for which the model's errors are fitted once more, each on its own."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DynamicDirection:
-    """Place and direction of a loose seat; of the lowest misfit over all places that were asked."""
+    """Location and direction of a loose seat, of the lowest misfit."""
 
-    place: str
-    """Name of the place, as `loose_env.diagnosis.link_finding.direction_images.places` has it."""
+    location: str
+    """Name of the location, one of `loose_env.diagnosis.fault_locations`."""
     direction_in_link: Array | None
     """Unit vector in the frame of the loose link (d,); None for play in a joint."""
     direction_in_tool: Array
     """The same in the tool frame, in the pose of the first record (d,)."""
-    places: tuple[str, ...]
+    locations: tuple[str, ...]
     """Places that were compared."""
     misfits: Array
     """Lowest misfit of each, twice a negative log-likelihood but for a constant. Half a difference
-    of two is a log-likelihood ratio, if the model is right (places,)."""
+    of two is a log-likelihood ratio, if the model is right (locations,)."""
     directions: tuple[Array | None, ...]
-    """Best direction of each place, in the frame of its link; None for play in a joint."""
+    """Best direction of each location, in the frame of its link; None for play in a joint."""
     sound_misfit: float
     """Misfit with no seat open."""
     lines: int
@@ -167,7 +167,7 @@ def direction_by_dynamics(
     >>> rig.mount(0, slide)
     >>> loose = [rig.measure(pose, shake, rng=np.random.default_rng(1)) for shake in shakes]
     >>> found = direction_by_dynamics(LinearArm(arm), loose, healthy=sound)
-    >>> found.place, found.direction_in_link.round(1).tolist()
+    >>> found.location, found.direction_in_link.round(1).tolist()
     ('structural_looseness@link1', [0.6, 0.8])
     """
     if not records:
@@ -196,10 +196,10 @@ def direction_by_dynamics(
     slides = {name: len(columns) > 1 for name, columns in seats.items()}
     directions = {n: found.seats[n][1] if slides[n] else None for n in names}
     return DynamicDirection(
-        place=best,
+        location=best,
         direction_in_link=directions[best],
         direction_in_tool=_seen(linear, records[0].pose, best, found.seats[best][1]),
-        places=names,
+        locations=names,
         misfits=np.array([found.seats[name][0] for name in names]),
         directions=tuple(directions.values()),
         sound_misfit=found.sound,
@@ -214,19 +214,19 @@ def direction_by_dynamics(
 class _Found:
     errors: Array
     seats: dict[str, tuple[float, Array]]
-    """Misfit and axis of each place."""
+    """Misfit and axis of each location."""
     sound: float
 
 
 def _seats(linear: LinearArm, link: int | None) -> dict[str, NDArray[np.intp]]:
-    """Columns of each place among those of an `Answer`."""
+    """Columns of each location among those of an `Answer`."""
     n, axes = linear.slide_dofs.shape
     columns = [np.arange(k * axes, (k + 1) * axes, dtype=np.intp) for k in range(n)]
     columns += [np.array([n * axes + k], dtype=np.intp) for k in range(n)]
-    named = dict(zip(places(linear.arm), columns, strict=True))
+    named = dict(zip(fault_locations(linear.arm), columns, strict=True))
     if link is None:
         return named
-    name = places(linear.arm)[link - 1]
+    name = fault_locations(linear.arm)[link - 1]
     return {name: named[name]}
 
 
@@ -238,8 +238,8 @@ def _with_the_seat(
 ) -> _Found:
     """Estimate the model's errors and the seat from the same records.
 
-    The errors are common to all places at first, and the place is chosen anew at each step, while
-    the model error that is allowed comes down. Then they are fitted for the best few apart.
+    The errors are common to all locations at first, and the location is chosen anew at each step,
+    while the allowed model error comes down. Then they are fitted for the best few apart.
     """
     errors = np.zeros(len(arm.names))
     for allowed in (*(e for e in _COARSE if e > model_error), model_error):
@@ -318,10 +318,10 @@ def _refined(misfit: Callable[[Array], Array], axis: Array, value: float) -> tup
     return value, axis
 
 
-def _seen(linear: LinearArm, pose: Array, place: str, axis: Array) -> Array:
+def _seen(linear: LinearArm, pose: Array, location: str, axis: Array) -> Array:
     """Direction of a seat in the tool frame, unit vector (d,)."""
     frames = ToolFrames(linear.arm)
-    at = places(linear.arm).index(place)
+    at = fault_locations(linear.arm).index(location)
     if at < linear.arm.n:
         return np.asarray(frames.images(pose)[0, at] @ axis)
     return np.asarray(frames.unit_lines(pose)[0, at - linear.arm.n])

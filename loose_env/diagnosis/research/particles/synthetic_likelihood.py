@@ -115,7 +115,7 @@ class SyntheticLikelihood:
     Some particles of all hypotheses are anchors: they are repeated, which shows how their
     summaries scatter and what the common realisation adds to them. A particle takes both from
     the anchors that show nearly the same as it does. So a seat that sticks scatters as a sound
-    arm does and one that strikes its stops as others that do, whatever their hypothesis.
+    arm does and one with impacts on its stops as others that do, whatever their hypothesis.
     """
 
     measured: Array

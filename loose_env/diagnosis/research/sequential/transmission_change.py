@@ -36,7 +36,7 @@ Instrument = Literal["command", "encoder"]
 
 _CHANGE_TOLERANCE = 0.005
 """Share of a change that the linear picture of an open seat gets wrong: the held joints move a
-little with it, and stops that are struck excite what the arm's model leaves out."""
+little with it, and impacts on stops excite what the arm's model leaves out."""
 _REST_TOLERANCE = 2e-4
 """Share of the whole transmission that may change without anything sliding: a shut seat gives by
 the stiffness of its stops, brakes and drives are not quite linear."""

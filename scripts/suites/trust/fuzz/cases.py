@@ -225,7 +225,7 @@ def _posterior(home: Path) -> Any:
         difficulty_named(problem.settings.difficulty).mismatch,
     )
     assert np.isfinite(posterior.frictions).all()
-    return posterior.features.places
+    return posterior.features.locations
 
 
 _KNOWN: list[Any] = []
