@@ -252,7 +252,7 @@ def torque_signals(
     Parameters
     ----------
     excitation : Excitation
-        What to play.
+        Excitation.
     timestep : float
         Sampling step [s].
     before, after : int

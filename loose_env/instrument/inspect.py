@@ -137,7 +137,7 @@ def inspect_model(
     settings : NextSettings, optional
         Noise, rate, length, gap of interest and number of poses.
     arm : ModelSettings, optional
-        What the file does not say: tool, what holds the joints, payload.
+        Properties that the file lacks: tool, holding, payload.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""From a recording of a suspect arm to what is loose, how sure that is, and what comes next."""
+"""Diagnosis of a recording: posterior over faults and next measurement."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Workbench:
     model : Path
         MJCF file of the nominal model.
     settings : DiagnoseSettings
-        What is known beforehand.
+        Prior knowledge.
 
     Raises
     ------
@@ -110,7 +110,7 @@ class Workbench:
         Parameters
         ----------
         plan : bool
-            Whether to say what to measure next.
+            True to propose the next measurement.
         say : callable
             Told what goes on, line by line.
         """
@@ -245,9 +245,9 @@ def diagnose(
     recording : Recording
         Runs that hold a pose each and shake a joint; healthy reference runs, if there are any.
     settings : DiagnoseSettings, optional
-        What is known beforehand.
+        Prior knowledge.
     plan : bool
-        Whether to say what to measure next.
+        True to propose the next measurement.
     say : callable
         Told what goes on, line by line.
 

@@ -43,7 +43,7 @@ class Session:
     model : str or Path
         MJCF file of the nominal model.
     settings : DiagnoseSettings, optional
-        What is known beforehand.
+        Prior knowledge.
 
     Raises
     ------
@@ -141,11 +141,11 @@ def find_fault(
     Parameters
     ----------
     rig : RecordingRig
-        What measures.
+        Rig that measures.
     model : str or Path
         MJCF file of the nominal model.
     settings : DiagnoseSettings, optional
-        What is known beforehand.
+        Prior knowledge.
     most : int
         Most runs that are taken.
     say : callable

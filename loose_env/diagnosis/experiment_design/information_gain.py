@@ -111,11 +111,11 @@ class RecordInformation:
     frictions : ndarray (F,)
         Nodes of friction of the beliefs, over the seat drive of the top level [1].
     settings : InformationSettings, optional
-        How records are imagined.
+        Settings of the simulated records.
     factors : InformationFactors, optional
-        Which share of the information comes true; the usual one by default.
+        Realised share of the expected information; the usual one by default.
     table : OpeningTable, optional
-        How seats open; the shipped one by default.
+        Opening table; the shipped one by default.
     """
 
     def __init__(
@@ -173,7 +173,7 @@ class RecordInformation:
         faults : ImaginedFaults
             The belief, thinned.
         pose : ndarray (n,)
-            Where it is taken [rad or m].
+            Pose of the record [rad or m].
         torque : ndarray (n,)
             Rms torque of every joint [N·m]; at least one is on.
         duration : float

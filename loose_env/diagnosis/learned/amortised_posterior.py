@@ -132,7 +132,7 @@ class AmortisedPosterior:
     sensors : SensorSuite
         Figures of the sensors.
     mismatch : Mismatch
-        How far the nominal model may be off; as in training.
+        Errors of the nominal model; as in training.
     network : SeatNetwork
         The trained network.
     directions : int
@@ -142,7 +142,7 @@ class AmortisedPosterior:
     kinds : mapping of str to float, optional
         Prior probability of each kind of fault; a third each by default.
     reference : NoveltyReference, optional
-        How records are on arms like those of its training, for the novelty.
+        Distribution of records in training, for the novelty.
 
     Raises
     ------

@@ -101,7 +101,7 @@ class SeatFeatures:
     sensors : SensorSuite
         Figures of the sensors.
     mismatch : Mismatch
-        How far the nominal model may be off.
+        Errors of the nominal model.
     directions : int
         Sliding directions of each link, A.
     points : int, optional
@@ -154,7 +154,7 @@ class SeatFeatures:
         Parameters
         ----------
         record : RecordStatistics
-            What was measured, with at least one joint excited.
+            Record with at least one joint excited.
 
         Returns
         -------
@@ -172,7 +172,7 @@ class SeatFeatures:
         Parameters
         ----------
         record : RecordStatistics
-            What was measured, with at least one joint excited.
+            Record with at least one joint excited.
         """
         arm = self.linear.arm
         on = np.flatnonzero(record.excited)

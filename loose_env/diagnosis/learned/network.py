@@ -96,7 +96,7 @@ class SeatNetwork:
         record : ndarray (Q,)
             Features of the record.
         hypothesis : ndarray of int (P,)
-            Which hypothesis with a fault each location belongs to.
+            Hypothesis of each location.
 
         Returns
         -------

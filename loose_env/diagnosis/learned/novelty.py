@@ -28,7 +28,7 @@ from loose_env.diagnosis.learned.features import (
     RECORD_FEATURES,
     TransmissionChange,
 )
-from loose_env.diagnosis.learned.residual_change import Unexplained, unexplained
+from loose_env.diagnosis.learned.residual_change import ResidualChange, residual_change
 from loose_env.errors import InvalidData
 from loose_env.statistics import GaussianMixture
 from loose_env.typing import Array
@@ -85,9 +85,9 @@ class Seen:
     """The change of motion behind them."""
 
     @cached_property
-    def unexplained(self) -> Unexplained:
+    def residual_change(self) -> ResidualChange:
         """The change under every location; worked out when it is asked for."""
-        return unexplained(self.change)
+        return residual_change(self.change)
 
 
 def sights(
@@ -105,19 +105,19 @@ def sights(
     healthy : float
         Log-odds of a healthy arm.
     hypothesis : ndarray of int (P,)
-        Which hypothesis each location belongs to.
+        Hypothesis of each location.
 
     Returns
     -------
     ndarray (R, len(COLUMNS))
         `COLUMNS`.
     """
-    found = [each.unexplained for each in seen]
+    found = [each.residual_change for each in seen]
     record = np.stack([each.record for each in seen])
     locations = np.stack([weights @ each.location for each in seen])
-    loose, sound = expit(-healthy), expit(healthy)
-    left = np.stack([loose * (weights @ np.log(f.left + _FINEST)) for f in found])
-    left = left + sound * np.log(np.array([f.sound for f in found]) + _FINEST)
+    loose, intact = expit(-healthy), expit(healthy)
+    left = np.stack([loose * (weights @ np.log(f.residual + _FINEST)) for f in found])
+    left = left + intact * np.log(np.array([f.healthy for f in found]) + _FINEST)
     first = int(np.argmax(weights))
     second = np.mean([f.second(first) for f in found], axis=0)
     second = float(second[hypothesis != hypothesis[first]].max(initial=0.0))
@@ -177,7 +177,7 @@ class NoveltyReference:
     usual: Array
     """Median of an episode's mean novelty by number of records (K, statistics)."""
     spread: Array
-    """By how much it is exceeded by one episode in a hundred (K, statistics)."""
+    """Excess of the 99th percentile over it (K, statistics)."""
     scores: tuple[Array, ...] = ()
     """Scores of held-out episodes, each in increasing order, by number of records."""
 

@@ -15,7 +15,7 @@ import numpy as np
 from loose_env.diagnosis.learned.features import TransmissionChange
 from loose_env.typing import Array
 
-__all__ = ["Unexplained", "unexplained"]
+__all__ = ["ResidualChange", "residual_change"]
 
 
 MODEL_SHARE = 0.01
@@ -28,26 +28,26 @@ _TURNS = 2  # the room of a seat's motion depends on how far it opens, which dep
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Unexplained:
+class ResidualChange:
     """One record's change under every location."""
 
-    sound: float
+    healthy: float
     """chi² of the change on a healthy arm."""
-    left: Array
-    """chi² that each location leaves (P,)."""
+    residual: Array
+    """Residual chi² of each location (P,)."""
     explained: Array
-    """chi² of what each location makes of the change (P,)."""
+    """chi² explained by each location (P,)."""
     opening: Array
-    """How far each location opens for that, 1: floats freely (P,)."""
+    """Fitted opening of each location, 1: floats freely (P,)."""
     measured: Array
     """The change along uncorrelated directions [m/s²] (K,)."""
     open: Array
     """The same of each location that floats freely (P, K)."""
     variance: Array
-    """What is left open along them for each location [m²/s⁴] (P, K)."""
+    """Variance along them for each location [m²/s⁴] (P, K)."""
 
     def second(self, first: int) -> Array:
-        """By how much a second seat lowers the log of what the first leaves, by location (P,).
+        """Decrease of the log residual by a second seat, by location (P,).
 
         Parameters
         ----------
@@ -67,7 +67,7 @@ class Unexplained:
         return np.asarray(np.log((left + 1.0) / (np.maximum(left - gain, 0.0) + 1.0)))
 
 
-def unexplained(change: TransmissionChange) -> Unexplained:
+def residual_change(change: TransmissionChange) -> ResidualChange:
     """Set one record's change against every location.
 
     Parameters
@@ -83,8 +83,8 @@ def unexplained(change: TransmissionChange) -> Unexplained:
     ...     nominal=np.array([10.0, 0.0]),
     ...     covariance=0.01 * np.eye(2),
     ... )
-    >>> found = unexplained(change)
-    >>> found.opening.round(2).tolist(), (found.left > 10).tolist()
+    >>> found = residual_change(change)
+    >>> found.opening.round(2).tolist(), (found.residual > 10).tolist()
     ([0.5, 0.25], [True, True])
     >>> found.second(0).round(1).tolist()
     [0.0, 2.7]
@@ -100,9 +100,9 @@ def unexplained(change: TransmissionChange) -> Unexplained:
         variance = base + (SEAT_SHARE**2 * opening**2 * power)[:, None]
         opening, visible = _opening(measured, opened, variance)
     rest = measured - opening[:, None] * opened
-    return Unexplained(
-        sound=float((measured**2 / base).sum()),
-        left=(rest**2 / variance).sum(1) + opening**2,
+    return ResidualChange(
+        healthy=float((measured**2 / base).sum()),
+        residual=(rest**2 / variance).sum(1) + opening**2,
         explained=opening**2 * visible,
         opening=opening,
         measured=measured,
@@ -112,7 +112,7 @@ def unexplained(change: TransmissionChange) -> Unexplained:
 
 
 def _opening(measured: Array, opened: Array, variance: Array) -> tuple[Array, Array]:
-    """How far each location opens, and the chi² of it floating freely (P,)."""
+    """Fitted opening of each location, and the chi² of it floating freely (P,)."""
     visible = (opened**2 / variance).sum(1)
     opening = (opened * measured / variance).sum(1) / (visible + 1.0)
     return np.clip(opening, *_WIDEST), visible

@@ -132,7 +132,7 @@ class FaultPosterior:
     settings : PosteriorSettings, optional
         Ranges and priors.
     table : OpeningTable, optional
-        How seats open; the shipped one by default.
+        Opening table; the shipped one by default.
 
     Raises
     ------

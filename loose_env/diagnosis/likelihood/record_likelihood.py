@@ -81,13 +81,13 @@ def fit_record(
     linear : LinearArm
         The nominal arm.
     record : RecordStatistics
-        What was measured.
+        Measured summaries.
     directions : ndarray (A, axes)
         Sliding directions to try.
     floor : SensorFloor
-        What the sensors add.
+        Noise of the sensors.
     mismatch : Mismatch
-        How far the nominal model may be off.
+        Errors of the nominal model.
     """
     pose = linear.at(record.pose)
     on = np.flatnonzero(record.excited)

@@ -20,7 +20,7 @@ __all__ = ["ToolFrames", "fault_locations", "predicted_images"]
 
 
 def fault_locations(arm: Arm) -> tuple[str, ...]:
-    """Hypotheses that a direction can tell apart: a slide at each link, play in each joint.
+    """Fault hypotheses of an arm: a slide at each link, play in each joint.
 
     Examples
     --------

@@ -103,7 +103,7 @@ def sight_change(
     record : RecordStatistics
         The record.
     nominal : Prediction
-        What the healthy nominal arm would show in it.
+        Prediction of the healthy nominal arm for it.
     band : (float, float)
         Band of the excitation [Hz].
     floor : SensorFloor
@@ -111,7 +111,7 @@ def sight_change(
     model : ChangeModel
         Errors of model and sensors.
     springs : ndarray (K, d, m), optional
-        What errors of springs do to the transmission, from
+        Changes of the transmission by errors of springs, from
         `loose_env.diagnosis.records.model_uncertainty.stiffness_errors`; they matter for an arm
         that bends in its band.
 

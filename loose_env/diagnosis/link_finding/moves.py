@@ -89,11 +89,11 @@ def candidate_poses(
     arm : Arm
         The arm, for its ranges.
     pose : array_like (n,)
-        Where it stands [rad, or m].
+        Current pose [rad, or m].
     moves : array_like (m,)
         Moves of one hinge [rad]; staying is always among them.
     joints : {"one", "all"}
-        Whether one joint moves or all may.
+        True if one joint moves, False if all may.
     sliding : sequence of bool (n,)
         Joints that slide.
     most : int
@@ -161,14 +161,14 @@ def choose_move(
     frames : ToolFrames
         The arm's rotations.
     posterior : LinkPosterior
-        What is known.
+        Prior knowledge.
     candidates : array_like (C, n)
         Poses to choose from.
     sd : float or array_like (C, 2 n)
         Standard deviation that the next direction is expected to have, in each pose under each
         hypothesis [rad].
     count : int
-        How many of the best candidates to return.
+        Number of the best candidates to return.
     chunk : int
         Candidates that are weighted at once.
 

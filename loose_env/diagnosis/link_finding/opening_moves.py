@@ -88,7 +88,7 @@ def choose_open_move(
     level: float,
     shortlist: int = 12,
 ) -> Array:
-    """Choose the pose that tells the hypotheses apart, given that gravity may shut their seats.
+    """Choose the pose that discriminates best between seats, gravity considered.
 
     The best candidates by direction alone are looked at again with each hypothesis's standard
     deviation divided by how open its seat would be there.
@@ -98,7 +98,7 @@ def choose_open_move(
     frames, linear
         The arm's rotations and its linear model.
     posterior : LinkPosterior
-        What is known.
+        Prior knowledge.
     candidates : array_like (C, n)
         Poses to choose from.
     sd : float

@@ -103,7 +103,7 @@ class TurnSearch:
         rules : LinkFindingSettings
             Thresholds and retries of 4.31. Out of retries, the nearer threshold decides.
         visible : bool
-            Whether the record after the move showed anything; if not, the move is one more try.
+            True if the record after the move showed a direction; if not, the move is one more try.
 
         Raises
         ------

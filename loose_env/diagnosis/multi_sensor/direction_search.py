@@ -1,4 +1,4 @@
-"""The most likely direction: a grid over half the circle or sphere, then Newton steps."""
+"""Most likely direction: grid over half the circle or sphere, then Newton steps."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ def climb(
     likelihood : callable
         Log-likelihood of directions (n, U, A), as (n, U).
     u : ndarray (n, A)
-        Where to start, unit vectors in the plane or in space.
+        Start directions, unit vectors in the plane or in space.
     spacing : float
-        How far the peak may be [rad].
+        Largest distance of the peak [rad].
     rounds : int
         Newton steps.
 

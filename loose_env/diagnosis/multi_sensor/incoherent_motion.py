@@ -37,7 +37,7 @@ def loose_records(
     healthy : ndarray (R, D, D)
         The same of the healthy arm.
     column : ndarray (R, D, n, A)
-        What a unit acceleration of each link's seat adds to each row.
+        Change of each row per acceleration of each link's seat.
     error : ndarray (R, D)
         Variance that the sensors' errors bring into each row beside any link's pattern [m²/s⁴].
     missed : ndarray (R, D)

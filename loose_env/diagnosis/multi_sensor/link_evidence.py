@@ -119,9 +119,9 @@ def weigh_links(
         excited, in the same order and at the same level. The nominal arm takes their place where
         there are none.
     mismatch : Mismatch, optional
-        How far sensors and, without a reference, the nominal arm may be off.
+        Errors of the sensors and, without a reference, of the nominal arm.
     opening : OpeningPrior, optional
-        How far a loose seat opens.
+        Opening of a loose seat.
     sensors : SensorSuite, optional
         Figures of the accelerometers; their noise counts where the nominal arm is the reference.
 

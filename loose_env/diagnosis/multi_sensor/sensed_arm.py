@@ -61,7 +61,7 @@ class SensedArm:
     place : {"distal", "proximal"}
         Where; see `loose_env.arms.response.sensor_sites.link_site`.
     mismatch : Mismatch, optional
-        How far the stiffness of bending modes may be off.
+        Error of the stiffness of bending modes.
 
     Examples
     --------

@@ -116,7 +116,7 @@ def zero_error(
 def sensor_error(
     rows: SensorRows, sites: NDArray[np.intp], at: SensedPose, direction: Array, mismatch: Mismatch
 ) -> Array:
-    """Variance that the sensors leave in each link's direction, however long the records [rad²].
+    """Variance floor of each link's direction by sensor errors [rad²].
 
     That of the best estimate from one seat motion without noise: what follows the commands and
     what does not are two looks at the seat through the same sensors. Arguments and shape as

@@ -64,7 +64,7 @@ def rows_of(arm: Arm, links: LinkAccelerometers | None, *, tool: bool = True) ->
     links : LinkAccelerometers or None
         Accelerometers on its links.
     tool : bool
-        Whether the tool's accelerometer is used.
+        True if the tool's accelerometer is used.
 
     Raises
     ------

@@ -79,7 +79,7 @@ def holding_modes(pose: LinearPose, excited: NDArray[np.bool_]) -> Array:
     pose : LinearPose
         The nominal arm in its pose.
     excited : ndarray (n,)
-        Which joints are free, on their soft centring springs.
+        True for free joints, on their soft centring springs.
 
     Examples
     --------
@@ -120,7 +120,7 @@ def propose_band(
     ndarray
         The modes [Hz], lowest over the joints that may be excited, rising.
     tuple of str
-        What is wrong with the band, if anything.
+        Warning about the band, if any.
 
     Examples
     --------

@@ -37,7 +37,7 @@ __all__ = [
 
 
 def sensor_matrices(axes: int, mismatch: Mismatch) -> Array:
-    """Errors of the tool accelerometer: what each adds to its reading, per true acceleration.
+    """Change of the reading per true acceleration by each accelerometer error.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def sensor_errors(b: Array, mismatch: Mismatch) -> Array:
 def calibrate_sensor(
     healthy: TransmissionEstimate, nominal: Array, kinematic: Array, mismatch: Mismatch
 ) -> tuple[Array, Array]:
-    """Learn the accelerometer's errors from a healthy arm whose transmission the model knows.
+    """Calibrate the accelerometer on a healthy arm of known transmission.
 
     What differs between the healthy transmission and the nominal one is the sensor's doing or the
     model's. Both are given the sizes that the mismatch expects, and the sensor's part is what
@@ -107,7 +107,7 @@ def calibrate_sensor(
     nominal : ndarray (d, m)
         The same by the nominal model.
     kinematic : ndarray (K, d, m)
-        What the model may get wrong, from `kinematic_errors`.
+        Errors of the model, from `kinematic_errors`.
     mismatch : Mismatch
         Standard deviations of the errors.
 
@@ -116,7 +116,7 @@ def calibrate_sensor(
     ndarray (d, d)
         Best estimate of the reading per true acceleration, about one.
     ndarray (L, d, d)
-        What is left uncertain of it, independent errors of one standard deviation each.
+        Remaining errors of it, independent errors of one standard deviation each.
 
     Examples
     --------
@@ -333,7 +333,7 @@ def _transmission(answer: Response, excited: NDArray[np.bool_]) -> Array:
 
 @lru_cache(maxsize=64)
 def _sprung(linear: LinearArm, spring: int, factor: float) -> LinearArm:
-    """The arm with one spring stiffer: of a bending mode or gear, then what holds a joint."""
+    """Arm with one stiffer spring: a bending mode, a gear or a holding."""
     arm, joint = linear.arm, spring - len(linear.flexible_dofs)
     if joint < 0:
         model = copy(linear.model)

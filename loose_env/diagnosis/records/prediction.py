@@ -119,9 +119,9 @@ def predict(pose: LinearPose, excitation: Excitation, floor: SensorFloor) -> Pre
     pose : LinearPose
         The nominal arm at the pose.
     excitation : Excitation
-        What is played; at least one joint must be on. Spectra are taken as flat.
+        Excitation; at least one joint must be on. Spectra are taken as flat.
     floor : SensorFloor
-        What the sensors add.
+        Noise of the sensors.
 
     Examples
     --------

@@ -34,7 +34,7 @@ def unbroken(run: Run, columns: Mapping[str, Array]) -> tuple[Run, tuple[str, ..
     Run
         The run itself where nothing pauses.
     tuple of str
-        A sentence on what is left out.
+        A sentence on the samples left out.
 
     Raises
     ------

@@ -71,7 +71,7 @@ def sensor_noise(
     ndarray (F, c)
         Variance of the noise.
     ndarray of bool (F, c)
-        Whether the reading is to be used.
+        True if the reading is used.
     """
     parts = _parts(frequency, lowest, highest)
     edge = float(frequency[excited[-1]])

@@ -176,7 +176,7 @@ def lines_of(
     number : int
         Of the run among all that are weighed together, from 0: names need not differ.
     whole : bool
-        Whether lines that were not excited are kept too: a seat moves at all of them.
+        True to keep lines that were not excited too: a seat moves at all of them.
 
     Returns
     -------

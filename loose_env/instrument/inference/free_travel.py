@@ -58,7 +58,7 @@ def travel_of(comparison: ModelComparison, hypothesis: str, lines: Sequence[Line
     Parameters
     ----------
     comparison : ModelComparison
-        What all runs say.
+        Model comparison over all runs.
     hypothesis : str
         The seat.
     lines : sequence of Lines

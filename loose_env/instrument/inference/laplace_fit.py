@@ -41,7 +41,7 @@ class Fit:
 
     hypothesis: str
     evidence: float
-    """Log-likelihood with everything unknown summed out."""
+    """Log evidence: parameters marginalised."""
     errors: Array
     """Errors of the model and of the runs' delays in standard deviations, as
     `UncertainArm.count` has them."""

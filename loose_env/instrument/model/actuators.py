@@ -66,9 +66,9 @@ class JointDrive:
         Parameters
         ----------
         torque : ndarray or float
-            What the actuator shall give [N·m, N].
+            Wanted force or torque [N·m, N].
         position : float
-            Where the joint is [rad or m].
+            Position of the joint [rad or m].
 
         Examples
         --------
@@ -200,7 +200,7 @@ def drives_of(
     tuple of JointDrive or None
         Of each joint; None where nothing drives it, or no actuator with a linear law.
     tuple of str
-        Why actuators were passed over, in sentences.
+        Reasons for skipped actuators, in sentences.
 
     Examples
     --------

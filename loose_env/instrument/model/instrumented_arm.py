@@ -194,7 +194,7 @@ def read_arm(path: str | Path, settings: ModelSettings | None = None) -> Instrum
     path : str or Path
         MJCF or URDF of a serial arm on a fixed base.
     settings : ModelSettings, optional
-        What the file does not say.
+        Properties that the file lacks.
 
     Raises
     ------

@@ -71,7 +71,7 @@ def _depth(spec: mujoco.MjSpec, site: str) -> int:
 
 
 def body_beyond(file: ModelFile, chain: Chain) -> str | None:
-    """Outermost body fixed to the last link, such as a URDF flange, where no site is the tool."""
+    """Outermost body fixed to the last link, such as a URDF flange."""
     m, last = file.model, chain.links[-1]
     if chain.tool_site is not None or chain.tool_body != last:
         return None

@@ -1,4 +1,4 @@
-"""Poses that could be measured next: within the joints' ranges, the drives' torque and the room."""
+"""Candidate poses within joint ranges, drive torques and collision limits."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def candidate_poses(
     here: Array | None = None,
     allowed: Allowed | None = None,
 ) -> Array:
-    """Poses within the limits: where the arm stands, moves of a few joints, and random ones.
+    """Candidate poses: the current one, moves of a few joints, and random ones.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def candidate_poses(
     rng : numpy.random.Generator
         Source of the draw.
     here : ndarray (n,), optional
-        Where the arm stands [rad or m]; half of the poses are near it.
+        Current pose [rad or m]; half of the poses are near it.
     allowed : callable, optional
         Says whether a pose may be taken.
 

@@ -37,7 +37,7 @@ __all__ = [
 
 
 def torque_of(proposal: Proposal, joint: int, settings: NextSettings) -> Array:
-    """Rms torque of every joint that shakes one of them as proposed, the tool not too hard (n,).
+    """Rms torque of every joint for the proposed level, within the tool limit (n,).
 
     All zero where the joint cannot move the tool.
     """
@@ -110,7 +110,7 @@ class Sensitivity:
         Parameters
         ----------
         reference : bool
-            Whether a healthy reference of the arm stands in for the model.
+            True if a healthy reference of the arm replaces the model.
         """
         change = self.by_reference if reference else self.by_model
         share = DETECTABLE_Z / np.maximum(change * self.opens, 1e-12)
@@ -130,7 +130,7 @@ def sensitivity(features: SeatFeatures, pose: Array, torque: Array, seconds: flo
     features : SeatFeatures
         The nominal arm, its sensors and its locations.
     pose : ndarray (n,)
-        Where it is taken [rad or m].
+        Pose of the record [rad or m].
     torque : ndarray (n,)
         Rms torque of every joint; at least one is on [N·m, N].
     seconds : float

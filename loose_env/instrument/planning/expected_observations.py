@@ -51,7 +51,7 @@ def expected_of(
     linear : LinearArm
         The same, linear.
     known : Known or None
-        What is known.
+        Prior knowledge.
     chosen : NextMeasurement
         The measurement.
     choice : NextSettings

@@ -67,7 +67,7 @@ def next_measurement(
     linear : LinearArm
         The same, linear.
     known : Known, optional
-        What is known so far; `loose_env.instrument.planning.prior_knowledge.known_of` makes it of
+        Prior knowledge; `loose_env.instrument.planning.prior_knowledge.known_of` makes it of
         a diagnosis. Nothing by default: the first pose.
     settings : NextSettings, optional
         Noise, rate, length and number of candidate poses.
@@ -78,7 +78,7 @@ def next_measurement(
     reachable : callable, optional
         Says whether the arm may go straight from a pose to another.
     start : array_like (n,), optional
-        Where the arm stands; that of the last record by default.
+        Current pose; that of the last record by default.
     shakable : collection of str, optional
         Joints that can be shaken; all by default.
     only : str, optional

@@ -70,7 +70,7 @@ def next_for(
     settings: NextSettings | None = None,
     own: PlanSettings | None = None,
 ) -> NextMeasurement:
-    """Choose the next measurement of an arm from a file, clear of collisions and of the ground.
+    """Choose the next measurement, clear of collisions and of the ground.
 
     What `plan` uses, and what a diagnosis can put into `Diagnosis.next`, so that both agree.
 
@@ -79,11 +79,11 @@ def next_for(
     arm : InstrumentedArm
         From `read_arm`.
     known : Diagnosis or Known, optional
-        What is known; nothing by default. `Diagnosis.next` is ignored.
+        Prior knowledge; none by default. `Diagnosis.next` is ignored.
     settings : NextSettings, optional
-        How it is chosen.
+        Settings of the choice.
     own : PlanSettings, optional
-        What the user has decided.
+        Choices that the user fixes.
 
     Returns
     -------
@@ -154,14 +154,14 @@ def plan(
     model : str or Path
         MJCF or URDF of the arm.
     known : Diagnosis, optional
-        What is known so far; nothing by default.
+        Prior knowledge; none by default.
     arm : ModelSettings, optional
-        What the file does not say.
+        Properties that the file lacks.
     choice : NextSettings, optional
-        How the pose is chosen; the length, rate and noise of records. By default as what the
-        diagnosis asks for next was chosen; with other settings that is chosen anew.
+        Settings of the choice of the pose; length, rate and noise of records. By default those of
+        the diagnosis; with others the measurement is chosen anew.
     own : PlanSettings, optional
-        Layout of the signal, and what the user has decided.
+        Layout of the signal, and choices that the user fixes.
 
     Returns
     -------

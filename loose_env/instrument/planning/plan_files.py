@@ -1,4 +1,4 @@
-"""The files of a plan: ``plan.json``, the signal, and the recording that the runs go into.
+"""Files of a plan: ``plan.json``, signal, and empty recording.
 
 ``DIR/recording`` is a recording in the making: its model has every actuator and sensor that runs
 can name, its ``recording.json`` lists the runs measured so far and the ones planned now. Put the
@@ -112,16 +112,16 @@ class PlanFiles:
 
 
 def write_plan(files: PlanFiles, plan: Plan, *, known: str = "") -> list[Path]:
-    """Write a plan; ``plan.json`` goes first and comes last, so that it stands for a whole one.
+    """Write a plan; ``plan.json`` is removed first and written last.
 
     Parameters
     ----------
     files : PlanFiles
-        Where it goes.
+        Paths of the files.
     plan : Plan
         The plan.
     known : str
-        Where what is known came from, for the file.
+        Source of the prior knowledge, for the file.
 
     Returns
     -------
@@ -269,7 +269,7 @@ def _same(model: Path, text: str) -> bool:
 
 
 def _refuse_others(files: PlanFiles, stems: Sequence[str]) -> None:
-    """Refuse to overwrite signals of somebody else; the first one's are looked at beforehand."""
+    """Refuse to overwrite files that no plan wrote."""
     names = [f"{stem}{ending}" for stem in stems[1:] for ending in _ENDINGS]
     there = [n for n in names if n not in files.signals and (files.folder / n).exists()]
     if there:
@@ -289,7 +289,7 @@ def read_plan(path: Path) -> dict[str, Any] | None:
 
 
 def _signals_of(whole: Mapping[str, Any]) -> frozenset[str]:
-    """Names of a plan's signals, as plans give them: it lies where anybody may have changed it."""
+    """Checked names of a plan's signals: the file may have been edited."""
     signals = whole.get("signals")
     listed = [one for one in signals if isinstance(one, dict)] if isinstance(signals, list) else []
     names = (str(one.get(key)) for one in listed for key in ("csv", "parquet"))

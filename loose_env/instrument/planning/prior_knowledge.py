@@ -153,7 +153,7 @@ def belief_of(
     Parameters
     ----------
     known : Known
-        What is known.
+        Prior knowledge.
     arm : Arm
         The nominal arm.
     names : sequence of str

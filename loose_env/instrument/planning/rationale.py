@@ -167,9 +167,9 @@ def why_not_reached(
     arm : InstrumentedArm
         The arm, with its shapes.
     ground : Ground
-        What it stays above.
+        Ground that it stays above.
     here : ndarray (n,) or None
-        Where it stands [rad or m]; None where that is not known.
+        Current pose [rad or m]; None where that is not known.
     chosen : NextMeasurement
         The measurement.
 

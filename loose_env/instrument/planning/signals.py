@@ -1,4 +1,4 @@
-"""The signal to play: what every actuator is commanded, and what the model makes of it.
+"""Signal of a measurement: actuator commands and their predicted response.
 
 The noise is periodic in the record: its linear answer is known line by line, so peaks of torque,
 of travel and of the command are known before anything moves, and the signal is scaled down until

@@ -127,7 +127,7 @@ class NextSettings:
         return replace(self, rate_hz=rate_hz, band_high=high)
 
     def band_of(self, band: tuple[float, float]) -> tuple[float, float]:
-        """A band with the ends that are given in the place of its own, as the rate allows [Hz].
+        """Band with its ends replaced by the settings and limited by the rate [Hz].
 
         Raises
         ------

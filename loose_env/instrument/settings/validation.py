@@ -56,9 +56,9 @@ def settings_within(kind: type[T], values: Mapping[str, Any], place: str) -> T:
     kind : type
         A settings dataclass that checks itself.
     values : mapping
-        What the file has.
+        Contents of the file.
     place : str
-        Where it stands there, as errors say it.
+        Its position in the file, for errors.
 
     Raises
     ------

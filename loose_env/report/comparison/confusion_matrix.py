@@ -42,7 +42,7 @@ def ordered_hypotheses(rows: Sequence[Row]) -> tuple[str, ...]:
 
 
 def confusion_counts(rows: Sequence[Row], hypotheses: Sequence[str]) -> NDArray[np.intp]:
-    """Count verdicts: a row a truth, a column a verdict, the last two unsure and none (h, h + 2).
+    """Confusion counts by truth and verdict; last columns unsure and none (h, h + 2).
 
     Raises
     ------
@@ -132,7 +132,7 @@ def _cell(
 
 
 def _labels(axes: Axes, names: Sequence[str], inch: float, size: float) -> None:
-    """Write place numbers beside the cells and kinds beside the numbers; ``inch`` in cells."""
+    """Label cells with location numbers and kinds; ``inch`` in cells."""
     muted: dict[str, Any] = {"color": MUTED, "fontsize": 9.0}
     plain: dict[str, Any] = {"color": INK, "fontsize": size}
     near, far = 0.07 * inch, 0.28 * inch

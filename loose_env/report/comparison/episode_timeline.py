@@ -58,7 +58,7 @@ def episode_timeline(
     settings : DiagnosisSettings
         Settings of the environment.
     seed, number : int
-        Which episode: the same one as that of a comparison with this seed.
+        Index of the episode: the same one as that of a comparison with this seed.
     """
     batch = EpisodeBatch(arm, settings, threads=1)
     picture = Picture(batch.nominal, show=False, sensors=settings.sensors)

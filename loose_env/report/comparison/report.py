@@ -81,18 +81,18 @@ def write_comparison(
     timeline_agent: str = "",
     notes: str | Sequence[str] = (),
 ) -> Path:
-    """Write the page of a comparison: text, tables, figures, and the timeline of an episode.
+    """Write the page of a comparison: text, tables, figures, episode timeline.
 
     Parameters
     ----------
     path : path-like
-        Where the page goes.
+        Path of the page.
     rows : sequence of Row
         Episodes of all agents.
     title : str
         Title of the page.
     played : str or sequence of str
-        What was played; the outcome is added below.
+        Settings of the comparison; the outcome is added below.
     hypotheses : sequence of str, optional
         All hypotheses in order; by default those that the rows mention.
     chance : float, optional

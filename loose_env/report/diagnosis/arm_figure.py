@@ -81,7 +81,7 @@ def arm_figure(
     pose : mapping
         Joint -> position [rad or m].
     fault : Fault, optional
-        What is suspected; drawn in the colour of the fault.
+        Suspected fault; drawn in the colour of the fault.
     excited : collection of str, optional
         Joints that are shaken; the others are held. Without it no joint is either.
 

@@ -1,4 +1,4 @@
-"""Figures of a diagnosis: the posterior record by record, the correlation loops of a record."""
+"""Figures of a diagnosis: posterior by record, correlation loops."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def posterior_figure(
     steps : sequence of mapping
         Hypothesis -> probability after each record.
     labels : sequence of str
-        What each bar is called.
+        Name of each bar.
     names : mapping
         Hypotheses with a colour of their own -> what they are called; all others share one.
     """

@@ -1,4 +1,4 @@
-"""The page of a diagnosis: what is loose and what to do, in words; then figures and numbers."""
+"""Page of a diagnosis: result and next steps in words, figures and tables."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ def write_page(
     Parameters
     ----------
     path : path-like
-        Where the page goes; its folder is made where there is none.
+        Path of the page; its folder is made if missing.
     diagnosis : Diagnosis
-        What was found.
+        Diagnosis.
     arm : Arm
         The nominal arm that it was found with.
     recording : str

@@ -49,7 +49,7 @@ def write_plan_page(
     Parameters
     ----------
     path : path-like
-        Where the page goes.
+        Path of the page.
     plan : Plan
         The plan.
     runs : sequence of str

@@ -53,7 +53,7 @@ def commands_after(
     plan : Plan
         The plan.
     folder : str or Path
-        Where the plan lies, as commands are to name it.
+        Folder of the plan, as commands name it.
     model : str or Path, optional
         The model, as commands are to name it; by default as the plan has it.
     """

@@ -214,7 +214,7 @@ def with_plain_names(words: str, names: Mapping[str, str]) -> str:
     Parameters
     ----------
     words : str
-        What a program says.
+        Text of a program.
     names : Mapping of str to str
         Hypotheses, and each in a few words. "healthy" stays: it is a word of its own.
 

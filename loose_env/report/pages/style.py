@@ -1,4 +1,4 @@
-"""The look that reports and documentation share: colours for light, dark and paper, and rules."""
+"""Style of reports and documentation: colours for light, dark and print."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def declared(colours: Mapping[str, str]) -> str:
 
 
 def style() -> str:
-    """Return the style sheet of a page that stands alone: colours, then the rules of `page.css`.
+    """Style sheet of a standalone page: colours, then the rules of `page.css`.
 
     Examples
     --------

@@ -97,7 +97,7 @@ def write_whole(path: str | os.PathLike[str], text: str) -> Path:
     Parameters
     ----------
     path : path-like
-        Where the file goes; its folder is made where there is none.
+        Path of the file; its folder is made if missing.
     text : str
         Its content, written as utf-8.
 

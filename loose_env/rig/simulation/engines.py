@@ -35,7 +35,7 @@ class Engines:
     Parameters
     ----------
     shop : PlantShop
-        Where templates come from.
+        Source of the templates.
     slots : int
         Number of arms.
     threads : int

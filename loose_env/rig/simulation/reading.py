@@ -30,11 +30,11 @@ def read_record(
     run : Run
         The run, simulated.
     k : int
-        Which of its jobs.
+        Index of its job.
     arm : Arm
         The nominal arm.
     sensors : SensorSuite
-        What reads the motion.
+        Sensors that read the motion.
     factor : int
         Simulation steps per reading.
     mismatch : MismatchDraw

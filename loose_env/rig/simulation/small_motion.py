@@ -117,7 +117,7 @@ def small_motion(
     excitation : Excitation
         Says which joints are excited and not held.
     place : float
-        Where the seat starts, from the middle between its stops [m or rad].
+        Start of the seat, from the middle between its stops [m or rad].
 
     Raises
     ------

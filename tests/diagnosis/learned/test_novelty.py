@@ -130,7 +130,7 @@ def test_the_figures_follow_the_favoured_place() -> None:
     found = sights(records, np.eye(5)[2], -50.0, HYPOTHESIS)
     assert found.shape == (3, SIZE)
     at = {name: found[:, k] for k, name in enumerate(COLUMNS)}
-    left = [each.unexplained.left[2] for each in records]
+    left = [each.residual_change.residual[2] for each in records]
     assert at["left"] == pytest.approx(np.log(np.array(left) + 0.1))
     for name in ("visible", "load"):
         expected = [each.location[2, LOCATION_FEATURES.index(name)] for each in records]
@@ -143,7 +143,7 @@ def test_the_figures_follow_the_favoured_place() -> None:
     assert at["records"] == pytest.approx(np.log(3))
     sound = sights(records, np.eye(5)[2], 50.0, HYPOTHESIS)
     assert sound[:, 0] == pytest.approx(
-        np.log(np.array([each.unexplained.sound for each in records]) + 0.1)
+        np.log(np.array([each.residual_change.healthy for each in records]) + 0.1)
     )
     assert sound[:, COLUMNS.index("opening")] == pytest.approx(0.0)
 

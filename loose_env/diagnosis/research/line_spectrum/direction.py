@@ -26,8 +26,8 @@ from loose_env.diagnosis.link_finding.direction_images import ToolFrames, fault_
 from loose_env.diagnosis.research.line_spectrum.model_error_fit import (
     answers_of,
     fit_errors,
+    healthy_misfit,
     misfit_along,
-    sound_misfit,
 )
 from loose_env.diagnosis.research.line_spectrum.record_lines import (
     RecordLines,
@@ -67,13 +67,13 @@ class DynamicDirection:
     direction_in_tool: Array
     """The same in the tool frame, in the pose of the first record (d,)."""
     locations: tuple[str, ...]
-    """Places that were compared."""
+    """Locations that were compared."""
     misfits: Array
     """Lowest misfit of each, twice a negative log-likelihood but for a constant. Half a difference
     of two is a log-likelihood ratio, if the model is right (locations,)."""
     directions: tuple[Array | None, ...]
     """Best direction of each location, in the frame of its link; None for play in a joint."""
-    sound_misfit: float
+    healthy_misfit: float
     """Misfit with no seat open."""
     lines: int
     """Fourier lines of all records."""
@@ -91,7 +91,7 @@ class DynamicDirection:
         A seat's motion fits one complex number to every line, which takes 2 from the misfit of
         each. Around zero or below no seat is seen to move, and the direction means nothing.
         """
-        return self.sound_misfit - float(self.misfits.min()) - 2.0 * self.lines
+        return self.healthy_misfit - float(self.misfits.min()) - 2.0 * self.lines
 
     @property
     def lack_of_fit(self) -> float:
@@ -124,18 +124,18 @@ def direction_by_dynamics(
         Records of the arm under test, in one pose or in several. Every joint in turn is best: a
         seat that no excitation moves is not seen.
     healthy : sequence of Measurement, optional
-        Records of the same arm when it was sound, of the same length: for every record as many
+        Records of the same arm when it was healthy, of the same length: for every record as many
         with the same joints excited in the same pose as it excites joints. Without them the
         model says what a healthy arm would show.
     link : int, optional
         Loose link, from 1 at the base, where it is known; else all links' slides and all joints'
         play are compared.
     mismatch : Mismatch, optional
-        How far the model may be off; the defaults of `Mismatch`.
+        Errors of the model; the defaults of `Mismatch`.
     sensors : SensorSuite, optional
-        What read the records, for the noise; the defaults of `SensorSuite`.
+        Sensors of the records, for their noise; the defaults of `SensorSuite`.
     model_error : float
-        What remains of the model's errors at each line, relative to the motion there [1].
+        Remaining model error at each line, relative to the motion there [1].
 
     Returns
     -------
@@ -160,13 +160,13 @@ def direction_by_dynamics(
     >>> shakes = [
     ...     Excitation(torque_rms=t, duration=0.6, band=arm.band) for t in ((9.0, 0.0), (0.0, 4.0))
     ... ]
-    >>> sound = [rig.measure(pose, shake) for shake in shakes]
+    >>> references = [rig.measure(pose, shake) for shake in shakes]
     >>> slide = StructuralLooseness(
     ...     link=1, direction=(0.6, 0.8, 0.0), gap=2e-4, stiffness=(2e5, 2e5), damping=(50.0, 50.0)
     ... )
     >>> rig.mount(0, slide)
     >>> loose = [rig.measure(pose, shake, rng=np.random.default_rng(1)) for shake in shakes]
-    >>> found = direction_by_dynamics(LinearArm(arm), loose, healthy=sound)
+    >>> found = direction_by_dynamics(LinearArm(arm), loose, healthy=references)
     >>> found.location, found.direction_in_link.round(1).tolist()
     ('structural_looseness@link1', [0.6, 0.8])
     """
@@ -182,14 +182,14 @@ def direction_by_dynamics(
     if healthy is None:
         found = _with_the_seat(arm, lines, seats, model_error)
     else:
-        sound = [record_lines(linear.arm, record, suite) for record in healthy]
-        lines = [less_healthy(one, sound) for one in lines]
-        errors = fit_errors(arm, sound, model_error=model_error, steps=_STEPS).errors
+        references = [record_lines(linear.arm, record, suite) for record in healthy]
+        lines = [less_healthy(one, references) for one in lines]
+        errors = fit_errors(arm, references, model_error=model_error, steps=_STEPS).errors
         answers = answers_of(arm, lines, errors)
         found = _Found(
             errors=errors,
             seats={name: _best_axis(lines, answers, at, model_error) for name, at in seats.items()},
-            sound=sound_misfit(lines, answers, model_error),
+            healthy=healthy_misfit(lines, answers, model_error),
         )
     names = tuple(seats)
     best = min(names, key=lambda name: found.seats[name][0])
@@ -202,7 +202,7 @@ def direction_by_dynamics(
         locations=names,
         misfits=np.array([found.seats[name][0] for name in names]),
         directions=tuple(directions.values()),
-        sound_misfit=found.sound,
+        healthy_misfit=found.healthy,
         lines=sum(len(one.frequency) for one in lines),
         values=sum(one.readings.size - len(one.frequency) for one in lines),
         errors=found.errors,
@@ -215,7 +215,7 @@ class _Found:
     errors: Array
     seats: dict[str, tuple[float, Array]]
     """Misfit and axis of each location."""
-    sound: float
+    healthy: float
 
 
 def _seats(linear: LinearArm, link: int | None) -> dict[str, NDArray[np.intp]]:
@@ -276,11 +276,11 @@ def _with_the_seat(
         found[name] = fit.cost, fit.seat
         if fit.cost < chosen:
             errors, chosen = fit.errors, fit.cost
-    sound = min(
+    intact = min(
         fit_errors(arm, lines, model_error=model_error, errors=start, steps=_STEPS).cost
         for start in (common, np.zeros(len(arm.names)))
     )
-    return _Found(errors=errors, seats=found, sound=sound)
+    return _Found(errors=errors, seats=found, healthy=intact)
 
 
 def _best_axis(

@@ -18,7 +18,7 @@ from loose_env.diagnosis.research.line_spectrum.uncertain_arm import Answer, Unc
 from loose_env.statistics import tangents
 from loose_env.typing import Array, ComplexArray
 
-__all__ = ["ErrorFit", "answers_of", "fit_errors", "misfit_along", "residual_of", "sound_misfit"]
+__all__ = ["ErrorFit", "answers_of", "fit_errors", "healthy_misfit", "misfit_along", "residual_of"]
 
 
 _DEGREES = 4.0
@@ -66,13 +66,13 @@ def misfit_along(
     lines : sequence of RecordLines
         Records.
     answers : sequence of Answer
-        What the arm would answer to each.
+        Response of the arm to each.
     columns : ndarray (s,)
         The seat's columns among those of the answers.
     axes : ndarray (P, s)
         Unit vectors.
     model_error : float
-        What the model may get wrong of the power of each line [1].
+        Model error over the power of each line [1].
 
     Returns
     -------
@@ -94,7 +94,7 @@ def misfit_along(
     return cost
 
 
-def sound_misfit(
+def healthy_misfit(
     lines: Sequence[RecordLines], answers: Sequence[Answer], model_error: float
 ) -> float:
     """Cost of no seat being open; see `misfit_along`."""
@@ -127,7 +127,7 @@ def fit_errors(
     lines : sequence of RecordLines
         Records, in one pose or in several.
     model_error : float
-        What remains of model error at each line, relative to the power there [1].
+        Remaining model error at each line, relative to the power there [1].
     columns : ndarray (s,), optional
         Columns of the open seat; None for a healthy arm.
     seat : ndarray (s,), optional
@@ -189,7 +189,7 @@ def _cost(
     if columns is not None and along is not None:
         found = float(misfit_along(lines, answers, columns, along[None], model_error)[0])
     else:
-        found = sound_misfit(lines, answers, model_error)
+        found = healthy_misfit(lines, answers, model_error)
     return found + float(errors @ errors)
 
 

@@ -61,7 +61,7 @@ def record_lines(arm: Arm, measurement: Measurement, sensors: SensorSuite) -> Re
     measurement : Measurement
         A record in which at least one joint was excited and no shaker was on.
     sensors : SensorSuite
-        What read it; for the noise.
+        Sensors that read it, for their noise.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def record_lines(arm: Arm, measurement: Measurement, sensors: SensorSuite) -> Re
 
 
 def less_healthy(record: RecordLines, healthy: Sequence[RecordLines]) -> RecordLines:
-    """Take off a record what the same arm, when sound, would have answered to its commands.
+    """Subtract the healthy arm's response to the same commands from a record.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def less_healthy(record: RecordLines, healthy: Sequence[RecordLines]) -> RecordL
     Returns
     -------
     RecordLines
-        What is left, with the noise of all records in it.
+        Residual, with the noise of all records in it.
 
     Raises
     ------

@@ -49,7 +49,7 @@ class Answer:
 
 
 class UncertainArm:
-    """A nominal arm and the errors that its model may have, each with its standard deviation.
+    """Nominal arm with model errors, scaled by their standard deviations.
 
     Errors are counted in standard deviations of a `Mismatch`; those that cannot occur are left
     out. The zero of a sliding joint is off by as many metres as that of a turning one by radians.

@@ -181,7 +181,7 @@ def evidence_by_particles(
     Parameters
     ----------
     model : ParticleModel
-        What can be simulated, and what was measured.
+        Simulator and measured summaries.
     settings : ParticleSettings
         Size of the population and how it climbs.
     rng : numpy.random.Generator

@@ -1,4 +1,4 @@
-"""A synthetic likelihood: measured summaries against simulated ones, with their scatter.
+"""Synthetic likelihood of measured summaries from simulated ones.
 
 References
 ----------
@@ -154,7 +154,7 @@ class SyntheticLikelihood:
         Parameters
         ----------
         measured : ndarray (D,)
-            What was measured.
+            Measured summaries.
         repeated : sequence of Repeated
             The anchors.
         freedom : float
@@ -250,14 +250,14 @@ class SyntheticLikelihood:
 
 
 def nearness(measured: Array, summaries: Array) -> Array:
-    """Minus half the squared distance to what was measured, in units of the particles' spread.
+    """Minus half the squared distance to the measured summaries, in their spread.
 
     Parameters
     ----------
     measured : ndarray (D,)
-        What was measured.
+        Measured summaries.
     summaries : ndarray (N, D)
-        What particles show, not finite for those that failed.
+        Summaries of particles, not finite for those that failed.
 
     Returns
     -------

@@ -82,7 +82,7 @@ class PoseSets:
         strategy : str
             One of `PLANNED`.
         start : array_like (n,)
-            Where the arm stands [rad, or m where a joint slides]. "random", "one joint" and "all
+            Current pose [rad, or m where a joint slides]. "random", "one joint" and "all
             joints" take their first record there.
         count : int
             Number of poses.

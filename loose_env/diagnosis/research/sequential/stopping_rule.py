@@ -101,7 +101,7 @@ def measure_direction(
     linear : LinearArm
         The nominal arm.
     excitations : sequence of Excitation
-        What to play, each in turn; their own durations are not looked at.
+        Excitations, each in turn; their own durations are ignored.
     rule : StoppingRule, optional
         Wanted angle and allowed time.
     healthy, mismatch, instrument

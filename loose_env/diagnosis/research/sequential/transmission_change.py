@@ -78,7 +78,7 @@ def measured_transmission(
     measurement : Measurement
         A record in which at least one joint was excited.
     instrument : {"command", "encoder"}
-        What the regression leans on: the commanded torque, which knows nothing of encoder noise,
+        Instrument of the regression: the commanded torque, which knows nothing of encoder noise,
         or the measured joint motion itself, which wastes less of the record where encoders are good
         or friction and servos loosen the joint from its command.
 
@@ -121,10 +121,10 @@ def change_of_transmission(
         Records of the arm under test, all in one pose: each joint in turn, several at once, or the
         same again. Records of the same joints are averaged.
     healthy : sequence of Measurement, optional
-        Records of the same arm when it was sound, with the same joints excited in the same pose.
+        Records of the same arm when it was healthy, with the same joints excited in the same pose.
         Without them the nominal model says what a healthy arm would transmit.
     mismatch : Mismatch, optional
-        How far model and sensors may be off; the defaults of `Mismatch`.
+        Errors of model and sensors; the defaults of `Mismatch`.
     instrument : {"command", "encoder"}
         As in `measured_transmission`.
 
@@ -170,9 +170,9 @@ def change_of_transmission(
                 "record of the arm under test does; healthy records excite "
                 f"{[[j + 1 for j in joints] for joints in before]}"
             )
-        sound = join_transmissions([before[joints] for joints in now])
-        sensor, left = calibrate_sensor(sound, nominal, kinematic, assumed)
-        reference, change = sound.b, measured.minus(sound).turned(np.linalg.inv(sensor))
+        intact = join_transmissions([before[joints] for joints in now])
+        sensor, left = calibrate_sensor(intact, nominal, kinematic, assumed)
+        reference, change = intact.b, measured.minus(intact).turned(np.linalg.inv(sensor))
         errors = left @ change.b
     bent = np.concatenate([bent_by_seats(arm.at(pose), r.excited) for arm, r in played])
     # The loose link is unknown: a uniform prior.
