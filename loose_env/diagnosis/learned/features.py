@@ -76,7 +76,7 @@ class TransmissionChange:
     nominal: Array
     """The motion itself in the nominal arm [m/s²] (d m,)."""
     covariance: Array
-    """What model and sampling leave open, to first order [m²/s⁴] (d m, d m)."""
+    """Covariance by model and sampling errors, to first order [m²/s⁴] (d m, d m)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -141,7 +141,7 @@ class SeatFeatures:
         self.hypothesis = np.concatenate(
             [np.repeat(np.arange(arm.n), directions), arm.n + np.arange(arm.n)]
         )
-        """Which hypothesis each location belongs to: slides 0 to n - 1, plays n to 2 n - 1 (P,)."""
+        """Hypothesis of each location: slides 0 to n - 1, plays n to 2 n - 1 (P,)."""
 
     @property
     def locations(self) -> int:
@@ -302,7 +302,7 @@ class SeatFeatures:
         x: Array,
         duration: float,
     ) -> Array:
-        """What model and sampling leave open of in-step motion [m²/s⁴] (d m, d m).
+        """Covariance of in-step motion by model and sampling errors [m²/s⁴] (d m, d m).
 
         Parameters
         ----------

@@ -22,7 +22,7 @@ class ModelSettings:
     """Site or body that carries the accelerometer; by default where the model's own accelerometer
     is, else the site 'tool', else the last site or body."""
     hold: Hold = "model"
-    """What holds the joints: 'model', the model's own position servos, and a slow controller for
+    """Holding of the joints: 'model', the model's own position servos, and a slow controller for
     joints with torque motors, as 'loose diagnose' assumes; or 'brake', 'servo',
     'compliant' for brakes, servos of 25 Hz, or brakes behind elastic gears."""
     payload_kg: float = 0.0
@@ -60,7 +60,7 @@ class PlanSettings:
     """Pose to take, every joint from the base [degrees; mm where it slides]; by default the one
     that tells most."""
     from_deg: tuple[float, ...] = ()
-    """Where the arm stands now, as pose_deg; by default in the pose of the last record."""
+    """Present pose, as pose_deg; by default in the pose of the last record."""
     ramp_s: float = 0.25
     """Time over which the noise swells, and dies away [s]."""
     hold_s: float = 0.5

@@ -138,7 +138,7 @@ def test_the_figures_follow_the_favoured_place() -> None:
     for name in ("excited", "kurtosis"):
         expected = [each.record[RECORD_FEATURES.index(name)] for each in records]
         assert at[name] == pytest.approx(expected)
-    assert at["opening"] == pytest.approx([each.unexplained.opening[2] for each in records])
+    assert at["opening"] == pytest.approx([each.residual_change.opening[2] for each in records])
     assert (at["healthy"] == -10.0).all()
     assert at["records"] == pytest.approx(np.log(3))
     sound = sights(records, np.eye(5)[2], 50.0, HYPOTHESIS)
