@@ -42,6 +42,13 @@ def first(servoed: Path) -> Plan:
     return plan(servoed, choice=FEW)
 
 
+@pytest.fixture(scope="module")
+def torn(first: Plan) -> Diagnosis:
+    """A diagnosis between two hypotheses, with what it wants next."""
+    so_far = known(first, post_s=0.45, fore_s=0.45)
+    return replace(so_far, next=next_for(first.arm, so_far, FEW))
+
+
 def known(made: Plan, **shares: float) -> Diagnosis:
     """A diagnosis that holds some hypotheses for probable, after one record in the plan's pose."""
     names = made.arm.hypotheses
@@ -193,13 +200,11 @@ def test_a_plan_takes_what_the_diagnosis_wants_next(servoed: Path, first: Plan) 
     ],
 )
 def test_settings_that_are_given_count_beside_what_the_diagnosis_wants_next(
-    servoed: Path, first: Plan, changed: dict[str, float], own: PlanSettings
+    servoed: Path, first: Plan, torn: Diagnosis, changed: dict[str, float], own: PlanSettings
 ) -> None:
-    so_far = known(first, post_s=0.45, fore_s=0.45)
-    so_far = replace(so_far, next=next_for(first.arm, so_far, FEW))
     choice = replace(FEW, **changed)  # type: ignore[arg-type]
-    made = plan(servoed, so_far, choice=choice, own=own)
-    anew = next_for(first.arm, so_far, choice, own)
+    made = plan(servoed, torn, choice=choice, own=own)
+    anew = next_for(first.arm, torn, choice, own)
     assert made.next.pose == anew.pose
     assert made.next.joints == anew.joints
     assert made.next.seconds == choice.seconds
