@@ -38,15 +38,23 @@ class Case:
             self.comparison, ResidualModel(self.machine, trials[-1:], channels, floors, threads=1)
         )
         self.nominal = nominal_structure(self.machine)
+        self.effects: dict[tuple[str, str], Effect] = {}
+        self.fits: dict[tuple[tuple[Effect, tuple[float, ...]], ...], ScoredFit] = {}
 
     def fitted(self, named: list[tuple[Effect, list[float]]]) -> ScoredFit:
-        own = [free_of(e.parameters, np.array(v)) for e, v in named]
-        start = np.concatenate([self.nominal.nominal_start, *own])
-        structure = self.nominal.with_effects([e for e, _ in named])
-        return self.scorer.score(fit(self.comparison, structure, start))
+        """Fit effects from these values on; a fit that several tests begin with is made once."""
+        key = tuple((e, tuple(v)) for e, v in named)
+        if key not in self.fits:
+            own = [free_of(e.parameters, np.array(v)) for e, v in named]
+            start = np.concatenate([self.nominal.nominal_start, *own])
+            structure = self.nominal.with_effects([e for e, _ in named])
+            self.fits[key] = self.scorer.score(fit(self.comparison, structure, start))
+        return self.fits[key]
 
     def effect(self, kind: str, where: str, values: list[float]) -> tuple[Effect, list[float]]:
-        return CATALOGUE[kind](self.machine, where), values
+        if (kind, where) not in self.effects:
+            self.effects[kind, where] = CATALOGUE[kind](self.machine, where)
+        return self.effects[kind, where], values
 
     def alone(self, base: ScoredFit, earlier: ScoredFit, both: ScoredFit) -> ScoredFit | None:
         candidate_fits = CandidateFits(self.comparison, self.comparison, self.scorer, earlier)
