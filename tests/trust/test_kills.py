@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -22,17 +23,25 @@ pytest.importorskip("matplotlib")
 from loose_agents.benchmark.sharded import EvaluationTask, play_task
 
 from loose_env.cli.main import COMMANDS as LOOSE
+from scripts.suites.trust.kills import killing
 from scripts.suites.trust.kills.commands import commands
 from scripts.suites.trust.kills.killing import Command, kill_often
+from tests.trust.warm_process import ROOT, WarmProcess
 
 NAMES = ("training", "comparison", "gap", *(("diagnosis",) if "diagnose" in LOOSE else ()))
 KILLS = 2
+WARM = ("comparison", "gap", "diagnosis")
+"""Commands that need not load the large packages each time; the training starts as it is typed."""
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_killed_command_goes_on_and_ends_as_if_it_had_not_been_killed(
-    tmp_path: Path, name: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
+    if name in WARM:
+        monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), str(ROOT / "agents")]))
+        monkeypatch.setenv("OMP_NUM_THREADS", "1")
+        monkeypatch.setattr(killing, "_popen", WarmProcess)
     command = commands(tmp_path)[name]
     found = kill_often(command, tmp_path / "killed", kills=KILLS, rng=np.random.default_rng(3))
     assert found.problems == []
