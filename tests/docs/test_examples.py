@@ -118,7 +118,7 @@ def test_from_a_model_file_to_a_loose_link(
     direction = posterior.directions[2]
     true = np.array(hidden.direction) / np.linalg.norm(hidden.direction)
     whole = names["whole"]
-    assert whole.place == "structural_looseness@link3"
+    assert whole.location == "structural_looseness@link3"
     for found in (direction, whole.direction_in_link):
         assert np.degrees(np.arccos(min(1.0, abs(float(found @ true))))) < 10.0
 
