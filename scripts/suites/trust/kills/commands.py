@@ -188,7 +188,8 @@ def _policies(out: Path) -> list[str]:
         # Weights never lie anywhere without the words that say what they are.
         if not file.with_name("configuration.json").exists():
             found.append(f"{file}: no configuration beside it")
-    for file in out.rglob("*.zip"):
+    # What is being written has a name that begins with a dot until it is whole.
+    for file in (f for f in out.rglob("*.zip") if not f.name.startswith(".")):
         _try(found, file, lambda f=file: read_model(f))  # type: ignore[misc]
         if file.name == "checkpoint.zip":
             run = read_model(file).run
