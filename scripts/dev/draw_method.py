@@ -2,7 +2,7 @@
 
 Usage: python scripts/dev/draw_method.py [--out docs/figures]
 
-Three files are written: method_loops.svg, one record of a sound and of a loose arm;
+Three files are written: method_loops.svg, one record of a healthy and of a loose arm;
 method_turning.svg, the loose direction as the tool sees it in three poses; method_seat.svg, the
 dead zone of a loose seat and what it does at three levels. They follow the reader's choice of light
 or dark.
@@ -51,7 +51,7 @@ ALONG = (0.35, 0.94, 0.0)
 """Direction in which it slides, in its own frame."""
 POSE = np.radians([25.0, -70.0, 60.0])
 SECONDS, BAND, SHAKEN, TORQUE = 1.2, (30.0, 150.0), 0, 6.0
-"""Of the record [s, Hz], the joint that is shaken, and its rms torque [N·m]."""
+"""Of the record [s, Hz], the excited joint, and its rms torque [N·m]."""
 WIDTH = 7.2
 """Width of every picture [inch]."""
 
@@ -79,15 +79,15 @@ def loose(link: int = LOOSE) -> StructuralLooseness:
 
 
 def loops(arm: Arm) -> Figure:
-    """The arm, and the correlation loops of one record: sound and with a loose link."""
+    """The arm, and the correlation loops of one record: healthy and with a loose link."""
     figure = blank(3.0)
     sketch = panel(figure, 0.0, 0.36)
     draw_arm(sketch, arm, POSE, loose(), shaken=SHAKEN)
-    title(figure, 0.18, "link 2 slides, joint 1 is shaken")
+    title(figure, 0.18, "link 2 is loose, joint 1 is excited")
     expected = predicted_loop(
         predict(LinearArm(arm).at(POSE), excitation(arm), SensorFloor.of(SensorSuite(), BAND))
     )
-    for left, words, fault in ((0.36, "sound arm", Healthy()), (0.68, "loose link", loose())):
+    for left, words, fault in ((0.36, "healthy arm", Healthy()), (0.68, "loose link", loose())):
         axes = panel(figure, left, 0.32)
         found = measured(arm, fault)
         dial(axes, expected.facing(found), found)
@@ -97,8 +97,8 @@ def loops(arm: Arm) -> Figure:
         title(figure, left + 0.16, words)
     key(
         figure,
-        [("- -", MUTED, "sound, by the model"), ("■", MEASURED, "measured"),
-         ("↔", TRUTH, "the way the link slides")],
+        [("- -", MUTED, "healthy, by the model"), ("■", MEASURED, "measured"),
+         ("↔", TRUTH, "direction of the slide")],
     )  # fmt: skip
     return figure
 
