@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import ast
-import inspect
-import textwrap
 from collections.abc import Collection
 from dataclasses import MISSING, Field, fields, is_dataclass
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from loose_env.io import field_words
 
 T = TypeVar("T")
 
@@ -77,25 +76,6 @@ def settings_of(options: argparse.Namespace, kind: type[T], *, prefix: str = "")
         if value is not MISSING:
             given[each.name] = tuple(value) if isinstance(value, list) else value
     return kind(**given)
-
-
-def field_words(kind: type) -> dict[str, str]:
-    """Docstrings that stand under the fields of a dataclass; none where the source is not there."""
-    try:
-        tree = ast.parse(textwrap.dedent(inspect.getsource(kind)))
-    except (OSError, TypeError, SyntaxError):
-        return {}
-    found: dict[str, str] = {}
-    last = ""
-    for node in tree.body[0].body if isinstance(tree.body[0], ast.ClassDef) else ():
-        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-            last = node.target.id
-        elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and last:
-            found[last] = " ".join(str(node.value.value).split())
-            last = ""
-        else:
-            last = ""
-    return found
 
 
 def _flat(kind: type, prefix: str) -> list[tuple[str, Field[Any], Any, Any, str]]:

@@ -5,7 +5,7 @@ Data flow: files -> json_codec -> text -> validation.
 
 from loose_env.io.files import write_bytes, write_text, written_beside
 from loose_env.io.json_codec import json_text, plain, read_result_file, restored, whole_of
-from loose_env.io.text import begun, duration_words, sentence
+from loose_env.io.text import begun, duration_words, field_words, sentence
 from loose_env.io.validation import (
     Checked,
     Count,
@@ -34,6 +34,7 @@ __all__ = [
     "begun",
     "check_fields",
     "duration_words",
+    "field_words",
     "is_finite",
     "is_whole",
     "json_text",

@@ -1,11 +1,12 @@
-"""Durations in words, to two figures.
-
-Words as sentences: what programs say in one line, on a page.
-"""
+"""Text for people: durations, sentences, docstrings of fields."""
 
 from __future__ import annotations
 
-__all__ = ["begun", "duration_words", "sentence"]
+import ast
+import inspect
+import textwrap
+
+__all__ = ["begun", "duration_words", "field_words", "sentence"]
 
 
 def duration_words(seconds: float) -> str:
@@ -38,3 +39,29 @@ def sentence(words: str) -> str:
     """
     ended = words.rstrip()
     return begun(ended) + ("" if ended[-1:] in (".", "!", "?", "") else ".")
+
+
+def field_words(kind: type) -> dict[str, str]:
+    """Docstrings under the fields of a dataclass; none where its source is not there.
+
+    Examples
+    --------
+    >>> from loose_env.io.validation import Rule
+    >>> field_words(Rule)["words"]
+    'Allowed values, as an error states them.'
+    """
+    try:
+        tree = ast.parse(textwrap.dedent(inspect.getsource(kind)))
+    except (OSError, TypeError, SyntaxError):
+        return {}
+    found: dict[str, str] = {}
+    last = ""
+    for node in tree.body[0].body if isinstance(tree.body[0], ast.ClassDef) else ():
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            last = node.target.id
+        elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and last:
+            found[last] = " ".join(str(node.value.value).split())
+            last = ""
+        else:
+            last = ""
+    return found

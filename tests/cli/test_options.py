@@ -6,7 +6,8 @@ from typing import Literal
 
 import pytest
 
-from loose_env.cli.options import add_settings, field_words, settings_of
+from loose_env.cli.options import add_settings, settings_of
+from loose_env.io import field_words
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -112,7 +112,7 @@ def test_after_a_run_stands_what_the_runs_up_to_it_say_by_themselves(
     references = runs("slide", 1, sound=True)
     whole = weighed(tmp_path, references + runs(kind, 3))
     for count in (1, 2, 3):
-        alone = whole if count == 3 else weighed(tmp_path, references + runs(kind, count))
+        alone = weighed(tmp_path, references + runs(kind, count))
         assert whole.records[count].probabilities == pytest.approx(alone.posterior, abs=1e-9)
 
 

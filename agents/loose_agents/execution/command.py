@@ -10,9 +10,8 @@ from types import NoneType, UnionType
 from typing import Any, Literal, NoReturn, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from loose_agents.execution.script_errors import errors_in_one_line
-from loose_env.cli import field_words
 from loose_env.errors import InvalidSetting
-from loose_env.io import unmet
+from loose_env.io import field_words, unmet
 
 __all__ = [
     "OneLineParser",
