@@ -198,6 +198,15 @@ class LinearArm:
         stiffness = model.jnt_stiffness[model.dof_jntid]
         return np.pad(stiffness, (0, more)), np.pad(model.dof_damping, (0, more))
 
+    @property
+    def play(self) -> Array | None:
+        """Motion of the joints' link sides in the model's coordinates (nv, joints).
+
+        Of those joints whose play is made of slides and rotations of the link; None where every
+        joint has a hinge of its own for it.
+        """
+        return self._play
+
     def _play_columns(self, joints: NDArray[np.intp]) -> Array:
         """Motion of some joints' link sides in the model's coordinates (nv, joints)."""
         model, bare = self.model, self.arm.model

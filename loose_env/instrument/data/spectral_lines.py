@@ -93,6 +93,9 @@ class Lines:
     """Time for which a command is held [s]."""
     seconds: float
     """Length of the run [s]."""
+    beside: Lines | None = None
+    """The same run of the healthy arm at the same lines, with which it is compared; None where
+    there is none."""
 
     @property
     def spacing(self) -> float:
@@ -107,7 +110,9 @@ def thinned(lines: Lines, most: int) -> Lines:
     kept = np.linspace(0, len(lines.frequency) - 1, most).round().astype(int)
     names = ("frequency", "command", "force", "leaked", "readings", "noise", "read", "power")
     fewer = {name: getattr(lines, name)[kept] for name in names}
-    return replace(lines, **fewer, lean=(lines.lean[0][kept], lines.lean[1][kept]))
+    lean = lines.lean[0][kept], lines.lean[1][kept]
+    beside = None if lines.beside is None else thinned(lines.beside, most)
+    return replace(lines, **fewer, lean=lean, beside=beside)
 
 
 def uniform(time: Array, values: Array) -> tuple[float, Array]:

@@ -76,6 +76,33 @@ DIRECTION_SD_FACTOR = 2.0
 """Standard deviation of a direction over that by the curvature of the likelihood, which lacks the
 errors outside the model."""
 
+# Model error: scales of the half-Cauchy priors of what a model cannot have
+DRIVE_SD = 0.05
+"""Error of a joint's force over the force of its drive: friction, servo gains, saturation."""
+GEAR_TURN_SD = 0.03
+"""Turn between a joint's sensor and its link over that of a floating link: gears give a little."""
+BENDING_SD = 0.01
+"""Bending of a link at its seat over that of a floating link: links and flanges are stiff."""
+READING_SD = 0.01
+"""Error of a reading over its motion: what no component of the arm explains."""
+DRIVE_CHANGE_SD = 0.02
+"""Change of a joint's force error between a run and the same run of the healthy arm: friction
+varies with temperature."""
+GEAR_TURN_CHANGE_SD = 0.003
+"""The same of the turn: the gear is the same one."""
+BENDING_CHANGE_SD = 0.001
+"""The same of the bending: the links are the same ones."""
+READING_CHANGE_SD = 0.003
+"""The same of the readings: poses are repeated to within a few thousandths of their range."""
+CORRELATION_HZ = 12.0
+"""Width over which model errors are alike [Hz]: lines closer than that count as one."""
+RUN_OUTLIER = 0.007
+"""Probability that a run was disturbed by something outside all hypotheses: no run alone can rule
+one out by more than 5 nats."""
+COARSENED_MISFIT = 0.1
+"""Misfit at which a record counts half: likelihoods of a wrong model are raised to a power
+(coarsened posterior; Miller and Dunson, JASA 114, 2019)."""
+
 # Free travel
 TIME_AT_STOP = 0.02
 """Share of the time at each stop: both have to be reached before a clearance is given."""
