@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -69,7 +69,6 @@ class Workbench:
         self.arm = read_recorded_arm(model)
         self.uncertain = UncertainArm(self.arm, settings.tolerances)
         self._taken: list[_Taken] = []
-        self._told: dict[tuple[int, ...], Mapping[str, float]] = {}
 
     @property
     def runs(self) -> list[Run]:
@@ -117,7 +116,6 @@ class Workbench:
         lines = [t.lines for t in self._taken if t.lines is not None]
         say(f"weighing {len(self.arm.hypotheses)} hypotheses by {len(lines)} runs")
         comparison = compare_hypotheses(self.uncertain, lines, healthy_prior=self.settings.sound)
-        self._told[tuple(one.number for one in lines)] = comparison.posterior
         best = comparison.best
         travel = None
         if best != HEALTHY and self.suspect:
@@ -180,28 +178,17 @@ class Workbench:
             "with the arm's own model; look yourself before the arm moves",
         )
 
-    def _posterior(self, lines: Sequence[Lines]) -> Mapping[str, float]:
-        """Probabilities by some of the runs alone, as a diagnosis of no others has them."""
-        key = tuple(one.number for one in lines)
-        if key not in self._told:
-            self._told[key] = compare_hypotheses(
-                self.uncertain, lines, healthy_prior=self.settings.sound
-            ).posterior
-        return self._told[key]
-
     def _records(self, comparison: ModelComparison) -> tuple[RecordSeen, ...]:
         """Result of each run, with the posterior after it."""
         found: list[RecordSeen] = []
-        so_far = {
-            t.lines.number: t.lines for t in self._taken if t.lines is not None and t.lines.healthy
-        }
+        so_far: list[int] = []
         for taken in self._taken:
             probabilities: dict[str, float] = {}
             direction: Vector | None = None
             angle = None
             if taken.lines is not None and not taken.lines.healthy:
-                so_far[taken.lines.number] = taken.lines
-                probabilities = dict(self._posterior([so_far[k] for k in sorted(so_far)]))
+                so_far.append(taken.lines.number)
+                probabilities = comparison.after(so_far)
                 direction, angle = seen_in_tool(self.uncertain, comparison, taken.lines)
             pose = (
                 {j: q for j, q in (taken.run.pose or {}).items() if j in self.arm.joints}

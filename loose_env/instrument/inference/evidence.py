@@ -27,6 +27,7 @@ from loose_env.instrument.settings.thresholds import CORRELATION_HZ
 from loose_env.typing import Array, ComplexArray
 
 __all__ = [
+    "BLIND",
     "SHARES",
     "Evidence",
     "Piece",
@@ -57,7 +58,7 @@ _NEAR = np.exp(-0.5 * (np.log(SHARES[:, None] / SHARES) / _SPREAD) ** 2)
 _NEAR /= _NEAR.sum(axis=1, keepdims=True)
 _BANDS = 8
 """Bands of a run."""
-_BLIND = 1e8
+BLIND = 1e8
 """Variance of the relative error of a force of which nothing is known [1]."""
 
 
@@ -177,7 +178,7 @@ class Evidence:
             components = self.index.columns(one.number, change=change)
             reading = self.index.reading(change=change)
             size = variances[components].copy()
-            size[: of.arm.n][one.blind] = _BLIND
+            size[: of.arm.n][one.blind] = BLIND
             scaled = patterns * np.sqrt(size)
             covariance = scaled @ scaled.conj().swapaxes(1, 2)
             channel = np.arange(covariance.shape[1])

@@ -62,11 +62,12 @@ class ComponentIndex:
     def scales(self) -> Array:
         """Scale of each standard deviation's half-Cauchy prior (C,) [1]."""
         n = self._joints
-        model = [DRIVE_SD] * (n * self.runs) + [GEAR_TURN_SD] * n + [BENDING_SD] * n
-        change = (
-            [DRIVE_CHANGE_SD] * (n * self.runs) + [GEAR_TURN_CHANGE_SD] * n + [BENDING_CHANGE_SD] * n
+        count = [n * self.runs, n, n, 1]
+        model = np.repeat([DRIVE_SD, GEAR_TURN_SD, BENDING_SD, READING_SD], count)
+        change = np.repeat(
+            [DRIVE_CHANGE_SD, GEAR_TURN_CHANGE_SD, BENDING_CHANGE_SD, READING_CHANGE_SD], count
         )
-        return np.array([*model, READING_SD, *change, READING_CHANGE_SD])
+        return np.concatenate([model, change])
 
     def columns(self, run: int, *, change: bool) -> NDArray[np.intp]:
         """Component of each pattern of a run: n forces, n turns, 3 n bendings (5 n,)."""

@@ -9,7 +9,7 @@ import numpy as np
 from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.evidence import Seat
 from loose_env.instrument.inference.free_travel import Travel
-from loose_env.instrument.inference.laplace_fit import seats_of
+from loose_env.instrument.inference.laplace_fit import fitted_pieces, seats_of
 from loose_env.instrument.inference.opening_probability import open_probability, seat_forces
 from loose_env.instrument.inference.posterior import ModelComparison
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
@@ -64,10 +64,11 @@ def warnings_of(
 def _of_model(comparison: ModelComparison) -> list[str]:
     fit = comparison.fits[comparison.best]
     strain = float(np.sqrt(np.mean(fit.errors**2))) if len(fit.errors) else 0.0
-    if fit.model_error <= MODEL_ERROR and strain <= PARAMETER_ERROR:
+    misfit = float(np.sqrt(comparison.misfit))
+    if misfit <= MODEL_ERROR and strain <= PARAMETER_ERROR:
         return []
     return [
-        f"the model is not that of this arm: {fit.model_error:.0%} of the motion at a line remains "
+        f"the model is not that of this arm: {misfit:.0%} of the motion remains "
         f"unexplained, and its parameters are off by {strain:.1f} times their tolerance. The "
         "location and the probabilities below are less certain than stated; find the model error "
         "with 'loose gap', and diagnose with the corrected model"
@@ -81,7 +82,7 @@ def _of_seats(
     grid = axes_grid(24)
     never: list[str] = []
     pressed: list[str] = []
-    pieces = comparison.evidence.pieces(comparison.fits[comparison.best].errors, 0.05)
+    pieces = fitted_pieces(comparison.evidence, comparison.fits[comparison.best])
     for name, seat in seats_of(arm.hypotheses, arm.n).items():
         if not isinstance(seat, Seat):
             continue
