@@ -7,6 +7,7 @@ is long against the arm's memory.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from loose_env.errors import InvalidData
-from loose_env.instrument.data.sensor_noise import sensor_noise
+from loose_env.instrument.data.sensor_noise import quantum, sensor_noise
 from loose_env.instrument.data.sensor_selection import readings_in
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.model.readings import Reading
@@ -102,17 +103,26 @@ class Lines:
         """Line spacing [Hz]."""
         return float(np.median(np.diff(self.frequency)))
 
+    def at_lines(self, kept: NDArray[np.intp]) -> Lines:
+        """Subset of the lines."""
+        names = ("frequency", "command", "force", "leaked", "readings", "noise", "read", "power")
+        fewer = {name: getattr(self, name)[kept] for name in names}
+        lean = self.lean[0][kept], self.lean[1][kept]
+        beside = None if self.beside is None else self.beside.at_lines(kept)
+        return replace(self, **fewer, lean=lean, beside=beside)
+
+    def at_channels(self, kept: Sequence[int]) -> Lines:
+        """Subset of the readings."""
+        names = ("leaked", "readings", "noise", "read", "power")
+        fewer = {name: getattr(self, name)[:, kept] for name in names}
+        return replace(self, **fewer, row=tuple(self.row[k] for k in kept))
+
 
 def thinned(lines: Lines, most: int) -> Lines:
     """Subset of a run's lines, evenly spread over the band."""
     if len(lines.frequency) <= most:
         return lines
-    kept = np.linspace(0, len(lines.frequency) - 1, most).round().astype(int)
-    names = ("frequency", "command", "force", "leaked", "readings", "noise", "read", "power")
-    fewer = {name: getattr(lines, name)[kept] for name in names}
-    lean = lines.lean[0][kept], lines.lean[1][kept]
-    beside = None if lines.beside is None else thinned(lines.beside, most)
-    return replace(lines, **fewer, lean=lean, beside=beside)
+    return lines.at_lines(np.linspace(0, len(lines.frequency) - 1, most).round().astype(np.intp))
 
 
 def uniform(time: Array, values: Array) -> tuple[float, Array]:
@@ -205,6 +215,7 @@ def lines_of(
     ]
     commands = [run.controls.get(a, np.zeros(run.samples)) for a in drives.names]
     forces = [run.torques.get(j, np.zeros(run.samples)) for j in arm.joints]
+    quanta = np.array([quantum(column) for column in columns])
     rate, even = uniform(run.time, np.stack([*columns, *commands, *forces], axis=1))
     c, a = len(rows), len(commands)
     if not np.abs(even[:, c:]).max(initial=0.0) < LARGEST_COMMAND:
@@ -223,7 +234,7 @@ def lines_of(
     resting[excited] = False
     blind = ~driven & ~measured & ~resting
     return _lines(
-        arm, run, rate, even, rows, c, a,
+        arm, run, rate, even, rows, quanta, a,
         number=number, pose=pose, excited=excited, measured=measured, blind=blind, whole=whole,
     )  # fmt: skip
 
@@ -234,7 +245,7 @@ def _lines(
     rate: float,
     even: Array,
     rows: tuple[tuple[Reading, int], ...],
-    c: int,
+    quanta: Array,
     a: int,
     *,
     number: int,
@@ -244,7 +255,7 @@ def _lines(
     blind: NDArray[np.bool_],
     whole: bool,
 ) -> Lines:
-    count = len(even)
+    count, c = len(even), len(rows)
     taper = signal.windows.hann(count, sym=False)
     taper /= np.sqrt(np.mean(taper**2))
     even = signal.detrend(even, axis=0)
@@ -271,6 +282,7 @@ def _lines(
         np.abs(spectrum[:, :c]) ** 2, power, rows, frequency, kept,
         lowest=LOWEST_HZ, highest=HIGHEST_LINE * rate,
     )  # fmt: skip
+    noise = np.maximum(noise, count * quanta**2 / 12)
     if whole:  # slower still, errors of gravity and servos look like a drift of the seat
         kept = np.flatnonzero(inside & (frequency >= LOWEST_PATH_LINE * frequency[kept[0]]))
     if len(kept) > _MOST:

@@ -25,6 +25,11 @@ POSE_SPREAD = 0.2
 POSE_OFFSET = 0.05
 """Distance of the measured from the noted joint position, above which the reader is told [rad or
 m]."""
+SAME_POSE = 0.02
+"""Distance of the joint positions up to which two runs hold the same pose [rad or m]."""
+SAME_SIGNAL = 0.8
+"""Correlation of the drives' signals from which two runs play the same noise: other noise has
+none, a closed loop repeats its torque nearly."""
 LEAST_LINE_POWER = 0.02
 """Power of a line's command over that of the strongest part of the band; weaker lines are dropped:
 their coherence is poor."""
@@ -94,6 +99,13 @@ BENDING_CHANGE_SD = 0.001
 """The same of the bending: the links are the same ones."""
 READING_CHANGE_SD = 0.003
 """The same of the readings: poses are repeated to within a few thousandths of their range."""
+CLOCK_Z = 4.0
+"""z-score from which a clock offset is corrected and reported."""
+LARGEST_CLOCK_OFFSET_S = 0.02
+"""Largest clock offset looked for [s]: half a period of a low band, beyond which peaks recur."""
+CLOCK_NOTED_S = 0.0005
+"""Clock offset from which a verdict is not settled [s]: at 100 Hz it turns the phase by 18
+degrees."""
 CORRELATION_HZ = 12.0
 """Width over which model errors are alike [Hz]: lines closer than that count as one."""
 RUN_OUTLIER = 0.007
