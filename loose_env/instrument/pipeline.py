@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.instrument.data.dropouts import unbroken
 from loose_env.instrument.data.held_pose import RunSetup, run_setup
+from loose_env.instrument.data.paired_runs import HeldRun, as_driven, paired_lines
 from loose_env.instrument.data.sensor_selection import columns_in, readings_in
 from loose_env.instrument.data.spectral_lines import Lines, lines_of
 from loose_env.instrument.inference.correlation_loops import loops_of
@@ -18,7 +19,14 @@ from loose_env.instrument.inference.direction_cones import cone, seen_in_tool
 from loose_env.instrument.inference.free_travel import Travel, travel_of
 from loose_env.instrument.inference.frequency_response import with_leakage
 from loose_env.instrument.inference.posterior import ModelComparison, compare_hypotheses
+from loose_env.instrument.inference.timing import (
+    ClockOffset,
+    clock_offset,
+    servo_timing,
+    shifted,
+)
 from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
+from loose_env.instrument.inference.verdict import verdict_of
 from loose_env.instrument.inference.warnings import warnings_of
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm, read_recorded_arm
 from loose_env.instrument.planning.plan import next_for
@@ -32,7 +40,6 @@ from loose_env.instrument.result import (
     Vector,
 )
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
-from loose_env.instrument.settings.thresholds import LEAST_RUNS
 from loose_env.recording import Recording, Run
 
 __all__ = ["Workbench", "diagnose"]
@@ -69,6 +76,7 @@ class Workbench:
         self.arm = read_recorded_arm(model)
         self.uncertain = UncertainArm(self.arm, settings.tolerances)
         self._taken: list[_Taken] = []
+        self._pairs: dict[int, Lines] = {}
 
     @property
     def runs(self) -> list[Run]:
@@ -113,7 +121,9 @@ class Workbench:
         say : callable
             Told what goes on, line by line.
         """
-        lines = [t.lines for t in self._taken if t.lines is not None]
+        lines = self._paired(say)
+        clocks = tuple(c for c in self._clocks(lines).values() if c is not None)
+        lines = self._on_one_clock(lines)
         say(f"weighing {len(self.arm.hypotheses)} hypotheses by {len(lines)} runs")
         comparison = compare_hypotheses(self.uncertain, lines, healthy_prior=self.settings.sound)
         best = comparison.best
@@ -124,19 +134,27 @@ class Workbench:
         fault = _fault(self.arm, comparison, travel)
         say("following the probabilities from run to run")
         records = self._records(comparison)
+        verdict = verdict_of(comparison, clocks, sure=self.settings.sure)
         found = Diagnosis(
             fault=fault,
             probability=comparison.posterior[best],
             posterior=comparison.posterior,
             warnings=warnings_of(
-                self.arm, comparison, [n for t in self._taken for n in t.notes], travel
-            ),
+                self.arm,
+                comparison,
+                [n for t in self._taken for n in t.notes],
+                travel,
+                clocks=clocks,
+                servos=servo_timing(self.uncertain, lines),
+            ),  # fmt: skip
             records=records,
             model=self.arm.path.name,
             settings=asdict(self.settings),
             directions=_directions(comparison),
-            settled=comparison.posterior[best] > self.settings.sure
-            and len(self.suspect) >= LEAST_RUNS,
+            settled=verdict.kind in ("healthy", "faulty"),
+            verdict=verdict.kind,
+            open_because=verdict.reasons,
+            misfit=comparison.misfit,
         )
         if plan and not found.settled:
             say("choosing the next measurement")
@@ -147,6 +165,51 @@ class Workbench:
             except (InvalidData, InvalidSetting) as error:  # what was found is not lost for it
                 found = replace(found, warnings=(*found.warnings, f"nothing next: {error}"))
         return found
+
+    def _paired(self, say: Callable[[str], None]) -> list[Lines]:
+        """Lines of all runs, those under test beside the same run of the healthy arm."""
+        held = [
+            HeldRun(run=t.run, setup=t.held, number=t.lines.number)
+            for t in self._taken
+            if t.lines is not None and t.held is not None
+        ]
+        lines = {t.lines.number: t.lines for t in self._taken if t.lines is not None}
+        references = [each for each in held if lines[each.number].healthy]
+        if not references:
+            return list(lines.values())
+        say(f"looking for {len(references)} healthy runs that were repeated")
+        for each in held:
+            if lines[each.number].healthy or each.number in self._pairs:
+                continue
+            pair = paired_lines(self.arm, each, references)
+            if pair is not None:
+                own = with_leakage(self.uncertain.at(pair[0].pose), pair[0])
+                other = with_leakage(self.uncertain.at(pair[1].pose), pair[1])
+                self._pairs[each.number] = replace(own, beside=as_driven(self.arm, other, own))
+        return list((lines | self._pairs).values())
+
+    def _clocks(self, lines: Sequence[Lines]) -> dict[bool, ClockOffset | None]:
+        """Clock offset of the suspect runs (False) and of the references (True)."""
+        return {
+            healthy: clock_offset(self.uncertain, [x for x in lines if x.healthy == healthy])
+            for healthy in {one.healthy for one in lines}
+        }
+
+    def _on_one_clock(self, lines: Sequence[Lines]) -> list[Lines]:
+        """Runs with the estimated clock offset of their accelerometers taken out."""
+        offsets = self._clocks(lines)
+
+        def late(healthy: bool) -> float:
+            found = offsets.get(healthy)
+            return found.seconds if found is not None and found.significant else 0.0
+
+        made = []
+        for one in lines:
+            beside = None if one.beside is None else shifted(one.beside, late(True))
+            made.append(
+                replace(shifted(replace(one, beside=None), late(one.healthy)), beside=beside)
+            )
+        return made
 
     def _whole(self) -> list[Lines]:
         """All lines of the runs under test, those that were not excited too."""

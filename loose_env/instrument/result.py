@@ -23,6 +23,7 @@ __all__ = [
     "NextMeasurement",
     "RecordSeen",
     "SlideDirection",
+    "VerdictKind",
     "hypothesis_of",
     "read_diagnosis",
 ]
@@ -33,6 +34,8 @@ HEALTHY = "healthy"
 """Name of the hypothesis that nothing is loose."""
 FaultKind = Literal["healthy", "structural_looseness", "backlash"]
 """Kinds of fault."""
+VerdictKind = Literal["healthy", "faulty", "open", "model_mismatch"]
+"""Kinds of verdict."""
 Vector = tuple[float, float, float]
 
 _SUM = 0.02
@@ -273,6 +276,14 @@ class Diagnosis:
     settled: bool = False
     """True if nothing more needs to be measured: two runs at least, and the probability above the
     setting ``sure``. False in files of versions that did not say."""
+    verdict: VerdictKind = "open"
+    """"healthy" or "faulty" where that is settled; "model_mismatch" where the model is not that of
+    the arm and has to be corrected first; else "open"."""
+    open_because: tuple[str, ...] = ()
+    """Reasons why it is not settled, in sentences."""
+    misfit: float = math.nan
+    """Share of the power of the tool's motion that the best hypothesis leaves unexplained [1]; NaN
+    in files of versions that did not say."""
     format: str = FORMAT
     """Of the file."""
 

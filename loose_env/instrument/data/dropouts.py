@@ -108,4 +108,3 @@ def _pauses(time: Array, column: Array) -> list[tuple[int, int]]:
     if time[-1] - time[there[-1]] > longest:
         found.append((int(there[-1]), len(time) - 1))
     return found
-

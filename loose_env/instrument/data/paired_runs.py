@@ -75,9 +75,7 @@ def paired_lines(
     first, second = _overlap(suspect.run, reference.run, lag)
     if first.samples < FEWEST_SAMPLES:
         return None
-    own = lines_of(
-        arm, first, suspect.setup.pose, suspect.setup.excited, number=suspect.number
-    )
+    own = lines_of(arm, first, suspect.setup.pose, suspect.setup.excited, number=suspect.number)
     other = lines_of(
         arm, second, reference.setup.pose, reference.setup.excited,
         number=reference.number, whole=True,
@@ -114,9 +112,7 @@ def _drive(arm: InstrumentedArm, lines: Lines) -> ComplexArray:
     return np.asarray(lines.command @ arm.actuators.force[joint] + lines.force[:, joint])
 
 
-def _alike(
-    arm: InstrumentedArm, suspect: HeldRun, reference: HeldRun
-) -> tuple[float, int] | None:
+def _alike(arm: InstrumentedArm, suspect: HeldRun, reference: HeldRun) -> tuple[float, int] | None:
     """Correlation and lag of the signals of two runs; None where they are other runs."""
     if not np.array_equal(suspect.setup.excited, reference.setup.excited):
         return None

@@ -122,6 +122,8 @@ class Evidence:
     uncertain: UncertainArm
     lines: Sequence[Lines]
     correlation: float = CORRELATION_HZ
+    known_runs: int = 0
+    """Number of runs to allow for, if more than the lines have."""
     _amplitude: list[Array] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -146,7 +148,7 @@ class Evidence:
         numbers = [
             each.number for one in self.lines for each in (one, one.beside) if each is not None
         ]
-        return 1 + max(numbers, default=-1)
+        return max(1 + max(numbers, default=-1), self.known_runs)
 
     @cached_property
     def index(self) -> ComponentIndex:
@@ -231,9 +233,7 @@ class Evidence:
         top = total.max(axis=1, keepdims=True)
         return np.asarray(np.log(np.exp(total - top) @ _SHUT_WEIGHT) + top[:, 0])
 
-    def run_terms(
-        self, pieces: Sequence[Piece], seat: Seat, axes: Array
-    ) -> dict[int, Array]:
+    def run_terms(self, pieces: Sequence[Piece], seat: Seat, axes: Array) -> dict[int, Array]:
         """Log-likelihood ratio by run, axis and share of a seat that is shut (U, shares)."""
         by_run: dict[int, list[Array]] = {}
         opening: dict[int, Array] = {}

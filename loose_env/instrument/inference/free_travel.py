@@ -66,7 +66,11 @@ def travel_of(comparison: ModelComparison, hypothesis: str, lines: Sequence[Line
         seat drifts slowly, and impacts on them are fast.
     """
     uncertain = comparison.evidence.uncertain
-    evidence = Evidence(uncertain=uncertain, lines=[comparison.as_sampled(one) for one in lines])
+    evidence = Evidence(
+        uncertain=uncertain,
+        lines=[comparison.as_sampled(one) for one in lines],
+        known_runs=comparison.evidence.runs,
+    )
     seat = seats_of(uncertain.arm.hypotheses, uncertain.arm.n)[hypothesis]
     fit = comparison.fits[hypothesis]
     assert isinstance(seat, Seat)

@@ -129,7 +129,9 @@ def servo_timing(uncertain: UncertainArm, lines: Sequence[Lines]) -> tuple[Servo
             keep = used[:, joint]
             cross = np.conj(response.motion[keep, joint]) * measured[keep, joint]
             cross = cross / np.maximum(np.abs(cross), 1e-300)
-            curves.append(np.real(np.exp(2j * np.pi * np.outer(shifts, one.frequency[keep])) @ cross))
+            curves.append(
+                np.real(np.exp(2j * np.pi * np.outer(shifts, one.frequency[keep])) @ cross)
+            )
             bandwidths.append(_bandwidth(response, measured, used, joint))
         if not curves:
             continue

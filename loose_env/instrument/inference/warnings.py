@@ -12,15 +12,18 @@ from loose_env.instrument.inference.free_travel import Travel
 from loose_env.instrument.inference.laplace_fit import fitted_pieces, seats_of
 from loose_env.instrument.inference.opening_probability import open_probability, seat_forces
 from loose_env.instrument.inference.posterior import ModelComparison
+from loose_env.instrument.inference.timing import ClockOffset, ServoTiming
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.result import HEALTHY
 from loose_env.instrument.settings.thresholds import (
+    CLOCK_NOTED_S,
     FEWEST_LINES,
     JOINT_SIGNAL,
     MODEL_ERROR,
     OPENING_PROBABILITY,
     PARAMETER_ERROR,
     PRESSED_FORCE,
+    SERVO_DELAY_NOTED_S,
     SHORT_RUN_S,
     TOOL_SIGNAL,
 )
@@ -30,12 +33,19 @@ __all__ = ["warnings_of"]
 
 
 def warnings_of(
-    arm: InstrumentedArm, comparison: ModelComparison, notes: Sequence[str], travel: Travel | None
+    arm: InstrumentedArm,
+    comparison: ModelComparison,
+    notes: Sequence[str],
+    travel: Travel | None,
+    *,
+    clocks: Sequence[ClockOffset] = (),
+    servos: Sequence[ServoTiming] = (),
 ) -> tuple[str, ...]:
     """Collect the warnings, most severe first."""
     said: list[str] = []
     suspect = [one for one in comparison.evidence.lines if not one.healthy]
     said += _of_model(comparison)
+    said += _of_timing(clocks, servos)
     said += _of_seats(arm, comparison, suspect)
     if travel is not None and travel.linear:
         said.append(
@@ -73,6 +83,27 @@ def _of_model(comparison: ModelComparison) -> list[str]:
         "location and the probabilities below are less certain than stated; find the model error "
         "with 'loose gap', and diagnose with the corrected model"
     ]
+
+
+def _of_timing(clocks: Sequence[ClockOffset], servos: Sequence[ServoTiming]) -> list[str]:
+    said = []
+    for clock in clocks:
+        if clock.significant and abs(clock.seconds) > CLOCK_NOTED_S:
+            late = "late" if clock.seconds > 0 else "early"
+            said.append(
+                f"the accelerometers' clock is {abs(clock.seconds) * 1e3:.1f} ms {late} against "
+                f"the joints' sensors (standard deviation {clock.sd * 1e3:.2g} ms); the readings "
+                "were shifted by it: put both on one clock"
+            )
+    for servo in servos:
+        if abs(servo.delay_s) > SERVO_DELAY_NOTED_S:
+            late = "after" if servo.delay_s > 0 else "before"
+            band = "" if servo.bandwidth_hz is None else f", bandwidth {servo.bandwidth_hz:.0f} Hz"
+            said.append(
+                f"joint {servo.joint} moves {abs(servo.delay_s) * 1e3:.1f} ms {late} what the "
+                f"model makes of its commands (servo delay or gains{band})"
+            )
+    return said
 
 
 def _of_seats(

@@ -106,11 +106,17 @@ LARGEST_CLOCK_OFFSET_S = 0.02
 CLOCK_NOTED_S = 0.0005
 """Clock offset from which a verdict is not settled [s]: at 100 Hz it turns the phase by 18
 degrees."""
+SERVO_DELAY_NOTED_S = 0.0005
+"""Delay of a joint's motion against the model's from which the reader is told [s]."""
 CORRELATION_HZ = 12.0
 """Width over which model errors are alike [Hz]: lines closer than that count as one."""
 RUN_OUTLIER = 0.007
 """Probability that a run was disturbed by something outside all hypotheses: no run alone can rule
 one out by more than 5 nats."""
+MISMATCH = 0.2
+"""Misfit above which the model is not that of the arm: a location it names may be wrong."""
+SETTLED_CONE_DEG = 30.0
+"""Half opening of the direction's cone above which a fault is not settled [deg]."""
 COARSENED_MISFIT = 0.1
 """Misfit at which a record counts half: likelihoods of a wrong model are raised to a power
 (coarsened posterior; Miller and Dunson, JASA 114, 2019)."""

@@ -1,0 +1,86 @@
+"""Verdict of a diagnosis: healthy, faulty, open, or a model that is not the arm's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from loose_env.instrument.inference.direction_cones import cone
+from loose_env.instrument.inference.posterior import ModelComparison
+from loose_env.instrument.inference.timing import ClockOffset
+from loose_env.instrument.result import HEALTHY, VerdictKind
+from loose_env.instrument.settings.thresholds import (
+    CLOCK_NOTED_S,
+    LEAST_RUNS,
+    MISMATCH,
+    SETTLED_CONE_DEG,
+)
+
+__all__ = ["Verdict", "verdict_of"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """Verdict, and reasons why it is not settled."""
+
+    kind: VerdictKind
+    reasons: tuple[str, ...] = ()
+
+
+def verdict_of(
+    comparison: ModelComparison, clocks: Sequence[ClockOffset], *, sure: float
+) -> Verdict:
+    """Decide whether a diagnosis is settled.
+
+    Parameters
+    ----------
+    comparison : ModelComparison
+        Posterior over all runs.
+    clocks : sequence of ClockOffset
+        Estimated offsets of the accelerometers' clocks.
+    sure : float
+        Probability from which a hypothesis is settled.
+    """
+    best = comparison.best
+    probability = comparison.posterior[best]
+    suspect = [one.number for one in comparison.lines if not one.healthy]
+    paired = any(one.beside is not None for one in comparison.lines)
+    blocked: list[str] = []
+    misfit = comparison.misfit
+    if misfit > MISMATCH:
+        blocked.append(
+            f"the model leaves {misfit:.0%} of the tool's motion unexplained; at most "
+            f"{MISMATCH:.0%} is allowed"
+        )
+    for clock in clocks:
+        if clock.significant and abs(clock.seconds) > CLOCK_NOTED_S:
+            late = "late" if clock.seconds > 0 else "early"
+            blocked.append(
+                f"the accelerometers' clock is {abs(clock.seconds) * 1e3:.1f} ms {late}; it was "
+                "corrected by an estimate"
+            )
+    if best != HEALTHY:
+        _, half = cone(comparison.fits[best])
+        if best.startswith("structural") and (half is None or half > SETTLED_CONE_DEG):
+            blocked.append(
+                f"the direction of the slide is known no better than {SETTLED_CONE_DEG:g} degrees"
+            )
+    if len(suspect) < LEAST_RUNS:
+        blocked.append(f"{len(suspect)} run of the arm under test; {LEAST_RUNS} are needed")
+    elif probability > sure and _rests_on_one(comparison, best, suspect):
+        blocked.append("the probability rests on one run: without it another cause is as likely")
+    if misfit > MISMATCH and not paired:
+        return Verdict(kind="model_mismatch", reasons=tuple(blocked))
+    if probability <= sure:
+        blocked.insert(0, f"the probability of {best} is {probability:.3f}; {sure:g} is needed")
+    if blocked:
+        return Verdict(kind="open", reasons=tuple(blocked))
+    return Verdict(kind="healthy" if best == HEALTHY else "faulty")
+
+
+def _rests_on_one(comparison: ModelComparison, best: str, suspect: Sequence[int]) -> bool:
+    """True if without some run the best hypothesis is no more likely than all others."""
+    return any(
+        comparison.after([run for run in suspect if run != left_out])[best] < 0.5
+        for left_out in suspect
+    )
