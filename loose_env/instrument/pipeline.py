@@ -146,7 +146,7 @@ class Workbench:
                 travel,
                 clocks=clocks,
                 servos=servo_timing(self.uncertain, lines),
-            ),  # fmt: skip
+            ),
             records=records,
             model=self.arm.path.name,
             settings=asdict(self.settings),

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.frequency_response import Response, respond
@@ -150,7 +151,7 @@ def _nominal(uncertain: UncertainArm, lines: Lines) -> Response:
     return respond(uncertain.at(lines.pose), lines, np.zeros(len(uncertain.names)))
 
 
-def _measured_motion(response: Response) -> tuple[ComplexArray, Array]:
+def _measured_motion(response: Response) -> tuple[ComplexArray, NDArray[np.bool_]]:
     """Motion of the joints by their sensors (K, n), and mask of lines above noise (K, n)."""
     lines, n = response.lines, response.at.of.arm.n
     s = 2j * np.pi * lines.frequency
@@ -164,7 +165,7 @@ def _measured_motion(response: Response) -> tuple[ComplexArray, Array]:
         value = lines.readings[:, k] / scale
         motion[better, reading.at] = value[better]
         error[better, reading.at] = noise[better]
-    return motion, np.abs(motion) ** 2 > _SIGNAL * error
+    return motion, np.asarray(np.abs(motion) ** 2 > _SIGNAL * error)
 
 
 def _cross_spectrum(uncertain: UncertainArm, lines: Lines) -> ComplexArray | None:
@@ -185,7 +186,9 @@ def _cross_spectrum(uncertain: UncertainArm, lines: Lines) -> ComplexArray | Non
     return np.asarray(np.where(excited, cross / np.maximum(size, 1e-300), 0.0))
 
 
-def _bandwidth(response: Response, measured: ComplexArray, used: Array, joint: int) -> float | None:
+def _bandwidth(
+    response: Response, measured: ComplexArray, used: NDArray[np.bool_], joint: int
+) -> float | None:
     """Frequency at which the smoothed answer falls to 0.71 of the command [Hz]."""
     lines, drives = response.lines, response.at.of.arm.actuators
     if not drives.stiffness[joint] > 0:
