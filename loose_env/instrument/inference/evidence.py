@@ -23,7 +23,7 @@ from loose_env.instrument.inference.frequency_response import Response, respond
 from loose_env.instrument.inference.opening_probability import open_probability
 from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.inference.variance_components import ComponentIndex
-from loose_env.instrument.settings.thresholds import CORRELATION_HZ
+from loose_env.instrument.settings.thresholds import CORRELATION_HZ, OPEN_SEAT_SHARE
 from loose_env.typing import Array, ComplexArray
 
 __all__ = [
@@ -48,10 +48,8 @@ _FOLDS = 0.05
 """Frequency over the sampling rate at which sampling without a filter doubles the error."""
 _STUCK = 0.03
 """Share of a floating seat's motion below which it does not follow a sudden force either [1]."""
-_OPEN_WEIGHT = (SHARES > 0.1) / np.sum(SHARES > 0.1)
+_OPEN_WEIGHT = (SHARES > OPEN_SEAT_SHARE) / np.sum(SHARES > OPEN_SEAT_SHARE)
 """Prior of the share of an open seat."""
-_SHUT_WEIGHT = (SHARES <= 1.0) / np.sum(SHARES <= 1.0)
-"""Prior of the share of a shut seat."""
 _SPREAD = 1.0
 """Standard deviation of the log share of a band about that of its run."""
 _NEAR = np.exp(-0.5 * (np.log(SHARES[:, None] / SHARES) / _SPREAD) ** 2)
@@ -132,7 +130,7 @@ class Evidence:
         n = self.uncertain.arm.n
         for one in self.lines:
             response = respond(self.uncertain.at(one.pose), one, none)
-            load, mass = response.across_seat(np.arange(3 * n, 7 * n))
+            load, mass = response.across_seat(np.arange(7 * n))
             own = np.abs(np.diagonal(mass, axis1=1, axis2=2))
             floating = np.abs(load) / np.maximum(own, 1e-12)
             power = np.concatenate([np.abs(response.drive_force()), floating], axis=1) ** 2
@@ -174,8 +172,7 @@ class Evidence:
             folded = one.folded * (one.frequency * one.period / _FOLDS) ** 2
             power = (1 + folded)[:, None] ** 2 * one.power
             of = self.uncertain
-            columns = response.columns[:, :, of.plays[0] :]
-            patterns = np.concatenate([response.joint_columns(), columns], axis=2)
+            patterns = np.concatenate([response.joint_columns(), response.columns], axis=2)
             patterns = patterns * amplitude[:, None, :]
             components = self.index.columns(one.number, change=change)
             reading = self.index.reading(change=change)
@@ -226,15 +223,14 @@ class Evidence:
         ndarray (U,)
             Log-likelihood, shares and openness summed out.
         """
-        by_run = self.run_terms(pieces, seat, axes)
-        if not by_run:
-            return np.zeros(len(axes))
-        total = np.sum(list(by_run.values()), axis=0)
-        top = total.max(axis=1, keepdims=True)
-        return np.asarray(np.log(np.exp(total - top) @ _SHUT_WEIGHT) + top[:, 0])
+        terms = self.run_terms(pieces, seat, axes)
+        return np.asarray(sum(terms.values(), start=np.zeros(len(axes))))
 
     def run_terms(self, pieces: Sequence[Piece], seat: Seat, axes: Array) -> dict[int, Array]:
-        """Log-likelihood ratio by run, axis and share of a seat that is shut (U, shares)."""
+        """Log-likelihood ratio of a seat by run and axis (U,).
+
+        A seat that stays shut in a run moves no more than a tight one.
+        """
         by_run: dict[int, list[Array]] = {}
         opening: dict[int, Array] = {}
         for piece in pieces:
@@ -250,10 +246,10 @@ class Evidence:
                 most = term.max(axis=2, keepdims=True)
                 inside = np.exp(term - most) @ _NEAR.T
                 level += (np.log(inside) + most).sum(axis=1)
-            top = level.max(axis=1, keepdims=True)
-            opened = np.log(np.exp(level - top) @ _OPEN_WEIGHT) + top[:, 0]
+            top = level.max(axis=1)
+            opened = np.log(np.exp(level - top[:, None]) @ _OPEN_WEIGHT) + top
             p = opening[run]
-            found[run] = np.logaddexp((np.log(p) + opened)[:, None], np.log(1 - p)[:, None] + level)
+            found[run] = np.logaddexp(np.log(p) + opened, np.log(1 - p))
         return found
 
 

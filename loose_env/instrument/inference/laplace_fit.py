@@ -207,11 +207,8 @@ def _by_run(
         number = piece.lines.number
         value[number] = value.get(number, 0.0) + piece.base
     if seat is not None and now.axis is not None:
-        terms = evidence.run_terms(now.pieces, seat, now.axis[None])
-        if terms:
-            level = int(np.argmax(np.sum([term[0] for term in terms.values()], axis=0)))
-            for number, term in terms.items():
-                value[number] += float(term[0, level])
+        for number, term in evidence.run_terms(now.pieces, seat, now.axis[None]).items():
+            value[number] += float(term[0])
     found = {}
     for number, log_likelihood in value.items():
         left, whole = np.sum(system.misfit[number], axis=0)

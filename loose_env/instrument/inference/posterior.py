@@ -15,7 +15,7 @@ from loose_env.instrument.result import HEALTHY
 from loose_env.instrument.settings.thresholds import (
     COARSENED_MISFIT,
     REFINED_WITHIN,
-    RUN_OUTLIER,
+    RUN_INFLUENCE,
     UNEXPLAINED,
 )
 from loose_env.typing import Array
@@ -196,11 +196,11 @@ def posterior_of(
 ) -> dict[str, float]:
     """Probabilities of all hypotheses from their fits, for models that are not exact.
 
-    A run may have been disturbed by something outside all hypotheses, with the probability
-    ``RUN_OUTLIER``; then it says nothing. Likelihoods against the model are raised to the power
-    1 / (1 + (misfit / COARSENED_MISFIT)²): a coarsened posterior. A run beside the same run of the
-    healthy arm needs no model to tell whether anything has changed, and counts in full for that;
-    where it has changed is the model's to say.
+    A run may have been disturbed by something outside all hypotheses: its log-likelihood ratio to
+    the best hypothesis is bounded by ``RUN_INFLUENCE``. Likelihoods against the model are raised to
+    the power 1 / (1 + (misfit / COARSENED_MISFIT)²): a coarsened posterior. A run beside the same
+    run of the healthy arm needs no model to tell whether anything has changed, and counts in full
+    for that; where it has changed is the model's to say.
 
     Parameters
     ----------
@@ -217,9 +217,8 @@ def posterior_of(
     """
     best = max(fits.values(), key=lambda fit: fit.evidence)
     terms = {name: _by_run(fit, [one.number for one in lines]) for name, fit in fits.items()}
-    top = np.max(list(terms.values()), axis=0, initial=-np.inf)
-    least = np.log(RUN_OUTLIER)
-    behind = {name: np.logaddexp(values - top, least) for name, values in terms.items()}
+    first, most = terms[best.hypothesis], RUN_INFLUENCE
+    behind = {name: most * np.tanh((values - first) / most) for name, values in terms.items()}
     of_model = _mean_misfit(best, [one.number for one in lines if one.beside is None])
     of_pairs = _mean_misfit(best, [one.number for one in lines if one.beside is not None])
     power = 1 / (1 + (max(of_model, of_pairs) / COARSENED_MISFIT) ** 2)

@@ -2,10 +2,11 @@
 
 What a model cannot have is an unknown force or motion at a known location, correlated over
 channels: a force at a joint (friction, servo, saturation), a turn between a joint's sensor and its
-link (gear elasticity), a bending of a link, and an error of the readings themselves. Each enters
-the covariance of a run's lines as variance times a known pattern. The variances are those of
-highest posterior density under half-Cauchy priors of their standard deviations, found by
-multiplicative minorise-maximise steps (Zhou, Hu, Zhou and Lange, J. Comput. Graph. Stat. 28, 2019).
+link (gear elasticity), a bending or a slide of a link at its seat (tight connections give a little
+too), and an error of the readings themselves. Each enters the covariance of a run's lines as
+variance times a known pattern. The variances are those of highest posterior density under
+half-Cauchy priors of their standard deviations, found by multiplicative minorise-maximise steps
+(Zhou, Hu, Zhou and Lange, J. Comput. Graph. Stat. 28, 2019).
 
 Two groups are told apart: errors of the model, and what changes between a run and the same run of
 the healthy arm.
@@ -29,6 +30,8 @@ from loose_env.instrument.settings.thresholds import (
     GEAR_TURN_SD,
     READING_CHANGE_SD,
     READING_SD,
+    SEAT_SLIDE_CHANGE_SD,
+    SEAT_SLIDE_SD,
 )
 from loose_env.typing import Array
 
@@ -62,23 +65,28 @@ class ComponentIndex:
     def scales(self) -> Array:
         """Scale of each standard deviation's half-Cauchy prior (C,) [1]."""
         n = self._joints
-        count = [n * self.runs, n, n, 1]
-        model = np.repeat([DRIVE_SD, GEAR_TURN_SD, BENDING_SD, READING_SD], count)
-        change = np.repeat(
-            [DRIVE_CHANGE_SD, GEAR_TURN_CHANGE_SD, BENDING_CHANGE_SD, READING_CHANGE_SD], count
-        )
-        return np.concatenate([model, change])
+        count = [n * self.runs, n, n, n, 1]
+        model = [DRIVE_SD, GEAR_TURN_SD, BENDING_SD, SEAT_SLIDE_SD, READING_SD]
+        change = [
+            DRIVE_CHANGE_SD,
+            GEAR_TURN_CHANGE_SD,
+            BENDING_CHANGE_SD,
+            SEAT_SLIDE_CHANGE_SD,
+            READING_CHANGE_SD,
+        ]
+        return np.concatenate([np.repeat(model, count), np.repeat(change, count)])
 
     def columns(self, run: int, *, change: bool) -> NDArray[np.intp]:
-        """Component of each pattern of a run: n forces, n turns, 3 n bendings (5 n,)."""
+        """Component of each pattern of a run (8 n,): forces, 3 n slides, turns, 3 n bendings."""
         n = self._joints
         first = len(self.scales) // 2 if change else 0
-        shared = first + n * self.runs
+        turns = first + n * self.runs + np.arange(n)
         return np.concatenate(
             [
                 first + n * run + np.arange(n),
-                shared + np.arange(n),
-                shared + n + np.repeat(np.arange(n), 3),
+                np.repeat(turns + 2 * n, 3),
+                turns,
+                np.repeat(turns + n, 3),
             ]
         ).astype(np.intp)
 

@@ -65,6 +65,8 @@ MENTIONED = 0.02
 """Probability below which a plan does not mention a hypothesis [probability]."""
 REFINED_WITHIN = 120.0
 """Log-evidence behind the best coarse fit, up to which a hypothesis is fitted to more lines."""
+OPEN_SEAT_SHARE = 0.03
+"""Motion of a seat over that of a floating one, from which it is open: tight ones give less."""
 OPENING_FORCE = 0.6
 """Rms force over static load at which a seat begins to open: peaks open it, not the rms."""
 AVERAGED_DIRECTION_SD = 0.15
@@ -88,6 +90,8 @@ GEAR_TURN_SD = 0.03
 """Turn between a joint's sensor and its link over that of a floating link: gears give a little."""
 BENDING_SD = 0.01
 """Bending of a link at its seat over that of a floating link: links and flanges are stiff."""
+SEAT_SLIDE_SD = 0.005
+"""Slide of a link at its tight seat over that of a floating link: bolted flanges give a little."""
 READING_SD = 0.01
 """Error of a reading over its motion: what no component of the arm explains."""
 DRIVE_CHANGE_SD = 0.02
@@ -97,6 +101,8 @@ GEAR_TURN_CHANGE_SD = 0.003
 """The same of the turn: the gear is the same one."""
 BENDING_CHANGE_SD = 0.001
 """The same of the bending: the links are the same ones."""
+SEAT_SLIDE_CHANGE_SD = 0.001
+"""The same of the slide: the flange is the same one."""
 READING_CHANGE_SD = 0.003
 """The same of the readings: poses are repeated to within a few thousandths of their range."""
 CLOCK_Z = 4.0
@@ -110,9 +116,9 @@ SERVO_DELAY_NOTED_S = 0.0005
 """Delay of a joint's motion against the model's from which the reader is told [s]."""
 CORRELATION_HZ = 12.0
 """Width over which model errors are alike [Hz]: lines closer than that count as one."""
-RUN_OUTLIER = 0.007
-"""Probability that a run was disturbed by something outside all hypotheses: no run alone can rule
-one out by more than 5 nats."""
+RUN_INFLUENCE = 5.0
+"""Largest log-likelihood ratio of one run [nats]: with a probability of 0.7 % something outside all
+hypotheses disturbed it."""
 MISMATCH = 0.2
 """Misfit above which the model is not that of the arm: a location it names may be wrong."""
 SETTLED_CONE_DEG = 30.0
