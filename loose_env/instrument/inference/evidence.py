@@ -182,13 +182,15 @@ class Evidence:
             covariance = scaled @ scaled.conj().swapaxes(1, 2)
             channel = np.arange(covariance.shape[1])
             covariance[:, channel, channel] += noise + variances[reading] * power
-            weight = np.linalg.inv(covariance)
+            # Readings have units: each is taken over its own standard deviation.
+            unit = 1 / np.sqrt(covariance[:, channel, channel].real)
+            units = unit[:, :, None] * unit[:, None, :]
+            weight = units * np.linalg.inv(units * covariance)
             residual = response.residual
             weighted = (weight @ residual[:, :, None])[:, :, 0]
             misfit = np.sum(residual.conj() * weighted, axis=1).real
-            # Readings have units: the determinant is taken against their noise.
-            relative = covariance / np.sqrt(noise[:, :, None] * noise[:, None, :])
-            size_of = np.linalg.slogdet(relative)[1]
+            size_of = np.linalg.slogdet(units * covariance)[1]
+            size_of -= np.sum(np.log(unit**2 * noise), axis=1)
             temper = min(one.independent / 1.1, one.spacing / self.correlation)
             count = len(one.frequency)
             found.append(

@@ -16,7 +16,7 @@ from loose_env.instrument.inference.evidence import (
     band_terms,
     seat_powers,
 )
-from loose_env.instrument.inference.variance_components import updated
+from loose_env.instrument.inference.variance_components import updated, within_bounds
 from loose_env.instrument.settings.thresholds import AVERAGED_DIRECTION_SD
 from loose_env.statistics import axes_grid, tangents
 from loose_env.typing import Array, ComplexArray
@@ -189,9 +189,9 @@ def _rescaled(evidence: Evidence, seat: Seat | None, now: _State, system: _Syste
     """Variances after a step toward those of highest posterior density."""
     index = evidence.index
     better = updated(now.variances, index.scales, system.explained, system.expected)
-    # Twice the step, where that is better still: steps are safe, but short.
-    for power in (2.0, 1.0):
-        trial = now.variances * (better / now.variances) ** power
+    # Longer steps where they are better still: single ones are safe, but short.
+    for power in (6.0, 2.0, 1.0):
+        trial = within_bounds(now.variances * (better / now.variances) ** power, index.scales)
         state = _state(evidence, seat, now.errors, trial, now.axis)
         if state.cost > now.cost:
             return state

@@ -122,6 +122,7 @@ def compare_hypotheses(
             name: fit_hypothesis(fine, name, seats[name], start=fits[name], steps=_FINE_STEPS)
             for name in likely
         }
+        again[HEALTHY] = _as_far_as_others(fine, again)
         # Hypotheses that were left out keep their distance from the best of those looked at.
         fits = {
             name: again[name] if name in again else _shifted(fit, first, again[order[0]])
@@ -157,12 +158,22 @@ def _first_look(
         if fit.evidence > other.evidence:
             evidence, healthy = stepped, fit
     fits = {
-        name: healthy
-        if seat is None
-        else fit_hypothesis(evidence, name, seat, start=healthy, steps=_COARSE_STEPS)
+        name: fit_hypothesis(evidence, name, seat, start=healthy, steps=_COARSE_STEPS)
         for name, seat in seats.items()
     }
     return evidence, fits
+
+
+def _as_far_as_others(evidence: Evidence, fits: Mapping[str, Fit]) -> Fit:
+    """Fit of the healthy arm, from the parameters of the best fault too.
+
+    Every fault fits as well as no fault where its seat is shut: a search that ended early must not
+    count against the healthy arm.
+    """
+    own = fits[HEALTHY]
+    best = max(fits.values(), key=lambda fit: fit.evidence)
+    other = fit_hypothesis(evidence, HEALTHY, None, start=best, steps=_FINE_STEPS)
+    return max((own, other), key=lambda fit: fit.evidence)
 
 
 def _as_sampled(lines: Lines, sampled: float, folded: float) -> Lines:

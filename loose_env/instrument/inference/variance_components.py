@@ -35,8 +35,10 @@ from loose_env.instrument.settings.thresholds import (
 )
 from loose_env.typing import Array
 
-__all__ = ["ComponentIndex", "updated"]
+__all__ = ["ComponentIndex", "updated", "within_bounds"]
 
+_MOST = 10.0
+"""Largest standard deviation of a component [1]: nothing of the pattern is known then."""
 _LEAST = 1e-2
 """Smallest standard deviation of a component over the scale of its prior [1]: a variance of zero
 would stay zero."""
@@ -99,6 +101,11 @@ class ComponentIndex:
         return -float(np.sum(np.log1p(variances / self.scales**2)))
 
 
+def within_bounds(variances: Array, scales: Array) -> Array:
+    """Variances not below the smallest and not above the largest that are used (C,)."""
+    return np.asarray(np.clip(variances, (_LEAST * scales) ** 2, _MOST**2))
+
+
 def updated(variances: Array, scales: Array, explained: Array, expected: Array) -> Array:
     """One minorise-maximise step of all variances.
 
@@ -124,4 +131,4 @@ def updated(variances: Array, scales: Array, explained: Array, expected: Array) 
     2.0
     """
     step = np.sqrt(explained / (expected + 1 / (scales**2 + variances)))
-    return np.asarray(np.maximum(variances * step, (_LEAST * scales) ** 2))
+    return np.asarray(variances * step)
