@@ -148,20 +148,33 @@ def _first_look(
         taken = [_as_sampled(one, sampled, folded) for one in few]
         return Evidence(uncertain=uncertain, lines=taken)
 
-    evidence = of(0.0, 0.0)
-    healthy = fit_hypothesis(evidence, HEALTHY, None, steps=_FIRST_STEPS)
-    if lines and any(np.any(one.command) for one in lines):
-        stepped, alike = of(1.0, 1.0), of(0.0, 1.0)
-        # Compared with the same allowance for errors, or the wider one would pay for it.
-        fit = fit_hypothesis(stepped, HEALTHY, None, start=healthy, steps=_COARSE_STEPS)
-        other = fit_hypothesis(alike, HEALTHY, None, start=healthy, steps=_COARSE_STEPS)
-        if fit.evidence > other.evidence:
-            evidence, healthy = stepped, fit
-    fits = {
-        name: fit_hypothesis(evidence, name, seat, start=healthy, steps=_COARSE_STEPS)
-        for name, seat in seats.items()
-    }
-    return evidence, fits
+    def fits_of(evidence: Evidence, start: Fit) -> dict[str, Fit]:
+        return {
+            name: fit_hypothesis(evidence, name, seat, start=start, steps=_COARSE_STEPS)
+            for name, seat in seats.items()
+        }
+
+    filtered = of(0.0, 0.0)
+    healthy = fit_hypothesis(filtered, HEALTHY, None, steps=_FIRST_STEPS)
+    fits = fits_of(filtered, healthy)
+    if not lines or not any(np.any(one.command) for one in lines):
+        return filtered, fits
+    # Compared with the same allowance for errors, or the wider one would pay for it.
+    stepped, alike = of(1.0, 1.0), of(0.0, 1.0)
+    probed = {HEALTHY, max(fits, key=lambda name: fits[name].evidence)}
+    best = [
+        max(
+            fit_hypothesis(
+                evidence, name, seats[name], start=fits[name], steps=_COARSE_STEPS
+            ).evidence
+            for name in probed
+        )
+        for evidence in (stepped, alike)
+    ]
+    if best[0] <= best[1]:
+        return filtered, fits
+    healthy = fit_hypothesis(stepped, HEALTHY, None, start=healthy, steps=_FIRST_STEPS)
+    return stepped, fits_of(stepped, healthy)
 
 
 def _as_far_as_others(evidence: Evidence, fits: Mapping[str, Fit]) -> Fit:
