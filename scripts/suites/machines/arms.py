@@ -135,7 +135,7 @@ def _driven(arm: Arm, rng: np.random.Generator) -> Arm:
         inertia = np.maximum(inertia, np.diag(_inertia(model, data)))
     share = np.geomspace(rng.uniform(1.0, 2.0), rng.uniform(0.3, 0.8), n)
     armature = share * inertia
-    limit = 1.5 * weight + rng.uniform(15.0, 40.0) * (inertia + armature)
+    limit = 1.5 * weight + rng.uniform(40.0, 120.0) * (inertia + armature)
     damping = rng.uniform(0.005, 0.03, n) * limit
     return dataclasses.replace(arm, armature=armature, limit=limit, damping=damping)
 
@@ -229,7 +229,8 @@ def true_xml(arm: Arm, extras: Extras) -> str:
             f'damping="{arm.damping[i]:.10g}"/>'
         )
         if extras.gears:
-            lines.append(f'<joint name="gear{i + 1}" axis="{axis}"/>')
+            inside = 0.05 * arm.armature[i]  # of the gear itself: play behind it needs some
+            lines.append(f'<joint name="gear{i + 1}" axis="{axis}" armature="{inside:.8g}"/>')
         if fault is not None and fault.link == i:
             kind = "slide" if fault.kind == "structural_looseness" else "hinge"
             width = fault.gap / 10

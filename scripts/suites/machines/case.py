@@ -25,7 +25,9 @@ OPENS = 0.05
 """Change of the tool's motion by a fault over the motion, from which the fault opens."""
 GAPS = {"structural_looseness": (3e-5, 4e-4), "backlash": (3e-4, 3e-3)}
 """Free travel [m, rad], log-uniform."""
-SHARES = (0.04, 0.3)
+FIRST_LINK = 0.3
+"""Probability of the first link over that of another: the whole arm's weight keeps it shut."""
+SHARES = (0.08, 0.3)
 """Rms torque of the excitation over the limit, log-uniform."""
 MOST_TOOL = 15.0
 """Rms acceleration of the tool that a plan would ask for at most [m/s²]."""
@@ -125,13 +127,20 @@ class CaseMade:
     """Change of the tool's motion by the fault over the motion, by suspect run."""
     travel: tuple[float, ...]
     """Rms motion of the loose seat over its free travel, by suspect run."""
+    share: tuple[float, ...]
+    """Rms acceleration of the tool by the seat's motion alone over that of the tool, by run."""
     attempts: int
     """Draws of gains and level that it took."""
 
     @property
     def opens(self) -> bool:
-        """True if the fault shows in the tool's motion in one run at least."""
-        return any(change > OPENS for change in self.change)
+        """True if in one run at least the seat moves the tool and removing it changes that."""
+        return self.opened > 0
+
+    @property
+    def opened(self) -> int:
+        """Suspect runs in which the fault opens."""
+        return sum(min(pair) > OPENS for pair in zip(self.change, self.share, strict=True))
 
 
 def draw(
@@ -210,7 +219,7 @@ def _play(case: Case, attempt: int) -> CaseMade:
         case.arm, case.disturbances, None, [*seed, 1]
     )  # fmt: skip
     recorder = Recorder(case.rate, case.disturbances, speeds=case.speeds, seed=[*seed, 2])
-    references, suspects, change, travel = [], [], [], []
+    references, suspects, change, travel, share = [], [], [], [], []
     size = case.disturbances.size
     for i, plan in enumerate(case.plans):
         for session in (0, 1):
@@ -238,9 +247,10 @@ def _play(case: Case, attempt: int) -> CaseMade:
                 without, _ = _run(case, sound, plan, pose, friction)
                 change.append(_change(played, without))
                 travel.append(_travel(played, case.fault))
+                share.append(_share(machine, played, without, pose))
     return CaseMade(
         case=case, runs=(*references, *suspects), change=tuple(change), travel=tuple(travel),
-        attempts=attempt + 1,
+        share=tuple(share), attempts=attempt + 1,
     )  # fmt: skip
 
 
@@ -263,12 +273,14 @@ def _run(
 
 def _draw_fault(arm: Arm, rng: np.random.Generator) -> Fault:
     kind = "structural_looseness" if rng.random() < 2 / 3 else "backlash"
-    link = int(rng.integers(arm.joints))
+    weights = np.ones(arm.joints)
+    weights[0] = FIRST_LINK
+    link = int(rng.choice(arm.joints, p=weights / weights.sum()))
     gap = float(np.exp(rng.uniform(*np.log(GAPS[kind]))))
     direction = rng.normal(size=3)
     direction /= np.linalg.norm(direction)
     stop = float(rng.uniform(3e-4, 6e-4))
-    friction = float(np.exp(rng.uniform(np.log(0.3), np.log(8.0))))
+    friction = float(np.exp(rng.uniform(np.log(0.2), np.log(5.0))))
     if kind == "backlash":
         direction = arm.axes[link]
         friction = float(np.exp(rng.uniform(np.log(1e-4), np.log(3e-3))) * arm.limit[link])
@@ -345,14 +357,26 @@ def _weight(arm: Arm, pose: Array) -> Array:
     return np.array(data.qfrc_bias)
 
 
-def _change(loose: Played, sound: Played) -> float:
-    """Change of the tool's motion by the fault over the motion, below 200 Hz."""
+def _shaken(values: Array) -> Array:
+    """Recorded part of a motion, its mean removed, below 200 Hz."""
     begin = round((SETTLE + RISE) / STEP)
     sos = signal.butter(4, 200.0, fs=1 / STEP, output="sos")
-    a = signal.sosfiltfilt(sos, loose.acceleration[begin:], axis=0)
-    b = signal.sosfiltfilt(sos, sound.acceleration[begin:], axis=0)
-    change = (a - a.mean(axis=0)) - (b - b.mean(axis=0))
-    return float(np.sqrt(np.mean(change**2) / np.mean((b - b.mean(axis=0)) ** 2)))
+    kept = signal.sosfiltfilt(sos, values[begin:], axis=0)
+    return np.asarray(kept - kept.mean(axis=0))
+
+
+def _change(loose: Played, sound: Played) -> float:
+    """Change of the tool's motion by the fault over the motion."""
+    a, b = _shaken(loose.acceleration), _shaken(sound.acceleration)
+    return float(np.sqrt(np.mean((a - b) ** 2) / np.mean(b**2)))
+
+
+def _share(machine: Machine, loose: Played, sound: Played, pose: Array) -> float:
+    """Acceleration of the tool by the motion in the seat over its acceleration without."""
+    lever = machine.lever(pose)
+    moved = _shaken(np.gradient(np.gradient(loose.seat, STEP), STEP))
+    b = _shaken(sound.acceleration)
+    return float(lever * moved.std() / np.sqrt(np.mean(np.sum(b**2, axis=1))))
 
 
 def _travel(loose: Played, fault: Fault) -> float:

@@ -15,6 +15,8 @@ MOST_TURNED = 0.1
 """Departure of a joint from its pose above which a run is unstable [rad]."""
 MOST_CHATTER = 0.05
 """Rms torque of a servo at rest over the limit, above which its loop is unstable."""
+LOOK = 64
+"""Steps between looks at the pose."""
 
 
 class Unstable(Exception):
@@ -224,6 +226,8 @@ class Machine:
                     true = data.qvel[addresses]
                     loss = coulomb * (1 + excess * np.exp(-((true / slow) ** 2)))
                     model.dof_frictionloss[addresses] = loss + load * np.abs(data.ctrl)
+            if k % LOOK == 0 and not np.abs(data.qpos[self.motor_q] - pose).max() < MOST_TURNED:
+                raise Unstable(f"a joint left its pose by more than {MOST_TURNED:g} rad")
             step(model, data)
             read[k] = data.sensordata
             told[k] = torque
@@ -237,6 +241,15 @@ class Machine:
         )
         self._check(played, pose, settle)
         return played
+
+    def lever(self, pose: Array) -> float:
+        """Motion of the tool per motion in the loose seat [1, m/rad]."""
+        data = mujoco.MjData(self.model)
+        data.qpos[self.motor_q] = pose
+        mujoco.mj_forward(self.model, data)
+        jacobian = np.zeros((3, self.model.nv))
+        mujoco.mj_jacSite(self.model, data, jacobian, None, self.model.site("tool").id)
+        return float(np.linalg.norm(jacobian[:, self.model.joint("seat").dofadr[0]]))
 
     def _measured(self, data: mujoco.MjData) -> Array:
         q: Array = data.qpos[self.motor_q]
