@@ -31,6 +31,8 @@ SHARES = (0.08, 0.3)
 """Rms torque of the excitation over the limit, log-uniform."""
 MOST_TOOL = 15.0
 """Rms acceleration of the tool that a plan would ask for at most [m/s²]."""
+PEAK, CREST = 0.9, 3.5
+"""Peak torque over the limit, and over its rms, that a plan would allow."""
 SETTLE, RISE = 0.4, 0.15
 """Time at rest, and of the rising noise, before the record begins [s]."""
 AFTER = 0.02
@@ -319,6 +321,8 @@ def _draw_plans(
         noise = _noise(band, count, rng)
         torque = share * arm.limit[joint]
         torque *= min(1.0, MOST_TOOL / max(_moved(arm, pose, joint) * torque, 1e-9))
+        spare = PEAK * arm.limit[joint] - abs(_weight(arm, pose)[joint])
+        torque = max(min(torque, spare / CREST), 0.02 * arm.limit[joint])
         level = quiet * torque / (arm.kp[joint] if arm.servoed else 1.0)
         plans.append(RunPlan(pose=pose, joint=joint, noise=noise, level=level))
     return tuple(plans)

@@ -141,7 +141,7 @@ class Machine:
     def _servo(self, rng: np.random.Generator, spread: Array) -> Servo:
         nominal, size, n = self.nominal, self.disturbances.size, self.nominal.joints
         wanted = size("sampled_servo", "rate", 1 / STEP)
-        every = 2 ** round(np.log2(1 / STEP / wanted))
+        every = max(2 ** round(np.log2(1 / STEP / wanted)), 2)
         bits = size("encoder_quantisation", "bits")
         cutoff = size("velocity_filter", "cutoff", 400.0 if bits else np.inf)
         off = size("servo_gains", "relative")
@@ -219,7 +219,7 @@ class Machine:
                 torque = kp * (target - measured) - kv * velocity + rest
                 if not position:
                     torque[joint] += shaken[k]
-                torque = np.clip(torque, -limit, limit)
+                torque = np.minimum(np.maximum(torque, -limit), limit)
                 waiting.append(torque)
                 data.ctrl[:] = servo.constant * waiting.popleft()
                 if varying:
