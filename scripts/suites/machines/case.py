@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import mujoco
 import numpy as np
@@ -31,6 +32,9 @@ SHARES = (0.08, 0.3)
 """Rms torque of the excitation over the limit, log-uniform."""
 MOST_TOOL = 15.0
 """Rms acceleration of the tool that a plan would ask for at most [m/s²]."""
+CHOSEN, CANDIDATES = 0.6, 30
+"""Probability of a pose chosen among random ones, and their number: a plan chooses poses in which
+gravity leaves seats open. Healthy cases have the poses of a fault that is not there."""
 PEAK, CREST = 0.9, 3.5
 """Peak torque over the limit, and over its rms, that a plan would allow."""
 SETTLE, RISE = 0.4, 0.15
@@ -183,7 +187,7 @@ def draw(
     if not arm.servoed:
         hertz = rng.uniform(1.5, 4.0, n)
     arm = with_gains(arm, np.minimum(hertz, _fastest(disturbances)) * 0.7**attempt, ratio)
-    plans = _draw_plans(arm, disturbances, rate, settings, rng, 0.7**attempt)
+    plans = _draw_plans(arm, fault, disturbances, rate, settings, rng, 0.7**attempt)
     sound = number % 2 == 0 if healthy is None else healthy
     return Case(
         number=number, seed=seed, arm=arm, fault=None if sound else fault,
@@ -302,7 +306,7 @@ def _fastest(disturbances: Disturbances) -> float:
 
 
 def _draw_plans(
-    arm: Arm, disturbances: Disturbances, rate: float, settings: CaseSettings,
+    arm: Arm, fault: Fault, disturbances: Disturbances, rate: float, settings: CaseSettings,
     rng: np.random.Generator, quiet: float,
 ) -> tuple[RunPlan, ...]:  # fmt: skip
     servo = disturbances.size("sampled_servo", "rate", 1 / STEP)
@@ -313,10 +317,12 @@ def _draw_plans(
     joints = rng.permutation(n)[: max(1, settings.runs // settings.poses)]
     count = round((SETTLE + RISE + settings.seconds + AFTER) / STEP)
     plans: list[RunPlan] = []
+    load = _load(arm, fault)
     pose = np.zeros(n)
     for i in range(settings.runs):
         if i % len(joints) == 0:
-            pose = rng.uniform(-1.3, 1.3, n)
+            tried = CANDIDATES if rng.random() < CHOSEN else 1
+            pose = min(rng.uniform(-1.3, 1.3, (tried, n)), key=load)
         joint = int(joints[i % len(joints)])
         noise = _noise(band, count, rng)
         torque = share * arm.limit[joint]
@@ -326,6 +332,22 @@ def _draw_plans(
         level = quiet * torque / (arm.kp[joint] if arm.servoed else 1.0)
         plans.append(RunPlan(pose=pose, joint=joint, noise=noise, level=level))
     return tuple(plans)
+
+
+def _load(arm: Arm, fault: Fault) -> Callable[[Array], float]:
+    """Weight that keeps a fault shut, as a function of the pose; only its order counts."""
+    model = mujoco.MjModel.from_xml_string(nominal_xml(arm))
+    data = mujoco.MjData(model)
+    body = model.body(f"link{fault.link + 1}").id
+
+    def load(pose: Array) -> float:
+        data.qpos[:] = pose
+        mujoco.mj_forward(model, data)
+        if fault.kind == "backlash":
+            return float(abs(data.qfrc_bias[fault.link]))
+        return float(abs(data.xmat[body].reshape(3, 3)[2] @ fault.direction))
+
+    return load
 
 
 def _noise(band: tuple[float, float], count: int, rng: np.random.Generator) -> Array:
