@@ -9,9 +9,9 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
-from scripts.suites.machines.case import CaseSettings
 from scripts.suites.machines.disturbances import KINDS, ranges_table
 from scripts.suites.machines.grade import tables
+from scripts.suites.machines.plans import CaseSettings
 from scripts.suites.machines.run import Row, line_of, row_of
 
 SEED = 81_207

@@ -1,11 +1,9 @@
-"""Random draw of a case and its runs: machine, poses, signals, and what is true of them."""
+"""Random draw of a case and its recorded runs, and what is true of them."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 
-import mujoco
 import numpy as np
 from scipy import signal
 
@@ -20,6 +18,14 @@ from scripts.suites.machines.arms import (
 )
 from scripts.suites.machines.disturbances import Disturbances
 from scripts.suites.machines.machine import Machine, Played, Unstable
+from scripts.suites.machines.plans import (
+    RISE,
+    SETTLE,
+    CaseSettings,
+    RunPlan,
+    draw_plans,
+    weight_of,
+)
 from scripts.suites.machines.recorder import Recorder
 
 OPENS = 0.05
@@ -28,47 +34,8 @@ GAPS = {"structural_looseness": (3e-5, 4e-4), "backlash": (3e-4, 3e-3)}
 """Free travel [m, rad], log-uniform."""
 FIRST_LINK = 0.3
 """Probability of the first link over that of another: the whole arm's weight keeps it shut."""
-SHARES = (0.08, 0.3)
-"""Rms torque of the excitation over the limit, log-uniform."""
-MOST_TOOL = 15.0
-"""Rms acceleration of the tool that a plan would ask for at most [m/s²]."""
-CHOSEN, CANDIDATES = 0.6, 30
-"""Probability of a pose chosen among random ones, and their number: a plan chooses poses in which
-gravity leaves seats open. Healthy cases have the poses of a fault that is not there."""
-PEAK, CREST = 0.9, 3.5
-"""Peak torque over the limit, and over its rms, that a plan would allow."""
-SETTLE, RISE = 0.4, 0.15
-"""Time at rest, and of the rising noise, before the record begins [s]."""
-AFTER = 0.02
-"""Time simulated after the record [s]."""
 ATTEMPTS = 8
 """Draws of gains and level before a machine counts as impossible."""
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class CaseSettings:
-    """Size of a recording."""
-
-    runs: int = 6
-    """Suspect runs, and healthy ones where there are any."""
-    poses: int = 3
-    """Poses among them."""
-    seconds: float = 1.2
-    """Length of a run [s]."""
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class RunPlan:
-    """A run to play."""
-
-    pose: Array
-    """Pose [rad] (n,)."""
-    joint: int
-    """Joint that is shaken."""
-    noise: Array
-    """Noise of rms one by integration step (T,)."""
-    level: float
-    """Rms of the excitation [rad, N m of torque motors]."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -187,7 +154,7 @@ def draw(
     if not arm.servoed:
         hertz = rng.uniform(1.5, 4.0, n)
     arm = with_gains(arm, np.minimum(hertz, _fastest(disturbances)) * 0.7**attempt, ratio)
-    plans = _draw_plans(arm, fault, disturbances, rate, settings, rng, 0.7**attempt)
+    plans = draw_plans(arm, fault, disturbances, rate, settings, rng, 0.7**attempt)
     sound = number % 2 == 0 if healthy is None else healthy
     return Case(
         number=number, seed=seed, arm=arm, fault=None if sound else fault,
@@ -225,7 +192,11 @@ def _play(case: Case, attempt: int) -> CaseMade:
         case.arm, case.disturbances, None, [*seed, 1]
     )  # fmt: skip
     recorder = Recorder(case.rate, case.disturbances, speeds=case.speeds, seed=[*seed, 2])
-    references, suspects, change, travel, share = [], [], [], [], []
+    references: list[RunMade] = []
+    suspects: list[RunMade] = []
+    change: list[float] = []
+    travel: list[float] = []
+    share: list[float] = []
     size = case.disturbances.size
     for i, plan in enumerate(case.plans):
         for session in (0, 1):
@@ -238,9 +209,7 @@ def _play(case: Case, attempt: int) -> CaseMade:
             pose = plan.pose + size("pose_repeat", "error") * rng.uniform(-1, 1, case.arm.joints)
             machine = sound if session == 0 else loose
             played, commands = _run(case, machine, plan, pose, friction)
-            columns = recorder.columns(
-                played, commands, SETTLE + RISE, case.settings.seconds, rng
-            )
+            columns = recorder.columns(played, commands, SETTLE + RISE, case.settings.seconds, rng)
             made = RunMade(
                 name=f"{'healthy' if session == 0 else 'run'}-{i + 1:02d}",
                 columns=columns,
@@ -265,7 +234,7 @@ def _run(
 ) -> tuple[Played, Array]:
     """Motion of a run, and the commands of the model's actuators."""
     arm = case.arm
-    weight = _weight(arm, pose)
+    weight = weight_of(arm, pose)
     hold = pose + weight / arm.kp if arm.servoed else weight
     settle = round(SETTLE / STEP)
     shaken = plan.level * plan.noise
@@ -303,84 +272,6 @@ def _fastest(disturbances: Disturbances) -> float:
     bits = disturbances.has("encoder_quantisation")
     cutoff = size("velocity_filter", "cutoff", 400.0 if bits else 1e6)
     return float(0.05 / (late + 1 / (2 * np.pi * cutoff)))
-
-
-def _draw_plans(
-    arm: Arm, fault: Fault, disturbances: Disturbances, rate: float, settings: CaseSettings,
-    rng: np.random.Generator, quiet: float,
-) -> tuple[RunPlan, ...]:  # fmt: skip
-    servo = disturbances.size("sampled_servo", "rate", 1 / STEP)
-    n = arm.joints
-    high = min(float(rng.uniform(60.0, 90.0)), 0.35 * rate, 0.2 * servo)
-    band = (float(rng.uniform(6.0, 12.0)), high)
-    share = float(np.exp(rng.uniform(*np.log(SHARES))))
-    joints = rng.permutation(n)[: max(1, settings.runs // settings.poses)]
-    count = round((SETTLE + RISE + settings.seconds + AFTER) / STEP)
-    plans: list[RunPlan] = []
-    load = _load(arm, fault)
-    pose = np.zeros(n)
-    for i in range(settings.runs):
-        if i % len(joints) == 0:
-            tried = CANDIDATES if rng.random() < CHOSEN else 1
-            pose = min(rng.uniform(-1.3, 1.3, (tried, n)), key=load)
-        joint = int(joints[i % len(joints)])
-        noise = _noise(band, count, rng)
-        torque = share * arm.limit[joint]
-        torque *= min(1.0, MOST_TOOL / max(_moved(arm, pose, joint) * torque, 1e-9))
-        spare = PEAK * arm.limit[joint] - abs(_weight(arm, pose)[joint])
-        torque = max(min(torque, spare / CREST), 0.02 * arm.limit[joint])
-        level = quiet * torque / (arm.kp[joint] if arm.servoed else 1.0)
-        plans.append(RunPlan(pose=pose, joint=joint, noise=noise, level=level))
-    return tuple(plans)
-
-
-def _load(arm: Arm, fault: Fault) -> Callable[[Array], float]:
-    """Weight that keeps a fault shut, as a function of the pose; only its order counts."""
-    model = mujoco.MjModel.from_xml_string(nominal_xml(arm))
-    data = mujoco.MjData(model)
-    body = model.body(f"link{fault.link + 1}").id
-
-    def load(pose: Array) -> float:
-        data.qpos[:] = pose
-        mujoco.mj_forward(model, data)
-        if fault.kind == "backlash":
-            return float(abs(data.qfrc_bias[fault.link]))
-        return float(abs(data.xmat[body].reshape(3, 3)[2] @ fault.direction))
-
-    return load
-
-
-def _noise(band: tuple[float, float], count: int, rng: np.random.Generator) -> Array:
-    """Band-limited Gaussian noise of rms one that rises after the time at rest."""
-    spectrum = np.fft.rfft(rng.normal(size=2 * count))
-    frequency = np.fft.rfftfreq(2 * count, STEP)
-    spectrum[(frequency < band[0]) | (frequency > band[1])] = 0
-    noise = np.fft.irfft(spectrum)[:count]
-    time = np.arange(count) * STEP
-    swell = np.clip((time - SETTLE) / (0.7 * RISE), 0, 1)
-    return np.asarray(swell * noise / noise.std())
-
-
-def _moved(arm: Arm, pose: Array, joint: int) -> float:
-    """Acceleration of the tool per torque of a joint, the others held [m/s²/(N m)]."""
-    model = mujoco.MjModel.from_xml_string(nominal_xml(arm))
-    data = mujoco.MjData(model)
-    data.qpos[:] = pose
-    mujoco.mj_forward(model, data)
-    full = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, full)
-    jacobian = np.zeros((3, model.nv))
-    mujoco.mj_jacSite(model, data, jacobian, None, model.site("tool").id)
-    return float(np.linalg.norm(jacobian[:, joint]) / full[joint, joint])
-
-
-def _weight(arm: Arm, pose: Array) -> Array:
-    """Torques that hold the arm's weight by its model [N m]."""
-    model = mujoco.MjModel.from_xml_string(nominal_xml(arm))
-    data = mujoco.MjData(model)
-    data.qpos[:] = pose
-    mujoco.mj_forward(model, data)
-    return np.array(data.qfrc_bias)
 
 
 def _shaken(values: Array) -> Array:

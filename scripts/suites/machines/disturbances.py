@@ -13,6 +13,9 @@ PRESENT = 0.4
 STRONG = 0.75
 """Place within its range of a disturbance that is played alone."""
 
+WEAK_IS_HIGH = frozenset({"rate", "cutoff", "mode", "bandwidth", "bits", "speed", "ratio"})
+"""Parameters of which low values disturb most."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Range:
@@ -165,10 +168,10 @@ class Disturbances:
         KeyError
             If there is no such disturbance.
         """
-        weak_is_high = {"rate", "cutoff", "mode", "bandwidth", "bits", "speed", "ratio"}
         sizes = {}
         for key, r in KINDS[name].parameters.items():
-            place = 1 - share if key in weak_is_high else share
+            weak_is_high = key in WEAK_IS_HIGH or name == "torque_saturation"
+            place = 1 - share if weak_is_high else share
             sizes[key] = float(r.low * (r.high / r.low) ** place)
         return cls({name: sizes})
 

@@ -1,6 +1,6 @@
 """Verdicts on a healthy and a loose arm that each have one disturbance alone.
 
-    python -m scripts.suites.machines.disturbances_shown --out FILE.jsonl
+python -m scripts.suites.machines.disturbances_shown --out FILE.jsonl
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from scripts.suites.machines.__main__ import kept
-from scripts.suites.machines.case import Case, CaseSettings, draw
+from scripts.suites.machines.case import Case, draw
 from scripts.suites.machines.disturbances import KINDS, Disturbances
+from scripts.suites.machines.plans import CaseSettings
 from scripts.suites.machines.run import Row, examined
 
 NUMBER, SEED = 33, 1

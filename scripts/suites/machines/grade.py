@@ -50,7 +50,8 @@ def calibration(rows: Rows) -> tuple[float, list[tuple[str, ...]]]:
     rows = [row for row in rows if "probability" in row]
     told = np.array([row["probability"] for row in rows])
     hit = np.array([right(row) for row in rows], dtype=float)
-    error, lines = 0.0, []
+    error = 0.0
+    lines: list[tuple[str, ...]] = []
     for low, high in itertools.pairwise(BINS):
         inside = (told > low) & (told <= high)
         if inside.any():
@@ -114,13 +115,13 @@ def _strata(rows: Rows) -> list[tuple[str, ...]]:
         ("recorder of 1 kHz or more", [row for row in rows if row["rate"] >= 1000]),
     ]
     groups += [(f"{n} joints", [row for row in rows if row["joints"] == n]) for n in range(3, 8)]
-    lines = []
-    for name, own in groups:
-        healthy = [row for row in own if row["link"] is None]
-        opening = [row for row in own if row["link"] is not None and row["opens"]]
+    lines: list[tuple[str, ...]] = []
+    for name, group in groups:
+        healthy = [row for row in group if row["link"] is None]
+        opening = [row for row in group if row["link"] is not None and row["opens"]]
         wrong = [sure_fault(row) and not right_link(row) for row in opening]
         lines.append((name, _share(healthy, sure_fault), _share(opening, right_link),
-                      f"{sum(wrong)} of {len(wrong)}", f"{calibration(own)[0]:.3f}"))  # fmt: skip
+                      f"{sum(wrong)} of {len(wrong)}", f"{calibration(group)[0]:.3f}"))  # fmt: skip
     return lines
 
 

@@ -127,10 +127,10 @@ class Machine:
         mujoco.mj_forward(model, data)
         full = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, full)
-        groups = (("gear", "flexible_joints"), ("bend", "flexible_links"), ("base", "compliant_base"))
+        groups = {"gear": "flexible_joints", "bend": "flexible_links", "base": "compliant_base"}
         for j in range(model.njnt):
             name, dof = model.joint(j).name, model.jnt_dofadr[j]
-            for prefix, kind in groups:
+            for prefix, kind in groups.items():
                 if name.startswith(prefix):
                     factor = spread[len(prefix) % 3, j % spread.shape[1]]
                     omega = 2 * np.pi * size(kind, "mode") * factor

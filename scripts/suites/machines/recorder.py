@@ -63,10 +63,10 @@ class Recorder:
         """
         count = round(seconds * self.rate)
         time = np.arange(count) / self.rate
-        steps = np.arange(len(played.position)) * STEP
+        steps: Array = np.arange(len(played.position)) * STEP
         size = self.disturbances.size
         late = size("accelerometer_delay", "delay") + self.offset
-        asked = begin + time * (1 + self.drift) - late
+        asked: Array = begin + time * (1 + self.drift) - late
         analogue = self._filtered(played.acceleration)
         density = size("accelerometer_noise", "density", USUAL_NOISE) * 1e-6 * GRAVITY
         noise = density * np.sqrt(self.rate / 2) * rng.normal(size=(count, 3))
@@ -89,7 +89,7 @@ class Recorder:
     def _filtered(self, acceleration: Array) -> Array:
         """Analogue low-pass of the sensor, then decimation of linear phase."""
         bandwidth = self.disturbances.size("accelerometer_filter", "bandwidth")
-        found = acceleration
+        found: Array = acceleration
         if bandwidth:
             sos = signal.butter(2, bandwidth, fs=1 / STEP, output="sos")
             start = signal.sosfilt_zi(sos)[:, :, None] * found[0]
@@ -97,7 +97,7 @@ class Recorder:
         if 0.4 * self.rate < 0.45 / STEP:
             sos = signal.butter(4, 0.4 * self.rate, fs=1 / STEP, output="sos")
             found = signal.sosfiltfilt(sos, found, axis=0)
-        return np.asarray(found)
+        return np.asarray(found, dtype=np.float64)
 
 
 def _at(asked: Array, time: Array, values: Array) -> Array:

@@ -1,10 +1,9 @@
-"""Diagnosis of a blind case: its recording is written and read, its truth kept beside the result."""
+"""Diagnosis of a blind case by its recording; truth and result in a row."""
 
 from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,9 @@ import numpy as np
 from loose_env.errors import LooseEnvError
 from loose_env.instrument import DiagnoseSettings, Diagnosis, diagnose
 from loose_env.recording import Recording, Run, write_recording
-from scripts.suites.machines.case import Case, CaseMade, CaseSettings, RunMade, draw, play
+from scripts.suites.machines.case import Case, CaseMade, RunMade, draw, play
 from scripts.suites.machines.disturbances import Disturbances
+from scripts.suites.machines.plans import CaseSettings
 
 Row = dict[str, Any]
 AXES = "xyz"
@@ -158,8 +158,3 @@ def line_of(row: Row) -> str:
         f"{row['case']}{reference}: {row['truth']}{opens} -> {row['verdict']}, {row['named']} "
         f"{row['probability']:.3f}; {', '.join(row['disturbances']) or 'no disturbance'}"
     )
-
-
-def present(rows: Iterable[Row]) -> list[str]:
-    """Names of the disturbances in any row."""
-    return sorted({name for row in rows for name in row["disturbances"]})

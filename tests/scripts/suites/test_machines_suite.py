@@ -8,9 +8,10 @@ import pytest
 
 from loose_env.recording import read_recording
 from scripts.suites.machines.__main__ import MARKS, kept, main, write_docs
-from scripts.suites.machines.case import CaseSettings, draw, play
+from scripts.suites.machines.case import draw, play
 from scripts.suites.machines.disturbances_shown import table as shown_table
 from scripts.suites.machines.grade import calibration, tables
+from scripts.suites.machines.plans import CaseSettings
 from scripts.suites.machines.run import line_of, result_of, row_of, truth_of, write
 from tests.instrument.test_result import diagnosis
 
