@@ -62,10 +62,10 @@ class Recorder:
             Of the noise.
         """
         count = round(seconds * self.rate)
-        time = np.arange(count) / self.rate
-        steps: Array = np.arange(len(played.position)) * STEP
+        time: Array = np.arange(count, dtype=np.float64) / self.rate
+        steps: Array = np.arange(len(played.position), dtype=np.float64) * STEP
         size = self.disturbances.size
-        late = size("accelerometer_delay", "delay") + self.offset
+        late = float(size("accelerometer_delay", "delay") + self.offset)
         asked: Array = begin + time * (1 + self.drift) - late
         analogue = self._filtered(played.acceleration)
         density = size("accelerometer_noise", "density", USUAL_NOISE) * 1e-6 * GRAVITY
