@@ -23,7 +23,7 @@ from loose_env.instrument.inference.frequency_response import Response, respond
 from loose_env.instrument.inference.opening_probability import open_probability
 from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.inference.variance_components import ComponentIndex
-from loose_env.instrument.settings.thresholds import CORRELATION_HZ, OPEN_SEAT_SHARE
+from loose_env.instrument.settings.thresholds import COMPLIANCE_HZ, CORRELATION_HZ, OPEN_SEAT_SHARE
 from loose_env.typing import Array, ComplexArray
 
 __all__ = [
@@ -138,6 +138,8 @@ class Evidence:
             kernel = np.ones(width) / width
             smooth = np.stack([np.convolve(p, kernel, mode="same") for p in power.T], axis=1)
             smooth = np.maximum(smooth, 0.01 * smooth.max(axis=1, keepdims=True))
+            # A tight connection gives way by its spring: a motion that floats takes none.
+            smooth[:, n:] *= (one.frequency[:, None] / COMPLIANCE_HZ) ** 4
             self._amplitude.append(np.sqrt(smooth))
 
     @property

@@ -86,23 +86,27 @@ errors outside the model."""
 # Model error: scales of the half-Cauchy priors of what a model cannot have
 DRIVE_SD = 0.05
 """Error of a joint's force over the force of its drive: friction, servo gains, saturation."""
-GEAR_TURN_SD = 0.03
-"""Turn between a joint's sensor and its link over that of a floating link: gears give a little."""
-BENDING_SD = 0.01
-"""Bending of a link at its seat over that of a floating link: links and flanges are stiff."""
-SEAT_SLIDE_SD = 0.005
-"""Slide of a link at its tight seat over that of a floating link: bolted flanges give a little."""
+COMPLIANCE_HZ = 100.0
+"""Frequency at which the compliances below are stated [Hz]: the motion of an elastic connection
+over that of a floating one rises as frequency squared."""
+GEAR_TURN_SD = 0.1
+"""Turn between a joint's sensor and its link over that of a floating link: gears of a mode near
+300 Hz."""
+BENDING_SD = 0.03
+"""Bending of a link at its seat over that of a floating link: a mode near 600 Hz."""
+SEAT_SLIDE_SD = 0.01
+"""Slide of a link at its tight seat over that of a floating link: a mode near 1 kHz."""
 READING_SD = 0.01
 """Error of a reading over its motion: what no component of the arm explains."""
 DRIVE_CHANGE_SD = 0.02
 """Change of a joint's force error between a run and the same run of the healthy arm: friction
 varies with temperature."""
-GEAR_TURN_CHANGE_SD = 0.003
-"""The same of the turn: the gear is the same one."""
-BENDING_CHANGE_SD = 0.001
-"""The same of the bending: the links are the same ones."""
+GEAR_TURN_CHANGE_SD = 0.01
+"""The same of the turn: the gear is the same one, within a tenth."""
+BENDING_CHANGE_SD = 0.003
+"""The same of the bending."""
 SEAT_SLIDE_CHANGE_SD = 0.001
-"""The same of the slide: the flange is the same one."""
+"""The same of the slide."""
 READING_CHANGE_SD = 0.003
 """The same of the readings: poses are repeated to within a few thousandths of their range."""
 CLOCK_Z = 4.0
