@@ -13,12 +13,11 @@ found; 1 something given cannot be used; 2 the command line makes no sense; 130 
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import fields
 
 from loose_env.cli.choice import add_choice, take_over
+from loose_env.cli.console import Console, Outcome, add_recording_options, folder_of
 from loose_env.cli.options import add_settings, settings_of
-from loose_env.cli.recorded import Said, add_recording_options, folder_of
 from loose_env.errors import InvalidData, InvalidSetting, MissingExtra
 from loose_env.instrument import (
     HEALTHY,
@@ -40,7 +39,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_settings(parser, DiagnoseSettings, title="what is known beforehand", leave_out=chosen_with)
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: argparse.Namespace, console: Console) -> Outcome:
     """Diagnose and write it down."""
     before = session_beside(options.recording)
     take_over(options, before.choice, "the plan beside the recording")
@@ -49,9 +48,8 @@ def run(options: argparse.Namespace) -> None:
     if options.recording.resolve() == folder.path:
         raise InvalidSetting("--out is the recording itself; give another folder")
     recording = read_recording(options.recording, model=options.model)
-    say = Said(quiet=options.quiet)
     with folder.worked_in():
-        found = diagnose(recording, settings, say=say)
+        found = diagnose(recording, settings, say=console.say)
     written = []
     # An earlier result must not stand beside a later page if this run is cut short.
     (folder.path / "result.json").unlink(missing_ok=True)
@@ -63,13 +61,13 @@ def run(options: argparse.Namespace) -> None:
         written.append(write_page(folder.path / "report.html", found, arm, recording=name))
     except (MissingExtra, InvalidData) as error:  # what was found is written all the same
         (folder.path / "report.html").unlink(missing_ok=True)  # that of an earlier result
-        say(f"no report.html: {error}")
+        console.say(f"no report.html: {error}")
     written.append(found.write(folder.path / "result.json"))  # last: it says that all is there
     folder.note(written)
-    for warning in found.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
-    print(summary(found))
-    print("written: " + ", ".join(str(path) for path in written))
+    files = "written: " + ", ".join(str(path) for path in written)
+    return Outcome(
+        text=f"{summary(found)}\n{files}", json=found.to_json, warnings=tuple(found.warnings)
+    )
 
 
 def summary(found: Diagnosis) -> str:

@@ -15,13 +15,25 @@ sense; 130 interrupted.
 from __future__ import annotations
 
 import argparse
-import sys
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from loose_env.arms import compile_spec, load_spec
+from loose_env.cli.console import Console, Outcome
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.errors import InvalidSetting
-from loose_env.importing import ImportSettings, describe_sources, import_recording
+from loose_env.importing import (
+    ImportSettings,
+    describe_sources,
+    import_recording,
+    list_sources,
+)
+from loose_env.io import json_text
+from loose_env.recording import Recording
+
+IMPORTED, DESCRIBED = "loose-import/1", "loose-sources/1"
+"""Formats of the JSON documents of an import, and of --describe."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -40,24 +52,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model", type=Path, metavar="MODEL.xml", help="MJCF file in the place of the mapping's"
     )
-    parser.add_argument("--quiet", action="store_true", help="say nothing on the way")
     parser.set_defaults(refuse=parser.error)
     add_settings(parser, ImportSettings)
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: argparse.Namespace, console: Console) -> Outcome:
     """Import, or describe."""
     if options.describe:
-        if options.mapping is not None or options.out is not None:
-            options.refuse("--describe takes files alone, and --model")
-        model = None
-        if options.model is not None:
-            if not options.model.is_file():
-                raise InvalidSetting(f"there is no model {str(options.model)!r}")
-            file, _, spec = load_spec(options.model)
-            model = compile_spec(spec, file)
-        print(describe_sources(options.sources, model), end="")
-        return
+        return _described(options)
     if options.mapping is None or options.out is None:
         options.refuse("give --mapping MAP and --out RECORDING, or --describe to see channels")
     recording = import_recording(
@@ -66,14 +68,48 @@ def run(options: argparse.Namespace) -> None:
         options.out,
         settings_of(options, ImportSettings),
         model=options.model,
-        say=_silent if options.quiet else _said,
+        say=console.say,
     )
-    print(f"written: {options.out} ({len(recording.runs)} runs)")
+    return Outcome(
+        text=f"written: {options.out} ({len(recording.runs)} runs)",
+        json=lambda: json_text({"format": IMPORTED, **contents(recording)}),
+    )
 
 
-def _said(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
+def _described(options: argparse.Namespace) -> Outcome:
+    """Channels of the files, as a mapping to fill in and as JSON."""
+    if options.mapping is not None or options.out is not None:
+        options.refuse("--describe takes files and --model only")
+    model = None
+    if options.model is not None:
+        if not options.model.is_file():
+            raise InvalidSetting(f"there is no model {str(options.model)!r}")
+        file, _, spec = load_spec(options.model)
+        model = compile_spec(spec, file)
+    found = list_sources(options.sources)
+    sources = {name: asdict(each) for name, each in found.items()}
+    return Outcome(
+        text=describe_sources(options.sources, model),
+        json=lambda: json_text({"format": DESCRIBED, "sources": sources}),
+    )
 
 
-def _silent(_: str) -> None:
-    pass
+def contents(recording: Recording) -> dict[str, Any]:
+    """Contents of a recording: its model, and every run with its columns, length and rate."""
+    runs = []
+    for run in recording.runs:
+        seconds = float(run.time[-1] - run.time[0])
+        runs.append(
+            {
+                "file": run.name,
+                "samples": len(run.time),
+                "seconds": seconds,
+                "rate_hz": (len(run.time) - 1) / seconds if seconds > 0 else None,
+                "condition": run.condition,
+                "excited": list(run.excited),
+                "controls": list(run.controls),
+                "sensors": list(run.sensors),
+                "torques": list(run.torques),
+            }
+        )
+    return {"recording": recording.folder, "model": recording.model_path, "runs": runs}

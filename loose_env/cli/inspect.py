@@ -13,28 +13,23 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from loose_env.cli.console import Console, Outcome
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.instrument import ModelSettings, NextSettings, inspect_model, screen
-from loose_env.io import write_text
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     parser.add_argument("model", type=Path, metavar="MODEL", help="MJCF or URDF of the arm")
-    parser.add_argument(
-        "--json", type=Path, metavar="FILE", help="file to write the same to, for programs"
-    )
     add_settings(parser, ModelSettings, title="the arm as it stands")
     add_settings(
         parser, NextSettings, title="how poses and excitation are chosen", leave_out=("in-turn",)
     )
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: argparse.Namespace, console: Console) -> Outcome:
     """Inspect the model and print the result."""
     found = inspect_model(
         options.model, settings_of(options, NextSettings), settings_of(options, ModelSettings)
     )
-    if options.json is not None:
-        write_text(options.json, found.to_json())
-    print(screen(found))
+    return Outcome(text=screen(found), json=found.to_json)
