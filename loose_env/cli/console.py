@@ -170,7 +170,7 @@ def _paths(options: argparse.Namespace) -> Iterator[tuple[str, Path]]:
 
 def _versions() -> str:
     """Versions of package, Python and the libraries that compute."""
-    from loose_env import __version__
+    from loose_env.version import __version__
 
     found = [f"loose-env {__version__}", f"Python {platform.python_version()}"]
     for name in _VERSIONS:

@@ -18,17 +18,17 @@ from dataclasses import fields
 from loose_env.cli.choice import add_choice, take_over
 from loose_env.cli.console import Console, Outcome, add_recording_options, folder_of
 from loose_env.cli.options import add_settings, settings_of
-from loose_env.errors import InvalidData, InvalidSetting, MissingExtra
+from loose_env.errors import InvalidSetting
 from loose_env.instrument import (
     HEALTHY,
     DiagnoseSettings,
     Diagnosis,
     NextSettings,
     diagnose,
-    read_recorded_arm,
     session_beside,
 )
 from loose_env.recording import read_recording
+from loose_env.report import write_diagnosis
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -50,19 +50,10 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
     recording = read_recording(options.recording, model=options.model)
     with folder.worked_in():
         found = diagnose(recording, settings, say=console.say)
-    written = []
-    # An earlier result must not stand beside a later page if this run is cut short.
-    (folder.path / "result.json").unlink(missing_ok=True)
-    try:
-        from loose_env.report import write_page
-
-        arm = read_recorded_arm(recording.model_path).shown
-        name = options.recording.resolve().name
-        written.append(write_page(folder.path / "report.html", found, arm, recording=name))
-    except (MissingExtra, InvalidData) as error:  # what was found is written all the same
-        (folder.path / "report.html").unlink(missing_ok=True)  # that of an earlier result
-        console.say(f"no report.html: {error}")
-    written.append(found.write(folder.path / "result.json"))  # last: it says that all is there
+    name = options.recording.resolve().name
+    written = write_diagnosis(
+        folder.path, found, recording.model_path, recording=name, say=console.say
+    )
     folder.note(written)
     files = "written: " + ", ".join(str(path) for path in written)
     return Outcome(

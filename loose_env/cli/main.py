@@ -16,9 +16,9 @@ from keyword import iskeyword
 from pathlib import Path
 from typing import Any
 
-from loose_env import __version__
 from loose_env.cli.console import Console, Outcome, add_output_options
 from loose_env.errors import LooseEnvError, words_of
+from loose_env.version import __version__
 
 COMMANDS = {
     "inspect": "joints, modes and detectable faults of an arm, from its model alone",
