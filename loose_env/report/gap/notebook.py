@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from html import escape
+from math import log1p
 
 from loose_env.envs import palette as ink
 from loose_env.gap import NOISE_RMS, GapResult, NamedEffect, quantity_words
@@ -33,7 +34,7 @@ def gap_html(result: GapResult) -> str:
     rows = [row for effect in result.effects for row in _rows(effect)]
     largest = max(NOISE_RMS, *(value for _, value in _residual(result)))
     residual = [
-        (name, bar(value / largest, colour=colour), f"{value:.2f}")
+        (name, bar(log1p(value) / log1p(largest), colour=colour), f"{value:.2f}")
         for (name, value), colour in zip(
             _residual(result), (ink.TRUTH, ink.MEASURED, ink.MUTED), strict=True
         )
@@ -43,7 +44,7 @@ def gap_html(result: GapResult) -> str:
         [
             f"<p><strong>{escape(headline(result))}</strong></p>",
             cells_table(_EFFECTS, rows),
-            cells_table((_RESIDUAL[0], "", _RESIDUAL[1]), residual, markup=(1,)),
+            cells_table((_RESIDUAL[0], "logarithmic", _RESIDUAL[1]), residual, markup=(1,)),
             bullets("Location of the residual", where),
             bullets("In physical units", quantity_words(result.gap.by_quantity)),
             bullets("Remaining", result.remaining),
