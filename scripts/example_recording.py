@@ -1,8 +1,8 @@
 """Make a recording to try `loose gap` or `loose diagnose` on, of an arm with a hidden fault.
 
-For `loose gap` a three-joint arm on position servos stands in for a machine. Its masses, dampings and servo gains
-are 1 to 3 % off the model that goes with the recording, its sensors are noisy, and the bearing of
-its second joint has run dry: 2 N·m of friction that the model does not have.
+For `loose gap` a three-joint arm on position servos stands in for a machine. Its masses, dampings
+and servo gains are 1 to 3 % off the model that goes with the recording, its sensors are noisy, and
+the bearing of its second joint has run dry: 2 N·m of friction that the model does not have.
 
 For `loose diagnose` a six-joint arm holds three poses while a joint is shaken. The parameters of
 its model are a few per cent off, and its forearm slides by 0.1 mm on its joint.

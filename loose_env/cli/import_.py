@@ -15,7 +15,6 @@ sense; 130 interrupted.
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ from loose_env.cli.console import Console, Outcome
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.errors import InvalidSetting
 from loose_env.importing import (
+    FileList,
     ImportSettings,
     describe_sources,
     import_recording,
@@ -86,12 +86,29 @@ def _described(options: argparse.Namespace) -> Outcome:
             raise InvalidSetting(f"there is no model {str(options.model)!r}")
         file, _, spec = load_spec(options.model)
         model = compile_spec(spec, file)
-    found = list_sources(options.sources)
-    sources = {name: asdict(each) for name, each in found.items()}
+    sources = {name: listed(each) for name, each in list_sources(options.sources).items()}
     return Outcome(
         text=describe_sources(options.sources, model),
         json=lambda: json_text({"format": DESCRIBED, "sources": sources}),
     )
+
+
+def listed(source: FileList) -> dict[str, Any]:
+    """Streams and channels of a file; what its kind does not say is null."""
+    streams = [
+        {
+            "topic": stream.topic,
+            "samples": stream.samples or None,
+            "seconds": stream.seconds,
+            "rate_hz": stream.rate_hz,
+            "channels": [
+                {"channel": each.key.channel, "unit": each.unit, "first_values": each.first}
+                for each in stream.channels
+            ],
+        }
+        for stream in source.streams
+    ]
+    return {"file": source.name, "kind": source.kind, "streams": streams}
 
 
 def contents(recording: Recording) -> dict[str, Any]:

@@ -8,9 +8,12 @@ from typing import Any
 
 import pytest
 
-nbformat = pytest.importorskip("nbformat", reason="needs the extra dev")
-nbclient = pytest.importorskip("nbclient")
+pytest.importorskip("nbformat", reason="needs the extra dev: pip install -e '.[dev]'")
+pytest.importorskip("nbclient")
 pytest.importorskip("ipykernel")
+
+import nbclient
+import nbformat
 
 from scripts import example_recording
 from tests.docs.pages import ROOT
