@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from difflib import get_close_matches
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from loose_env import gap, instrument, report
 from loose_env.arms import Arm
@@ -26,7 +26,6 @@ from loose_env.recording import ModelColumns, Recording, read_recording
 
 __all__ = ["DiagnosisReport", "GapReport", "diagnose", "explain_gap"]
 
-T = TypeVar("T")
 Say = Callable[[str], None]
 
 
@@ -215,10 +214,10 @@ def diagnose(
         ...
     loose_env.errors.InvalidData: there is no folder 'no/recording'; a recording is a folder
     """
-    _check_names(DiagnoseSettings, settings)
+    own = _checked(DiagnoseSettings, settings)
     read = _recording(recording, model)
     before = asdict(instrument.session_beside(read.folder).choice)
-    chosen = DiagnoseSettings(**{**before, **_plain(settings)})
+    chosen = DiagnoseSettings(**{**before, **own})
     result = instrument.diagnose(read, chosen, plan=plan, say=say)
     return DiagnosisReport(result=result, recording=read)
 
@@ -270,8 +269,7 @@ def explain_gap(
         ...
     loose_env.errors.UnknownName: there is no setting 'tolerence'; did you mean 'tolerance'? ...
     """
-    _check_names(GapSettings, settings)
-    chosen = GapSettings(**_plain(settings))
+    chosen = GapSettings(**_checked(GapSettings, settings))
     read = _recording(recording, model)
     solution = gap.find_gap(read, chosen, say=say)
     result = gap.result_of(solution, gap.diagnose_residuals(solution, say=say))
@@ -301,8 +299,8 @@ def _recording(given: str | Path | Recording, model: str | Path | None) -> Recor
     return found
 
 
-def _check_names(kind: type, settings: Mapping[str, Any]) -> None:
-    """Refuse settings that do not exist."""
+def _checked(kind: type, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings with tuples in the place of lists; those that make no sense are refused."""
     known = [each.name for each in fields(kind)]
     for name in settings:
         if name not in known:
@@ -311,11 +309,9 @@ def _check_names(kind: type, settings: Mapping[str, Any]) -> None:
             raise UnknownName(
                 f"there is no setting {name!r}{meant} The settings are {', '.join(known)}"
             )
-
-
-def _plain(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings with tuples in the place of lists."""
-    return {n: tuple(v) if isinstance(v, list) else v for n, v in settings.items()}
+    found = {n: tuple(v) if isinstance(v, list) else v for n, v in settings.items()}
+    kind(**found)
+    return found
 
 
 def _target(folder: str | Path, recording: Recording) -> Path:

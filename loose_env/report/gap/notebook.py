@@ -66,7 +66,7 @@ def _residual(result: GapResult) -> list[tuple[str, float]]:
 def _rows(effect: NamedEffect) -> list[tuple[str, ...]]:
     """Rows of an effect's parameters; the first names the effect."""
     others = ", ".join(effect_words(o.kind, o.where) for o in effect.ambiguous_with)
-    found = []
+    found: list[tuple[str, ...]] = []
     for name, value in effect.parameters.items():
         ends = effect.interval_95.get(name)
         between = "" if ends is None else f"{ends[0]:.4g} to {ends[1]:.4g}"
