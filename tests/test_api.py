@@ -1,4 +1,4 @@
-"""`loose_env.diagnose` and `loose_env.explain_gap`: three lines of Python, as the commands find it."""
+"""`loose_env.diagnose` and `loose_env.explain_gap` find what the commands find, in three lines."""
 
 from __future__ import annotations
 
