@@ -1,13 +1,15 @@
-"""Say what is loose in an arm, by runs in which joints were shaken while it held a pose.
+"""Diagnose a loose link or a joint with backlash, from runs with excited joints in held poses.
 
-Reads a recording (a folder with recording.json, the nominal model and measured runs; healthy
-reference runs help where there are any), weighs every link's looseness, every joint's backlash and
-a healthy arm, and says what to measure next where that is not settled. That is chosen with the
-settings of the 'loose plan' in whose folder the recording lies; options take their place.
+Reads a recording: a folder with recording.json, the nominal model and measured runs. Runs of the
+healthy arm are optional; they make smaller faults detectable. Computes the probability of a healthy
+arm, of looseness at every link and of backlash at every joint, and proposes the next measurement
+where that does not settle it. Settings of the 'loose plan' in whose folder the recording lies hold,
+unless an option is given here.
 
-Written to the output folder: result.json, what was found; report.html, the same to be read. The
-same command on a recording with more runs takes their place. Exit codes: 0 done, whatever was
-found; 1 something given cannot be used; 2 the command line makes no sense; 130 interrupted.
+Written to the output folder: report.html, to be read; result.json, the same for programs and for
+'loose plan --known'. With more runs in the recording, the same command replaces them.
+
+    loose diagnose session/recording --out session/diagnosis
 """
 
 from __future__ import annotations
@@ -25,10 +27,11 @@ from loose_env.instrument import (
     Diagnosis,
     NextSettings,
     diagnose,
+    read_recorded_arm,
     session_beside,
 )
 from loose_env.recording import read_recording
-from loose_env.report import write_diagnosis
+from loose_env.report import diagnosis_headline, write_diagnosis
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -36,7 +39,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_recording_options(parser)
     add_choice(parser)
     chosen_with = [each.name.replace("_", "-") for each in fields(NextSettings)]
-    add_settings(parser, DiagnoseSettings, title="what is known beforehand", leave_out=chosen_with)
+    add_settings(parser, DiagnoseSettings, title="prior and model errors", leave_out=chosen_with)
 
 
 def run(options: argparse.Namespace, console: Console) -> Outcome:
@@ -55,9 +58,12 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
         folder.path, found, recording.model_path, recording=name, say=console.say
     )
     folder.note(written)
+    arm = read_recorded_arm(recording.model_path).shown
     files = "written: " + ", ".join(str(path) for path in written)
     return Outcome(
-        text=f"{summary(found)}\n{files}", json=found.to_json, warnings=tuple(found.warnings)
+        text=f"{diagnosis_headline(found, arm)}\n{summary(found)}\n{files}",
+        json=found.to_json,
+        warnings=tuple(found.warnings),
     )
 
 

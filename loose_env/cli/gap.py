@@ -1,13 +1,15 @@
-"""Name what a simulation model lacks, and where, by measured runs.
+"""Identify the effects that a simulation model lacks, and where, from measured runs.
 
-Reads a recording (a folder with recording.json, the nominal model and measured runs), finds where
-model and measurement disagree, names the missing effect by runs that it did not fit to, and
-writes the corrected model.
+Reads a recording: a folder with recording.json, the nominal model and two measured runs at least.
+Finds where model and measurement disagree, accepts the effects that improve the prediction of
+held-out runs significantly, and writes the corrected model.
 
-Written to the output folder: model.xml, the corrected model; result.json, what was found;
-report.html, the same to be read. Finished stages are kept in .gap: the same command goes on from
-there when it was interrupted. Exit codes: 0 done, whatever was found; 1 something given cannot be
-used; 2 the command line makes no sense; 130 interrupted.
+Written to the output folder: model.xml, the corrected model; report.html, to be read; result.json,
+the same for programs. Finished stages are kept in .gap: after an interruption the same command
+goes on from there.
+
+    loose gap arm --out arm-gap
+    loose gap arm --out arm-gap --kinds coulomb_friction backlash
 """
 
 from __future__ import annotations

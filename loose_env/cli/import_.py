@@ -1,15 +1,13 @@
-"""Make a recording of what loggers wrote: MCAP files, tables in text, universal files.
+"""Make a recording from files of loggers: MCAP, tables in text, universal files (UFF 58).
 
 A mapping file says which channel of which file goes into which column of the recording, in which
-unit, and by which clock. `loose import --describe FILE...` lists what files hold, and what it
-prints is a mapping to fill in.
+unit, and by which clock. --describe lists the channels of files and prints a mapping to fill in.
 
     loose import --describe robot.mcap vibration.csv > mapping.toml
     loose import robot.mcap vibration.csv --mapping mapping.toml --out recording
 
-The recording is read back and checked before it takes its place: a folder that is there is whole.
-Exit codes: 0 done; 1 something given cannot be used, said in one line; 2 the command line makes no
-sense; 130 interrupted.
+The recording is read back and checked before it takes its final name: a folder of that name is
+always complete.
 """
 
 from __future__ import annotations

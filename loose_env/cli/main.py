@@ -51,8 +51,9 @@ Where simulation and machine disagree:
   loose import log.mcap --mapping map.toml --out arm
   loose gap arm --out arm-gap"""
 
-_EPILOG = """'loose COMMAND --help' lists the options of a command. Exit codes: 0 done, whatever was
-found; 1 something given cannot be used; 2 the command line is wrong; 130 interrupted."""
+_EXIT_CODES = """Exit codes: 0 done, whatever was found; 1 something given cannot be used; 2 the
+command line is wrong; 130 interrupted."""
+_EPILOG = f"'loose COMMAND --help' lists the options of a command.\n{_EXIT_CODES}"
 
 
 class _PrintCompletion(argparse.Action):
@@ -113,11 +114,13 @@ def parser(arguments: Sequence[str] | None = None) -> argparse.ArgumentParser:
             name,
             help=summary,
             description=module.__doc__,
+            epilog=_EXIT_CODES,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         module.add_options(own)
         add_output_options(own)
         own.set_defaults(run=module.run)
+        own.usage = _usage(own)
     return found
 
 
@@ -155,6 +158,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{said}: {words_of(error)}", file=sys.stderr)
         return REFUSED
     return outcome.code
+
+
+def _usage(own: argparse.ArgumentParser) -> str:
+    """Usage line with what has to be given; the help lists the rest, forty options and more."""
+    words = [own.prog]
+    for action in own._actions:
+        if action.required:
+            metavar = str(action.metavar)
+            given = f"{metavar} [{metavar} ...]" if action.nargs == "+" else metavar
+            words.append(" ".join([*action.option_strings[:1], given]))
+    return " ".join([*words, "[options]"])
 
 
 def _with_kinds_of_paths(

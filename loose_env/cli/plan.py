@@ -1,15 +1,17 @@
-"""Say what to measure next: the pose, the joint to shake and the signal to play.
+"""Plan the next measurement: the pose, the joint to excite and the signal to play.
 
 Reads the model of an arm (MJCF or URDF) and what is known so far: nothing at first, then the
-result of 'loose diagnose'. Plan, measure and diagnose in turn until the fault has a name.
-What a diagnosis asks for next is what is planned; settings of it that are given here (how poses
-are chosen, band, length, rate) take the place of its own, and the pose is chosen anew with them.
+result of 'loose diagnose' (--known). Plan, measure and diagnose in turn until the fault is
+identified. By default the plan is what the diagnosis asks for next; with options for poses, band,
+length or rate the pose is chosen anew.
 
 Written to the output folder: plan.html, what to do at the machine; plan.json, the same for
 programs; signal.csv and signal.parquet, a command for every actuator in its own unit; recording,
-a folder that the measured run is put into and that 'loose diagnose' reads. A folder of an earlier
-plan is gone on with: its measured runs stay, and so do settings that are not given anew. Exit
-codes: 0 done; 1 something given cannot be used; 2 the command line makes no sense; 130 interrupted.
+the folder that the measured run goes into and that 'loose diagnose' reads. In the folder of an
+earlier plan the measured runs stay, and settings that are not given hold as before.
+
+    loose plan arm.xml --out session
+    loose plan arm.xml --out session --known session/diagnosis
 """
 
 from __future__ import annotations
@@ -50,9 +52,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="RESULT",
         help="what is known so far: result.json of 'loose diagnose', or the folder with it",
     )
-    add_kept(parser, ModelSettings, title="the arm as it stands")
+    add_kept(parser, ModelSettings, title="arm")
     add_choice(parser)
-    add_kept(parser, PlanSettings, title="the next measurement itself", only=KEPT)
+    add_kept(parser, PlanSettings, title="this measurement", only=KEPT)
 
 
 def run(options: argparse.Namespace, console: Console) -> Outcome:
