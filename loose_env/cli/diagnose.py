@@ -81,9 +81,9 @@ def summary(found: Diagnosis) -> str:
         lines.append(f"  along ({along}) of the link's frame{within}")
     if fault.gap_m is not None:
         ends = fault.gap_interval_m
-        between = "" if ends is None else f" ({ends[0]:.2g} to {ends[1]:.2g})"
-        unit = "m" if fault.kind == "structural_looseness" else "rad (m where the joint slides)"
-        lines.append(f"  free travel {fault.gap_m:.2g}{between} {unit}")
+        between = "" if ends is None else f" ({1e3 * ends[0]:.2g} to {1e3 * ends[1]:.2g})"
+        unit = "mm" if fault.kind == "structural_looseness" else "mrad (mm where the joint slides)"
+        lines.append(f"  free travel {1e3 * fault.gap_m:.2g}{between} {unit}")
     others = sorted(
         ((p, name) for name, p in found.posterior.items() if name != fault.hypothesis), reverse=True
     )

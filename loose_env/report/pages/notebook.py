@@ -69,7 +69,8 @@ def cells_table(
     if not lines:
         return ""
     head = "".join(f"<th {left}>{escape(name)}</th>" for name in heads)
-    return "<table>" + "".join(f"<tr>{line}</tr>" for line in [head, *lines]) + "</table>"
+    table = "<table>" + "".join(f"<tr>{line}</tr>" for line in [head, *lines]) + "</table>"
+    return f"<div style='overflow-x:auto'>{table}</div>"  # a narrow screen scrolls it
 
 
 def bullets(title: str, lines: Sequence[str]) -> str:
