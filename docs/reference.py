@@ -31,6 +31,7 @@ PARTS = (
     "evaluation",
     "instrument",
     "report",
+    "api",
 )
 """Parts of the package in the order in which data flow, without the command line and the thesis."""
 

@@ -1,25 +1,26 @@
-"""Say what is loose in an arm, by runs in which joints were shaken while it held a pose.
+"""Diagnose a loose link or a joint with backlash, from runs with excited joints in held poses.
 
-Reads a recording (a folder with recording.json, the nominal model and measured runs; healthy
-reference runs help where there are any), weighs every link's looseness, every joint's backlash and
-a healthy arm, and says what to measure next where that is not settled. That is chosen with the
-settings of the 'loose plan' in whose folder the recording lies; options take their place.
+Reads a recording: a folder with recording.json, the nominal model and measured runs. Runs of the
+healthy arm are optional; they make smaller faults detectable. Computes the probability of a healthy
+arm, of looseness at every link and of backlash at every joint, and proposes the next measurement
+where that does not settle it. Settings of the 'loose plan' in whose folder the recording lies hold,
+unless an option is given here.
 
-Written to the output folder: result.json, what was found; report.html, the same to be read. The
-same command on a recording with more runs takes their place. Exit codes: 0 done, whatever was
-found; 1 something given cannot be used; 2 the command line makes no sense; 130 interrupted.
+Written to the output folder: report.html, to be read; result.json, the same for programs and for
+'loose plan --known'. With more runs in the recording, the same command replaces them.
+
+    loose diagnose session/recording --out session/diagnosis
 """
 
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import fields
 
 from loose_env.cli.choice import add_choice, take_over
+from loose_env.cli.console import Console, Outcome, add_recording_options, folder_of
 from loose_env.cli.options import add_settings, settings_of
-from loose_env.cli.recorded import Said, add_recording_options, folder_of
-from loose_env.errors import InvalidData, InvalidSetting, MissingExtra
+from loose_env.errors import InvalidSetting
 from loose_env.instrument import (
     HEALTHY,
     DiagnoseSettings,
@@ -30,6 +31,7 @@ from loose_env.instrument import (
     session_beside,
 )
 from loose_env.recording import read_recording
+from loose_env.report import diagnosis_headline, write_diagnosis
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -37,10 +39,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_recording_options(parser)
     add_choice(parser)
     chosen_with = [each.name.replace("_", "-") for each in fields(NextSettings)]
-    add_settings(parser, DiagnoseSettings, title="what is known beforehand", leave_out=chosen_with)
+    add_settings(parser, DiagnoseSettings, title="prior and model errors", leave_out=chosen_with)
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: argparse.Namespace, console: Console) -> Outcome:
     """Diagnose and write it down."""
     before = session_beside(options.recording)
     take_over(options, before.choice, "the plan beside the recording")
@@ -49,27 +51,20 @@ def run(options: argparse.Namespace) -> None:
     if options.recording.resolve() == folder.path:
         raise InvalidSetting("--out is the recording itself; give another folder")
     recording = read_recording(options.recording, model=options.model)
-    say = Said(quiet=options.quiet)
     with folder.worked_in():
-        found = diagnose(recording, settings, say=say)
-    written = []
-    # An earlier result must not stand beside a later page if this run is cut short.
-    (folder.path / "result.json").unlink(missing_ok=True)
-    try:
-        from loose_env.report import write_page
-
-        arm = read_recorded_arm(recording.model_path).shown
-        name = options.recording.resolve().name
-        written.append(write_page(folder.path / "report.html", found, arm, recording=name))
-    except (MissingExtra, InvalidData) as error:  # what was found is written all the same
-        (folder.path / "report.html").unlink(missing_ok=True)  # that of an earlier result
-        say(f"no report.html: {error}")
-    written.append(found.write(folder.path / "result.json"))  # last: it says that all is there
+        found = diagnose(recording, settings, say=console.say)
+    name = options.recording.resolve().name
+    written = write_diagnosis(
+        folder.path, found, recording.model_path, recording=name, say=console.say
+    )
     folder.note(written)
-    for warning in found.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
-    print(summary(found))
-    print("written: " + ", ".join(str(path) for path in written))
+    arm = read_recorded_arm(recording.model_path).shown
+    files = "written: " + ", ".join(str(path) for path in written)
+    return Outcome(
+        text=f"{diagnosis_headline(found, arm)}\n{summary(found)}\n{files}",
+        json=found.to_json,
+        warnings=tuple(found.warnings),
+    )
 
 
 def summary(found: Diagnosis) -> str:
@@ -86,9 +81,9 @@ def summary(found: Diagnosis) -> str:
         lines.append(f"  along ({along}) of the link's frame{within}")
     if fault.gap_m is not None:
         ends = fault.gap_interval_m
-        between = "" if ends is None else f" ({ends[0]:.2g} to {ends[1]:.2g})"
-        unit = "m" if fault.kind == "structural_looseness" else "rad (m where the joint slides)"
-        lines.append(f"  free travel {fault.gap_m:.2g}{between} {unit}")
+        between = "" if ends is None else f" ({1e3 * ends[0]:.2g} to {1e3 * ends[1]:.2g})"
+        unit = "mm" if fault.kind == "structural_looseness" else "mrad (mm where the joint slides)"
+        lines.append(f"  free travel {1e3 * fault.gap_m:.2g}{between} {unit}")
     others = sorted(
         ((p, name) for name, p in found.posterior.items() if name != fault.hypothesis), reverse=True
     )

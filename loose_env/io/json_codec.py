@@ -210,7 +210,8 @@ def read_result_file(path: str | Path, parse: Callable[[str], T], *, noun: str) 
     try:
         text = file.read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise InvalidData(f"{file}: the {noun} cannot be read: {error}") from None
+        why = getattr(error, "strerror", None) or error
+        raise InvalidData(f"{file}: the {noun} cannot be read: {why}") from None
     try:
         return parse(text)
     except InvalidData as error:

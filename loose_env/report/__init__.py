@@ -7,9 +7,14 @@ from loose_env.envs import FAINT, INK, MUTED
 from loose_env.report.comparison.episode_timeline import episode_timeline
 from loose_env.report.comparison.report import write_comparison
 from loose_env.report.comparison.text import comparison_text
+from loose_env.report.diagnosis.notebook import diagnosis_html, diagnosis_text
 from loose_env.report.diagnosis.page import write_page
 from loose_env.report.diagnosis.plan_page import write_plan_page
 from loose_env.report.diagnosis.plan_text import summary
+from loose_env.report.diagnosis.text import headline as diagnosis_headline
+from loose_env.report.diagnosis.write import write_diagnosis
+from loose_env.report.gap.notebook import gap_html, gap_text
+from loose_env.report.gap.text import headline as gap_headline
 from loose_env.report.gap.text import ranked_words, unsure
 from loose_env.report.gap.write import write_gap_report
 from loose_env.report.pages.figure_card import FigureCard
@@ -39,7 +44,13 @@ __all__ = [
     "WIDTH",
     "FigureCard",
     "comparison_text",
+    "diagnosis_headline",
+    "diagnosis_html",
+    "diagnosis_text",
     "episode_timeline",
+    "gap_headline",
+    "gap_html",
+    "gap_text",
     "new_figure",
     "paragraphs",
     "pyplot",
@@ -57,6 +68,7 @@ __all__ = [
     "to_svg",
     "unsure",
     "write_comparison",
+    "write_diagnosis",
     "write_gap_report",
     "write_page",
     "write_plan_page",
