@@ -53,6 +53,8 @@ class Servo:
     """Actuator force over command."""
     follows: bool
     """True for a position servo: its command is a position."""
+    lag: float
+    """Delay of slow motion behind the command of a position servo in the model [s]."""
     limits: tuple[float, float] | None
     """Limits of the command; None where it has none."""
 
@@ -102,12 +104,16 @@ class Machine:
         fixed = int(m.actuator_gaintype[a]) == int(mujoco.mjtGain.mjGAIN_FIXED)
         affine = int(m.actuator_biastype[a]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
         limited = bool(m.actuator_ctrllimited[a])
+        follows = bool(affine and fixed and gain > 0 and np.isclose(bias[1], -gain))
+        gear, joint = float(m.actuator_gear[a][0]), int(m.actuator_trnid[a][0])
+        damping = float(m.dof_damping[int(m.jnt_dofadr[joint])]) - float(bias[2]) * gear**2
         return Servo(
             name=m.actuator(a).name,
-            joint=m.joint(int(m.actuator_trnid[a][0])).name,
-            gear=float(m.actuator_gear[a][0]),
+            joint=m.joint(joint).name,
+            gear=gear,
             gain=gain if fixed and int(m.actuator_dyntype[a]) == 0 else 0.0,
-            follows=bool(affine and fixed and gain > 0 and np.isclose(bias[1], -gain)),
+            follows=follows,
+            lag=damping / (gain * gear**2) if follows and gear else 0.0,
             limits=tuple(map(float, m.actuator_ctrlrange[a])) if limited else None,  # type: ignore[arg-type]
         )
 

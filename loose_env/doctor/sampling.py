@@ -34,10 +34,10 @@ def check_sampling(machine: Machine, run: Run, channels: Sequence[Channel]) -> I
     if rate < LEAST_RATE_HZ:
         yield Finding(
             check="rate",
-            severity="warning",
+            severity="error" if run.excited else "warning",  # no joint is shaken so slowly
             run=run.name,
             channel="time",
-            found=f"sampled at {rate:.4g} Hz",
+            found=f"sampled at {rate:.4g} Hz over {length:.4g} s",
             value=rate,
             unit="Hz",
             consequence=f"motion above {rate / 2:.3g} Hz is not resolved, and servos reach 5 to "

@@ -115,8 +115,10 @@ NOTED_DELAY_S = 5e-4
 LARGE_DELAY_S = 1e-3
 """Delay from which it is a warning [s]: 54 degrees of phase at 150 Hz."""
 LATE_COMMAND_S = 0.02
-"""Delay of motion behind a position command, from which it is told [s]: servos of industrial arms
-follow within."""
+"""Delay of motion behind a position command beside that of the model's servo, from which it is told
+[s]: buses and drives of industrial arms take less."""
+LARGEST_LAG_S = 0.4
+"""Largest such delay searched [s]: hobby servos on a bus are 0.2 s late."""
 
 # Entries
 POSE_OFFSET = 0.05

@@ -24,6 +24,7 @@ from loose_env.doctor.thresholds import (
     DELAY_Z,
     FEWEST_LINES,
     LARGEST_DELAY_S,
+    LARGEST_LAG_S,
     LATE_COMMAND_S,
     MOST_SPECTRA,
     NOTED_DELAY_S,
@@ -31,6 +32,7 @@ from loose_env.doctor.thresholds import (
     RIVAL_FIT,
     SEGMENTS,
 )
+from loose_env.importing import median_step
 from loose_env.recording import Run
 from loose_env.typing import Array
 
@@ -67,7 +69,9 @@ class _Seen(NamedTuple):
     delay: Delay
 
 
-def delay_between(x: Array, y: Array, step: float) -> Delay | None:
+def delay_between(
+    x: Array, y: Array, step: float, *, largest: float = LARGEST_DELAY_S
+) -> Delay | None:
     """Delay of y behind x by the phase of their coherent lines.
 
     Parameters
@@ -76,6 +80,8 @@ def delay_between(x: Array, y: Array, step: float) -> Delay | None:
         Two signals of one motion.
     step : float
         Time between their samples [s].
+    largest : float
+        Largest delay searched [s].
 
     Returns
     -------
@@ -110,7 +116,7 @@ def delay_between(x: Array, y: Array, step: float) -> Delay | None:
     weight = share / (1 - share)
     weight = np.minimum(weight, 4 * np.median(weight))
     weight /= weight.sum()
-    tried = np.arange(-LARGEST_DELAY_S, LARGEST_DELAY_S, step / _FINE)
+    tried = np.arange(-largest, largest, step / _FINE)
     fits = (np.exp(2j * np.pi * np.outer(tried, at)) @ (weight * turn)).real
     best = int(np.argmax(np.abs(fits)))
     if abs(fits[best]) < PHASE_FIT or best in (0, len(tried) - 1):
@@ -214,8 +220,10 @@ def _followed(
             continue
         command = np.interp(motion.time, run.time, filled(run.time, channel.values))
         own = filled(run.time, positions[drive.joint].values) * factors.get(drive.joint, 1.0)
-        found = delay_between(command, np.interp(motion.time, run.time, own), motion.step)
+        read = np.interp(motion.time, run.time, own)
+        found = delay_between(command, read, motion.step, largest=LARGEST_LAG_S)
         if found is not None:
+            found = found._replace(seconds=found.seconds - drive.lag)
             yield _Seen(run, channel.name, "servo", "position commands", found)
 
 
@@ -269,22 +277,25 @@ def _offset(
     size = abs(late)
     if size < DELAY_Z * sd or 2 * np.pi * middle * size < _LEAST_PHASE or scatter > 0.5 * size:
         return
-    least = LATE_COMMAND_S if kind == "servo" else NOTED_DELAY_S
-    if size < least:
+    step = float(np.median([median_step(each.run.time) for each in group]))
+    # Simulators and buses differ by up to a sample in what they call one moment.
+    if size < max(LATE_COMMAND_S if kind == "servo" else NOTED_DELAY_S, step):
         return
     word = "late" if late > 0 else "early"
     runs = len({each.run.name for each in group})
     tail = f"{1e3 * size:.1f} ms {word} (standard deviation {1e3 * sd:.2g} ms, {runs} runs)"
     if kind == "servo":
+        if late < 0:
+            return  # stiffer than the model's
         yield Finding(
             check="clock",
             severity="note",
             channel="ctrl",
-            found=f"the joints follow their commands {tail}",
+            found=f"the joints follow their commands {tail} beside the delay of the model's servos",
             value=late,
             unit="s",
-            consequence="delay of the drives, or another clock of the commands; the nominal model "
-            "has neither",
+            consequence="the nominal model does not have this delay of the drives or of the clock "
+            "of the commands",
             remedy="'loose gap' identifies it; where the clocks differ, set delay_s at the import",
         )
         return
@@ -295,7 +306,7 @@ def _offset(
     cycles = 360 * size * middle
     yield Finding(
         check="clock",
-        severity="warning" if size >= settings.clock_s else "note",
+        severity="warning" if size >= max(settings.clock_s, 1.5 * step) else "note",
         channel=channel,
         found=f"{subject} {tail} against the joint encoders",
         value=late,

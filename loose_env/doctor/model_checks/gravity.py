@@ -61,6 +61,8 @@ def _pair(machine: Machine, sensor: str, blocks: Blocks) -> _Pair | None:
     for run, _, motion, rows in blocks:
         if sensor not in run.sensors or not carried(machine, sensor, motion.known):
             continue
+        if (np.nanstd(run.sensors[sensor], axis=0) == 0).any():
+            continue  # a dead axis is a finding of its own
         columns = np.stack([filled(run.time, c) for c in run.sensors[sensor].T], axis=1)
         total = np.concatenate([np.zeros((1, 3)), np.cumsum(columns, axis=0)])
         count = (rows[:, 1] - rows[:, 0])[:, None]

@@ -56,9 +56,7 @@ def check_positions(
         ]
         if not own:
             continue
-        reason = _unit(machine, joint, own)
-        if reason is None:
-            reason = _by_pose(machine, joint, own)
+        reason = _by_pose(machine, joint, own) or _unit(machine, joint, own)
         if reason is not None:
             factors[joint], finding = reason
             found.append(finding)
