@@ -17,6 +17,7 @@ import sys
 from dataclasses import fields
 
 from loose_env.cli.choice import add_choice, take_over
+from loose_env.cli.doctor import add_preflight, check_first
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.cli.recorded import Said, add_recording_options, folder_of
 from loose_env.errors import InvalidData, InvalidSetting, MissingExtra
@@ -35,6 +36,7 @@ from loose_env.recording import read_recording
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     add_recording_options(parser)
+    add_preflight(parser)
     add_choice(parser)
     chosen_with = [each.name.replace("_", "-") for each in fields(NextSettings)]
     add_settings(parser, DiagnoseSettings, title="what is known beforehand", leave_out=chosen_with)
@@ -49,6 +51,7 @@ def run(options: argparse.Namespace) -> None:
     if options.recording.resolve() == folder.path:
         raise InvalidSetting("--out is the recording itself; give another folder")
     recording = read_recording(options.recording, model=options.model)
+    check_first(recording, options)
     say = Said(quiet=options.quiet)
     with folder.worked_in():
         found = diagnose(recording, settings, say=say)

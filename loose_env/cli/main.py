@@ -18,6 +18,7 @@ from loose_env.errors import LooseEnvError, words_of
 COMMANDS = {
     "inspect": "show an arm's joints, tool and modes, and what faults could be found",
     "plan": "say what to measure next: pose, joint and signal",
+    "doctor": "check a recording: units, ranges, signs, sampling, channels, clocks",
     "diagnose": "say what is loose in an arm, by measured runs, and what to measure next",
     "gap": "name what a simulation model lacks, by measured runs",
     "import": "make a recording of what loggers wrote: MCAP, CSV, universal files",

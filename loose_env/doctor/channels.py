@@ -13,9 +13,7 @@ from loose_env.typing import Array
 
 __all__ = ["Channel", "Kind", "Machine", "channels_of", "filled"]
 
-Kind = Literal[
-    "position", "velocity", "acceleration", "turning", "torque", "command", "other"
-]
+Kind = Literal["position", "velocity", "acceleration", "turning", "torque", "command", "other"]
 """Quantity of a channel."""
 
 _KINDS: dict[int, Kind] = {

@@ -18,9 +18,9 @@ __all__ = ["check_entries", "positions_in"]
 _RECORD = "note the pose that was held, or record the run again in that pose"
 
 
-def positions_in(run: Run, channels: Sequence[Channel], factors: Mapping[str, float]) -> dict[
-    str, np.ndarray
-]:
+def positions_in(
+    run: Run, channels: Sequence[Channel], factors: Mapping[str, float]
+) -> dict[str, np.ndarray]:
     """Measured position of each joint, brought to rad or m by the factors found."""
     found: dict[str, np.ndarray] = {}
     for channel in channels:
@@ -32,17 +32,15 @@ def positions_in(run: Run, channels: Sequence[Channel], factors: Mapping[str, fl
 
 def check_entries(
     machine: Machine,
-    runs: Sequence[Run],
-    columns: Sequence[Sequence[Channel]],
+    pairs: Sequence[tuple[Run, Sequence[Channel]]],
     factors: Mapping[str, float],
     settings: DoctorSettings,
 ) -> Iterator[Finding]:
     """Compare the entries of all runs with their columns."""
-    measured = [
-        {joint: float(np.mean(q)) for joint, q in positions_in(run, own, factors).items()}
-        for run, own in zip(runs, columns, strict=True)
-    ]
-    for run, own, mean in zip(runs, columns, measured, strict=True):
+    runs = [run for run, _ in pairs]
+    for run, own in pairs:
+        measured = positions_in(run, own, factors)
+        mean = {joint: float(np.mean(q)) for joint, q in measured.items()}
         if run.pose is not None:
             yield from _pose(machine, run, own, mean, runs, factors, settings)
         yield from _commands(machine, run, own)

@@ -56,9 +56,7 @@ class Report:
     """Findings, errors first, else in the order of the checks."""
 
     @classmethod
-    def of(
-        cls, recording: str, runs: int, seconds: float, findings: Iterable[Finding]
-    ) -> Report:
+    def of(cls, recording: str, runs: int, seconds: float, findings: Iterable[Finding]) -> Report:
         """Make a report of findings in any order."""
         ordered = sorted(findings, key=lambda each: _RANK[each.severity])
         return cls(recording=recording, runs=runs, seconds=seconds, findings=tuple(ordered))

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 
-from loose_env.doctor.channels import Machine, channels_of
+import numpy as np
+
+from loose_env.arms import quiet
+from loose_env.doctor.channels import Channel, Machine, channels_of
 from loose_env.doctor.entries import check_entries
 from loose_env.doctor.findings import Finding, Report
 from loose_env.doctor.model_checks.clocks import check_clocks
@@ -12,10 +15,12 @@ from loose_env.doctor.model_checks.forces import check_forces
 from loose_env.doctor.model_checks.gravity import check_gravity
 from loose_env.doctor.model_checks.motion import block_motion
 from loose_env.doctor.model_checks.positions import check_positions
-from loose_env.doctor.quality import check_quality
+from loose_env.doctor.quality import check_quality, within_range
 from loose_env.doctor.sampling import check_rates, check_sampling
 from loose_env.doctor.settings import DoctorSettings
-from loose_env.recording import Recording
+from loose_env.doctor.thresholds import HIGHEST_RATE_HZ
+from loose_env.importing import median_step
+from loose_env.recording import Recording, Run
 
 __all__ = ["examine"]
 
@@ -67,36 +72,53 @@ def examine(
     """
     settings = DoctorSettings() if settings is None else settings
     machine = Machine(recording.model())
-    runs = [(run, channels_of(machine, run)) for run in recording.runs]
     found: list[Finding] = []
-    say(f"checking {len(runs)} runs by themselves")
-    for run, channels in runs:
-        found += check_sampling(machine, run, channels)
-        found += check_quality(machine, run, channels)
-    found += check_rates(recording.runs)
+    runs: list[tuple[Run, list[Channel]]] = []
+    with quiet(), np.errstate(all="ignore"):  # what overflows is not finite, and no finding
+        say(f"checking {len(recording.runs)} runs by themselves")
+        for whole in recording.runs:
+            run, wrong = within_range(whole)
+            found += wrong
+            channels = channels_of(machine, run)
+            found += check_sampling(machine, run, channels)
+            found += check_quality(machine, run, channels)
+            if 1 / median_step(run.time) <= HIGHEST_RATE_HZ:
+                runs.append((run, channels))
+        if runs:
+            found += _together(machine, runs, settings, say)
+    seconds = sum(float(run.time[-1] - run.time[0]) for run in recording.runs)
+    return Report.of(recording.folder.name, len(recording.runs), seconds, found)
+
+
+def _together(
+    machine: Machine,
+    runs: list[tuple[Run, list[Channel]]],
+    settings: DoctorSettings,
+    say: Callable[[str], None],
+) -> Iterator[Finding]:
+    """Check all runs against the model and against each other."""
+    yield from check_rates([run for run, _ in runs])
     say("checking positions, entries and commands")
     wrong, factors = check_positions(machine, runs, settings)
-    found += wrong
-    found += check_entries(machine, recording.runs, [c for _, c in runs], factors, settings)
-    if _needs_motion(machine, recording):
+    yield from wrong
+    yield from check_entries(machine, runs, factors, settings)
+    if _needs_motion(machine, [run for run, _ in runs]):
         say("checking gravity and torques")
         blocks = []
         for run, channels in runs:
             made = block_motion(machine, run, channels, factors)
             if made is not None:
                 blocks.append((run, channels, *made))
-        found += check_gravity(machine, blocks, factors, settings)
-        found += check_forces(machine, blocks)
+        yield from check_gravity(machine, blocks, factors, settings)
+        yield from check_forces(machine, blocks)
     say("checking signs and clocks")
-    found += check_clocks(machine, runs, factors, settings)
-    seconds = sum(float(run.time[-1] - run.time[0]) for run in recording.runs)
-    return Report.of(recording.folder.name, len(recording.runs), seconds, found)
+    yield from check_clocks(machine, runs, factors, settings)
 
 
-def _needs_motion(machine: Machine, recording: Recording) -> bool:
+def _needs_motion(machine: Machine, runs: Sequence[Run]) -> bool:
     """Return whether any reading depends on the motion through the model."""
     motors = {d.name for d in machine.drives.values() if d.gain and not d.follows}
     return any(
         run.torques or motors & set(run.controls) or any(v.ndim > 1 for v in run.sensors.values())
-        for run in recording.runs
+        for run in runs
     )

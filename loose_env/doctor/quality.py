@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from loose_env.doctor.thresholds import (
     FROZEN_SAMPLES,
     HELD_SHARE,
     LARGE_NAN,
+    LARGEST_VALUE,
     LIMITED_SHARE,
     LOST_RATIO,
     LOST_VALUE,
@@ -28,11 +30,43 @@ from loose_env.importing import median_step
 from loose_env.recording import Run
 from loose_env.typing import Array
 
-__all__ = ["check_quality"]
+__all__ = ["check_quality", "within_range"]
 
 _NOISY = ("acceleration", "turning", "torque", "velocity")
 """Kinds whose readings never repeat for long on a machine that runs."""
 _SITE = ("acceleration", "turning")
+
+
+def within_range(run: Run) -> tuple[Run, list[Finding]]:
+    """Take out columns whose values are no measurements, with a finding for each."""
+    found: list[Finding] = []
+
+    def kept(prefix: str, columns: Mapping[str, Array]) -> dict[str, Array]:
+        inside = {}
+        for name, values in columns.items():
+            reach = float(np.nanmax(np.abs(values))) if np.isfinite(values).any() else 0.0
+            if reach <= LARGEST_VALUE:
+                inside[name] = values
+                continue
+            found.append(
+                Finding(
+                    check="range",
+                    severity="error",
+                    run=run.name,
+                    channel=f"{prefix}.{name}",
+                    found=f"reaches {reach:.3g}",
+                    value=reach,
+                    consequence="no reading in SI units is so large, and results overflow",
+                    remedy="check unit and scale at the import, and look for lost samples",
+                )
+            )
+        return inside
+
+    controls, torques = kept("ctrl", run.controls), kept("torque", run.torques)
+    sensors = kept("sensor", run.sensors)
+    if found:
+        run = replace(run, controls=controls, sensors=sensors, torques=torques)
+    return run, found
 
 
 def check_quality(machine: Machine, run: Run, channels: Sequence[Channel]) -> Iterator[Finding]:

@@ -12,6 +12,7 @@ from loose_env.doctor.findings import Finding
 from loose_env.doctor.thresholds import (
     BAND_POWER,
     BAND_SHARE,
+    HIGHEST_RATE_HZ,
     LEAST_RATE_HZ,
     LEAST_RUN_S,
     PAUSE_S,
@@ -45,6 +46,19 @@ def check_sampling(machine: Machine, run: Run, channels: Sequence[Channel]) -> I
             remedy=f"record at {LEAST_RATE_HZ:g} Hz or more; where the times are not in seconds, "
             "import them with their unit",
         )
+    if rate > HIGHEST_RATE_HZ:
+        yield Finding(
+            check="rate",
+            severity="error",
+            run=run.name,
+            channel="time",
+            found=f"sampled at {rate:.4g} Hz over {length:.4g} s",
+            value=rate,
+            unit="Hz",
+            consequence="the times are not in seconds, and every frequency is wrong",
+            remedy="import the times with their unit",
+        )
+        return
     if length < LEAST_RUN_S:
         yield Finding(
             check="length",
@@ -137,9 +151,7 @@ def band_top(time: Array, values: Array) -> float | None:
     column = signal.detrend(filled(time, values))
     if column.std() <= 1e-12 * (1 + np.abs(values[np.isfinite(values)]).max(initial=0.0)):
         return None
-    frequency, power = signal.welch(
-        column, 1 / median_step(time), nperseg=min(len(column), 1024)
-    )
+    frequency, power = signal.welch(column, 1 / median_step(time), nperseg=min(len(column), 1024))
     share = np.cumsum(power) / power.sum()
     return float(frequency[int(np.searchsorted(share, BAND_POWER))])
 

@@ -17,7 +17,7 @@ from loose_env.doctor.channels import Channel, Machine, filled
 from loose_env.doctor.findings import Finding
 from loose_env.doctor.model_checks.forces import recorded_forces
 from loose_env.doctor.model_checks.motion import Motion, carried, sampled_motion
-from loose_env.doctor.model_checks.units import ACCELERATION, ANGLE, LENGTH, named_unit
+from loose_env.doctor.model_checks.units import ACCELERATION, ANGLE, LENGTH, inverse, named_unit
 from loose_env.doctor.settings import DoctorSettings
 from loose_env.doctor.thresholds import (
     COHERENT,
@@ -91,8 +91,9 @@ def delay_between(
     Examples
     --------
     >>> rng = np.random.default_rng(0)
-    >>> x = signal.sosfilt(signal.butter(4, (30, 150), "bandpass", fs=1000, output="sos"),
-    ...                    rng.normal(size=4010))
+    >>> x = signal.sosfilt(
+    ...     signal.butter(4, (30, 150), "bandpass", fs=1000, output="sos"), rng.normal(size=4010)
+    ... )
     >>> found = delay_between(x[10:], -x[5:-5] + 0.01 * rng.normal(size=4000), 0.001)
     >>> round(found.seconds, 4), found.sign
     (0.005, -1)
@@ -248,7 +249,9 @@ def _signs(machine: Machine, kind: str, group: Sequence[_Seen]) -> Iterator[Find
             of = next(each.of for each in group)
             units = ANGLE if machine.hinge(of) else LENGTH
         ratio = float(np.median([d.ratio for d in own]))
-        words = named_unit(ratio, units) or named_unit(1 / ratio, ANGLE if units is ANGLE else {})
+        words = named_unit(ratio, units) or named_unit(
+            inverse(ratio), ANGLE if units is ANGLE else {}
+        )
         if words is not None:
             yield Finding(
                 check="units",

@@ -104,7 +104,7 @@ def _judged(
             value=ratio,
             unit="1",
             consequence="the transmission to the tool is wrong by that factor",
-            remedy="import the columns with their unit (unit = \"g\"), or convert them",
+            remedy='import the columns with their unit (unit = "g"), or convert them',
         )
     elif ratio < UNCOUPLED * 1.3:
         yield Finding(
@@ -210,14 +210,10 @@ def _by_joints(
                 )
 
 
-def _reversed(
-    machine: Machine, joint: str, blocks: Blocks, factors: Mapping[str, float]
-) -> Blocks:
+def _reversed(machine: Machine, joint: str, blocks: Blocks, factors: Mapping[str, float]) -> Blocks:
     found = []
     for run, channels, _, _ in blocks:
-        made = block_motion(
-            machine, run, channels, {**factors, joint: -factors.get(joint, 1.0)}
-        )
+        made = block_motion(machine, run, channels, {**factors, joint: -factors.get(joint, 1.0)})
         if made is not None:
             found.append((run, channels, *made))
     return found

@@ -8,7 +8,7 @@ import numpy as np
 
 from loose_env.doctor.channels import Channel, Machine, filled
 from loose_env.doctor.findings import Finding
-from loose_env.doctor.model_checks.units import ANGLE, LENGTH, named_unit, ratio_of
+from loose_env.doctor.model_checks.units import ANGLE, LENGTH, inverse, named_unit, ratio_of
 from loose_env.doctor.settings import DoctorSettings
 from loose_env.doctor.thresholds import (
     LEAST_SPREAD_RAD,
@@ -118,13 +118,11 @@ def _unit(
         value=reach,
         unit=machine.unit(joint),
         consequence=_WRONG_UNIT,
-        remedy="import the column with its unit (unit = \"deg\" or \"mm\"), or convert it",
+        remedy='import the column with its unit (unit = "deg" or "mm"), or convert it',
     )
 
 
-def _range(
-    machine: Machine, joint: str, own: Sequence[tuple[Run, Channel]]
-) -> Iterator[Finding]:
+def _range(machine: Machine, joint: str, own: Sequence[tuple[Run, Channel]]) -> Iterator[Finding]:
     for run, channel in own:
         excess = _outside(machine, joint, channel.values)
         if excess > _slack(machine, joint):
@@ -179,7 +177,7 @@ def _by_pose(
             consequence=_WRONG_UNIT,
             remedy="import the column with its unit, or convert it",
         )
-    if named_unit(1 / found.ratio, {words: factor}):
+    if named_unit(inverse(found.ratio), {words: factor}):
         return 1.0, Finding(
             check="units",
             severity="error",
@@ -223,7 +221,7 @@ def _fast(machine: Machine, runs: Runs, settings: DoctorSettings) -> Iterator[Fi
                     value=speed,
                     unit=unit,
                     consequence="no arm moves so fast: unit, or lost samples",
-                    remedy="import the column with its unit (\"deg/s\", \"rpm\")",
+                    remedy='import the column with its unit ("deg/s", "rpm")',
                 )
 
 
@@ -279,7 +277,7 @@ def _following(
     if found is None or abs(found.correlation) < SURE_CORRELATION:
         return None
     units = _units(machine, joint)
-    words = named_unit(found.ratio, units) or named_unit(1 / found.ratio, units)
+    words = named_unit(found.ratio, units) or named_unit(inverse(found.ratio), units)
     if words is None and abs(found.ratio + 1) > UNIT_MATCH:
         return None
     return Finding(

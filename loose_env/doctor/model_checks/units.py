@@ -10,7 +10,7 @@ import numpy as np
 from loose_env.doctor.thresholds import UNIT_MATCH
 from loose_env.typing import Array
 
-__all__ = ["ACCELERATION", "ANGLE", "FORCE", "LENGTH", "Ratio", "named_unit", "ratio_of"]
+__all__ = ["ACCELERATION", "ANGLE", "FORCE", "LENGTH", "Ratio", "inverse", "named_unit", "ratio_of"]
 
 ANGLE: Mapping[str, float] = {"degrees instead of radians": 180 / np.pi}
 """Wrong units of an angle or of its rate, and what they multiply it by."""
@@ -48,8 +48,15 @@ def ratio_of(measured: Array, expected: Array) -> Ratio | None:
     return Ratio(ratio, product / np.sqrt(power * own))
 
 
+def inverse(ratio: float) -> float:
+    """One over a ratio; not finite for zero."""
+    return float("inf") if ratio == 0.0 else 1 / ratio
+
+
 def named_unit(ratio: float, units: Mapping[str, float]) -> str | None:
     """Wrong unit that a ratio stands for; None where none fits."""
+    if not np.isfinite(ratio):
+        return None
     for words, factor in units.items():
         if abs(abs(ratio) / factor - 1) <= UNIT_MATCH:
             return words
