@@ -176,7 +176,7 @@ def _by_axes(pair: _Pair) -> Iterator[tuple[float, str]]:
             changes = sum(o != i for i, o in enumerate(order)) + signs.count(-1)
             left = _angle(pair.measured[:, order] * np.array(signs), pair.implied)
             ways.append((changes, left, order, signs))
-    ways = [way for way in ways if 0 < way[0] and way[1] <= EXPLAINED_DEG]
+    ways = [way for way in ways if way[0] > 0 and way[1] <= EXPLAINED_DEG]
     fewest = min((way[0] for way in ways), default=0)
     for changes, left, order, signs in ways:
         if changes == fewest:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from loose_env.doctor.channels import Channel, Machine
 from loose_env.doctor.entries import positions_in
@@ -99,7 +100,7 @@ def _motion(
     positions: Mapping[str, Array],
     time: Array,
     step: float,
-    chosen: Array,
+    chosen: NDArray[np.intp],
 ) -> Motion:
     model = machine.model
     qpos = np.tile(model.qpos0, (len(time), 1))
