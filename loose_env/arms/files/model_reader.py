@@ -120,10 +120,9 @@ def load_spec(
         )
     try:
         with quiet():
-            if whole is None:
-                spec = mujoco.MjSpec.from_file(str(file))
-            else:
-                spec = urdf_spec(file, whole)
+            spec = (
+                mujoco.MjSpec.from_file(str(file)) if whole is None else urdf_spec(file, whole)
+            )
     except InvalidData:
         raise
     except Exception as error:  # MuJoCo raises ValueError and mujoco.FatalError alike

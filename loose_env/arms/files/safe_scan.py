@@ -214,8 +214,8 @@ def _looked_over(file: Path, root: Path | None = None) -> _Found:
         raise InvalidData(f"{file.name}: it includes {error}") from None
 
 
-def _followed(file: Path, root: Path | None) -> _Found:
-    folders = (file.parent,) if root is None else (file.parent, root)
+def _followed(file: Path, package: Path | None) -> _Found:
+    folders = (file.parent,) if package is None else (file.parent, package)
     found = _Found(folders=folders, places=[file.parent])
     waiting = [file]
     while waiting:
