@@ -14,6 +14,7 @@ from loose_env.doctor.thresholds import (
     LEAST_BLOCKS,
     LEAST_TORQUE_SHARE,
     SCALE_NOTED,
+    SCALE_WRONG,
     SURE_CORRELATION,
     TORQUE_SIGN,
 )
@@ -76,11 +77,14 @@ def _judged(
         return
     unit = "N·m" if machine.hinge(joint) else "N"
     wrong = _wrong(found)
+    if wrong is None and found.correlation > SURE_CORRELATION:
+        if not 1 / SCALE_WRONG < found.ratio < SCALE_WRONG:
+            wrong = "another unit, gain or gear", "units"
     if wrong is not None:
-        words, severity_word = wrong
+        words, check = wrong
         yield Finding(
-            check=severity_word,
-            severity="error",
+            check=check,
+            severity="error" if _wrong(found) else "warning",
             channel=parts[0][0],
             found=f"{found.ratio:.3g} times the torque that gravity and inertia need (correlation "
             f"{found.correlation:.2f}, {_rms(needed):.3g} {unit} rms): {words}",

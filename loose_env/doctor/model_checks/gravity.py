@@ -135,10 +135,13 @@ def _judged(
 
 
 def _angle(measured: Array, implied: Array) -> float:
-    """Median angle between two sets of vectors [deg]."""
+    """Angle between two sets of vectors, from the mean of its cosine [deg].
+
+    Axes that are wrong show in some poses alone, which a median would pass over.
+    """
     lengths = np.linalg.norm(measured, axis=1) * np.linalg.norm(implied, axis=1)
     cosine = np.einsum("ij,ij->i", measured, implied) / np.maximum(lengths, 1e-12)
-    return float(np.degrees(np.arccos(np.clip(np.median(cosine), -1.0, 1.0))))
+    return float(np.degrees(np.arccos(np.clip(np.mean(cosine), -1.0, 1.0))))
 
 
 def _turned(

@@ -16,6 +16,7 @@ from loose_env.doctor.thresholds import (
     OUT_OF_RANGE_M,
     OUT_OF_RANGE_RAD,
     OVER_CONTROL_RANGE,
+    SCALE_WRONG,
     SURE_CORRELATION,
     UNIT_MATCH,
 )
@@ -278,14 +279,18 @@ def _following(
         return None
     units = _units(machine, joint)
     words = named_unit(found.ratio, units) or named_unit(inverse(found.ratio), units)
-    if words is None and abs(found.ratio + 1) > UNIT_MATCH:
+    opposite = abs(found.ratio + 1) <= UNIT_MATCH
+    if words is None and not opposite and 1 / SCALE_WRONG < abs(found.ratio) < SCALE_WRONG:
         return None
+    if words is not None:
+        explained = f": one of the two is in {words}"
+    else:
+        explained = ": opposite signs" if opposite else ": another unit or gear"
     return Finding(
-        check="units" if words else "sign",
-        severity="error",
+        check="sign" if opposite else "units",
+        severity="error" if words or opposite else "warning",
         channel=f"ctrl.{name}",
-        found=f"{found.ratio:.3g} times the measured position of joint {joint}"
-        + (f": one of the two is in {words}" if words else ": opposite signs"),
+        found=f"{found.ratio:.3g} times the measured position of joint {joint}{explained}",
         value=found.ratio,
         unit="1",
         consequence="the model follows a command that the machine was not given",
