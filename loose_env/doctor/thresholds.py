@@ -73,9 +73,9 @@ UNIT_MATCH = 0.2
 gains, friction and damping change ratios by less."""
 SCALE_NOTED = 0.25
 """Relative distance of a ratio from 1, above which the reader is told where no unit fits."""
-SCALE_WRONG = 3.0
+SCALE_WRONG = 5.0
 """Ratio of two signals of one quantity, or its inverse, above which the reader is told where no
-unit fits: friction, gains and sag stay below."""
+unit fits: a soft servo that swings its load stays below."""
 SURE_CORRELATION = 0.8
 """Correlation of two channels, from which their sign and ratio are believed."""
 LEAST_BLOCKS = 8

@@ -77,9 +77,9 @@ def _judged(
         return
     unit = "N·m" if machine.hinge(joint) else "N"
     wrong = _wrong(found)
-    if wrong is None and found.correlation > SURE_CORRELATION:
-        if not 1 / SCALE_WRONG < found.ratio < SCALE_WRONG:
-            wrong = "another unit, gain or gear", "units"
+    odd = not 1 / SCALE_WRONG < found.ratio < SCALE_WRONG
+    if wrong is None and odd and found.correlation > SURE_CORRELATION:
+        wrong = "another unit, gain or gear", "units"
     if wrong is not None:
         words, check = wrong
         yield Finding(

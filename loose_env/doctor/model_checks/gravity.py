@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import permutations, product
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from loose_env.doctor.channels import Channel, Machine, filled
 from loose_env.doctor.findings import Finding
@@ -36,6 +37,8 @@ class _Pair(NamedTuple):
 
     measured: Array
     implied: Array
+    runs: NDArray[np.intp]
+    """Number of the run of each block, shape (N,)."""
 
 
 def check_gravity(
@@ -56,9 +59,9 @@ def _accelerometers(machine: Machine, blocks: Blocks) -> list[str]:
 
 
 def _pair(machine: Machine, sensor: str, blocks: Blocks) -> _Pair | None:
-    measured, implied = [], []
+    measured, implied, runs = [], [], []
     at = int(machine.model.sensor_adr[machine.model.sensor(sensor).id])
-    for run, _, motion, rows in blocks:
+    for k, (run, _, motion, rows) in enumerate(blocks):
         if sensor not in run.sensors or not carried(machine, sensor, motion.known):
             continue
         if (np.nanstd(run.sensors[sensor], axis=0) == 0).any():
@@ -68,9 +71,10 @@ def _pair(machine: Machine, sensor: str, blocks: Blocks) -> _Pair | None:
         count = (rows[:, 1] - rows[:, 0])[:, None]
         measured.append((total[rows[:, 1]] - total[rows[:, 0]]) / count)
         implied.append(motion.readings[:, at : at + 3])
+        runs.append(np.full(len(rows), k))
     if sum(map(len, measured)) < LEAST_BLOCKS:
         return None
-    return _Pair(np.concatenate(measured), np.concatenate(implied))
+    return _Pair(np.concatenate(measured), np.concatenate(implied), np.concatenate(runs))
 
 
 def _size(values: Array) -> float:
@@ -91,7 +95,7 @@ def _judged(
     ratio = _size(pair.measured) / expected
     channel = f"sensor.{sensor}"
     words = named_unit(ratio, ACCELERATION)
-    turned = _angle(pair.measured, pair.implied)
+    turned = _angle(pair.measured, pair.implied, pair.runs)
     if ratio < UNCOUPLED * 1.3 and words is not None and turned > WRONG_AXES_DEG:
         words = None  # a small mean that does not point along gravity is no acceleration in g
     if words is not None:
@@ -134,14 +138,15 @@ def _judged(
         yield _turned(machine, sensor, pair, turned, blocks, factors)
 
 
-def _angle(measured: Array, implied: Array) -> float:
-    """Angle between two sets of vectors, from the mean of its cosine [deg].
+def _angle(measured: Array, implied: Array, runs: NDArray[np.intp]) -> float:
+    """Median angle between two sets of vectors in the run where it is largest [deg].
 
-    Axes that are wrong show in some poses alone, which a median would pass over.
+    Axes that are wrong show in some poses alone, and each run holds a pose or moves through many.
     """
     lengths = np.linalg.norm(measured, axis=1) * np.linalg.norm(implied, axis=1)
     cosine = np.einsum("ij,ij->i", measured, implied) / np.maximum(lengths, 1e-12)
-    return float(np.degrees(np.arccos(np.clip(np.mean(cosine), -1.0, 1.0))))
+    worst = min(float(np.median(cosine[runs == k])) for k in np.unique(runs))
+    return float(np.degrees(np.arccos(np.clip(worst, -1.0, 1.0))))
 
 
 def _turned(
@@ -177,7 +182,7 @@ def _by_axes(pair: _Pair) -> Iterator[tuple[float, str]]:
     for order in permutations(range(3)):
         for signs in product((1, -1), repeat=3):
             changes = sum(o != i for i, o in enumerate(order)) + signs.count(-1)
-            left = _angle(pair.measured[:, order] * np.array(signs), pair.implied)
+            left = _angle(pair.measured[:, order] * np.array(signs), pair.implied, pair.runs)
             ways.append((changes, left, order, signs))
     ways = [way for way in ways if way[0] > 0 and way[1] <= EXPLAINED_DEG]
     fewest = min((way[0] for way in ways), default=0)
@@ -199,16 +204,13 @@ def _by_joints(
     factors: Mapping[str, float],
 ) -> Iterator[tuple[float, str]]:
     """Angles left with the encoder of one joint reversed."""
-    again: Callable[[str], _Pair | None] = lambda joint: _pair(  # noqa: E731
-        machine, sensor, _reversed(machine, joint, blocks, factors)
-    )
     for joint in machine.joints:
-        other = again(joint)
+        other = _pair(machine, sensor, _reversed(machine, joint, blocks, factors))
         if other is not None and len(other.measured) == len(pair.measured):
-            moved = _angle(other.implied, pair.implied)
+            moved = _angle(other.implied, pair.implied, pair.runs)
             if moved > EXPLAINED_DEG:
                 yield (
-                    _angle(other.measured, other.implied),
+                    _angle(other.measured, other.implied, other.runs),
                     f"the opposite sign of joint {joint}'s encoder",
                 )
 
