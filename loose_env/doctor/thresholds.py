@@ -60,6 +60,9 @@ OUT_OF_RANGE_RAD = 0.1
 """Excess over a joint's limit, above which it is a finding [rad]: a wrong zero is within."""
 OUT_OF_RANGE_M = 0.02
 """The same of a prismatic joint [m]."""
+OTHER_UNIT = 3.0
+"""Reach of a position over its joint's limit, from which another unit is the reason and not a wrong
+zero."""
 MANY_TURNS_RAD = 20.0
 """Position of a hinge without limits, above which degrees are suspected [rad]: three turns."""
 OVER_CONTROL_RANGE = 1.05

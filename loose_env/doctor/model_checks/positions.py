@@ -13,6 +13,7 @@ from loose_env.doctor.settings import DoctorSettings
 from loose_env.doctor.thresholds import (
     LEAST_SPREAD_RAD,
     MANY_TURNS_RAD,
+    OTHER_UNIT,
     OUT_OF_RANGE_M,
     OUT_OF_RANGE_RAD,
     OVER_CONTROL_RANGE,
@@ -99,14 +100,15 @@ def _unit(
         return None
     excess = _outside(machine, joint, whole)
     reach = float(np.abs(whole).max())
-    if machine.limits(joint) is None and machine.hinge(joint):
+    limits = machine.limits(joint)
+    if limits is None and machine.hinge(joint):
         excess = reach - MANY_TURNS_RAD
-    if excess <= 5 * _slack(machine, joint):
+    largest = 0.0 if limits is None else max(map(abs, limits))
+    if excess <= _slack(machine, joint) or reach < OTHER_UNIT * largest:
         return None
     (words, factor), *_ = _units(machine, joint).items()
     if _outside(machine, joint, whole / factor) > _slack(machine, joint):
         return None
-    limits = machine.limits(joint)
     range_words = "has no limits" if limits is None else f"goes from {limits[0]:.3g} to"
     if limits is not None:
         range_words += f" {limits[1]:.3g} {machine.unit(joint)}"
