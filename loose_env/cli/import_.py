@@ -40,6 +40,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model", type=Path, metavar="MODEL.xml", help="MJCF file in the place of the mapping's"
     )
+    parser.add_argument(
+        "--package-path",
+        type=Path,
+        metavar="DIR",
+        help="with --describe: folder of the package, or packages, of a URDF's meshes",
+    )
     parser.add_argument("--quiet", action="store_true", help="say nothing on the way")
     parser.set_defaults(refuse=parser.error)
     add_settings(parser, ImportSettings)
@@ -54,7 +60,7 @@ def run(options: argparse.Namespace) -> None:
         if options.model is not None:
             if not options.model.is_file():
                 raise InvalidSetting(f"there is no model {str(options.model)!r}")
-            file, _, spec = load_spec(options.model)
+            file, _, spec = load_spec(options.model, package=options.package_path)
             model = compile_spec(spec, file)
         print(describe_sources(options.sources, model), end="")
         return
