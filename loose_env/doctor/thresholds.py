@@ -107,6 +107,8 @@ EXPLAINED_DEG = 8.0
 COHERENT = 0.7
 """Coherence of a line, from which its phase is used: its standard deviation over eight averages is
 0.16 rad."""
+HIGHEST_LINE_HZ = 500.0
+"""Highest line used [Hz]: above, no arm between two sensors is rigid."""
 FEWEST_LINES = 6
 """Coherent lines that an estimate of a delay needs."""
 SEGMENTS = 8

@@ -23,6 +23,7 @@ from loose_env.doctor.thresholds import (
     COHERENT,
     DELAY_Z,
     FEWEST_LINES,
+    HIGHEST_LINE_HZ,
     LARGEST_DELAY_S,
     LARGEST_LAG_S,
     LATE_COMMAND_S,
@@ -43,7 +44,9 @@ _LEAST_PHASE = 0.1
 _WEAK_AXIS = 0.3
 """Motion of an axis over that of the strongest, below which its sign is not judged."""
 _FINE = 4
-"""Delays tried per step of the samples."""
+"""Delays tried per step of the samples, at most."""
+_PER_PERIOD = 24
+"""Delays tried per period of the highest line, at most: the rest is linear in the phase."""
 
 
 class Delay(NamedTuple):
@@ -102,12 +105,17 @@ def delay_between(
     if length < 16 * SEGMENTS:
         return None
     size = 2 * length // (SEGMENTS + 1)
-    frequency, cross = signal.csd(x, y, 1 / step, nperseg=size, detrend="linear")
-    _, own = signal.welch(x, 1 / step, nperseg=size, detrend="linear")
-    _, other = signal.welch(y, 1 / step, nperseg=size, detrend="linear")
+    x, y = signal.detrend(x[:length]), signal.detrend(y[:length])
+    frequency, cross = signal.csd(x, y, 1 / step, nperseg=size)
+    _, own = signal.welch(x, 1 / step, nperseg=size)
+    _, other = signal.welch(y, 1 / step, nperseg=size)
     both = own * other
     coherence = np.where(both > 0, np.abs(cross) ** 2 / np.maximum(both, 1e-300), 0.0)
-    used = (coherence > COHERENT) & (frequency < 0.4 / step) & (frequency > 1.5 * frequency[1])
+    used = (
+        (coherence > COHERENT)
+        & (frequency < min(0.4 / step, HIGHEST_LINE_HZ))
+        & (frequency > 1.5 * frequency[1])
+    )
     used &= own > 1e-4 * own[1:].max(initial=0.0)
     if np.count_nonzero(used) < FEWEST_LINES:
         return None
@@ -117,7 +125,7 @@ def delay_between(
     weight = share / (1 - share)
     weight = np.minimum(weight, 4 * np.median(weight))
     weight /= weight.sum()
-    tried = np.arange(-largest, largest, step / _FINE)
+    tried = np.arange(-largest, largest, max(step / _FINE, 1 / (_PER_PERIOD * at[-1])))
     fits = (np.exp(2j * np.pi * np.outer(tried, at)) @ (weight * turn)).real
     best = int(np.argmax(np.abs(fits)))
     if abs(fits[best]) < PHASE_FIT or best in (0, len(tried) - 1):
