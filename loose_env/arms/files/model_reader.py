@@ -120,9 +120,7 @@ def load_spec(
         )
     try:
         with quiet():
-            spec = (
-                mujoco.MjSpec.from_file(str(file)) if whole is None else urdf_spec(file, whole)
-            )
+            spec = mujoco.MjSpec.from_file(str(file)) if whole is None else urdf_spec(file, whole)
     except InvalidData:
         raise
     except Exception as error:  # MuJoCo raises ValueError and mujoco.FatalError alike
