@@ -26,6 +26,7 @@ PARTS = (
     "kinematics",
     "diagnosis",
     "gap",
+    "doctor",
     "envs",
     "registration",
     "evaluation",

@@ -19,6 +19,7 @@ from dataclasses import fields
 
 from loose_env.cli.choice import add_choice, take_over
 from loose_env.cli.console import Console, Outcome, add_recording_options, folder_of
+from loose_env.cli.doctor import add_preflight, check_first
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.errors import InvalidSetting
 from loose_env.instrument import (
@@ -37,6 +38,7 @@ from loose_env.report import diagnosis_headline, write_diagnosis
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     add_recording_options(parser)
+    add_preflight(parser)
     add_choice(parser)
     chosen_with = [each.name.replace("_", "-") for each in fields(NextSettings)]
     add_settings(parser, DiagnoseSettings, title="prior and model errors", leave_out=chosen_with)
@@ -51,6 +53,7 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
     if options.recording.resolve() == folder.path:
         raise InvalidSetting("--out is the recording itself; give another folder")
     recording = read_recording(options.recording, model=options.model)
+    check_first(recording, options)
     with folder.worked_in():
         found = diagnose(recording, settings, say=console.say)
     name = options.recording.resolve().name

@@ -21,6 +21,7 @@ from pathlib import Path
 
 from loose_env.arms import files_of
 from loose_env.cli.console import Console, Outcome, add_recording_options, folder_of
+from loose_env.cli.doctor import add_preflight, check_first
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.gap import (
     GapResult,
@@ -42,6 +43,7 @@ _OWN = ("threads",)
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     add_recording_options(parser)
+    add_preflight(parser)
     parser.add_argument(
         "--effects",
         type=Path,
@@ -58,6 +60,7 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
     settings = settings_of(options, GapSettings)
     folder = folder_of(options)
     recording = read_recording(options.recording, model=options.model)
+    check_first(recording, options)
     plain = {k: v for k, v in asdict(settings).items() if k not in _OWN}
     for file in options.effects:
         read_effects(file)

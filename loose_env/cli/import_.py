@@ -50,6 +50,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model", type=Path, metavar="MODEL.xml", help="MJCF file in the place of the mapping's"
     )
+    parser.add_argument(
+        "--package-path",
+        type=Path,
+        metavar="DIR",
+        help="with --describe: folder of the package, or packages, of a URDF's meshes",
+    )
     parser.set_defaults(refuse=parser.error)
     add_settings(parser, ImportSettings)
 
@@ -82,7 +88,7 @@ def _described(options: argparse.Namespace) -> Outcome:
     if options.model is not None:
         if not options.model.is_file():
             raise InvalidSetting(f"there is no model {str(options.model)!r}")
-        file, _, spec = load_spec(options.model)
+        file, _, spec = load_spec(options.model, package=options.package_path)
         model = compile_spec(spec, file)
     sources = {name: listed(each) for name, each in list_sources(options.sources).items()}
     return Outcome(

@@ -23,6 +23,7 @@ from loose_env.version import __version__
 COMMANDS = {
     "inspect": "joints, modes and detectable faults of an arm, from its model alone",
     "plan": "next measurement: pose, joint to excite and signal to play",
+    "doctor": "preflight of a recording: units, ranges, signs, sampling, channels, clocks",
     "diagnose": "loose link or joint of an arm, from measured runs",
     "gap": "effects that a simulation model lacks, from measured runs",
     "import": "recording from files of loggers: MCAP, CSV, universal files (UFF 58)",

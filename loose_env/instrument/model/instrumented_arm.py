@@ -208,7 +208,8 @@ def read_arm(path: str | Path, settings: ModelSettings | None = None) -> Instrum
     >>> desk.joints[:2], desk.drives[0].actuator
     (('base', 'shoulder'), 'actuator1')
     """
-    return _instrumented(read_model_file(path), settings or ModelSettings())
+    settings = settings or ModelSettings()
+    return _instrumented(read_model_file(path, package=settings.package_path), settings)
 
 
 def read_recorded_arm(path: Path) -> InstrumentedArm:

@@ -25,6 +25,9 @@ class ModelSettings:
     """Holding of the joints: 'model', the model's own position servos, and a slow controller for
     joints with torque motors, as 'loose diagnose' assumes; or 'brake', 'servo',
     'compliant' for brakes, servos of 25 Hz, or brakes behind elastic gears."""
+    package_path: str | None = None
+    """Folder of the ROS package, or of several, in which the meshes of a URDF lie (package://name/
+    and paths with ../); by default the folder above the URDF that holds a package.xml."""
     payload_kg: float = 0.0
     """Mass at the tool that the model lacks [kg]."""
     payload_at_m: tuple[float, ...] = (0.0, 0.0, 0.0)
