@@ -1,0 +1,103 @@
+"""Run the suite and print its tables; finished cases are kept in the file of rows."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+
+from scripts.suites.machines.disturbances import KINDS, ranges_table
+from scripts.suites.machines.grade import tables
+from scripts.suites.machines.plans import CaseSettings
+from scripts.suites.machines.run import Row, line_of, row_of
+
+SEED = 81_207
+"""Of the printed tables; nothing was developed on it. Development used the seed 1."""
+DOCS = Path(__file__).resolve().parents[3] / "docs" / "diagnosis_suite.md"
+MARKS = {
+    "tables": ("<!-- tables: begin -->", "<!-- tables: end -->"),
+    "disturbances": ("<!-- disturbances: begin -->", "<!-- disturbances: end -->"),
+}
+"""Marks between which the page has what is generated."""
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Take the command line."""
+    parser = argparse.ArgumentParser(prog="machines", description=__doc__)
+    parser.add_argument("--cases", type=int, default=100, help="number of cases")
+    parser.add_argument("--first", type=int, default=0, help="number of the first case")
+    parser.add_argument("--seed", type=int, default=SEED, help="of the draw")
+    parser.add_argument("--out", type=Path, required=True, help="file of rows (JSON lines)")
+    parser.add_argument(
+        "--only", choices=("none", *KINDS), help="machines with this disturbance alone, or none"
+    )
+    parser.add_argument("--runs", type=int, default=6, help="suspect runs of a recording")
+    parser.add_argument("--poses", type=int, default=3, help="poses among them")
+    parser.add_argument("--seconds", type=float, default=1.2, help="length of a run [s]")
+    parser.add_argument("--workers", type=int, default=1, help="processes")
+    parser.add_argument("--table", action="store_true", help="print the tables of the rows alone")
+    parser.add_argument("--docs", action="store_true", help="write the tables into the page")
+    given = parser.parse_args(words)
+    rows = kept(given.out)
+    if not given.table:
+        settings = CaseSettings(runs=given.runs, poses=given.poses, seconds=given.seconds)
+        done = {(row["seed"], row["case"], row["only"]) for row in rows}
+        asked = [
+            number
+            for number in range(given.first, given.first + given.cases)
+            if (given.seed, number, given.only) not in done
+        ]
+        given.out.parent.mkdir(parents=True, exist_ok=True)
+        jobs = [(number, given.seed, settings, given.only) for number in asked]
+        for count, row in enumerate(done_by(jobs, given.workers), start=1):
+            with given.out.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(row) + "\n")
+            print(f"{count}/{len(jobs)} {line_of(row)}", flush=True)
+        rows = kept(given.out)
+    print(tables(rows))
+    if given.docs:
+        write_docs(DOCS, rows)
+
+
+def done_by(
+    jobs: Sequence[tuple[int, int, CaseSettings, str | None]], workers: int
+) -> Iterator[Row]:
+    """Rows of the jobs as they are done, by one process or several."""
+    if workers <= 1:
+        yield from (row_of(*job) for job in jobs)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+        for future in as_completed([pool.submit(row_of, *job) for job in jobs]):
+            yield future.result()
+
+
+def kept(path: Path) -> list[Row]:
+    """Rows of a file in the order of cases; a line that was cut off is left out."""
+    if not path.is_file():
+        return []
+    rows = []
+    for line in path.read_text("utf-8").splitlines():
+        try:
+            rows.append(json.loads(line))
+        except ValueError:
+            continue
+    return sorted(rows, key=lambda row: (row["seed"], row["case"]))
+
+
+def write_docs(page: Path, rows: Sequence[Row]) -> None:
+    """Write the tables between their marks in the page."""
+    text = page.read_text("utf-8")
+    for name, made in (("tables", tables(rows)), ("disturbances", ranges_table())):
+        begin, end = MARKS[name]
+        before, _, rest = text.partition(begin)
+        _, _, after = rest.partition(end)
+        text = f"{before}{begin}\n\n{made}\n\n{end}{after}"
+    page.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
