@@ -47,7 +47,10 @@ from loose_env.instrument.result import (
     Loop,
     NextMeasurement,
     RecordSeen,
+    Severity,
     SlideDirection,
+    TransmissionSpectrum,
+    Verdict,
     read_diagnosis,
 )
 from loose_env.instrument.session import (
