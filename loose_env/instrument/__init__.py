@@ -1,7 +1,7 @@
 """Diagnosis of a real arm: recordings in, posterior and next measurement out.
 
-Data flow: settings -> result -> model -> data -> inference -> planning -> inspect -> pipeline
--> session.
+Data flow: settings -> result -> model -> data -> inference -> trend -> planning -> inspect
+-> pipeline -> session.
 """
 
 from loose_env.instrument.inspect import (
@@ -74,6 +74,22 @@ from loose_env.instrument.settings.measurement import (
 from loose_env.instrument.settings.thresholds import (
     PROBABLE,
 )
+from loose_env.instrument.settings.trend import (
+    TrendSettings,
+)
+from loose_env.instrument.trend.maintenance import (
+    Maintenance,
+    read_maintenance,
+)
+from loose_env.instrument.trend.series import (
+    joints_and_links,
+)
+from loose_env.instrument.trend.trend import (
+    SeriesTrend,
+    SessionSeen,
+    Trend,
+    change_since,
+)
 
 __all__ = [
     "HEALTHY",
@@ -87,6 +103,7 @@ __all__ = [
     "InstrumentedArm",
     "JointDrive",
     "Loop",
+    "Maintenance",
     "ModelSettings",
     "NextMeasurement",
     "NextSettings",
@@ -94,11 +111,20 @@ __all__ = [
     "PlanFiles",
     "PlanSettings",
     "RecordSeen",
+    "SeriesTrend",
+    "SessionSeen",
+    "Severity",
     "Signal",
     "SlideDirection",
+    "TransmissionSpectrum",
+    "Trend",
+    "TrendSettings",
+    "Verdict",
+    "change_since",
     "diagnose",
     "find_fault",
     "inspect_model",
+    "joints_and_links",
     "next_for",
     "option_words",
     "path_word",
@@ -106,6 +132,7 @@ __all__ = [
     "plan_json",
     "read_arm",
     "read_diagnosis",
+    "read_maintenance",
     "read_recorded_arm",
     "run_columns",
     "screen",

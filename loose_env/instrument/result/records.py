@@ -73,8 +73,13 @@ class TransmissionSpectrum:
     Examples
     --------
     >>> TransmissionSpectrum(
-    ...     record=0, joint="elbow", channel="tool.x", unit="m/s² per N·m", drive_rms=1.0,
-    ...     frequency_hz=(10.0, 20.0), measured=(0.5,),
+    ...     record=0,
+    ...     joint="elbow",
+    ...     channel="tool.x",
+    ...     unit="m/s² per N·m",
+    ...     drive_rms=1.0,
+    ...     frequency_hz=(10.0, 20.0),
+    ...     measured=(0.5,),
     ... )
     Traceback (most recent call last):
     ...

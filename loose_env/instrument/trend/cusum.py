@@ -3,8 +3,9 @@
 Mean and scatter of a healthy machine are not known beforehand; they are estimated from the earlier
 sessions. The standardised difference of a value from the m before it is Student's t with m - 1
 degrees of freedom, and its normal score is standard normal, independently of those before
-(Quesenberry 1991, "SPC Q charts for start-up processes"). A CUSUM of these scores finds slow changes
-(Hawkins 1987, "Self-starting CUSUM charts"), a limit on the single score sudden ones (Lucas 1982).
+(Quesenberry 1991, "SPC Q charts for start-up processes"). A CUSUM of these scores finds slow
+changes (Hawkins 1987, "Self-starting CUSUM charts"), a limit on the single score sudden ones (Lucas
+1982, "Combined Shewhart-CUSUM quality control schemes").
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special
 
 from loose_env.errors import InvalidSetting
 from loose_env.typing import Array
@@ -86,8 +87,7 @@ def normal_score(value: float, baseline: Array, *, least_scatter: float) -> tupl
     m = len(baseline)
     scatter = max(float(baseline.std(ddof=1)), least_scatter) * np.sqrt(1 + 1 / m)
     t = (value - float(baseline.mean())) / scatter
-    tail = float(stats.t.sf(abs(t), m - 1))
-    score = min(float(stats.norm.isf(tail)), _HIGHEST_SCORE) if tail > 0 else _HIGHEST_SCORE
+    score = min(-float(special.ndtri(special.stdtr(m - 1, -abs(t)))), _HIGHEST_SCORE)
     return float(np.copysign(score, t)), float(scatter)
 
 
@@ -131,7 +131,7 @@ def limits_for(rate: float, *, allowance: float, two_sided: bool) -> Limits:
 
     highest = (np.log(wanted * 2 * allowance**2 + 1) + 10) / (2 * allowance) + 10
     cusum = 0.0 if excess(0.0) > 0 else float(optimize.brentq(excess, 0.0, highest))
-    single = float(stats.norm.isf(rate / (2 * sides)))
+    single = -float(special.ndtri(rate / (2 * sides)))
     return Limits(cusum=cusum, single=single, allowance=allowance, two_sided=two_sided)
 
 

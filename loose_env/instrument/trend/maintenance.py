@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +81,7 @@ def time_of(date: str) -> datetime:
         raise InvalidData(
             f"a date is as 2026-05-04 or 2026-05-04T10:30, got {date!r:.60}"
         ) from None
-    return found if found.tzinfo else found.replace(tzinfo=timezone.utc)
+    return found if found.tzinfo else found.replace(tzinfo=UTC)
 
 
 def read_maintenance(path: str | Path, names: Sequence[str] = ()) -> tuple[Maintenance, ...]:
