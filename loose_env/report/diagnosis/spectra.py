@@ -12,7 +12,7 @@ from loose_env.envs import INK, MEASURED, MUTED
 from loose_env.instrument import HEALTHY, Diagnosis, TransmissionSpectrum
 from loose_env.report.diagnosis.text import joint_words, short_name
 from loose_env.report.pages.figure_card import FigureCard
-from loose_env.report.pages.figures import WIDTH, new_figure, quiet_axes
+from loose_env.report.pages.figures import WIDTH, new_figure, plain_log_ticks, quiet_axes
 from loose_env.report.pages.legend import draw_legend, legend_height, shortened
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def transmission_figure(
     height = legend + len(spectra) * (_PANEL + _ABOVE) + _BELOW
     figure = new_figure(height)
     draw_legend(figure, entries, height)
-    left = 0.6 / WIDTH
+    left = 0.55 / WIDTH
     for k, spectrum in enumerate(spectra):
         bottom = height - legend - (k + 1) * (_PANEL + _ABOVE)
         axes = figure.add_axes((left, bottom / height, 0.97 - left, _PANEL / height))
@@ -96,7 +96,7 @@ def transmission_figure(
         )
         axes.set_yscale("log")
         quiet_axes(axes, grid="both")
-        axes.minorticks_off()
+        plain_log_ticks(axes, "y")
         if k + 1 < len(spectra):
             axes.tick_params(labelbottom=False)
         else:

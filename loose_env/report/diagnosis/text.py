@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -23,6 +24,10 @@ __all__ = [
     "summary_words",
     "with_plain_names",
 ]
+
+
+_HEADLINE = 44
+"""Letters of a hypothesis in the headline, at most."""
 
 
 def joint_words(arm: Arm, joint: str) -> str:
@@ -149,6 +154,8 @@ def headline(diagnosis: Diagnosis, arm: Arm) -> str:
     'The model is not that of this arm: correct it first.'
     """
     said = short_name(arm, diagnosis.fault.hypothesis)
+    if len(said) > _HEADLINE:  # the number alone: the name stands below the headline
+        said = re.sub(r" \([^()]*\)", "", said)
     if diagnosis.verdict == "model_mismatch":
         return "The model is not that of this arm: correct it first."
     if diagnosis.verdict != "open":

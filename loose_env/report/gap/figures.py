@@ -9,7 +9,7 @@ import numpy as np
 
 from loose_env.envs import FAINT, INK, MEASURED, MUTED, TRUTH
 from loose_env.gap import binned
-from loose_env.report.pages.figures import WIDTH, new_figure
+from loose_env.report.pages.figures import WIDTH, new_figure, plain_log_ticks
 from loose_env.typing import Array
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def channel_bars(pairs: Mapping[str, tuple[float, float]]) -> Figure:
     axes.set_xscale("log")
     axes.set(xlim=(0.85 * least, 1.3 * max(most, 2.0)), ylim=(0.45 - len(rows), 0.55))
     axes.set_yticks([])
-    _plain_log(axes, "x")
+    plain_log_ticks(axes, "x")
     _plain(axes, grid="x", spines=())
     axes.set_xlabel("residual over the noise floor", color=MUTED, fontsize=9)
     _legend(figure, height)
@@ -88,7 +88,7 @@ def spectrum_curves(before: tuple[Array, Array], after: tuple[Array, Array]) -> 
     axes.set(xscale="log", yscale="log")
     axes.set_ylim(bottom=min(0.3, axes.get_ylim()[0]))
     _plain(axes, grid="both", spines=())
-    _plain_log(axes, "x")
+    plain_log_ticks(axes, "x")
     axes.set_xlabel("frequency [Hz]", color=MUTED, fontsize=9)
     _legend(figure, 3.1, "power over that of the noise")
     return figure
@@ -113,7 +113,7 @@ def horizon_curves(
     axes.set(xlim=(horizons[0] / 1.6, horizons[-1] * 1.6), ylim=(0.6 * low, 2.0 * high))
     axes.set_xticks(list(horizons), [f"{h:g} s" for h in horizons])
     axes.set_xticks([], minor=True)
-    _plain_log(axes, "y")
+    plain_log_ticks(axes, "y")
     _plain(axes, grid="y", spines=())
     axes.set_xlabel("how long the simulation runs on its own", color=MUTED, fontsize=9)
     _legend(figure, 2.9, "error over the noise floor")
@@ -203,18 +203,6 @@ def _legend(
         figure.text(x, y, mark, color=colour, fontsize=9, ha="left", va="center")
         figure.text(x + 0.17 / WIDTH, y, name, color=INK, fontsize=9, ha="left", va="center")
         x += 0.64 / WIDTH
-
-
-def _plain_log(axes: Axes, which: str) -> None:
-    """Write the ticks of a logarithmic axis as plain numbers."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    axis = getattr(axes, f"{which}axis")
-    low, high = axis.get_view_interval()
-    wide = high / max(low, 1e-300) > 300
-    axis.set_major_locator(LogLocator(base=10, subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
-    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-    axis.set_minor_formatter(NullFormatter())
 
 
 def _plain(axes: Axes, *, grid: str, spines: Sequence[str]) -> None:

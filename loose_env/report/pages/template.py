@@ -47,7 +47,15 @@ def template(name: str) -> Any:
         undefined=StrictUndefined,
     )
     environment.globals["style"] = style
+    environment.filters["breakable"] = _breakable
     return environment.get_template(name)
+
+
+def _breakable(text: Any) -> Any:
+    """Words that may be broken after an underscore: names of a model can be long."""
+    from markupsafe import Markup, escape
+
+    return Markup(str(escape(text)).replace("_", "_<wbr>"))
 
 
 def _source(name: str) -> str:
