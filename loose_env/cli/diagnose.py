@@ -5,8 +5,12 @@ reference runs help where there are any), weighs every link's looseness, every j
 a healthy arm, and says what to measure next where that is not settled. That is chosen with the
 settings of the 'loose plan' in whose folder the recording lies; options take their place.
 
-Written to the output folder: result.json, what was found; report.html, the same to be read. The
-same command on a recording with more runs takes their place. Exit codes: 0 done, whatever was
+With --before it also says what has changed since earlier sessions of the same arm: the transmission
+of every joint to every tool axis in the same pose and under the same signal, the free travel and
+the probability of a fault, each on a control chart with a stated rate of false alarms.
+
+Written to the output folder: result.json, what was found; report.html, the same to be read;
+with --before trend.json and trend.html. The same command on a recording with more runs takes their place. Exit codes: 0 done, whatever was
 found; 1 something given cannot be used; 2 the command line makes no sense; 130 interrupted.
 """
 
@@ -14,7 +18,9 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import fields
+from dataclasses import fields, replace
+from functools import partial
+from pathlib import Path
 
 from loose_env.cli.choice import add_choice, take_over
 from loose_env.cli.options import add_settings, settings_of
@@ -24,10 +30,18 @@ from loose_env.instrument import (
     HEALTHY,
     DiagnoseSettings,
     Diagnosis,
+    Maintenance,
     NextSettings,
+    Trend,
+    TrendSettings,
+    change_since,
     diagnose,
+    joints_and_links,
+    read_maintenance,
     read_recorded_arm,
+    read_sessions,
     session_beside,
+    time_of,
 )
 from loose_env.recording import read_recording
 
@@ -35,6 +49,27 @@ from loose_env.recording import read_recording
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     add_recording_options(parser)
+    parser.add_argument(
+        "--date",
+        metavar="DATE",
+        help="date of the measurement, as 2026-05-04 (default: that of the latest run's file)",
+    )
+    parser.add_argument(
+        "--before",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="OLD",
+        help="earlier sessions of the same arm: results, session folders or recordings",
+    )
+    parser.add_argument(
+        "--maintenance",
+        type=Path,
+        metavar="FILE",
+        help='JSON list of {"date", "joint" or "link", "work", "note"}: after it the baseline '
+        "starts anew",
+    )
+    add_settings(parser, TrendSettings, title="change since earlier sessions")
     add_choice(parser)
     chosen_with = [each.name.replace("_", "-") for each in fields(NextSettings)]
     add_settings(parser, DiagnoseSettings, title="what is known beforehand", leave_out=chosen_with)
@@ -48,28 +83,83 @@ def run(options: argparse.Namespace) -> None:
     folder = folder_of(options)
     if options.recording.resolve() == folder.path:
         raise InvalidSetting("--out is the recording itself; give another folder")
+    if options.date is not None:
+        time_of(options.date)
+    compared = settings_of(options, TrendSettings)
+    if options.maintenance is not None and not options.before:
+        raise InvalidSetting("--maintenance needs earlier sessions; give them by --before")
     recording = read_recording(options.recording, model=options.model)
     say = Said(quiet=options.quiet)
+    trend = None
     with folder.worked_in():
+        earlier = read_sessions(options.before, partial(_earlier, options, settings, say))
         found = diagnose(recording, settings, say=say)
+        if options.date is not None:
+            found = replace(found, date=options.date)
+        if earlier:
+            records: tuple[Maintenance, ...] = ()
+            if options.maintenance is not None:
+                names = [name for names in joints_and_links(found) for name in names]
+                records = read_maintenance(options.maintenance, names)
+            name = options.recording.resolve().name
+            trend = change_since(found, earlier, name=name, maintenance=records, settings=compared)
     written = []
     # An earlier result must not stand beside a later page if this run is cut short.
-    (folder.path / "result.json").unlink(missing_ok=True)
+    for name in ("result.json", "trend.json", "trend.html"):
+        (folder.path / name).unlink(missing_ok=True)
     try:
-        from loose_env.report import write_page
+        from loose_env.report import write_page, write_trend_page
 
         arm = read_recorded_arm(recording.model_path).shown
         name = options.recording.resolve().name
-        written.append(write_page(folder.path / "report.html", found, arm, recording=name))
+        path, given = folder.path / "report.html", str(options.recording)
+        written.append(write_page(path, found, arm, recording=name, folder=given))
+        if trend is not None:
+            path = folder.path / "trend.html"
+            written.append(write_trend_page(path, trend, recording=name))
     except (MissingExtra, InvalidData) as error:  # what was found is written all the same
         (folder.path / "report.html").unlink(missing_ok=True)  # that of an earlier result
         say(f"no report.html: {error}")
+    if trend is not None:
+        written.append(trend.write(folder.path / "trend.json"))
     written.append(found.write(folder.path / "result.json"))  # last: it says that all is there
     folder.note(written)
-    for warning in found.warnings:
+    for warning in (*found.warnings, *(trend.warnings if trend else ())):
         print(f"warning: {warning}", file=sys.stderr)
     print(summary(found))
+    if trend is not None:
+        print(trend_summary(trend))
     print("written: " + ", ".join(str(path) for path in written))
+
+
+def _earlier(
+    options: argparse.Namespace, settings: DiagnoseSettings, say: Said, folder: Path
+) -> Diagnosis:
+    """Diagnosis of the recording of an earlier session, which has no result."""
+    say(f"diagnosing the earlier session {folder}")
+    return diagnose(read_recording(folder, model=options.model), settings, plan=False)
+
+
+def trend_summary(trend: Trend) -> str:
+    """Change since earlier sessions in a few lines."""
+    rate = f"at most {100 * trend.false_alarm_rate:.2g} % of a healthy arm's sessions alarm"
+    if not trend.compared:
+        return "not compared with earlier sessions: too few are like this one; see the warnings"
+    if not trend.changed:
+        return f"no change since {len(trend.sessions) - 1} earlier sessions ({rate})"
+    lines = [f"changed since earlier sessions ({rate}):"]
+    for each in trend.changed[:4]:
+        since = trend.sessions[each.alarm or 0]
+        what = {
+            "probability": "probability of a fault",
+            "free_travel": f"free travel of {each.joint}",
+            "transmission": f"transmission from {each.joint} to {each.channel}",
+        }[each.quantity]
+        band = (
+            "" if each.band_hz is None else f", {each.band_hz[0]:.0f} to {each.band_hz[1]:.0f} Hz"
+        )
+        lines.append(f"  {what}{band}: alarm since {since.date[:10] or since.name}")
+    return "\n".join(lines)
 
 
 def summary(found: Diagnosis) -> str:

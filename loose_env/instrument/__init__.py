@@ -77,9 +77,13 @@ from loose_env.instrument.settings.thresholds import (
 from loose_env.instrument.settings.trend import (
     TrendSettings,
 )
+from loose_env.instrument.trend.earlier import (
+    read_sessions,
+)
 from loose_env.instrument.trend.maintenance import (
     Maintenance,
     read_maintenance,
+    time_of,
 )
 from loose_env.instrument.trend.series import (
     joints_and_links,
@@ -134,10 +138,12 @@ __all__ = [
     "read_diagnosis",
     "read_maintenance",
     "read_recorded_arm",
+    "read_sessions",
     "run_columns",
     "screen",
     "session_beside",
     "signal_stems",
+    "time_of",
     "unlike",
     "write_plan",
 ]
