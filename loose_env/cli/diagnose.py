@@ -9,9 +9,10 @@ With --before it also says what has changed since earlier sessions of the same a
 of every joint to every tool axis in the same pose and under the same signal, the free travel and
 the probability of a fault, each on a control chart with a stated rate of false alarms.
 
-Written to the output folder: result.json, what was found; report.html, the same to be read;
-with --before trend.json and trend.html. The same command on a recording with more runs takes their place. Exit codes: 0 done, whatever was
-found; 1 something given cannot be used; 2 the command line makes no sense; 130 interrupted.
+Written to the output folder: result.json, what was found; report.html, the same to be read; with
+--before trend.json and trend.html. The same command on a recording with more runs takes their
+place. Exit codes: 0 done, whatever was found; 1 something given cannot be used; 2 the command line
+makes no sense; 130 interrupted.
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,13 +11,21 @@ import numpy as np
 from loose_env.envs import FAINT, INK, MEASURED, MUTED, TRUTH
 from loose_env.gap import binned
 from loose_env.report.pages.figures import WIDTH, new_figure, plain_log_ticks
+from loose_env.report.pages.legend import draw_legend, legend_height, shortened
 from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["channel_bars", "horizon_curves", "residual_panels", "spectrum_curves"]
+__all__ = [
+    "Overlay",
+    "channel_bars",
+    "horizon_curves",
+    "overlay_figure",
+    "residual_panels",
+    "spectrum_curves",
+]
 
 
 BEFORE, AFTER = TRUTH, MEASURED
@@ -57,7 +66,7 @@ def channel_bars(pairs: Mapping[str, tuple[float, float]]) -> Figure:
             "color": INK, "fontsize": 9, "va": "center", "transform": axes.get_yaxis_transform(),
             "parse_math": False,
         }  # fmt: skip
-        shown = name if len(name) <= letters else f"{name[: letters - 1]}…"
+        shown = shortened(name, letters)
         axes.text(-0.03, y, shown, ha="right", **beside)
         axes.text(1.03, y, f"{before:.3g} → {after:.3g}", ha="left", **beside)
     _floor(axes, "x")
@@ -68,6 +77,57 @@ def channel_bars(pairs: Mapping[str, tuple[float, float]]) -> Figure:
     _plain(axes, grid="x", spines=())
     axes.set_xlabel("residual over the noise floor", color=MUTED, fontsize=9)
     _legend(figure, height)
+    return figure
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Overlay:
+    """One channel over time, measured and by both models."""
+
+    time: Array
+    """Times [s] (N,)."""
+    measured: Array
+    """Readings (N,); NaN where one is missing."""
+    nominal: Array
+    """By the nominal model (N,)."""
+    corrected: Array
+    """By the corrected model (N,)."""
+    label: str
+    """Name of the channel, with its unit."""
+
+
+def overlay_figure(overlay: Overlay) -> Figure:
+    """Measured, nominal and corrected readings over time, and what each model leaves of them."""
+    entries = [
+        ("●", MUTED, "measured"), ("- -", BEFORE, "nominal model"), ("—", AFTER, "corrected model"),
+    ]  # fmt: skip
+    above = legend_height(entries) + 0.26
+    height = above + 1.75 + 0.3 + 0.95 + 0.5
+    figure = new_figure(height)
+    draw_legend(figure, entries, height)
+    left = 0.68 / WIDTH
+    top = figure.add_axes((left, (height - above - 1.75) / height, 0.97 - left, 1.75 / height))
+    low = figure.add_axes((left, 0.5 / height, 0.97 - left, 0.95 / height))
+    x = overlay.time
+    top.plot(x, overlay.measured, ".", color=MUTED, markersize=3.2, zorder=2)
+    top.plot(x, overlay.nominal, color=BEFORE, linewidth=1.5, linestyle=(0, (4, 2)), zorder=3)
+    top.plot(x, overlay.corrected, color=AFTER, linewidth=1.4, zorder=4)
+    for values, colour in ((overlay.nominal, BEFORE), (overlay.corrected, AFTER)):
+        low.plot(x, overlay.measured - values, color=colour, linewidth=1.2, zorder=3)
+    for axes, words, y in (
+        (top, overlay.label, height - above + 0.06),
+        (low, "measured less predicted", 0.5 + 0.95 + 0.06),
+    ):
+        _plain(axes, grid="y", spines=())
+        axes.set_xlim(x[0], x[-1])
+        axes.ticklabel_format(axis="y", scilimits=(-3, 4), useOffset=False)
+        axes.yaxis.get_offset_text().set(fontsize=8.5, color=MUTED)
+        figure.text(
+            0.03, y / height, shortened(words, 60), color=MUTED, fontsize=9, ha="left",
+            va="bottom", parse_math=False,
+        )  # fmt: skip
+    top.tick_params(labelbottom=False)
+    low.set_xlabel("time [s]", color=MUTED, fontsize=9)
     return figure
 
 
@@ -157,7 +217,7 @@ def residual_panels(
                 _against(axes, values, residual, colour, dots=dots)
         axes.set_ylim(-reach, reach)
         _plain(axes, grid="y", spines=())
-        axes.set_xlabel(name, color=MUTED, fontsize=9, parse_math=False)
+        axes.set_xlabel(shortened(name, 60), color=MUTED, fontsize=9, parse_math=False)
         if k == 0:
             _legend(figure, height, label, after=after is not None, band=True)
     return figure
