@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from loose_env.gap import GapSolution, Series
@@ -38,9 +39,6 @@ def overlay_group(solution: GapSolution) -> dict[str, Any]:
     """Section with measured, nominal and corrected readings of each joint over time."""
     nominal = by_channel(solution, solution.base.held_out_residual)
     corrected = by_channel(solution, solution.best.held_out_residual)
-    units = dict(
-        zip(solution.problem.machine.joints, solution.problem.machine.force_units, strict=True)
-    )
     chosen: dict[str, _Pair] = {}
     for joint, channels in _channels(solution).items():
         pairs = [
@@ -56,9 +54,9 @@ def overlay_group(solution: GapSolution) -> dict[str, Any]:
     cards = [
         FigureCard(
             title=joint,
-            image=overlay_figure(_overlay(solution, chosen[joint], units[joint])),
-            caption=f"{chosen[joint].nominal.channel} of {chosen[joint].nominal.run}, held out from "
-            f"all fits. Residual {chosen[joint].nominal.rms:.2f} before and "
+            image=overlay_figure(_overlay(solution, chosen[joint], joint)),
+            caption=f"{chosen[joint].nominal.channel} of {chosen[joint].nominal.run}, held out "
+            f"from all fits. Residual {chosen[joint].nominal.rms:.2f} before and "
             f"{chosen[joint].corrected.rms:.2f} after correction, in noise standard deviations.",
         )
         for joint in chosen
@@ -86,7 +84,7 @@ def _channels(solution: GapSolution) -> Mapping[str, list[str]]:
     }
 
 
-def _overlay(solution: GapSolution, pair: _Pair, force_unit: str) -> Overlay:
+def _overlay(solution: GapSolution, pair: _Pair, joint: str) -> Overlay:
     held, one, other = solution.problem.held_out_whole, pair.nominal, pair.corrected
     trial = held.trials[one.trial]
     column = next(c for c, each in enumerate(held.channels) if each.name == one.channel)
@@ -97,14 +95,14 @@ def _overlay(solution: GapSolution, pair: _Pair, force_unit: str) -> Overlay:
     start = min(max(centre - _SECONDS / 2, one.time[0]), max(one.time[-1] - _SECONDS, one.time[0]))
     inside = np.flatnonzero((one.time >= start) & (one.time <= start + _SECONDS))
     few = inside[np.unique(np.linspace(0, len(inside) - 1, _SAMPLES).astype(int))]
-    turns = force_unit == "N·m"
-    sensors = joint_sensors(solution.problem.machine.model)
+    model = solution.problem.machine.model
+    slides = model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE
     name = one.channel.removeprefix("sensor.")
-    moving = any(name in each.velocity for each in sensors.values())
     if one.channel.startswith("torque."):
-        unit = force_unit
+        unit = "N" if slides else "N·m"
     else:
-        unit = f"{'rad' if turns else 'm'}{'/s' if moving else ''}"
+        moving = name in joint_sensors(model)[joint].velocity
+        unit = f"{'m' if slides else 'rad'}{'/s' if moving else ''}"
     return Overlay(
         time=one.time[few],
         measured=measured[few],
