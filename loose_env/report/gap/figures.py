@@ -30,6 +30,7 @@ __all__ = [
 
 BEFORE, AFTER = TRUTH, MEASURED
 """Colours of the nominal and of the corrected model."""
+_RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 _DOTS = 300
 """Dots of a panel."""
 _NAMES = 26
@@ -92,8 +93,10 @@ class Overlay:
     """By the nominal model (N,)."""
     corrected: Array
     """By the corrected model (N,)."""
-    label: str
-    """Name of the channel, with its unit."""
+    channel: str
+    """Name of the channel."""
+    unit: str
+    """Its unit."""
 
 
 def overlay_figure(overlay: Overlay) -> Figure:
@@ -112,19 +115,21 @@ def overlay_figure(overlay: Overlay) -> Figure:
     top.plot(x, overlay.measured, ".", color=MUTED, markersize=3.2, zorder=2)
     top.plot(x, overlay.nominal, color=BEFORE, linewidth=1.5, linestyle=(0, (4, 2)), zorder=3)
     top.plot(x, overlay.corrected, color=AFTER, linewidth=1.4, zorder=4)
-    for values, colour in ((overlay.nominal, BEFORE), (overlay.corrected, AFTER)):
-        low.plot(x, overlay.measured - values, color=colour, linewidth=1.2, zorder=3)
+    left_by = [overlay.measured - overlay.nominal, overlay.measured - overlay.corrected]
+    largest = max((float(np.nanmax(np.abs(v), initial=0.0)) for v in left_by), default=0.0)
+    power = 3 * int(np.floor(np.log10(largest) / 3)) if largest > 0 else 0
+    for values, colour in zip(left_by, (BEFORE, AFTER), strict=True):
+        low.plot(x, values / 10.0**power, color=colour, linewidth=1.2, zorder=3)
+    small = f"10{str(power).translate(_RAISED)} " if power else ""
     for axes, words, y in (
-        (top, overlay.label, height - above + 0.06),
-        (low, "measured less predicted", 0.5 + 0.95 + 0.06),
+        (top, f"{shortened(overlay.channel, 50)} [{overlay.unit}]", height - above + 0.06),
+        (low, f"measured less predicted [{small}{overlay.unit}]", 0.5 + 0.95 + 0.06),
     ):
         _plain(axes, grid="y", spines=())
         axes.set_xlim(x[0], x[-1])
-        axes.ticklabel_format(axis="y", scilimits=(-3, 4), useOffset=False)
-        axes.yaxis.get_offset_text().set(fontsize=8.5, color=MUTED)
         figure.text(
-            0.03, y / height, shortened(words, 60), color=MUTED, fontsize=9, ha="left",
-            va="bottom", parse_math=False,
+            0.03, y / height, words, color=MUTED, fontsize=9, ha="left", va="bottom",
+            parse_math=False,
         )  # fmt: skip
     top.tick_params(labelbottom=False)
     low.set_xlabel("time [s]", color=MUTED, fontsize=9)

@@ -108,5 +108,6 @@ def _overlay(solution: GapSolution, pair: _Pair, joint: str) -> Overlay:
         measured=measured[few],
         nominal=(measured - one.residual * scale)[few],
         corrected=(measured - other.residual * scale)[few],
-        label=f"{one.channel} [{unit}]",
+        channel=one.channel,
+        unit=unit,
     )

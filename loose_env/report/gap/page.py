@@ -34,6 +34,7 @@ from loose_env.report.gap.text import (
     ranked_words,
     shown_group,
     size_words,
+    summary_words,
 )
 from loose_env.report.pages.figure_card import FigureCard
 from loose_env.report.pages.sections import group, signed, spread
@@ -86,6 +87,7 @@ def render_gap_page(solution: GapSolution, evidence: ResidualDiagnostics, result
     page: str = template("loose_env.report/gap_page.html").render(
         title=headline(result),
         kicker=" · ".join(filter(None, [solution.problem.recording, "model error"])),
+        summary=summary_words(result),
         first=[group for group in first if group],
         questions=_questions(result),
         warnings=[sentence(warning) for warning in result.warnings],

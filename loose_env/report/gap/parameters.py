@@ -12,6 +12,8 @@ __all__ = ["parameters_group"]
 
 _ROWS = 16
 """Rows of the table, at most."""
+_MOVED = 1e-3
+"""Deviation of a factor from 1 from which it is listed."""
 _ZERO = frozenset(
     {
         "amplitude", "damping", "delay", "drag", "gap", "inertia", "mass", "offset",
@@ -39,7 +41,7 @@ def parameters_group(result: GapResult) -> dict[str, Any]:
         for name, value in effect.parameters.items()
     ]
     moved = sorted(result.nominal_parameters.items(), key=lambda item: -abs(item[1] - 1))
-    kept = moved[: max(_ROWS - len(rows), 4)]
+    kept = [item for item in moved if abs(item[1] - 1) >= _MOVED][: max(_ROWS - len(rows), 4)]
     rows += [_row(name, "1", value, None, "factor") for name, value in kept]
     note = (
         "Nominal: value in the recording's model, or with which the effect is absent. Factors are "
@@ -47,7 +49,7 @@ def parameters_group(result: GapResult) -> dict[str, Any]:
         "model.xml carries them."
     )
     if len(kept) < len(moved):
-        note += f" The {len(moved) - len(kept)} closest to 1 stand in result.json."
+        note += f" The other {len(moved) - len(kept)} are closer to 1: see result.json."
     return group("Parameters", "", tables=[{"rows": rows, "note": note}] if rows else [])
 
 

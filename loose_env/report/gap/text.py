@@ -20,7 +20,7 @@ from loose_env.gap import (
     how_to_separate,
     quantity_words,
 )
-from loose_env.io import duration_words
+from loose_env.io import begun, duration_words
 from loose_env.report.pages.sections import group
 
 __all__ = [
@@ -31,6 +31,7 @@ __all__ = [
     "ranked_words",
     "shown_group",
     "size_words",
+    "summary_words",
     "unsure",
 ]
 
@@ -67,7 +68,7 @@ _PLACES = {
 """Places that are no names of the model; a joint or a link may be called so, too."""
 
 
-_HEADLINE = 56
+_HEADLINE = 36
 """Letters of the effects in the headline, at most."""
 
 
@@ -91,18 +92,35 @@ def headline(result: GapResult) -> str:
     --------
     >>> from loose_env.gap import Gap
     >>> headline(GapResult(verdict="no_gap", gap=Gap(before=1.0, after=1.0)))
-    'No model error: the model explains the measurement within its tolerance.'
+    'No model error: the model explains the measurement.'
     """
     if result.verdict == "no_gap":
-        return "No model error: the model explains the measurement within its tolerance."
+        return "No model error: the model explains the measurement."
     if result.verdict == "unexplained":  # nothing is named then
         likely = unsure(result)
         if likely is None:
             return "An effect is missing that is not in the catalogue."
         found = _first_short(likely.places)
-        return f"An effect is missing: it may be {found}, not significant in these runs."
+        return f"An effect is missing, perhaps {found}."
     further = ", and a further effect" if _open(result) else ""
     return f"The model lacks {_first_short(result.effects)}{further}."
+
+
+def summary_words(result: GapResult) -> list[str]:
+    """Effects with their locations, and the residual before and after, below the headline."""
+    found = []
+    likely = unsure(result)
+    if result.effects:
+        found.append(f"{begun(_in_a_row(_grouped(result.effects)))}.")
+    elif likely is not None:
+        words = _in_a_row(_grouped(likely.places))
+        found.append(f"It may be {words}; that is not significant in these runs.")
+    after = "" if result.verdict == "no_gap" else f", {result.gap.after:.2f} after correction"
+    found.append(
+        f"Residual on held-out runs: {result.gap.before:.2f} noise standard deviations{after} "
+        "(sensor noise alone: 1)."
+    )
+    return found
 
 
 def _first_short(effects: Sequence[NamedEffect | EffectLocation]) -> str:
@@ -139,7 +157,7 @@ def unsure(result: GapResult) -> RankedHypothesis | None:
     ...     verdict="unexplained", gap=Gap(before=4.8, after=4.8), ranking=(friction,)
     ... )
     >>> headline(result)
-    'An effect is missing: it may be dry friction (joint2), not significant in these runs.'
+    'An effect is missing, perhaps dry friction (joint2).'
     """
     if result.verdict != "unexplained" or result.gap.before <= NOISE_RMS:
         return None

@@ -3,7 +3,8 @@
 Each machine is measured once a month in the same poses with the same signals, by the integrator of
 the blind suite. From session to session a healthy one scatters: its servos and dampers drift, its
 cables lie otherwise, it comes back to its poses within a milliradian, and the accelerometer is
-mounted anew. A wearing machine has play in one joint from some month on, and the play grows. Run as
+mounted anew. From some month on a wearing machine has play in one joint that grows, or the drive of
+that joint slowly loses stiffness. Run as
 
     python -m scripts.suites.diagnosis.months --out DIR
 
@@ -15,7 +16,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import date
 from pathlib import Path
 
@@ -52,8 +53,12 @@ SCATTER = {"mass": 2e-3, "inertia": 2e-3, "armature": 0.0, "damping": 0.05, "kp"
 """Standard deviation of each factor between sessions [1]."""
 REPOSE, MOUNT_RAD, MOUNT_GAIN = 1e-3, 3e-3, 2e-3
 """The same of the pose [rad], of the accelerometer's mounting [rad] and of its gain [1]."""
-WEARING, WEAR = 1, (2e-4, 2e-4)
-"""Joint with play, from 0; its play when it begins and its growth a month [rad]."""
+WEARING = 1
+"""Joint that wears, from 0."""
+PLAY, SOFTER = 2e-4, 0.004
+"""Growth of its play [rad] and loss of its drive's stiffness [1] a month."""
+KINDS = ("healthy", "play", "softer drive")
+"""Kinds of machine."""
 STOPS = {"stop_mode": 110.0, "stop_damping_ratio": 0.3}
 
 
@@ -71,20 +76,22 @@ def machine(number: int, seed: int) -> Case:
     )
 
 
-def as_found(case: Case, month: int, *, play: float) -> Case:
-    """The machine in one month: its ordinary scatter, and play in a joint [rad]."""
+def as_found(case: Case, month: int, kind: str, worn: int) -> Case:
+    """The machine in one month: its ordinary scatter, and so many months of wear."""
     rng = case.rng(7, month)
     factors = {
         name: getattr(case.arm.factors, name)
         * (1 + spread * rng.normal(size=case.arm.figures.joints))
         for name, spread in SCATTER.items()
     }
+    if kind == "softer drive":
+        factors["kp"][WEARING] *= (1 - SOFTER) ** worn
     turn = MOUNT_RAD * rng.normal(size=3)
     skew = np.array([[0, -turn[2], turn[1]], [turn[2], 0, -turn[0]], [-turn[1], turn[0], 0]])
     effects: tuple[Effect, ...] = ()
-    if play > 0:
+    if kind == "play" and worn:
         place = Place(name=f"joint{WEARING + 1}", index=WEARING)
-        effects = (Effect(kind="backlash", place=place, parameters={"gap": play, **STOPS}),)
+        effects = (Effect(kind="backlash", place=place, parameters={"gap": PLAY * worn, **STOPS}),)
     return dataclasses.replace(
         case,
         arm=dataclasses.replace(case.arm, factors=Factors(**factors), effects=effects),
@@ -92,9 +99,9 @@ def as_found(case: Case, month: int, *, play: float) -> Case:
     )
 
 
-def session_runs(case: Case, month: int, *, play: float) -> list[Run]:
+def session_runs(case: Case, month: int, kind: str, worn: int) -> list[Run]:
     """Runs of one session: the signals of every other month, in poses met within a milliradian."""
-    found, figures = as_found(case, month, play=play), case.arm.figures
+    found, figures = as_found(case, month, kind, worn), case.arm.figures
     places = figures.home + figures.reach * np.array([[0.5, -0.4, 0.3], [-0.6, 0.5, -0.5]])
     runs = []
     for k, joint in enumerate(EXCITED):
@@ -108,7 +115,7 @@ def session_runs(case: Case, month: int, *, play: float) -> list[Run]:
     return runs
 
 
-def diagnosed(case: Case, month: int, *, play: float, file: Path) -> Diagnosis:
+def diagnosed(case: Case, month: int, kind: str, worn: int, file: Path) -> Diagnosis:
     """Diagnosis of one month's session; a finished one is read."""
     if file.is_file():
         try:
@@ -117,7 +124,7 @@ def diagnosed(case: Case, month: int, *, play: float, file: Path) -> Diagnosis:
             pass
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place, "session")
-        runs = session_runs(case, month, play=play)
+        runs = session_runs(case, month, kind, worn)
         write_recording(folder, model_xml=model_xml(case.arm.figures), runs=runs)
         found = diagnose(read_recording(folder), DiagnoseSettings(), plan=False)
     day = date(2024 + month // 12, 1 + month % 12, 15).isoformat()
@@ -127,14 +134,14 @@ def diagnosed(case: Case, month: int, *, play: float, file: Path) -> Diagnosis:
 
 
 def trend_of(
-    case: Case, months: int, folder: Path, settings: TrendSettings, *, onset: int | None
+    case: Case, kind: str, months: int, folder: Path, settings: TrendSettings, *, onset: int
 ) -> Trend:
-    """Trend of a machine over its months; with play from the month of ``onset`` on."""
+    """Trend of a machine over its months; worn from the month of ``onset`` on, from 0."""
     sessions = []
     for month in range(months):
-        play = 0.0 if onset is None or month < onset else WEAR[0] + WEAR[1] * (month - onset)
+        worn = max(month - onset + 1, 0)
         file = folder / f"session-{month + 1:03d}.json"
-        sessions.append((file.stem, diagnosed(case, month, play=play, file=file)))
+        sessions.append((file.stem, diagnosed(case, month, kind, worn, file)))
     *before, (name, new) = sessions
     return change_since(new, before, name=name, settings=settings)
 
@@ -144,31 +151,30 @@ def alarms_of(trend: Trend) -> list[int]:
     return sorted({session for series in trend.series for session in series.alarms})
 
 
-def table(
-    healthy: Sequence[Trend], wearing: Sequence[Trend], onset: int, settings: TrendSettings
-) -> str:
-    """False-alarm rate of the healthy machines and delay of detection of the wearing ones."""
-    tested = sum(_tested(trend, len(trend.sessions)) for trend in healthy)
-    tested += sum(_tested(trend, onset) for trend in wearing)
-    false = sum(len(alarms_of(trend)) for trend in healthy)
-    false += sum(session < onset for trend in wearing for session in alarms_of(trend))
-    delays = []
-    for trend in wearing:
-        after = [session for session in alarms_of(trend) if session >= onset]
-        delays.append(after[0] - onset + 1 if after else None)
-    found = [delay for delay in delays if delay is not None]
-    lines = [
-        f"{len(healthy)} healthy and {len(wearing)} wearing machines",
-        f"  false alarms: {false} in {tested} sessions without a fault "
-        f"({100 * false / max(tested, 1):.1f} %; stated: at most "
-        f"{100 * settings.false_alarm_rate:.2g} %)",
-        f"  wear found: {len(found)} of {len(wearing)}",
-    ]
-    if found:
-        lines.append(
-            f"  sessions with play until the alarm: median {np.median(found):g}, most {max(found)}"
-        )
-    return "\n".join(lines)
+def table(trends: Mapping[str, Sequence[Trend]], onset: int, settings: TrendSettings) -> str:
+    """False-alarm rate before any wear, and delay of detection of each kind of wear."""
+    tested = false = 0
+    lines = []
+    for kind, many in trends.items():
+        for trend in many:
+            until = len(trend.sessions) if kind == "healthy" else onset
+            tested += _tested(trend, until)
+            false += sum(session < until for session in alarms_of(trend))
+        if kind == "healthy":
+            continue
+        after = [[s for s in alarms_of(trend) if s >= onset] for trend in many]
+        delays = [sessions[0] - onset + 1 for sessions in after if sessions]
+        words = f"  {kind}: found on {len(delays)} of {len(many)} machines"
+        if delays:
+            words += f", after {np.median(delays):g} worn sessions (median), at most {max(delays)}"
+        lines.append(words)
+    share = 100 * false / max(tested, 1)
+    stated = 100 * settings.false_alarm_rate
+    first = (
+        f"false alarms: {false} in {tested} sessions without wear ({share:.1f} %; stated: at most "
+        f"{stated:.2g} %)"
+    )
+    return "\n".join([first, *lines])
 
 
 def _tested(trend: Trend, until: int) -> int:
@@ -183,25 +189,25 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder of finished sessions")
     parser.add_argument("--machines", type=int, default=6, help="machines of each kind")
     parser.add_argument("--sessions", type=int, default=24, help="months, one session each")
-    parser.add_argument("--onset", type=int, default=12, help="month from which play grows, from 0")
+    parser.add_argument("--onset", type=int, default=12, help="month from which they wear, from 0")
     parser.add_argument("--seed", type=int, default=SEED, help="of the draw")
     parser.add_argument(
         "--rate", type=float, default=TrendSettings().false_alarm_rate, help="false-alarm rate"
     )
     given = parser.parse_args()
     settings = TrendSettings(false_alarm_rate=given.rate)
-    trends: dict[str, list[Trend]] = {"healthy": [], "wearing": []}
+    trends: dict[str, list[Trend]] = {kind: [] for kind in KINDS}
     for number in range(given.machines):
-        for kind, onset in (("healthy", None), ("wearing", given.onset)):
-            folder = given.out / f"{kind}-{number:02d}-{given.seed}"
-            case = machine(2 * number + (kind == "wearing"), given.seed)
-            trend = trend_of(case, given.sessions, folder, settings, onset=onset)
+        for k, kind in enumerate(KINDS):
+            folder = given.out / f"{kind.replace(' ', '-')}-{number:02d}-{given.seed}"
+            case = machine(len(KINDS) * number + k, given.seed)
+            trend = trend_of(case, kind, given.sessions, folder, settings, onset=given.onset)
             trend.write(folder / "trend.json")
             page = write_trend_page(folder / "trend.html", trend, recording=folder.name)
             trends[kind].append(trend)
-            said = [session + 1 for session in alarms_of(trend)]
-            print(f"{kind} {number}: alarms in sessions {said or 'none'}; {page}", flush=True)
-    print(table(trends["healthy"], trends["wearing"], given.onset, settings))
+            said = ", ".join(str(session + 1) for session in alarms_of(trend)) or "none"
+            print(f"{kind} {number}: alarms in sessions {said}; {page}", flush=True)
+    print(table(trends, given.onset, settings))
 
 
 if __name__ == "__main__":
