@@ -92,6 +92,7 @@ def page_of(diagnosis: Diagnosis, arm: Arm, *, recording: str = "", folder: str 
             filter(None, [recording, "diagnosis of a loose link or joint", diagnosis.date[:10]])
         ),
         summary=summary_words(diagnosis, arm),
+        questions=[],
         first=[each for each in first if each],
         warnings=graded([(s, sentence(w)) for s, w in diagnosis.graded_warnings]),
         groups=[each for each in groups if each],

@@ -59,6 +59,7 @@ def trend_page(trend: Trend, *, recording: str = "") -> str:
         title=trend_headline(trend),
         kicker=" · ".join(filter(None, [recording, "change since earlier sessions", date])),
         summary=_summary(trend),
+        questions=[],
         first=[each for each in first if each],
         warnings=graded([("warning", begun(sentence(w))) for w in trend.warnings]),
         groups=[each for each in (_sessions_group(trend), _maintenance_group(trend)) if each],
