@@ -44,10 +44,14 @@ from tests.thesis.test_page import FAILED, outcome, render
 __all__ = ["browser"]
 
 
-def gap_page(folder: Path) -> Path:
-    solution = solution_for(record(folder / "arm"))
-    evidence = diagnose_residuals(solution)
-    return write_gap_page(folder / "gap.html", solution, evidence, result_of(solution, evidence))
+def gap_page(suffix: str = "") -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        solution = solution_for(record(folder / "arm", suffix=suffix), suffix=suffix)
+        evidence = diagnose_residuals(solution)
+        found = result_of(solution, evidence)
+        return write_gap_page(folder / "gap.html", solution, evidence, found)
+
+    return write
 
 
 def comparison_page(folder: Path) -> Path:
@@ -104,7 +108,8 @@ def plan_page(in_turn: int) -> Callable[[Path], Path]:
 
 
 REPORTS: dict[str, tuple[Callable[[Path], Path], int]] = {
-    "gap": (gap_page, 6),
+    "gap": (gap_page(), 6),
+    "gap: long names": (gap_page("_of_the_left_arm_beside_the_conveyor"), 6),
     "trend": (trend_page, 2),
     "comparison": (comparison_page, 6),
     "thesis": (thesis_page, 1),
