@@ -188,7 +188,8 @@ class Diagnosis:
     def graded_warnings(self) -> tuple[tuple[Severity, str], ...]:
         """Warnings with their severity, the most severe first."""
         missing = len(self.warnings) - len(self.severities)
-        severities = (*self.severities, *(("warning",) * max(missing, 0)))
+        usual: Severity = "warning"
+        severities = (*self.severities, *((usual,) * max(missing, 0)))
         pairs = zip(severities, self.warnings, strict=False)
         return tuple(sorted(pairs, key=lambda pair: get_args(Severity).index(pair[0])))
 

@@ -16,7 +16,7 @@ from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.result import HEALTHY, TransmissionSpectrum
 from loose_env.instrument.settings.thresholds import MENTIONED
-from loose_env.typing import Array, ComplexArray
+from loose_env.typing import ComplexArray
 
 __all__ = ["spectra_by_fit", "transmission_spectra"]
 
@@ -179,6 +179,6 @@ def _at(
     count = len(frequency)
     above = np.bincount(lot, weights=answer, minlength=count)
     below = np.bincount(lot, weights=power, minlength=count)
-    known: Array = np.flatnonzero(below > 0)
+    known = np.flatnonzero(below > 0)
     amplitude = np.sqrt(above[known] / below[known])
     return tuple(np.interp(frequency, np.array(frequency)[known], amplitude).tolist())
