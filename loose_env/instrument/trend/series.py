@@ -20,16 +20,10 @@ from loose_env.instrument.settings.thresholds import (
 )
 from loose_env.typing import Array
 
-__all__ = ["LEAST_SCATTER", "Quantity", "Series", "joints_and_links", "series_over"]
+__all__ = ["Quantity", "Series", "joints_and_links", "series_over"]
 
 Quantity = Literal["transmission", "probability", "free_travel"]
 """Compared quantities: log amplitude, log odds that the arm is faulty, log free travel."""
-LEAST_SCATTER: Mapping[Quantity, float] = {
-    "transmission": REPEATABILITY,
-    "probability": ODDS_SCATTER,
-    "free_travel": CLEARANCE_ERROR,
-}
-"""Smallest standard deviation between sessions, in the unit of a series' values."""
 _CERTAIN = 1e-9
 """Probabilities are kept this far from 0 and 1."""
 
@@ -51,6 +45,8 @@ class Series:
     values: Array
     """Value of each session (n,): natural logarithm of amplitude or travel, or log odds; NaN where
     a session has none."""
+    least_scatter: float
+    """Smallest standard deviation between sessions that is believed, in the unit of ``values``."""
 
 
 def joints_and_links(diagnosis: Diagnosis) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -98,6 +94,7 @@ def series_over(sessions: Sequence[Diagnosis]) -> list[Series]:
         first = group[0]
         edges = _edges(first)
         levels = np.array([_levels(last, first, edges, session) for session in sessions])
+        whole = _whole(last, first, edges)
         found += [
             Series(
                 quantity="transmission",
@@ -106,6 +103,7 @@ def series_over(sessions: Sequence[Diagnosis]) -> list[Series]:
                 band_hz=(float(edges[b]), float(edges[b + 1])),
                 pose=last.records[first.record].pose,
                 values=levels[:, b],
+                least_scatter=_least_scatter(levels[:, b], float(whole[b])),
             )
             for b in range(len(edges) - 1)
         ]
@@ -119,7 +117,38 @@ def series_over(sessions: Sequence[Diagnosis]) -> list[Series]:
 
 
 def _of_arm(quantity: Quantity, where: str, values: Array) -> Series:
-    return Series(quantity=quantity, joint=where, channel="", band_hz=None, pose={}, values=values)
+    return Series(
+        quantity=quantity,
+        joint=where,
+        channel="",
+        band_hz=None,
+        pose={},
+        values=values,
+        least_scatter=ODDS_SCATTER if quantity == "probability" else CLEARANCE_ERROR,
+    )
+
+
+def _whole(session: Diagnosis, first: TransmissionSpectrum, edges: Array) -> Array:
+    """Rms transmission to the whole sensor, all its axes together, in each band."""
+    bands = len(edges) - 1
+    power = np.zeros(bands)
+    for own in session.spectra:
+        if own.record == first.record and own.joint == first.joint:
+            at = np.clip(np.searchsorted(edges, own.frequency_hz, side="right") - 1, 0, bands - 1)
+            count = np.maximum(np.bincount(at, minlength=bands), 1)
+            power += np.bincount(at, weights=np.square(own.measured), minlength=bands) / count
+    return np.asarray(np.sqrt(power))
+
+
+def _least_scatter(levels: Array, whole: float) -> float:
+    """Smallest scatter of an axis's log amplitude: a share of what the whole sensor moves.
+
+    An axis across the motion reads what mounting and pose let leak into it, and its logarithm
+    scatters by as much more as it is weaker.
+    """
+    known = levels[np.isfinite(levels)]
+    own = float(np.exp(np.median(known))) if len(known) else whole
+    return REPEATABILITY * max(whole / max(own, 1e-300), 1.0)
 
 
 def _travel(session: Diagnosis, last: Diagnosis) -> float:

@@ -15,7 +15,6 @@ from loose_env.instrument.settings.trend import TrendSettings
 from loose_env.instrument.trend.cusum import Chart, control_chart, limits_for
 from loose_env.instrument.trend.maintenance import Maintenance, time_of
 from loose_env.instrument.trend.series import (
-    LEAST_SCATTER,
     Quantity,
     Series,
     joints_and_links,
@@ -230,7 +229,7 @@ def _charted(
     chart: Chart = control_chart(
         series.values,
         limits,
-        least_scatter=LEAST_SCATTER[series.quantity],
+        least_scatter=series.least_scatter,
         least_baseline=LEAST_SESSIONS,
         restarts=_passing(series, new, restarts),
     )
