@@ -1,7 +1,7 @@
 """Diagnosis of a real arm: recordings in, posterior and next measurement out.
 
-Data flow: settings -> result -> model -> data -> inference -> planning -> inspect -> pipeline
--> session.
+Data flow: settings -> result -> model -> data -> inference -> trend -> planning -> inspect
+-> pipeline -> session.
 """
 
 from loose_env.instrument.inspect import (
@@ -47,7 +47,10 @@ from loose_env.instrument.result import (
     Loop,
     NextMeasurement,
     RecordSeen,
+    Severity,
     SlideDirection,
+    TransmissionSpectrum,
+    Verdict,
     read_diagnosis,
 )
 from loose_env.instrument.session import (
@@ -71,6 +74,26 @@ from loose_env.instrument.settings.measurement import (
 from loose_env.instrument.settings.thresholds import (
     PROBABLE,
 )
+from loose_env.instrument.settings.trend import (
+    TrendSettings,
+)
+from loose_env.instrument.trend.earlier import (
+    read_sessions,
+)
+from loose_env.instrument.trend.maintenance import (
+    Maintenance,
+    read_maintenance,
+    time_of,
+)
+from loose_env.instrument.trend.series import (
+    joints_and_links,
+)
+from loose_env.instrument.trend.trend import (
+    SeriesTrend,
+    SessionSeen,
+    Trend,
+    change_since,
+)
 
 __all__ = [
     "HEALTHY",
@@ -84,6 +107,7 @@ __all__ = [
     "InstrumentedArm",
     "JointDrive",
     "Loop",
+    "Maintenance",
     "ModelSettings",
     "NextMeasurement",
     "NextSettings",
@@ -91,11 +115,20 @@ __all__ = [
     "PlanFiles",
     "PlanSettings",
     "RecordSeen",
+    "SeriesTrend",
+    "SessionSeen",
+    "Severity",
     "Signal",
     "SlideDirection",
+    "TransmissionSpectrum",
+    "Trend",
+    "TrendSettings",
+    "Verdict",
+    "change_since",
     "diagnose",
     "find_fault",
     "inspect_model",
+    "joints_and_links",
     "next_for",
     "option_words",
     "path_word",
@@ -103,11 +136,14 @@ __all__ = [
     "plan_json",
     "read_arm",
     "read_diagnosis",
+    "read_maintenance",
     "read_recorded_arm",
+    "read_sessions",
     "run_columns",
     "screen",
     "session_beside",
     "signal_stems",
+    "time_of",
     "unlike",
     "write_plan",
 ]

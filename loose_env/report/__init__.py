@@ -7,11 +7,12 @@ from loose_env.envs import FAINT, INK, MUTED
 from loose_env.report.comparison.episode_timeline import episode_timeline
 from loose_env.report.comparison.report import write_comparison
 from loose_env.report.comparison.text import comparison_text
-from loose_env.report.diagnosis.notebook import diagnosis_html, diagnosis_text
+from loose_env.report.diagnosis.hypotheses import diagnosis_html, diagnosis_text
 from loose_env.report.diagnosis.page import write_page
 from loose_env.report.diagnosis.plan_page import write_plan_page
 from loose_env.report.diagnosis.plan_text import summary
 from loose_env.report.diagnosis.text import headline as diagnosis_headline
+from loose_env.report.diagnosis.trend_page import trend_headline, write_trend_page
 from loose_env.report.diagnosis.write import write_diagnosis
 from loose_env.report.gap.notebook import gap_html, gap_text
 from loose_env.report.gap.text import headline as gap_headline
@@ -66,6 +67,7 @@ __all__ = [
     "summary",
     "template",
     "to_svg",
+    "trend_headline",
     "unsure",
     "write_comparison",
     "write_diagnosis",
@@ -73,5 +75,6 @@ __all__ = [
     "write_page",
     "write_plan_page",
     "write_study",
+    "write_trend_page",
     "write_whole",
 ]

@@ -108,6 +108,22 @@ RATE_SHARE = 0.98
 """Share of the wanted sampling rate, below which the next run is planned for the recorder's own
 rate."""
 
+# Change since earlier sessions
+LEAST_SESSIONS = 2
+"""Earlier sessions before a series has a scatter."""
+SAME_POSE = 0.02
+"""Distance of each joint's position, up to which two runs are of one pose [rad or m]."""
+SAME_DRIVE = 1.25
+"""Ratio of the rms driving forces, up to which two runs are of one signal: friction and stops
+depend on the level."""
+SAME_BAND = 0.1
+"""Relative distance of the ends of the excited bands, up to which two runs are of one signal."""
+TREND_BANDS = 4
+"""Bands in which a transmission is followed: a changed mode raises one and lowers the next."""
+ODDS_SCATTER = 2.0
+"""Smallest standard deviation of the log odds of a fault on a healthy arm: the probability of a
+settled case varies by a factor of seven with the model's errors."""
+
 # Planning
 DETECTABLE_Z = 4.0
 """z-score from which a change of a record counts as detectable."""

@@ -24,7 +24,7 @@ from loose_env.report.diagnosis.plan_text import (
 from loose_env.report.diagnosis.text import percent, with_plain_names
 from loose_env.report.pages.figure_card import FigureCard
 from loose_env.report.pages.figures import new_figure
-from loose_env.report.pages.sections import group
+from loose_env.report.pages.sections import graded, group
 from loose_env.report.pages.template import template, write_whole
 
 if TYPE_CHECKING:
@@ -107,7 +107,11 @@ def plan_page(
             ),
             ("Holding of the joints", [sentence(plan.arm.held_by)]),
         ],
-        warnings=[sentence(with_plain_names(warning, plain)) for warning in plan.warnings],
+        summary=[],
+        first=[],
+        warnings=graded(
+            [("warning", sentence(with_plain_names(words, plain))) for words in plan.warnings]
+        ),
         groups=[each for each in groups if each],
         notes=[
             f"The accelerometer is taken to sit at {plan.arm.report.tool} "

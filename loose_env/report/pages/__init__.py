@@ -1,5 +1,5 @@
 """Page template, style, figure cards and tables shared by all reports.
 
-Data flow: figure_card -> palette -> figures -> style -> svg -> table -> template ->
-sections -> notebook.
+Data flow: figure_card -> palette -> figures -> legend -> style -> svg -> table -> template
+-> sections -> notebook.
 """
