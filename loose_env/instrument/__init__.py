@@ -37,7 +37,7 @@ from loose_env.instrument.planning.session_settings import (
     KEPT,
     session_beside,
 )
-from loose_env.instrument.planning.signals import (
+from loose_env.instrument.planning.signals.signal import (
     Signal,
 )
 from loose_env.instrument.result import (

@@ -24,7 +24,7 @@ from loose_env.instrument.planning.expected_observations import Expected, expect
 from loose_env.instrument.planning.next_measurement import next_measurement
 from loose_env.instrument.planning.prior_knowledge import Known, known_of
 from loose_env.instrument.planning.rationale import other_settings, why_not_reached
-from loose_env.instrument.planning.signals import Signal, make_signal
+from loose_env.instrument.planning.signals.signal import Signal, make_signal
 from loose_env.instrument.result import Diagnosis, NextMeasurement
 from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettings
 from loose_env.instrument.settings.command_line import unlike

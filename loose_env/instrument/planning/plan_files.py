@@ -19,7 +19,7 @@ import numpy as np
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.instrument.planning.plan import Plan
-from loose_env.instrument.planning.signals import Signal
+from loose_env.instrument.planning.signals.signal import Signal
 from loose_env.io import plain, write_text, written_beside
 from loose_env.recording import DESCRIPTION, RunEntry, read_description, write_csv, write_parquet
 from loose_env.recording import FORMAT as RECORDING_FORMAT
