@@ -26,6 +26,7 @@ from loose_env.instrument import (
     PAGE,
     RECORDING,
     ModelSettings,
+    MotionSettings,
     NextSettings,
     PlanFiles,
     PlanSettings,
@@ -34,6 +35,13 @@ from loose_env.instrument import (
     session_beside,
     write_plan,
 )
+
+_PUT = {
+    "run": "put the measured run",
+    "repeat": "a repeat of the first run at the end, for drift and scatter,",
+    "reference": "the same on the healthy machine",
+}
+"""Kind of a run -> how it is spoken of."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -50,6 +58,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     add_kept(parser, ModelSettings, title="the arm as it stands")
     add_choice(parser)
+    add_kept(parser, MotionSettings, title="limits and commands of the controller")
     add_kept(parser, PlanSettings, title="the next measurement itself", only=KEPT)
 
 
@@ -62,6 +71,7 @@ def run(options: argparse.Namespace) -> None:
     else:
         take_over(options, known.choice, "the diagnosis")
     take_over(options, before.arm, "the earlier plan")
+    take_over(options, before.motion, "the earlier plan")
     take_over(options, before.own, "the earlier plan", only=KEPT)
     made = plan(
         options.model,
@@ -69,9 +79,10 @@ def run(options: argparse.Namespace) -> None:
         arm=settings_of(options, ModelSettings),
         choice=settings_of(options, NextSettings),
         own=settings_of(options, PlanSettings),
+        motion=settings_of(options, MotionSettings),
     )
     files = PlanFiles(options.out, made.arm.recording_model.xml)
-    runs = files.next_names(len(made.signals))
+    planned = files.runs_of(made)
     written = write_plan(files, made, known="" if options.known is None else str(options.known))
     from loose_env.report import summary
 
@@ -80,7 +91,7 @@ def run(options: argparse.Namespace) -> None:
 
         written.append(
             write_plan_page(
-                files.folder / PAGE, made, runs, folder=options.out, model=options.model
+                files.folder / PAGE, made, planned, folder=options.out, model=options.model
             )
         )
     except MissingExtra as error:
@@ -90,4 +101,7 @@ def run(options: argparse.Namespace) -> None:
     print(summary(made))
     names = sorted({path.relative_to(files.folder).parts[0] for path in written})
     print(f"written to {files.folder}: {', '.join(names)}")
-    print(f"put the measured run into {', '.join(str(files.recording / name) for name in runs)}")
+    for kind, words in _PUT.items():
+        own = [str(files.recording / one.file) for one in planned if one.kind == kind]
+        if own:
+            print(f"{words} into {', '.join(own)}")

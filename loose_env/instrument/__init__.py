@@ -16,26 +16,40 @@ from loose_env.instrument.model.instrumented_arm import (
     read_arm,
     read_recorded_arm,
 )
+from loose_env.instrument.model.motion_limits import (
+    QUANTITIES,
+    unit_of,
+)
 from loose_env.instrument.pipeline import (
     diagnose,
+)
+from loose_env.instrument.planning.files.plan_files import (
+    PAGE,
+    RECORDING,
+    PlanFiles,
+    plan_json,
+    run_columns,
+    write_plan,
+)
+from loose_env.instrument.planning.files.planned_runs import (
+    PlannedRun,
+)
+from loose_env.instrument.planning.files.session_settings import (
+    KEPT,
+    session_beside,
+)
+from loose_env.instrument.planning.files.signal_files import (
+    FIRST,
+    TRANSIT,
+    signal_stems,
 )
 from loose_env.instrument.planning.plan import (
     Plan,
     next_for,
     plan,
 )
-from loose_env.instrument.planning.plan_files import (
-    PAGE,
-    RECORDING,
-    PlanFiles,
-    plan_json,
-    run_columns,
-    signal_stems,
-    write_plan,
-)
-from loose_env.instrument.planning.session_settings import (
-    KEPT,
-    session_beside,
+from loose_env.instrument.planning.signals.motion_peaks import (
+    MotionPeak,
 )
 from loose_env.instrument.planning.signals.signal import (
     Signal,
@@ -68,16 +82,22 @@ from loose_env.instrument.settings.diagnosis import (
 from loose_env.instrument.settings.measurement import (
     NextSettings,
 )
+from loose_env.instrument.settings.motion import (
+    MotionSettings,
+)
 from loose_env.instrument.settings.thresholds import (
     PROBABLE,
 )
 
 __all__ = [
+    "FIRST",
     "HEALTHY",
     "KEPT",
     "PAGE",
     "PROBABLE",
+    "QUANTITIES",
     "RECORDING",
+    "TRANSIT",
     "DiagnoseSettings",
     "Diagnosis",
     "Fault",
@@ -85,11 +105,14 @@ __all__ = [
     "JointDrive",
     "Loop",
     "ModelSettings",
+    "MotionPeak",
+    "MotionSettings",
     "NextMeasurement",
     "NextSettings",
     "Plan",
     "PlanFiles",
     "PlanSettings",
+    "PlannedRun",
     "RecordSeen",
     "Signal",
     "SlideDirection",
@@ -108,6 +131,7 @@ __all__ = [
     "screen",
     "session_beside",
     "signal_stems",
+    "unit_of",
     "unlike",
     "write_plan",
 ]

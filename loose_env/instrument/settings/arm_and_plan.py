@@ -10,6 +10,7 @@ from loose_env.instrument.settings.validation import check_types
 
 __all__ = ["Hold", "ModelSettings", "PlanSettings"]
 
+_MOST_REPEATS = 20
 Hold = Literal["model", "brake", "servo", "compliant"]
 """Holding of joints: by the model's actuators, or one of `loose_env.arms.HoldKind`."""
 
@@ -66,6 +67,12 @@ class PlanSettings:
     hold_s: float = 0.5
     """Time before and after [s]: commands go from the pose to what holds the arm's weight in it,
     and the arm stands still."""
+    repeat: int = 1
+    """Number of times that the session's first run is repeated at the end: its drift and scatter
+    are those of machine and sensors; 0 for none."""
+    reference: bool = False
+    """Plan the same runs for the healthy machine too: with them faults are found by the difference
+    of two measurements, without the errors of the model."""
 
     def __post_init__(self) -> None:
         """Check.
@@ -80,3 +87,7 @@ class PlanSettings:
             value = getattr(self, name)
             if not 0 <= value <= 60:
                 raise InvalidSetting(f"{name} is 0 to 60 s, got {value!r}")
+        if not 0 <= self.repeat <= _MOST_REPEATS:
+            raise InvalidSetting(
+                f"repeat is a whole number from 0 to {_MOST_REPEATS}, got {self.repeat}"
+            )

@@ -11,10 +11,10 @@ import pytest
 
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.instrument.model.instrumented_arm import read_arm
-from loose_env.instrument.planning import plan_files
+from loose_env.instrument.planning.files import plan_files
 from loose_env.instrument.planning.next_measurement import NextSettings
 from loose_env.instrument.planning.plan import Plan, next_for, plan
-from loose_env.instrument.planning.plan_files import PlanFiles, write_plan
+from loose_env.instrument.planning.files.plan_files import PlanFiles, write_plan
 from loose_env.instrument.result import Diagnosis, Fault, RecordSeen
 from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettings
 from loose_env.recording import read_recording, write_csv

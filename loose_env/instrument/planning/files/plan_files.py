@@ -8,20 +8,29 @@ measured run there under the name given, and the folder reads as a recording.
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.instrument.model.motion_limits import QUANTITIES
+from loose_env.instrument.planning.files.planned_runs import PlannedRun, planned_runs
+from loose_env.instrument.planning.files.ros_trajectory import joint_columns
+from loose_env.instrument.planning.files.signal_files import (
+    ENDINGS,
+    FIRST,
+    TRANSIT,
+    own_files,
+    signal_columns,
+    signal_stems,
+    write_table,
+)
 from loose_env.instrument.planning.plan import Plan
-from loose_env.instrument.planning.signals.signal import Signal
-from loose_env.io import plain, write_text, written_beside
-from loose_env.recording import DESCRIPTION, RunEntry, read_description, write_csv, write_parquet
+from loose_env.io import plain, write_text
+from loose_env.recording import DESCRIPTION, RunEntry, read_description
 from loose_env.recording import FORMAT as RECORDING_FORMAT
 from loose_env.typing import Array
 
@@ -34,7 +43,6 @@ __all__ = [
     "plan_json",
     "read_plan",
     "run_columns",
-    "signal_stems",
     "write_plan",
 ]
 
@@ -45,8 +53,6 @@ PLAN = "plan.json"
 PAGE = "plan.html"
 RECORDING = "recording"
 _MODEL = "model.xml"
-_ENDINGS = (".csv", ".parquet")
-_SIGNAL = re.compile(r"signal(-[1-9]\d*)?\.(csv|parquet)")
 
 
 class PlanFiles:
@@ -79,14 +85,14 @@ class PlanFiles:
                 f"--out {folder} holds a {PLAN} that is none of ours; give another"
             )
         if not plan.exists() and not _same(model, model_xml):
-            mine = [RECORDING, PAGE, "signal.csv", "signal.parquet"]
+            mine = [RECORDING, PAGE, *sorted(_usual_files())]
             there = [name for name in mine if (self.folder / name).exists()]
             if there:
                 raise InvalidSetting(
                     f"--out {folder} holds {', '.join(there)}, which would be overwritten, and no "
                     f"{PLAN}; give a new or empty folder, or that of an earlier plan"
                 )
-        self.signals = _signals_of(earlier or {})
+        self.signals = own_files(earlier or {})
         """Files of signals that an earlier plan lists as its own."""
         self.measured: tuple[RunEntry, ...] = ()
         if (self.recording / DESCRIPTION).exists():
@@ -98,13 +104,37 @@ class PlanFiles:
             entries = read_description(self.recording / DESCRIPTION).runs
             self.measured = tuple(e for e in entries if (self.recording / e.file).is_file())
 
-    def next_names(self, count: int) -> tuple[str, ...]:
-        """Files for the runs to come, each with the number after the last one measured."""
+    @property
+    def first(self) -> RunEntry | None:
+        """First run of the session; None before it is measured."""
+        return next((e for e in self.measured if e.condition == "suspect" and e.pose), None)
+
+    @property
+    def keeps_first(self) -> bool:
+        """True if the signal of the session's first run is there."""
+        return self.first is not None and any(
+            name.startswith(FIRST) and (self.folder / name).exists() for name in self.signals
+        )
+
+    def runs_of(self, plan: Plan) -> tuple[PlannedRun, ...]:
+        """Runs that a plan asks for, in order."""
+        return planned_runs(plan, self.first, self.next_names, first_signal=self.keeps_first)
+
+    def next_names(self, count: int, kind: str = "run") -> tuple[str, ...]:
+        """Files for the runs to come, each with the number after the last one measured.
+
+        Parameters
+        ----------
+        count : int
+            Number of files.
+        kind : {"run", "repeat", "reference"}
+            Kind of the runs, with which the names begin.
+        """
         taken = {Path(entry.file).stem for entry in self.measured}
         names: list[str] = []
         number = 1
         while len(names) < count:
-            stem = f"run-{number:02d}"
+            stem = f"{kind}-{number:02d}"
             if stem not in taken:
                 names.append(f"{stem}.csv")
             number += 1
@@ -133,43 +163,66 @@ def write_plan(files: PlanFiles, plan: Plan, *, known: str = "") -> list[Path]:
     InvalidSetting
         If a signal would take the place of a file that no plan wrote.
     """
-    runs = files.next_names(len(plan.signals))
-    stems = signal_stems(plan.signals)
-    _refuse_others(files, stems)
+    planned = files.runs_of(plan)
+    tables, formats = _tables(files, plan), _formats(plan)
+    for _, columns in tables.values():  # a JointTrajectory may be impossible: before anything goes
+        if "ros2" in formats:
+            joint_columns(plan.arm, {k: v for k, v in columns.items() if k != "time"})
+    names = {stem + ENDINGS[f] for stem, (fs, _) in tables.items() for f in fs}
+    kept = {name for name in files.signals if name.startswith(FIRST) and files.first is not None}
+    _refuse_others(files, names)
     written: list[Path] = []
     (files.folder / PLAN).unlink(missing_ok=True)
     (files.folder / PAGE).unlink(missing_ok=True)  # an earlier pose beside a new signal
-    for old in files.signals:
-        if Path(old).stem not in stems:
-            (files.folder / old).unlink(missing_ok=True)
+    for old in files.signals - names - kept:
+        (files.folder / old).unlink(missing_ok=True)
     # First: a run cut short is known by it as one of ours.
     write_text(files.recording / _MODEL, plan.arm.recording_model.xml)
     entries = [_entry(entry) for entry in files.measured]
-    entries += [
-        {"file": run, "excited": [signal.joint], "pose": dict(plan.next.pose)}
-        for run, signal in zip(runs, plan.signals, strict=True)
-    ]
+    entries += [one.entry for one in planned]
     description = {"format": RECORDING_FORMAT, "model": _MODEL, "runs": entries}
     written.append(
         write_text(files.recording / DESCRIPTION, json.dumps(description, indent=1) + "\n")
     )
-    for signal, stem in zip(plan.signals, stems, strict=True):
-        columns = signal_columns(signal)
-        for ending, write in ((".csv", write_csv), (".parquet", write_parquet)):
-            path = files.folder / f"{stem}{ending}"
-            written.append(written_beside(path, partial(_table, write, columns)))
-    text = json.dumps(plan_json(plan, runs, known), indent=1, ensure_ascii=False, allow_nan=False)
+    for stem, (own, columns) in tables.items():
+        written += write_table(files.folder, stem, columns, plan.arm, own)
+    runs = [one.entry["file"] for one in planned if one.kind == "run"]
+    whole = plan_json(plan, runs, known)
+    whole["runs"] = [one.listed for one in planned]
+    whole["files"] = sorted(names | kept)
+    text = json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False)
     return [write_text(files.folder / PLAN, text + "\n"), *written]
 
 
-def signal_stems(signals: Sequence[Signal]) -> tuple[str, ...]:
-    """Names of the signals' files without their endings."""
-    return tuple("signal" if k == 1 else f"signal-{k}" for k in range(1, len(signals) + 1))
+def _formats(plan: Plan) -> tuple[str, ...]:
+    """Formats of the signal's files."""
+    return tuple(dict.fromkeys(plan.settings.get("signal_format") or ("csv", "parquet")))
 
 
-def signal_columns(signal: Signal) -> dict[str, Array]:
-    """Columns of a signal: time, and the command of every actuator."""
-    return {"time": signal.time, **{f"ctrl.{a}": u for a, u in signal.commands.items()}}
+def _tables(files: PlanFiles, plan: Plan) -> dict[str, tuple[tuple[str, ...], Mapping[str, Array]]]:
+    """Stem of each file -> its formats and columns."""
+    formats = _formats(plan)
+    tables = {
+        stem: (formats, signal_columns(signal))
+        for signal, stem in zip(plan.signals, signal_stems(plan.signals), strict=True)
+    }
+    if files.first is None and plan.settings.get("repeat"):
+        tables[FIRST] = (formats, signal_columns(plan.signals[0]))
+    if plan.transit.duration_s > 0:
+        columns = {"time": plan.transit.time, **plan.transit.columns(plan.arm)}
+        tables[TRANSIT] = (formats, columns)
+    return tables
+
+
+def command_columns(plan: Plan) -> tuple[str, ...]:
+    """Columns of the commands in a measured run.
+
+    The model says what a command does only where it is one of its own actuators: beside others,
+    the torque that the drives gave is recorded.
+    """
+    if plan.signals[0].kind == "model":
+        return tuple(f"ctrl.{name}" for name in plan.signals[0].commands)
+    return tuple(f"torque.{name}" for name in plan.arm.joints)
 
 
 def run_columns(plan: Plan) -> tuple[str, ...]:
@@ -177,7 +230,7 @@ def run_columns(plan: Plan) -> tuple[str, ...]:
     made = plan.arm.recording_model
     return (
         "time",
-        *(f"ctrl.{name}" for name in plan.signals[0].commands),
+        *command_columns(plan),
         *(f"sensor.{made.accelerometer}.{axis}" for axis in "xyz"),
         *(f"sensor.{name}" for name in made.positions),
     )
@@ -190,6 +243,7 @@ def plan_json(plan: Plan, runs: Sequence[str], known: str = "") -> dict[str, Any
         name: ("N", "m") if slides else ("N·m", "rad")
         for name, slides in zip(arm.joints, arm.nominal.sliding, strict=True)
     }
+    formats = _formats(plan)
     signals = []
     for signal, run, stem in zip(plan.signals, runs, signal_stems(plan.signals), strict=True):
         j = arm.joints.index(signal.joint)
@@ -199,9 +253,17 @@ def plan_json(plan: Plan, runs: Sequence[str], known: str = "") -> dict[str, Any
             {
                 "joint": signal.joint,
                 "actuator": drive.actuator,
-                "command": "position" if drive.servo else "torque",
-                "csv": f"{stem}.csv",
-                "parquet": f"{stem}.parquet",
+                "command": signal.kind
+                if signal.kind != "model"
+                else "position"
+                if drive.servo
+                else "torque",
+                "csv": f"{stem}.csv" if "csv" in formats else None,
+                "parquet": f"{stem}.parquet" if "parquet" in formats else None,
+                "files": [f"{stem}{ENDINGS[name]}" for name in formats],
+                "command_rate_hz": signal.rate_hz,
+                "scale": signal.scale,
+                "peaks": [asdict(peak) for peak in signal.peaks],
                 "steady_s": list(signal.steady_s),
                 "start_commands": dict(signal.start),
                 "sags": arm.by_joint(signal.sags),
@@ -235,6 +297,27 @@ def plan_json(plan: Plan, runs: Sequence[str], known: str = "") -> dict[str, Any
         "held_by": arm.held_by,
         "tool": arm.recording_model.site,
         "signals": signals,
+        "limits": {
+            quantity: {
+                name: {
+                    "limit": value if np.isfinite(value) else None,
+                    "source": source or None,
+                }
+                for name, value, source in zip(
+                    arm.joints,
+                    plan.limits.values[quantity],
+                    plan.limits.sources[quantity],
+                    strict=True,
+                )
+            }
+            for quantity in QUANTITIES
+        },
+        "transit": {
+            "from": arm.by_joint(plan.transit.positions[0]),
+            "from_origin": plan.start_origin,
+            "duration_s": plan.transit.duration_s,
+            "peaks": [asdict(peak) for peak in plan.transit.peaks],
+        },
         "expected": {name: asdict(one) for name, one in plan.expected.items()},
         "recording": RECORDING,
         "columns": list(run_columns(plan)),
@@ -243,10 +326,6 @@ def plan_json(plan: Plan, runs: Sequence[str], known: str = "") -> dict[str, Any
     }
     values: dict[str, Any] = plain(whole)
     return values
-
-
-def _table(write: Any, columns: Mapping[str, Array], path: Path) -> None:
-    write(path, columns)
 
 
 def _entry(entry: RunEntry) -> dict[str, Any]:
@@ -268,10 +347,16 @@ def _same(model: Path, text: str) -> bool:
         return False
 
 
-def _refuse_others(files: PlanFiles, stems: Sequence[str]) -> None:
+def _usual_files() -> frozenset[str]:
+    """Files that every plan may write."""
+    return frozenset(s + e for s in ("signal", TRANSIT, FIRST) for e in ENDINGS.values())
+
+
+def _refuse_others(files: PlanFiles, names: set[str]) -> None:
     """Refuse to overwrite files that no plan wrote."""
-    names = [f"{stem}{ending}" for stem in stems[1:] for ending in _ENDINGS]
-    there = [n for n in names if n not in files.signals and (files.folder / n).exists()]
+    # Those of a plan that was cut short are known by its recording.
+    ours = files.signals if (files.folder / PLAN).exists() else files.signals | _usual_files()
+    there = [n for n in sorted(names - ours) if (files.folder / n).exists()]
     if there:
         raise InvalidSetting(
             f"--out {files.folder} holds {', '.join(there)}, which would be overwritten, and no "
@@ -286,11 +371,3 @@ def read_plan(path: Path) -> dict[str, Any] | None:
     except (OSError, ValueError, RecursionError):
         return None
     return whole if isinstance(whole, dict) and whole.get("format") == FORMAT else None
-
-
-def _signals_of(whole: Mapping[str, Any]) -> frozenset[str]:
-    """Checked names of a plan's signals: the file may have been edited."""
-    signals = whole.get("signals")
-    listed = [one for one in signals if isinstance(one, dict)] if isinstance(signals, list) else []
-    names = (str(one.get(key)) for one in listed for key in ("csv", "parquet"))
-    return frozenset(name for name in names if _SIGNAL.fullmatch(name))
