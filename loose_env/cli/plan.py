@@ -83,6 +83,7 @@ def run(options: argparse.Namespace) -> None:
     )
     files = PlanFiles(options.out, made.arm.recording_model.xml)
     planned = files.runs_of(made)
+    runs = [one.file for one in planned if one.kind == "run"]
     written = write_plan(files, made, known="" if options.known is None else str(options.known))
     from loose_env.report import summary
 
@@ -91,7 +92,12 @@ def run(options: argparse.Namespace) -> None:
 
         written.append(
             write_plan_page(
-                files.folder / PAGE, made, planned, folder=options.out, model=options.model
+                files.folder / PAGE,
+                made,
+                runs,
+                folder=options.out,
+                model=options.model,
+                planned=planned,
             )
         )
     except MissingExtra as error:
