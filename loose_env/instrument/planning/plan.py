@@ -32,7 +32,7 @@ from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettin
 from loose_env.instrument.settings.command_line import unlike
 from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.instrument.settings.motion import MotionSettings
-from loose_env.instrument.settings.thresholds import DETECTABLE_Z
+from loose_env.instrument.settings.thresholds import DETECTABLE_Z, LEAST_LEVEL
 from loose_env.typing import Array
 
 __all__ = ["Plan", "next_for", "plan"]
@@ -210,6 +210,7 @@ def plan(
     chosen, anew = asked, ""
     if asked is not None:
         anew = _why_anew(instrumented, so_far, asked, rules, own)
+        anew = anew or _too_limited(instrumented, asked, limits, motion)
     if chosen is None or anew:
         chosen = next_for(instrumented, so_far, choice, own, motion)
     chosen, signals = _signals(instrumented, so_far, chosen, rules, own, motion, limits)
@@ -326,6 +327,19 @@ def _why_anew(
     ground = Ground.of(arm.nominal, choice.ground_m)
     blocked = why_not_reached(arm, ground, here, asked)
     return f"its pose is not taken, {blocked}" if blocked else ""
+
+
+def _too_limited(
+    arm: InstrumentedArm, asked: NextMeasurement, limits: MotionLimits, motion: MotionSettings
+) -> str:
+    """Reason why the controller's limits forbid the diagnosis's proposal; "" if they do not."""
+    cap = level_cap(arm, arm.linear, limits, motion.commands)
+    pose = arm.pose_of(asked.pose)
+    for joint, torque in zip(asked.joints, asked.torques, strict=True):
+        share = cap(pose, arm.joints.index(joint), asked.band_hz) / max(torque, 1e-12)
+        if share < LEAST_LEVEL:
+            return f"the controller's limits leave {share:.0%} of the level that it asks for"
+    return ""
 
 
 def _typed(arm: InstrumentedArm, name: str, given: tuple[float, ...]) -> Array | None:

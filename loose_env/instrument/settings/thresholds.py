@@ -148,6 +148,9 @@ TRANSIT_SHARE = 0.3
 """Share of the limits that the move to a pose takes: nobody has seen this path yet."""
 TRANSIT_RISE_S = 1.0
 """Time over which the move's speed rises where no acceleration limit is known [s]."""
+LEAST_LEVEL = 0.5
+"""Share of the level of a diagnosis's proposal that limits have to leave for it to be planned: at
+less another pose or joint may tell more."""
 BAND_GAIN = 1.1
 """Factor by which a narrower band has to improve the mean detectability to replace the arm's."""
 ALWAYS_TOUCHING = 0.9

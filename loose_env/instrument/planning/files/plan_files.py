@@ -185,7 +185,7 @@ def write_plan(files: PlanFiles, plan: Plan, *, known: str = "") -> list[Path]:
         write_text(files.recording / DESCRIPTION, json.dumps(description, indent=1) + "\n")
     )
     for stem, (own, columns) in tables.items():
-        written += write_table(files.folder, stem, columns, plan.arm, own)
+        written += write_table(files.folder, stem, columns, plan.arm, own, plan.pose)
     runs = [one.entry["file"] for one in planned if one.kind == "run"]
     whole = plan_json(plan, runs, known)
     whole["runs"] = [one.listed for one in planned]

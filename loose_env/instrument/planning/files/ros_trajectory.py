@@ -1,8 +1,8 @@
 """Signals as ROS 2 messages: ``trajectory_msgs/msg/JointTrajectory`` in YAML.
 
-One message for a whole signal. Every point has the fields that its kind of command gives, the
-others are empty: ``positions`` [rad, m] and ``velocities`` [rad/s, m/s] for positions,
-``velocities`` for velocities, ``effort`` [N·m, N] for torques.
+One message for a whole signal. Every point has ``positions`` [rad, m], ``velocities`` [rad/s,
+m/s] and ``time_from_start``; ``effort`` [N·m, N] for torques, whose positions are the pose.
+``accelerations`` are empty.
 """
 
 from __future__ import annotations
@@ -56,7 +56,9 @@ def joint_columns(arm: InstrumentedArm, played: Mapping[str, Array]) -> tuple[st
     return "torque", np.array(values).T
 
 
-def trajectory_text(joints: tuple[str, ...], kind: str, time: Array, values: Array) -> str:
+def trajectory_text(
+    joints: tuple[str, ...], kind: str, time: Array, values: Array, pose: Array
+) -> str:
     """YAML of a message.
 
     Parameters
@@ -70,20 +72,27 @@ def trajectory_text(joints: tuple[str, ...], kind: str, time: Array, values: Arr
         first is not in the past.
     values : ndarray (T, n)
         Commands.
+    pose : ndarray (n,)
+        Positions at the beginning [rad or m].
 
     Examples
     --------
-    >>> time = np.array([0.0, 0.5, 1.0])
-    >>> print(trajectory_text(("a",), "velocity", time, np.array([[0.0], [0.25], [0.0]])))
-    header: {stamp: {sec: 0, nanosec: 0}, frame_id: ""}
-    joint_names: ["a"]
-    points:
-    - {positions: [], velocities: [0], accelerations: [], effort: [], time_from_start: {sec: 0, ...
+    >>> time = np.array([0.0, 0.5])
+    >>> text = trajectory_text(("a",), "torque", time, np.array([[0.0], [2.0]]), np.array([1.5]))
+    >>> print(text.splitlines()[-1])
+    - {positions: [1.5], velocities: [0], accelerations: [], effort: [2], time_from_start: {sec: ...
     """
     step = float(time[1] - time[0]) if len(time) > 1 else 0.0
-    velocities = np.zeros_like(values)
-    if kind == "position" and len(time) > 2:
-        velocities[1:-1] = (values[2:] - values[:-2]) / (2 * step)
+    positions = np.broadcast_to(pose, values.shape)
+    velocities, effort = np.zeros_like(values), None
+    if kind == "position":
+        positions = values
+        velocities[1:-1] = (values[2:] - values[:-2]) / (2 * step) if step else 0.0
+    elif kind == "velocity":  # each is held for a sample
+        positions = pose + step * np.concatenate([values[:1] * 0, np.cumsum(values[:-1], axis=0)])
+        velocities = values
+    else:
+        effort = values
     names = ", ".join('"' + name.replace("\\", "\\\\").replace('"', '\\"') + '"' for name in joints)
     lines = [
         'header: {stamp: {sec: 0, nanosec: 0}, frame_id: ""}',
@@ -91,15 +100,12 @@ def trajectory_text(joints: tuple[str, ...], kind: str, time: Array, values: Arr
         "points:",
     ]
     for k, at in enumerate(time):
-        nanoseconds = round((float(at - time[0]) + step) * 1e9)
-        fields = {"positions": "", "velocities": "", "accelerations": "", "effort": ""}
-        if kind == "position":
-            fields["positions"], fields["velocities"] = _row(values[k]), _row(velocities[k])
-        else:
-            fields["velocities" if kind == "velocity" else "effort"] = _row(values[k])
-        said = ", ".join(f"{name}: [{numbers}]" for name, numbers in fields.items())
-        sec, nanosec = divmod(nanoseconds, 10**9)
-        lines.append(f"- {{{said}, time_from_start: {{sec: {sec}, nanosec: {nanosec}}}}}")
+        sec, nanosec = divmod(round((float(at - time[0]) + step) * 1e9), 10**9)
+        lines.append(
+            f"- {{positions: [{_row(positions[k])}], velocities: [{_row(velocities[k])}], "
+            f"accelerations: [], effort: [{'' if effort is None else _row(effort[k])}], "
+            f"time_from_start: {{sec: {sec}, nanosec: {nanosec}}}}}"
+        )
     return "\n".join(lines) + "\n"
 
 

@@ -51,6 +51,7 @@ def write_table(
     columns: Mapping[str, Array],
     arm: InstrumentedArm,
     formats: Iterable[str],
+    pose: Array,
 ) -> list[Path]:
     """Write columns in some formats, each beside its final name first.
 
@@ -66,7 +67,7 @@ def write_table(
             played = {key: values for key, values in columns.items() if key != "time"}
             kind, values = joint_columns(arm, played)
             written.append(
-                write_text(path, trajectory_text(arm.joints, kind, columns["time"], values))
+                write_text(path, trajectory_text(arm.joints, kind, columns["time"], values, pose))
             )
         else:
             write = write_csv if name == "csv" else write_parquet
