@@ -178,7 +178,7 @@ def test_a_second_plan_moves_on_to_tell_two_links_apart(servoed: Path, first: Pl
 
 def test_a_plan_takes_what_the_diagnosis_wants_next(servoed: Path, first: Plan) -> None:
     chosen = replace(FEW, seed=7, seconds=1.0)
-    wanted = next_for(first.arm, settings=chosen)
+    wanted = next_for(first.arm, settings=chosen, motion=MotionSettings())
     so_far = replace(known(first, fore_s=0.5), next=wanted)
     for choice in (None, chosen):
         made = plan(servoed, so_far, choice=choice)

@@ -202,7 +202,7 @@ def _formats(plan: Plan) -> tuple[str, ...]:
 def _tables(files: PlanFiles, plan: Plan) -> dict[str, tuple[tuple[str, ...], Mapping[str, Array]]]:
     """Stem of each file -> its formats and columns."""
     formats = _formats(plan)
-    tables = {
+    tables: dict[str, tuple[tuple[str, ...], Mapping[str, Array]]] = {
         stem: (formats, signal_columns(signal))
         for signal, stem in zip(plan.signals, signal_stems(plan.signals), strict=True)
     }

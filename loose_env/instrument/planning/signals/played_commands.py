@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loose_env.instrument.model.actuators import JointDrive
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
@@ -38,7 +39,7 @@ def excited_command(
     answer: LinearAnswer,
     j: int,
     envelope: Array,
-    index: Array,
+    index: NDArray[np.intp],
     rate: float,
 ) -> ExcitedCommand:
     """Command of the excited joint for a noise torque.

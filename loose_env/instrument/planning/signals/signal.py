@@ -190,7 +190,7 @@ def make_signal(
     count = len(period)
     envelope = _envelope(before, swell, count)
     total = len(envelope)
-    index = (np.arange(total) - before - swell) % count
+    index = (np.arange(total, dtype=np.intp) - before - swell) % count
     command = excited_command(kind, drive, answer, j, envelope, index, rate)
     loaded = _loaded(before, total)
     commands = {
