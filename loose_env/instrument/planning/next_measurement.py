@@ -184,7 +184,7 @@ def next_measurement(
     chosen = min(good, key=lambda one: (round(one[1], 6), -one[0]))
     there = sorted((one for one in best if one[3] is chosen[3]), key=lambda one: -one[0])
     played = [chosen[2], *(one[2] for one in there if one[2] != chosen[2])][: rules.in_turn]
-    torques = [float(_capped(chosen[4], chosen[3], j, rules, cap)[j]) for j in played]
+    torques = [float(torque_of(chosen[4], j, rules)[j]) for j in played]  # signals are limited
     return _written(
         arm, linear, so_far, chosen[3], chosen[4], played, torques, chosen[0], rules, links,
         joints, here,

@@ -213,6 +213,7 @@ def plan(
         anew = anew or _too_limited(instrumented, asked, limits, motion)
     if chosen is None or anew:
         chosen = next_for(instrumented, so_far, choice, own, motion)
+    wanted = chosen.band_hz
     chosen, signals = _signals(instrumented, so_far, chosen, rules, own, motion, limits)
     expected = expected_of(instrumented, instrumented.linear, so_far, chosen, rules)
     start, origin = _start(instrumented, so_far, own)
@@ -229,6 +230,7 @@ def plan(
         expected=expected,
         warnings=(
             *([f"not what the diagnosis asks for next: {anew}"] if anew else ()),
+            *_narrower(wanted, chosen.band_hz, signals[0]),
             *plan_warnings(instrumented, known, chosen, signals, choice, expected),
         ),
         limits=limits,
@@ -299,6 +301,18 @@ def _signals(
         torques=tuple(signal.torque_rms for signal in signals),
     )
     return chosen, signals
+
+
+def _narrower(
+    wanted: tuple[float, float], played: tuple[float, float], signal: Signal
+) -> tuple[str, ...]:
+    """Warning about a band that limits have made narrower."""
+    if played == wanted:
+        return ()
+    return (
+        f"the band ends at {played[1]:.4g} Hz instead of {wanted[1]:.4g} Hz: {signal.limited_by}, "
+        "and at lower frequencies more torque keeps within that",
+    )
 
 
 def _start(arm: InstrumentedArm, so_far: Known | None, own: PlanSettings) -> tuple[Array, str]:
