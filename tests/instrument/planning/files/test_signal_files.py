@@ -160,9 +160,7 @@ def test_later_plans_repeat_the_first_run_of_the_session(
     assert repeat["signal"] == "first-signal"
 
 
-def test_a_plan_keeps_its_limits_their_sources_and_the_way_to_the_pose(
-    first: Plan, tmp_path: Path
-) -> None:
+def test_a_plan_keeps_its_limits_and_their_sources(first: Plan, tmp_path: Path) -> None:
     write_plan(files(tmp_path, first), first)
     whole = json.loads((tmp_path / "plan.json").read_text("utf-8"))
     assert whole["limits"]["speed"]["lift"] == {"limit": 3.14, "source": "assumed"}
@@ -170,10 +168,18 @@ def test_a_plan_keeps_its_limits_their_sources_and_the_way_to_the_pose(
     peaks = whole["signals"][0]["peaks"]
     assert {"joint", "quantity", "of", "value", "limit", "source", "unit"} == set(peaks[0])
     assert all(p["limit"] is None or p["value"] <= p["limit"] * (1 + 1e-9) for p in peaks)
+
+
+def test_the_way_to_the_pose_is_written_with_its_duration(servoed: Path, tmp_path: Path) -> None:
+    made = plan(servoed, choice=FEW, own=PlanSettings(from_deg=(40.0, -30.0, 50.0)))
+    write_plan(files(tmp_path, made), made)
+    whole = json.loads((tmp_path / "plan.json").read_text("utf-8"))
     table = np.genfromtxt(tmp_path / "transit.csv", delimiter=",", names=True)
     assert table["time"][-1] == pytest.approx(whole["transit"]["duration_s"])
-    end = [table[f"position{name}"][-1] for name in first.arm.joints]
-    assert end == pytest.approx(first.pose)
+    begin, end = ([table[f"position{j}"][k] for j in made.arm.joints] for k in (0, -1))
+    assert begin == pytest.approx(np.radians([40.0, -30.0, 50.0]))
+    assert end == pytest.approx(made.pose)
+    assert whole["transit"]["from_origin"] == "as given"
 
 
 def test_a_recording_of_planned_runs_alone_says_that_none_is_measured(tmp_path: Path) -> None:
