@@ -8,11 +8,14 @@ from typing import Literal
 from loose_env.errors import InvalidSetting
 from loose_env.instrument.settings.validation import check_types
 
-__all__ = ["Hold", "ModelSettings", "PlanSettings"]
+__all__ = ["ExcitationKind", "Hold", "ModelSettings", "PlanSettings"]
 
 _MOST_REPEATS = 20
 Hold = Literal["model", "brake", "servo", "compliant"]
 """Holding of joints: by the model's actuators, or one of `loose_env.arms.HoldKind`."""
+
+ExcitationKind = Literal["joint", "hammer", "shaker"]
+"""Excitation by a joint's drive, or of the tool by a hammer or shaker with a force sensor."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +33,9 @@ class ModelSettings:
     """Mass at the tool that the model lacks [kg]."""
     payload_at_m: tuple[float, ...] = (0.0, 0.0, 0.0)
     """Its centre in the tool frame, x y z [m]."""
+    excitation: ExcitationKind = "joint"
+    """Excitation: 'joint', by the drive of a joint; 'hammer' or 'shaker', of the tool, with its
+    measured force, where a controller cannot shake."""
 
     def __post_init__(self) -> None:
         """Check.
