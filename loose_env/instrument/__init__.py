@@ -24,12 +24,14 @@ from loose_env.instrument.pipeline import (
     diagnose,
 )
 from loose_env.instrument.planning.files.plan_files import (
-    PAGE,
-    RECORDING,
-    PlanFiles,
     plan_json,
     run_columns,
     write_plan,
+)
+from loose_env.instrument.planning.files.plan_folder import (
+    PAGE,
+    RECORDING,
+    PlanFiles,
 )
 from loose_env.instrument.planning.files.planned_runs import (
     PlannedRun,
@@ -43,6 +45,10 @@ from loose_env.instrument.planning.files.signal_files import (
     TRANSIT,
     signal_stems,
 )
+from loose_env.instrument.planning.files.tool_plan_files import (
+    tool_runs,
+    write_tool_plan,
+)
 from loose_env.instrument.planning.plan import (
     Plan,
     next_for,
@@ -53,6 +59,10 @@ from loose_env.instrument.planning.signals.motion_peaks import (
 )
 from loose_env.instrument.planning.signals.signal import (
     Signal,
+)
+from loose_env.instrument.planning.signals.tool_plan import (
+    ToolPlan,
+    plan_tool,
 )
 from loose_env.instrument.result import (
     HEALTHY,
@@ -116,6 +126,7 @@ __all__ = [
     "RecordSeen",
     "Signal",
     "SlideDirection",
+    "ToolPlan",
     "diagnose",
     "find_fault",
     "inspect_model",
@@ -124,6 +135,7 @@ __all__ = [
     "path_word",
     "plan",
     "plan_json",
+    "plan_tool",
     "read_arm",
     "read_diagnosis",
     "read_recorded_arm",
@@ -131,7 +143,9 @@ __all__ = [
     "screen",
     "session_beside",
     "signal_stems",
+    "tool_runs",
     "unit_of",
     "unlike",
     "write_plan",
+    "write_tool_plan",
 ]

@@ -11,6 +11,7 @@ from loose_env.instrument.settings.validation import check_types
 __all__ = ["ExcitationKind", "Hold", "ModelSettings", "PlanSettings"]
 
 _MOST_REPEATS = 20
+_MOST_FORCE_N = 1e6
 Hold = Literal["model", "brake", "servo", "compliant"]
 """Holding of joints: by the model's actuators, or one of `loose_env.arms.HoldKind`."""
 
@@ -79,6 +80,8 @@ class PlanSettings:
     reference: bool = False
     """Plan the same runs for the healthy machine too: with them faults are found by the difference
     of two measurements, without the errors of the model."""
+    force_n: float = 20.0
+    """Rms force of a hammer or shaker on the tool while it acts [N]."""
 
     def __post_init__(self) -> None:
         """Check.
@@ -93,6 +96,10 @@ class PlanSettings:
             value = getattr(self, name)
             if not 0 <= value <= 60:
                 raise InvalidSetting(f"{name} is 0 to 60 s, got {value!r}")
+        if not 0 < self.force_n <= _MOST_FORCE_N:
+            raise InvalidSetting(
+                f"force_n is above 0 and at most {_MOST_FORCE_N:g} N, got {self.force_n!r}"
+            )
         if not 0 <= self.repeat <= _MOST_REPEATS:
             raise InvalidSetting(
                 f"repeat is a whole number from 0 to {_MOST_REPEATS}, got {self.repeat}"

@@ -15,23 +15,27 @@ from typing import Any
 
 import numpy as np
 
-from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.instrument.model.motion_limits import QUANTITIES
-from loose_env.instrument.planning.files.planned_runs import PlannedRun, planned_runs
+from loose_env.instrument.planning.files.plan_folder import (
+    FORMAT,
+    PAGE,
+    PLAN,
+    RECORDING,
+    PlanFiles,
+    limits_json,
+    read_plan,
+    write_description,
+)
 from loose_env.instrument.planning.files.ros_trajectory import joint_columns
 from loose_env.instrument.planning.files.signal_files import (
     ENDINGS,
     FIRST,
     TRANSIT,
-    own_files,
     signal_columns,
     signal_stems,
     write_table,
 )
 from loose_env.instrument.planning.plan import Plan
 from loose_env.io import plain, write_text
-from loose_env.recording import DESCRIPTION, RunEntry, read_description
-from loose_env.recording import FORMAT as RECORDING_FORMAT
 from loose_env.typing import Array
 
 __all__ = [
@@ -45,100 +49,6 @@ __all__ = [
     "run_columns",
     "write_plan",
 ]
-
-
-FORMAT = "loose-plan/1"
-"""Format of ``plan.json``."""
-PLAN = "plan.json"
-PAGE = "plan.html"
-RECORDING = "recording"
-_MODEL = "model.xml"
-
-
-class PlanFiles:
-    """A folder for plans: new, or one that an earlier plan was written to.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder.
-    model_xml : str
-        Model for the recording in it.
-
-    Raises
-    ------
-    InvalidSetting
-        If it is a file, or holds files that this would overwrite and no plan wrote.
-    InvalidData
-        If its recording is of another model, or cannot be read.
-    """
-
-    def __init__(self, folder: Path, model_xml: str) -> None:
-        self.folder = folder.resolve()
-        if self.folder.exists() and not self.folder.is_dir():
-            raise InvalidSetting(f"--out {folder} is a file; give a folder")
-        self.recording = self.folder / RECORDING
-        plan, model = self.folder / PLAN, self.recording / _MODEL
-        earlier = read_plan(plan)
-        if plan.exists() and earlier is None:
-            raise InvalidSetting(
-                f"--out {folder} holds a {PLAN} that is none of ours; give another"
-            )
-        if not plan.exists() and not _same(model, model_xml):
-            mine = [RECORDING, PAGE, *sorted(_usual_files())]
-            there = [name for name in mine if (self.folder / name).exists()]
-            if there:
-                raise InvalidSetting(
-                    f"--out {folder} holds {', '.join(there)}, which would be overwritten, and no "
-                    f"{PLAN}; give a new or empty folder, or that of an earlier plan"
-                )
-        self.signals = own_files(earlier or {})
-        """Files of signals that an earlier plan lists as its own."""
-        self.measured: tuple[RunEntry, ...] = ()
-        if (self.recording / DESCRIPTION).exists():
-            if not _same(model, model_xml):
-                raise InvalidData(
-                    f"{self.recording}: the recording there was planned with another model, tool "
-                    "or payload; give another --out, or the model and the options of before"
-                )
-            entries = read_description(self.recording / DESCRIPTION).runs
-            self.measured = tuple(e for e in entries if (self.recording / e.file).is_file())
-
-    @property
-    def first(self) -> RunEntry | None:
-        """First run of the session; None before it is measured."""
-        return next((e for e in self.measured if e.condition == "suspect" and e.pose), None)
-
-    @property
-    def keeps_first(self) -> bool:
-        """True if the signal of the session's first run is there."""
-        return self.first is not None and any(
-            name.startswith(FIRST) and (self.folder / name).exists() for name in self.signals
-        )
-
-    def runs_of(self, plan: Plan) -> tuple[PlannedRun, ...]:
-        """Runs that a plan asks for, in order."""
-        return planned_runs(plan, self.first, self.next_names, first_signal=self.keeps_first)
-
-    def next_names(self, count: int, kind: str = "run") -> tuple[str, ...]:
-        """Files for the runs to come, each with the number after the last one measured.
-
-        Parameters
-        ----------
-        count : int
-            Number of files.
-        kind : {"run", "repeat", "reference"}
-            Kind of the runs, with which the names begin.
-        """
-        taken = {Path(entry.file).stem for entry in self.measured}
-        names: list[str] = []
-        number = 1
-        while len(names) < count:
-            stem = f"{kind}-{number:02d}"
-            if stem not in taken:
-                names.append(f"{stem}.csv")
-            number += 1
-        return tuple(names)
 
 
 def write_plan(files: PlanFiles, plan: Plan, *, known: str = "") -> list[Path]:
@@ -168,22 +78,8 @@ def write_plan(files: PlanFiles, plan: Plan, *, known: str = "") -> list[Path]:
     for _, columns in tables.values():  # a JointTrajectory may be impossible: before anything goes
         if "ros2" in formats:
             joint_columns(plan.arm, {k: v for k, v in columns.items() if k != "time"})
-    names = {stem + ENDINGS[f] for stem, (fs, _) in tables.items() for f in fs}
-    kept = {name for name in files.signals if name.startswith(FIRST) and files.first is not None}
-    _refuse_others(files, names)
-    written: list[Path] = []
-    (files.folder / PLAN).unlink(missing_ok=True)
-    (files.folder / PAGE).unlink(missing_ok=True)  # an earlier pose beside a new signal
-    for old in files.signals - names - kept:
-        (files.folder / old).unlink(missing_ok=True)
-    # First: a run cut short is known by it as one of ours.
-    write_text(files.recording / _MODEL, plan.arm.recording_model.xml)
-    entries = [_entry(entry) for entry in files.measured]
-    entries += [one.entry for one in planned]
-    description = {"format": RECORDING_FORMAT, "model": _MODEL, "runs": entries}
-    written.append(
-        write_text(files.recording / DESCRIPTION, json.dumps(description, indent=1) + "\n")
-    )
+    names, kept = files.make_room(tables)
+    written = [write_description(files, plan.arm.recording_model.xml, planned)]
     for stem, (own, columns) in tables.items():
         written += write_table(files.folder, stem, columns, plan.arm, own, plan.pose)
     runs = [one.entry["file"] for one in planned if one.kind == "run"]
@@ -297,21 +193,7 @@ def plan_json(plan: Plan, runs: Sequence[str], known: str = "") -> dict[str, Any
         "held_by": arm.held_by,
         "tool": arm.recording_model.site,
         "signals": signals,
-        "limits": {
-            quantity: {
-                name: {
-                    "limit": value if np.isfinite(value) else None,
-                    "source": source or None,
-                }
-                for name, value, source in zip(
-                    arm.joints,
-                    plan.limits.values[quantity],
-                    plan.limits.sources[quantity],
-                    strict=True,
-                )
-            }
-            for quantity in QUANTITIES
-        },
+        "limits": limits_json(arm, plan.limits),
         "transit": {
             "from": arm.by_joint(plan.transit.positions[0]),
             "from_origin": plan.start_origin,
@@ -326,48 +208,3 @@ def plan_json(plan: Plan, runs: Sequence[str], known: str = "") -> dict[str, Any
     }
     values: dict[str, Any] = plain(whole)
     return values
-
-
-def _entry(entry: RunEntry) -> dict[str, Any]:
-    said: dict[str, Any] = {"file": entry.file}
-    if entry.excited:
-        said["excited"] = list(entry.excited)
-    if entry.pose is not None:
-        said["pose"] = dict(entry.pose)
-    if entry.condition != "suspect":
-        said["condition"] = entry.condition
-    return said
-
-
-def _same(model: Path, text: str) -> bool:
-    """True if a model was written by a plan for the same model."""
-    try:
-        return model.read_text("utf-8") == text
-    except (OSError, UnicodeDecodeError):
-        return False
-
-
-def _usual_files() -> frozenset[str]:
-    """Files that every plan may write."""
-    return frozenset(s + e for s in ("signal", TRANSIT, FIRST) for e in ENDINGS.values())
-
-
-def _refuse_others(files: PlanFiles, names: set[str]) -> None:
-    """Refuse to overwrite files that no plan wrote."""
-    # Those of a plan that was cut short are known by its recording.
-    ours = files.signals if (files.folder / PLAN).exists() else files.signals | _usual_files()
-    there = [n for n in sorted(names - ours) if (files.folder / n).exists()]
-    if there:
-        raise InvalidSetting(
-            f"--out {files.folder} holds {', '.join(there)}, which would be overwritten, and no "
-            "plan lists it; move it away, or give another folder"
-        )
-
-
-def read_plan(path: Path) -> dict[str, Any] | None:
-    """Content of a plan; None where there is none, or it is none of the format."""
-    try:
-        whole = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    return whole if isinstance(whole, dict) and whole.get("format") == FORMAT else None

@@ -31,20 +31,19 @@ class PlannedRun:
     file: str
     """Its file in the recording."""
     signal: str
-    """Stem of the signal that it plays."""
+    """Stem of the signal that it plays, or the direction of the force on the tool."""
     joint: str
-    """Joint that is shaken."""
+    """Joint that is shaken; "" where the tool is struck or shaken."""
     pose: Mapping[str, float]
     """Positions of the joints [rad or m]."""
 
     @property
     def entry(self) -> dict[str, Any]:
         """Its entry in ``recording.json``; repeats and references may be missing there."""
-        said: dict[str, Any] = {
-            "file": self.file,
-            "excited": [self.joint],
-            "pose": dict(self.pose),
-        }
+        said: dict[str, Any] = {"file": self.file}
+        if self.joint:
+            said["excited"] = [self.joint]
+        said["pose"] = dict(self.pose)
         if self.kind == "reference":
             said["condition"] = "healthy"
         if self.kind != "run":

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from loose_env.errors import InvalidData
-from loose_env.instrument.planning.files.plan_files import PLAN, read_plan
+from loose_env.instrument.planning.files.plan_folder import PLAN, read_plan
 from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettings
 from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.instrument.settings.motion import MotionSettings
@@ -14,7 +14,7 @@ from loose_env.instrument.settings.validation import settings_within
 
 __all__ = ["KEPT", "SessionSettings", "session_beside"]
 
-KEPT = ("ramp_s", "hold_s", "repeat", "reference")
+KEPT = ("ramp_s", "hold_s", "repeat", "reference", "force_n")
 """Settings of a plan itself that hold for a session; its joint and pose are of one measurement."""
 
 
