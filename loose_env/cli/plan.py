@@ -16,7 +16,10 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from loose_env.cli.choice import add_choice, add_kept, take_over
 from loose_env.cli.options import settings_of
@@ -31,9 +34,12 @@ from loose_env.instrument import (
     PlanFiles,
     PlanSettings,
     plan,
+    plan_tool,
     read_diagnosis,
     session_beside,
+    tool_runs,
     write_plan,
+    write_tool_plan,
 )
 
 _PUT = {
@@ -73,41 +79,44 @@ def run(options: argparse.Namespace) -> None:
     take_over(options, before.arm, "the earlier plan")
     take_over(options, before.motion, "the earlier plan")
     take_over(options, before.own, "the earlier plan", only=KEPT)
-    made = plan(
-        options.model,
-        known,
-        arm=settings_of(options, ModelSettings),
-        choice=settings_of(options, NextSettings),
-        own=settings_of(options, PlanSettings),
-        motion=settings_of(options, MotionSettings),
-    )
-    files = PlanFiles(options.out, made.arm.recording_model.xml)
-    planned = files.runs_of(made)
-    runs = [one.file for one in planned if one.kind == "run"]
-    written = write_plan(files, made, known="" if options.known is None else str(options.known))
-    from loose_env.report import summary
-
+    model, choice = settings_of(options, ModelSettings), settings_of(options, NextSettings)
+    own, motion = settings_of(options, PlanSettings), settings_of(options, MotionSettings)
+    source = "" if options.known is None else str(options.known)
+    if model.excitation == "joint":
+        made = plan(options.model, known, arm=model, choice=choice, own=own, motion=motion)
+        files = PlanFiles(options.out, made.arm.recording_model.xml)
+        planned = files.runs_of(made)
+        runs = [one.file for one in planned if one.kind == "run"]
+        written = write_plan(files, made, known=source)
+        text = _report("summary")(made)
+        page = partial(_report("write_plan_page"), files.folder / PAGE, made, runs, planned=planned)
+        warnings = made.warnings
+    else:
+        struck = plan_tool(options.model, known, arm=model, choice=choice, own=own, motion=motion)
+        files = PlanFiles(options.out, struck.arm.recording_model.xml)
+        planned = tool_runs(files, struck)
+        written = write_tool_plan(files, struck, known=source)
+        text = _report("tool_summary")(struck)
+        page = partial(_report("write_tool_page"), files.folder / PAGE, struck, planned)
+        warnings = struck.warnings
     try:
-        from loose_env.report import write_plan_page
-
-        written.append(
-            write_plan_page(
-                files.folder / PAGE,
-                made,
-                runs,
-                folder=options.out,
-                model=options.model,
-                planned=planned,
-            )
-        )
+        written.append(page(folder=options.out, model=options.model))
     except MissingExtra as error:
         print(f"note: no {PAGE}: {error}", file=sys.stderr)
-    for warning in made.warnings:
+    for warning in warnings:
         print(f"note: {warning}", file=sys.stderr)
-    print(summary(made))
+    print(text)
     names = sorted({path.relative_to(files.folder).parts[0] for path in written})
     print(f"written to {files.folder}: {', '.join(names)}")
     for kind, words in _PUT.items():
-        own = [str(files.recording / one.file) for one in planned if one.kind == kind]
-        if own:
-            print(f"{words} into {', '.join(own)}")
+        mine = [str(files.recording / one.file) for one in planned if one.kind == kind]
+        if mine:
+            print(f"{words} into {', '.join(mine)}")
+
+
+def _report(name: str) -> Callable[..., Any]:
+    """A function of the reports, which load more than a plan needs to be chosen."""
+    import loose_env.report
+
+    found: Callable[..., Any] = getattr(loose_env.report, name)
+    return found

@@ -10,6 +10,7 @@ from loose_env.report.comparison.text import comparison_text
 from loose_env.report.diagnosis.page import write_page
 from loose_env.report.diagnosis.plan_page import write_plan_page
 from loose_env.report.diagnosis.plan_text import summary
+from loose_env.report.diagnosis.tool_plan_page import tool_summary, write_tool_page
 from loose_env.report.gap.text import ranked_words, unsure
 from loose_env.report.gap.write import write_gap_report
 from loose_env.report.pages.figure_card import FigureCard
@@ -55,11 +56,13 @@ __all__ = [
     "summary",
     "template",
     "to_svg",
+    "tool_summary",
     "unsure",
     "write_comparison",
     "write_gap_report",
     "write_page",
     "write_plan_page",
     "write_study",
+    "write_tool_page",
     "write_whole",
 ]
