@@ -54,8 +54,8 @@ def tool_steps(plan: ToolPlan, planned: Sequence[PlannedRun]) -> list[str]:
             f"Save the readings as recording/{one.file}."
         )
     said.append(
-        f"Columns: {', '.join(plan.columns)}. The force is the one on the tool in N, in the axes of "
-        "the site, its sign that of the push; accelerations are in m/s² as the sensor gives them, "
+        f"Columns: {', '.join(plan.columns)}. The force is the one on the tool in N, in the axes "
+        "of the site, its sign that of the push; accelerations are in m/s² as the sensor gives them, "
         "gravity included."
     )
     repeats = [one.file for one in planned if one.kind == "repeat"]
