@@ -55,8 +55,8 @@ def tool_steps(plan: ToolPlan, planned: Sequence[PlannedRun]) -> list[str]:
         )
     said.append(
         f"Columns: {', '.join(plan.columns)}. The force is the one on the tool in N, in the axes "
-        "of the site, its sign that of the push; accelerations are in m/s² as the sensor gives them, "
-        "gravity included."
+        "of the site, its sign that of the push; accelerations are in m/s² as the sensor gives "
+        "them, gravity included."
     )
     repeats = [one.file for one in planned if one.kind == "repeat"]
     if repeats:

@@ -84,7 +84,7 @@ class PlanFiles:
             if not _same(model, model_xml):
                 raise InvalidData(
                     f"{self.recording}: the recording there was planned with another model, tool, "
-                    "payload or excitation; give another --out, or the model and the options of before"
+                    "payload or excitation; give another --out, or the model and options of before"
                 )
             entries = read_description(self.recording / DESCRIPTION).runs
             self.measured = tuple(e for e in entries if (self.recording / e.file).is_file())
