@@ -251,6 +251,9 @@ def _lines(
     whole: bool,
 ) -> Lines:
     count = len(even)
+    # A force on the tool moves servos at their own modes too, whose gains are the least known.
+    struck = bool(np.abs(even[:, -3:]).max(initial=0.0) > 0)
+    lowest = max(LOWEST_HZ, arm.nominal.band[0]) if struck else LOWEST_HZ
     taper = signal.windows.hann(count, sym=False)
     taper /= np.sqrt(np.mean(taper**2))
     even = signal.detrend(even, axis=0)
@@ -263,9 +266,9 @@ def _lines(
         inputs = np.abs(spectrum[:, :3]) ** 2
     width = max(1, round(_SMOOTH * count / rate))
     total = _smoothed(inputs, width).sum(axis=1)
-    inside = (frequency >= LOWEST_HZ) & (frequency <= HIGHEST_LINE * rate)
+    inside = (frequency >= lowest) & (frequency <= HIGHEST_LINE * rate)
     if not inside.any() or total[inside].max() <= 0:
-        raise InvalidData(f"{run.name}: nothing moves between {LOWEST_HZ:g} Hz and half the rate")
+        raise InvalidData(f"{run.name}: nothing moves between {lowest:g} Hz and half the rate")
     kept = np.flatnonzero(inside & (total > LEAST_LINE_POWER * total[inside].max()))
     if len(kept) < 8:
         raise InvalidData(
@@ -275,7 +278,7 @@ def _lines(
     power = _power(spectrum[:, :c], rows, width)
     noise, read = sensor_noise(
         np.abs(spectrum[:, :c]) ** 2, power, rows, frequency, kept,
-        lowest=LOWEST_HZ, highest=HIGHEST_LINE * rate,
+        lowest=lowest, highest=HIGHEST_LINE * rate,
     )  # fmt: skip
     if whole:  # slower still, errors of gravity and servos look like a drift of the seat
         kept = np.flatnonzero(inside & (frequency >= LOWEST_PATH_LINE * frequency[kept[0]]))

@@ -12,11 +12,11 @@ from loose_env.recording import Run
 
 RATE = 1000.0
 """Samples per second of the recorder [Hz]."""
-_STEP = 5e-5
+_STEP = 2e-5
 _SETTLE = 1.0
 
 
-def blows(seconds: float, rng: np.random.Generator, *, peak: float = 60.0) -> np.ndarray:
+def blows(seconds: float, rng: np.random.Generator, *, peak: float = 40.0) -> np.ndarray:
     """Force of a hammer with a soft tip: half sines of 4 ms, some ten a second, at _STEP [N]."""
     force = np.zeros(round(seconds / _STEP))
     pulse = np.sin(np.pi * np.arange(round(4e-3 / _STEP)) * _STEP / 4e-3)
@@ -78,7 +78,7 @@ def strike(
         if k % each == 0:
             pushed.append(force * unit)
             tool.append(data.sensordata[sensor : sensor + 3] + 0.01 * rng.standard_normal(3))
-            where.append(data.qpos[at] + 2e-6 * rng.standard_normal(len(at)))
+            where.append(data.qpos[at] + 1e-5 * rng.standard_normal(len(at)))
         mujoco.mj_step(m, data)
     names = arm.recording_model.positions
     return Run(
