@@ -275,7 +275,13 @@ def _signals(
         )
 
     def judged(signal: Signal, band: tuple[float, float]) -> float:
-        one = replace(chosen, band_hz=band, joints=(signal.joint,), torques=(signal.torque_rms,))
+        one = replace(
+            chosen,
+            band_hz=band,
+            joints=(signal.joint,),
+            levels=(signal.joint_rms,),
+            torques=(signal.torque_rms,),
+        )
         seen = expected_of(arm, arm.linear, so_far, one, choice)
         return float(
             sum(

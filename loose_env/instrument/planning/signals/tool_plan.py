@@ -237,7 +237,9 @@ def _opens(at: LinearPose, band: tuple[float, float], directions: Array, force: 
             across = at.inertia[np.ix_(own, joints)] @ acceleration - push[:, own].T
             total[:, i] += np.sum(np.abs(across) ** 2, axis=0) / _POINTS
     load = np.linalg.norm(at.seat_load, axis=1)
-    return np.minimum(1.0, force**2 * total / np.maximum(OPENING_FORCE * load, 1e-9) ** 2)
+    return np.asarray(
+        np.minimum(1.0, force**2 * total / np.maximum(OPENING_FORCE * load, 1e-9) ** 2)
+    )
 
 
 def _directions(opens: Array, count: int) -> list[int]:
