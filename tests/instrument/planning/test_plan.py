@@ -178,15 +178,25 @@ def test_a_second_plan_moves_on_to_tell_two_links_apart(servoed: Path, first: Pl
 
 def test_a_plan_takes_what_the_diagnosis_wants_next(servoed: Path, first: Plan) -> None:
     chosen = replace(FEW, seed=7, seconds=1.0)
-    wanted = next_for(first.arm, settings=chosen, motion=MotionSettings())
+    fast = MotionSettings(max_speed_rad_s=(1e3,))
+    wanted = next_for(first.arm, settings=chosen, motion=fast)
     so_far = replace(known(first, fore_s=0.5), next=wanted)
     for choice in (None, chosen):
-        made = plan(servoed, so_far, choice=choice)
+        made = plan(servoed, so_far, choice=choice, motion=fast)
         assert made.next.pose == wanted.pose
         assert made.next.joints == wanted.joints
         assert made.next.seconds == 1.0
         assert made.settings["seconds"] == 1.0
         assert not any("asks for next" in warning for warning in made.warnings)
+
+
+def test_what_limits_leave_little_of_is_chosen_anew(servoed: Path, first: Plan) -> None:
+    wanted = next_for(first.arm, settings=FEW)
+    so_far = replace(known(first, fore_s=0.5), next=wanted)
+    slow = MotionSettings(max_acceleration_rad_s2=(20.0,))
+    made = plan(servoed, so_far, choice=FEW, motion=slow)
+    assert any("the controller's limits leave" in warning for warning in made.warnings)
+    assert all(peak.within for peak in made.signals[0].peaks)
 
 
 @pytest.mark.parametrize(

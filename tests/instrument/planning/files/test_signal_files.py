@@ -171,7 +171,8 @@ def test_a_plan_keeps_its_limits_and_their_sources(first: Plan, tmp_path: Path) 
 
 
 def test_the_way_to_the_pose_is_written_with_its_duration(servoed: Path, tmp_path: Path) -> None:
-    made = plan(servoed, choice=FEW, own=PlanSettings(from_deg=(40.0, -30.0, 50.0)))
+    own = PlanSettings(from_deg=(40.0, -30.0, 50.0), pose_deg=(20.0, -60.0, 70.0))
+    made = plan(servoed, choice=FEW, own=own)
     write_plan(files(tmp_path, made), made)
     whole = json.loads((tmp_path / "plan.json").read_text("utf-8"))
     table = np.genfromtxt(tmp_path / "transit.csv", delimiter=",", names=True)
