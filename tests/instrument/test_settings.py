@@ -12,12 +12,14 @@ from loose_env.errors import InvalidSetting
 from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettings
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.instrument.settings.motion import MotionSettings
 from loose_env.instrument.settings.tolerances import Tolerances
 
 KINDS: tuple[Any, ...] = (
     NextSettings,
     DiagnoseSettings,
     Tolerances,
+    MotionSettings,
     PlanSettings,
     ModelSettings,
 )
