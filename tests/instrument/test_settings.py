@@ -47,6 +47,8 @@ def test_no_field_takes_a_value_of_another_type(kind: Any) -> None:
         for wrong in ({}, object(), "no such", [None], True, np.array(["a"])):
             if wrong == "no such" and each.name in ("tool", "joint"):
                 continue
+            if wrong is True and each.type == "bool":
+                continue
             with pytest.raises(InvalidSetting, match=each.name):
                 kind(**{each.name: wrong})
 
