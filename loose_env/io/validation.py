@@ -180,5 +180,6 @@ def _unmet_entries(inside: Sequence[Any], value: Any) -> str:
 _PLAIN: dict[Any, tuple[str, Callable[[Any], bool]]] = {
     float: ("a finite number", is_finite),
     int: ("a whole number", is_whole),
+    bool: ("true or false", lambda value: isinstance(value, bool | np.bool_)),
     str: ("text", lambda value: isinstance(value, str)),
 }

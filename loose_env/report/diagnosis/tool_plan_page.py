@@ -16,13 +16,14 @@ from loose_env.report.pages.template import template, write_whole
 __all__ = ["tool_steps", "tool_summary", "write_tool_page"]
 
 _ACTS = {
-    "hammer": "strike the tool some ten times a second, not in step, with a tip soft enough that a "
-    "blow lasts about {contact:.0f} ms",
+    "hammer": "strike the tool some ten times a second, not in step, with a tip hard enough that a "
+    "blow lasts {contact:.0f} ms or less",
     "shaker": "play signal.csv (force.tool in N) on the shaker, whose force sensor sits between "
     "it and the tool",
 }
-_PULSE_BAND = 1.5
-"""First zero of a half sine's spectrum, times its length [1]."""
+_PULSE_BAND = 0.75
+"""Length of a blow times the upper end of the band: its spectrum has its first zero at twice that
+[1]."""
 
 
 def tool_steps(plan: ToolPlan, planned: Sequence[PlannedRun]) -> list[str]:
