@@ -17,7 +17,10 @@ earlier plan the measured runs stay, and settings that are not given hold as bef
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from loose_env.cli.choice import add_choice, add_kept, take_over
 from loose_env.cli.console import Console, Outcome
@@ -26,18 +29,28 @@ from loose_env.errors import MissingExtra
 from loose_env.instrument import (
     KEPT,
     PAGE,
+    PLAN,
     RECORDING,
     ModelSettings,
+    MotionSettings,
     NextSettings,
     PlanFiles,
     PlanSettings,
     plan,
-    plan_json,
+    plan_tool,
     read_diagnosis,
     session_beside,
+    tool_runs,
     write_plan,
+    write_tool_plan,
 )
-from loose_env.io import json_text
+
+_PUT = {
+    "run": "put the measured run",
+    "repeat": "a repeat of the first run at the end, for drift and scatter,",
+    "reference": "the same on the healthy machine",
+}
+"""Kind of a run -> how it is spoken of."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -54,6 +67,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     add_kept(parser, ModelSettings, title="arm")
     add_choice(parser)
+    add_kept(parser, MotionSettings, title="limits and commands of the controller")
     add_kept(parser, PlanSettings, title="this measurement", only=KEPT)
 
 
@@ -66,36 +80,51 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
     else:
         take_over(options, diagnosis.choice, "the diagnosis")
     take_over(options, before.arm, "the earlier plan")
+    take_over(options, before.motion, "the earlier plan")
     take_over(options, before.own, "the earlier plan", only=KEPT)
-    made = plan(
-        options.model,
-        diagnosis,
-        arm=settings_of(options, ModelSettings),
-        choice=settings_of(options, NextSettings),
-        own=settings_of(options, PlanSettings),
-    )
-    files = PlanFiles(options.out, made.arm.recording_model.xml)
-    runs = files.next_names(len(made.signals))
-    known = "" if options.known is None else str(options.known)
-    written = write_plan(files, made, known=known)
-    missing: tuple[str, ...] = ()
-    from loose_env.report import summary
-
-    try:
-        from loose_env.report import write_plan_page
-
-        written.append(
-            write_plan_page(
-                files.folder / PAGE, made, runs, folder=options.out, model=options.model
-            )
+    model, choice = settings_of(options, ModelSettings), settings_of(options, NextSettings)
+    own, motion = settings_of(options, PlanSettings), settings_of(options, MotionSettings)
+    source = "" if options.known is None else str(options.known)
+    if model.excitation == "joint":
+        made = plan(options.model, diagnosis, arm=model, choice=choice, own=own, motion=motion)
+        files = PlanFiles(options.out, made.arm.recording_model.xml)
+        planned = files.runs_of(made)
+        runs = [one.file for one in planned if one.kind == "run"]
+        written = write_plan(files, made, known=source)
+        text = _report("summary")(made)
+        page = partial(_report("write_plan_page"), files.folder / PAGE, made, runs, planned=planned)
+        warnings = made.warnings
+    else:
+        struck = plan_tool(
+            options.model, diagnosis, arm=model, choice=choice, own=own, motion=motion
         )
+        files = PlanFiles(options.out, struck.arm.recording_model.xml)
+        planned = tool_runs(files, struck)
+        written = write_tool_plan(files, struck, known=source)
+        text = _report("tool_summary")(struck)
+        page = partial(_report("write_tool_page"), files.folder / PAGE, struck, planned)
+        warnings = struck.warnings
+    missing: tuple[str, ...] = ()
+    try:
+        written.append(page(folder=options.out, model=options.model))
     except MissingExtra as error:
         missing = (f"no {PAGE}: {error}",)
     names = sorted({path.relative_to(files.folder).parts[0] for path in written})
-    measured = ", ".join(str(files.recording / name) for name in runs)
+    lines = [text, f"written to {files.folder}: {', '.join(names)}"]
+    for kind, words in _PUT.items():
+        mine = [str(files.recording / one.file) for one in planned if one.kind == kind]
+        if mine:
+            lines.append(f"{words} into {', '.join(mine)}")
     return Outcome(
-        text=f"{summary(made)}\nwritten to {files.folder}: {', '.join(names)}\n"
-        f"put the measured run into {measured}",
-        json=lambda: json_text(plan_json(made, runs, known)),
-        warnings=(*made.warnings, *missing),
+        text="\n".join(lines),
+        json=lambda: (files.folder / PLAN).read_text(encoding="utf-8"),
+        warnings=(*warnings, *missing),
     )
+
+
+def _report(name: str) -> Callable[..., Any]:
+    """A function of the reports, which load more than a plan needs to be chosen."""
+    import loose_env.report
+
+    found: Callable[..., Any] = getattr(loose_env.report, name)
+    return found

@@ -16,29 +16,54 @@ from loose_env.instrument.model.instrumented_arm import (
     read_arm,
     read_recorded_arm,
 )
+from loose_env.instrument.model.motion_limits import (
+    QUANTITIES,
+    unit_of,
+)
 from loose_env.instrument.pipeline import (
     diagnose,
+)
+from loose_env.instrument.planning.files.plan_files import (
+    plan_json,
+    run_columns,
+    write_plan,
+)
+from loose_env.instrument.planning.files.plan_folder import (
+    PAGE,
+    PLAN,
+    RECORDING,
+    PlanFiles,
+)
+from loose_env.instrument.planning.files.planned_runs import (
+    PlannedRun,
+)
+from loose_env.instrument.planning.files.session_settings import (
+    KEPT,
+    session_beside,
+)
+from loose_env.instrument.planning.files.signal_files import (
+    FIRST,
+    TRANSIT,
+    signal_stems,
+)
+from loose_env.instrument.planning.files.tool_plan_files import (
+    tool_runs,
+    write_tool_plan,
 )
 from loose_env.instrument.planning.plan import (
     Plan,
     next_for,
     plan,
 )
-from loose_env.instrument.planning.plan_files import (
-    PAGE,
-    RECORDING,
-    PlanFiles,
-    plan_json,
-    run_columns,
-    signal_stems,
-    write_plan,
+from loose_env.instrument.planning.signals.motion_peaks import (
+    MotionPeak,
 )
-from loose_env.instrument.planning.session_settings import (
-    KEPT,
-    session_beside,
-)
-from loose_env.instrument.planning.signals import (
+from loose_env.instrument.planning.signals.signal import (
     Signal,
+)
+from loose_env.instrument.planning.signals.tool_plan import (
+    ToolPlan,
+    plan_tool,
 )
 from loose_env.instrument.result import (
     HEALTHY,
@@ -71,6 +96,9 @@ from loose_env.instrument.settings.diagnosis import (
 from loose_env.instrument.settings.measurement import (
     NextSettings,
 )
+from loose_env.instrument.settings.motion import (
+    MotionSettings,
+)
 from loose_env.instrument.settings.thresholds import (
     PROBABLE,
 )
@@ -96,11 +124,15 @@ from loose_env.instrument.trend.trend import (
 )
 
 __all__ = [
+    "FIRST",
     "HEALTHY",
     "KEPT",
     "PAGE",
+    "PLAN",
     "PROBABLE",
+    "QUANTITIES",
     "RECORDING",
+    "TRANSIT",
     "DiagnoseSettings",
     "Diagnosis",
     "Fault",
@@ -109,17 +141,21 @@ __all__ = [
     "Loop",
     "Maintenance",
     "ModelSettings",
+    "MotionPeak",
+    "MotionSettings",
     "NextMeasurement",
     "NextSettings",
     "Plan",
     "PlanFiles",
     "PlanSettings",
+    "PlannedRun",
     "RecordSeen",
     "SeriesTrend",
     "SessionSeen",
     "Severity",
     "Signal",
     "SlideDirection",
+    "ToolPlan",
     "TransmissionSpectrum",
     "Trend",
     "TrendSettings",
@@ -134,6 +170,7 @@ __all__ = [
     "path_word",
     "plan",
     "plan_json",
+    "plan_tool",
     "read_arm",
     "read_diagnosis",
     "read_maintenance",
@@ -144,6 +181,9 @@ __all__ = [
     "session_beside",
     "signal_stems",
     "time_of",
+    "tool_runs",
+    "unit_of",
     "unlike",
     "write_plan",
+    "write_tool_plan",
 ]

@@ -16,6 +16,7 @@ from loose_env.gap import diagnose_residuals, result_of
 from loose_env.instrument import (
     Maintenance,
     NextSettings,
+    PlanFiles,
     PlanSettings,
     Trend,
     change_since,
@@ -96,12 +97,20 @@ def plan_page(in_turn: int) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         model = written(folder, SERVOED)
         settings = NextSettings(poses=2, seconds=1.0, most_tool=2.5, in_turn=in_turn)
-        made = plan(model, choice=settings, own=PlanSettings(pose_deg=(20.0, -60.0, 70.0)))
-        runs = [f"run-{k + 1:02d}.csv" for k in range(in_turn)]
+        own = PlanSettings(pose_deg=(20.0, -60.0, 70.0), reference=True)
+        made = plan(model, choice=settings, own=own)
+        files = PlanFiles(folder / "session", made.arm.recording_model.xml)
+        planned = files.runs_of(made)
+        runs = [one.file for one in planned if one.kind == "run"]
         # Paths as long as people have them: no command may push the page out of a phone's window.
         long = "measurements/2026-03-18 cell 4 after the collision/session one of three"
         return write_plan_page(
-            folder / "plan.html", made, runs, folder=long, model=f"{long}/the arm of cell 4.xml"
+            folder / "plan.html",
+            made,
+            runs,
+            folder=long,
+            model=f"{long}/the arm of cell 4.xml",
+            planned=planned,
         )
 
     return write

@@ -155,6 +155,20 @@ NOTED_SAG_DEG = 0.1
 """Sag of a revolute joint under the arm's weight, above which the reader is told [deg]."""
 NOTED_SAG_M = 0.0001
 """The same of a prismatic joint [m]."""
+ASSUMED_SPEED = 3.14
+"""Speed limit of a revolute joint of which none is stated [rad/s]: half a turn a second, common for
+arms of up to 10 kg; few are slower."""
+ASSUMED_SLIDE_SPEED = 1.0
+"""The same of a prismatic joint [m/s]."""
+TRANSIT_SHARE = 0.3
+"""Share of the limits that the move to a pose takes: nobody has seen this path yet."""
+TRANSIT_RISE_S = 1.0
+"""Time over which the move's speed rises where no acceleration limit is known [s]."""
+LEAST_LEVEL = 0.5
+"""Share of the level of a diagnosis's proposal that limits have to leave for it to be planned: at
+less another pose or joint may tell more."""
+BAND_GAIN = 1.1
+"""Factor by which a narrower band has to improve the mean detectability to replace the arm's."""
 ALWAYS_TOUCHING = 0.9
 """Share of random poses in which two shapes touch, from which they do so by construction."""
 GROUND_TOLERANCE_M = 0.005
